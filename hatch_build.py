@@ -1,10 +1,12 @@
-"""What a build makes: the kernels' libraries, the man page from the parser, and the README of the package index.
+"""What a build makes: the kernels' libraries, the man page from the parser, and the README of the
+package index.
 
-`python hatch_build.py FILE` writes the man page alone. POSTFX_URL, a page like https://github.com/OWNER/postfx, becomes
-a link of the project, and the README's links lead there; without it pictures and links to files are left out.
+`python hatch_build.py FILE` writes the man page alone. POSTFX_URL, a page like
+https://github.com/OWNER/postfx, becomes a link of the project, and the README's links lead there;
+without it pictures and links to files are left out.
 
-POSTFX_TARGET names the machine that a wheel's kernels are compiled for, such as linux-aarch64; by default it is this
-one.
+POSTFX_TARGET names the machine that a wheel's kernels are compiled for, such as linux-aarch64; by
+default it is this one.
 """
 
 from __future__ import annotations
@@ -23,8 +25,10 @@ PAGE = ROOT / "build" / "postfx.1"
 
 
 def load_kernel_build() -> Any:
-    """The module that compiles kernels, without the package around it, which needs what is installed with it."""
-    spec = importlib.util.spec_from_file_location("kernel_build", ROOT / "postfx" / "compiled" / "build.py")
+    """The module that compiles kernels, without the package around it, which needs what is
+    installed with it."""
+    spec = importlib.util.spec_from_file_location("kernel_build",
+                                                  ROOT / "postfx" / "compiled" / "build.py")
     assert spec and spec.loader
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
@@ -39,22 +43,24 @@ def man_page() -> str:
     from postfx.version import __version__
 
     parser = make_parser()
-    (verbs,) = (action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    (verbs,) = (action.choices
+                for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     lines = [f'.TH POSTFX 1 "" "postfx {__version__}" "User Commands"', ".SH NAME",
              "postfx \\- denoise, upscale and tone-map rendered image sequences", ".SH SYNOPSIS",
              ".B postfx", ".I VERB", "[\\fIOPTIONS\\fR]", ".SH VERBS"]
     for name, summary in VERBS.items():
         lines += [".TP", f".B {_escape(name)}", _escape(summary)]
     for name, verb in verbs.items():
-        lines += [f".SH POSTFX {_escape(name.upper())}", *_text(verb.description), *_text(verb.more[0]),
-                  *_options(verb), *_verbatim(verb.more[1] or verb.epilog)]
+        lines += [f".SH POSTFX {_escape(name.upper())}", *_text(verb.description),
+                  *_text(verb.more[0]), *_options(verb), *_verbatim(verb.more[1] or verb.epilog)]
     return "\n".join(lines) + "\n"
 
 
 def _options(verb: Any) -> Iterator[str]:
     formatter = verb._get_formatter()
     for group in verb._action_groups:
-        actions = [action for action in group._group_actions if action.dest not in ("help", "help_all")]
+        actions = [action
+                   for action in group._group_actions if action.dest not in ("help", "help_all")]
         if actions and group.title:
             yield f".SS {_escape(group.title)}"
         for action in actions:
@@ -78,8 +84,8 @@ def _verbatim(text: str) -> Iterator[str]:
 def readme_of_the_index(text: str, address: str = "", version: str = "") -> str:
     """The README for the package index, which has no files beside it.
 
-    address: page of the repository, under which `raw/v<version>/` and `blob/v<version>/` hold its files; without it,
-    pictures are dropped and links to files become plain text.
+    address: page of the repository, under which `raw/v<version>/` and `blob/v<version>/` hold its
+    files; without it, pictures are dropped and links to files become plain text.
     """
     def link(match: re.Match[str]) -> str:
         is_picture, words, target = match.groups()
@@ -87,7 +93,8 @@ def readme_of_the_index(text: str, address: str = "", version: str = "") -> str:
             return match[0]
         if not address:
             return "" if is_picture else words
-        return f"{is_picture}[{words}]({address.rstrip('/')}/{'raw' if is_picture else 'blob'}/v{version}/{target})"
+        shown = "raw" if is_picture else "blob"
+        return f"{is_picture}[{words}]({address.rstrip('/')}/{shown}/v{version}/{target})"
 
     return re.sub(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)", link, text)
 

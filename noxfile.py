@@ -4,8 +4,8 @@ nox                      # those that are here; others are skipped
 nox -p 3.13 -- tests/io  # one Python, some tests
 nox -s lowest            # the oldest dependencies that are allowed
 
-Environments are fresh and have neither torch nor the other extras for training: tests that need them are skipped.
-`make release` installs the wheel and the sdist into each Python and runs them.
+Environments are fresh and have neither torch nor the other extras for training: tests that need
+them are skipped. `make release` installs the wheel and the sdist into each Python and runs them.
 """
 
 import nox

@@ -1,7 +1,8 @@
-"""Pages of the reference that are made from the code, as a hook of mkdocs: options, profiles, Python, JSON.
+"""Pages of the reference that are made from the code, as a hook of mkdocs: options, profiles,
+Python, JSON.
 
-`make docs` builds the site. Nothing here is written into the source folder: the pages exist in the site alone, so they
-cannot be out of date. `pages()` gives them as text, for the tests.
+`make docs` builds the site. Nothing here is written into the source folder: the pages exist in the
+site alone, so they cannot be out of date. `pages()` gives them as text, for the tests.
 """
 
 from __future__ import annotations
@@ -15,14 +16,15 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-MODULES = {"postfx.integrate": "Helpers for renderers", "postfx.masks": "Masks", "postfx.testing": "Testing a pass"}
+MODULES = {"postfx.integrate": "Helpers for renderers", "postfx.masks": "Masks",
+           "postfx.testing": "Testing a pass"}
 """Public modules, each described as a whole, and their titles."""
 
 
 def pages() -> dict[str, str]:
     """Path below docs/ -> Markdown of each page that is made."""
-    return {"reference/options.md": options(), "reference/profiles.md": profiles(), "reference/api.md": api(),
-            "reference/json.md": schemas()}
+    return {"reference/options.md": options(), "reference/profiles.md": profiles(),
+            "reference/api.md": api(), "reference/json.md": schemas()}
 
 
 def options() -> str:
@@ -30,15 +32,19 @@ def options() -> str:
     from postfx.cli.main import VERBS, make_parser
 
     parser = make_parser()
-    (verbs,) = (action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction))
-    lines = ["# Options", "", "Every option of every command, from the parser itself. `postfx VERB --help` prints the "
-             "same, and the wheel has it as a man page.", "", "| command | |", "| --- | --- |"]
-    lines += [f"| [`postfx {name}`](#postfx-{name}) | {_cell(summary)} |" for name, summary in VERBS.items()]
+    (verbs,) = (action.choices
+                for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    lines = ["# Options", "",
+             "Every option of every command, from the parser itself. `postfx VERB --help` prints "
+             "the same, and the wheel has it as a man page.", "", "| command | |", "| --- | --- |"]
+    lines += [f"| [`postfx {name}`](#postfx-{name}) | {_cell(summary)} |"
+              for name, summary in VERBS.items()]
     for name, verb in verbs.items():
         more, examples = getattr(verb, "more", ("", ""))
         lines += ["", f"## postfx {name}", "", *_paragraphs(verb.description), *_paragraphs(more)]
         for group in verb._action_groups:
-            actions = [action for action in group._group_actions if action.dest not in ("help", "help_all")]
+            actions = [action for action in group._group_actions
+                       if action.dest not in ("help", "help_all")]
             if actions:
                 title = (group.title or "options").capitalize()
                 lines += ["", f"**{title}**", "", "| option | |", "| --- | --- |"]
@@ -54,7 +60,8 @@ def _option(verb: Any, action: argparse.Action) -> str:
 
 
 def _html(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace("|", "&#124;")
+    return text.replace("&", "&amp;").replace("<",
+                                              "&lt;").replace(">", "&gt;").replace("|", "&#124;")
 
 
 def _cell(text: str) -> str:
@@ -74,24 +81,31 @@ def _paragraphs(text: str | None) -> Iterator[str]:
 
 def profiles() -> str:
     """Every built-in profile: how it is found, and its planes."""
-    lines = ["# Profiles", "", "What postfx knows of each renderer, from the TOML files in `postfx/io/profiles`. "
-             "[Files, AOVs and renderers](renderers.md#renderers) says what to switch on, and how to [write your "
-             "own](renderers.md#your-own-names). A profile that extends another one also reads that one's planes.", ""]
+    lines = ["# Profiles", "",
+             "What postfx knows of each renderer, from the TOML files in `postfx/io/profiles`. "
+             "[Files, AOVs and renderers](renderers.md#renderers) says what to switch on, and how "
+             "to [write your own](renderers.md#your-own-names). A profile that extends another one "
+             "also reads that one's planes.", ""]
     for path in sorted((ROOT / "postfx/io/profiles").glob("*.toml")):
         table = tomllib.loads(path.read_text(encoding="utf-8"))
-        extends = f", extends [`{table['extends']}`](#{table['extends']})" if "extends" in table else ""
+        extends = (f", extends [`{table['extends']}`](#{table['extends']})" if "extends" in table
+                   else "")
         source = table.get("source") or "plain names"
-        lines += [f"## {table['name']}", "", f"{table['title']}{extends}. Names from: {source}.", ""]
+        lines += [f"## {table['name']}", "", f"{table['title']}{extends}. Names from: {source}.",
+                  ""]
         rows = [f"| {plane['role']} | {_names(plane)} | {_cell(plane.get('enable', ''))} |"
                 for plane in table.get("plane", ())]
-        lines += ["| plane | layers, best first | switched on by |", "| --- | --- | --- |", *rows, ""] if rows else []
+        lines += (["| plane | layers, best first | switched on by |", "| --- | --- | --- |", *rows,
+                   ""]
+                  if rows else [])
         groups = dict.fromkeys(part["group"] for part in table.get("part", ()))
         lines += [f"Parts for `--aov`: {', '.join(groups)}.", ""] if groups else []
     return "\n".join(lines)
 
 
 def _names(plane: dict[str, Any]) -> str:
-    return ", ".join(f"<code>{_html(name)}</code>" if name else "no layer" for name in plane.get("names", ()))
+    return ", ".join(f"<code>{_html(name)}</code>" if name else "no layer"
+                     for name in plane.get("names", ()))
 
 
 def api() -> str:
@@ -107,19 +121,24 @@ def api() -> str:
             home = postfx._HOMES[name] if name in postfx._HOMES else "postfx"
             lines += [f"::: {home}.{name}", ""]
     for module, title in MODULES.items():
-        lines += [f"## {title}", "", f"::: {module}", "    options:", "      show_root_heading: false", ""]
+        lines += [f"## {title}", "", f"::: {module}", "    options:",
+                  "      show_root_heading: false", ""]
     return "\n".join(lines)
 
 
 def schemas() -> str:
     """What --json prints, from the schemas that the tests hold it to."""
     found = json.loads((ROOT / "docs/reference/schemas.json").read_text(encoding="utf-8"))
-    lines = ["# JSON", "", "What `--json` prints on standard output: one object. The tables come from "
-             "[schemas.json](schemas.json), JSON Schemas that the tests hold the commands to. Keys may be "
-             "added in any version; a key that goes, or changes its meaning, is named in the change log.", ""]
+    lines = ["# JSON", "",
+             "What `--json` prints on standard output: one object. The tables come from "
+             "[schemas.json](schemas.json), JSON Schemas that the tests hold the commands to. Keys "
+             "may be added in any version; a key that goes, or changes its meaning, is named in "
+             "the change log.", ""]
     for name, schema in found.items():
-        lines += [f"## {name}", "", schema["description"], "", "| key | type | |", "| --- | --- | --- |"]
-        lines += [f"| <code>{key}</code> | {kind} | {_cell(words)} |" for key, kind, words in _keys(schema)]
+        lines += [f"## {name}", "", schema["description"], "", "| key | type | |",
+                  "| --- | --- | --- |"]
+        lines += [f"| <code>{key}</code> | {kind} | {_cell(words)} |"
+                  for key, kind, words in _keys(schema)]
         lines.append("")
     return "\n".join(lines)
 
@@ -144,17 +163,19 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 LAST = 1e-4
-"""How much a hit in the laboratory counts in the site's search, so that pages for people come first."""
+"""How much a hit in the laboratory counts in the site's search, so that pages for people come
+first."""
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Called by mkdocs for each page: a link to a file outside docs/, which the site does not have, becomes its name.
-    The search lists pages of the laboratory last."""
+    """Called by mkdocs for each page: a link to a file outside docs/, which the site does not have,
+    becomes its name. The search lists pages of the laboratory last."""
     if page.file.src_uri.startswith("lab/"):
         page.meta["search"] = {"boost": LAST}
 
     def plain(match: re.Match[str]) -> str:
         target = (ROOT / "docs" / page.file.src_uri).parent / match[2]
-        return match[0] if "://" in match[2] or (ROOT / "docs") in target.resolve().parents else match[1]
+        return (match[0] if "://" in match[2] or (ROOT / "docs") in target.resolve().parents
+                else match[1])
 
     return re.sub(r"\[([^\]]+)\]\(([^)#\s]+)(?:#[^)]*)?\)", plain, markdown)

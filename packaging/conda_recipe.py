@@ -104,7 +104,8 @@ def conda_name(requirement: str) -> str:
     """A requirement such as 'numpy>=2.0' as conda writes it."""
     match = re.fullmatch(r"([A-Za-z0-9._-]+)([<>=!~].*)?", requirement)
     if match is None:
-        raise ValueError(f"pyproject.toml: '{requirement}' has no form for conda: see conda_recipe.py")
+        raise ValueError(f"pyproject.toml: '{requirement}' has no form for conda: see "
+                         "conda_recipe.py")
     name, version = match[1].lower(), match[2] or ""
     return f"{NAMES.get(name, name)} {version}".strip()
 

@@ -6,8 +6,8 @@
     for frame in postfx.read_sequence("shot/noisy.####.exr"):
         postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(frame))
 
-A single picture in arrays takes one call: `postfx.denoise(color, albedo=albedo, normal=normal)`. What is worth telling
-on the way goes to the logger "postfx".
+A single picture in arrays takes one call: `postfx.denoise(color, albedo=albedo, normal=normal)`.
+What is worth telling on the way goes to the logger "postfx".
 
 Everything public is named here and loaded on first use.
 """
@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from postfx.version import __version__
 
-os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read by ONNX Runtime as it is loaded, here and in workers
+# read by ONNX Runtime as it is loaded, here and in workers
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 if TYPE_CHECKING:
     from postfx.errors import PostfxError

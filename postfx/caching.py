@@ -1,4 +1,5 @@
-"""What is costly to make is kept: things, of which the one used longest ago goes first, and memory of arrays."""
+"""What is costly to make is kept: things, of which the one used longest ago goes first, and memory
+of arrays."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ MOST_IDLE_ARRAYS = 256
 
 
 class LRUCache(Generic[Key, Value]):
-    """At most `most` values by key. To read or set a value is to use it; to iterate over the keys is not."""
+    """At most `most` values by key. To read or set a value is to use it; to iterate over the keys
+    is not."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -49,7 +51,8 @@ class LRUCache(Generic[Key, Value]):
         self._values.move_to_end(key)
 
     def get_or_make(self, key: Key, make: Callable[[], Value]) -> Value:
-        """The key's value, made if there is none. The oldest one goes before that, so that its memory is free."""
+        """The key's value, made if there is none. The oldest one goes before that, so that its
+        memory is free."""
         if key not in self._values:
             self._make_room()
             self._values[key] = make()
@@ -73,8 +76,8 @@ class LRUCache(Generic[Key, Value]):
 
 
 class SpareMemory:
-    """Memory of arrays that are gone, for new ones: pages that are new from the system must be cleared first.
-    That costs five to ten percent of an interpolated frame's time.
+    """Memory of arrays that are gone, for new ones: pages that are new from the system must be
+    cleared first. That costs five to ten percent of an interpolated frame's time.
 
     Args:
         least: bytes of an array whose memory is worth keeping.
@@ -93,7 +96,8 @@ class SpareMemory:
         if nbytes < max(self._least, 1):
             return np.empty(shape, dtype)
         raw = self._take(nbytes)
-        found = np.frombuffer(raw.data, dtype, count)  # all views of it refer to this array, not to the memory
+        # all views of it refer to this array, not to the memory
+        found = np.frombuffer(raw.data, dtype, count)
         weakref.finalize(found, _give_back, weakref.ref(self), raw).atexit = False
         return found.reshape(shape)
 
@@ -110,7 +114,8 @@ class SpareMemory:
     def give(self, raw: np.ndarray) -> None:
         """Take back the memory of an array that is gone.
 
-        This may run at any time, even within `_take`. It only appends, so that places in the list stay.
+        This may run at any time, even within `_take`. It only appends, so that places in the list
+        stay.
         """
         if self._most is None or len(self._free) < self._most:
             self._free.append((self._made, raw))

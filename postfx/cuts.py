@@ -1,10 +1,11 @@
 """Scene cuts, found by comparing each frame with the one before it, warped by its motion.
 
-Two pictures are related when what they show at corresponding places goes up and down together. They are compared on a
-coarse grid, after taking away what is wider than a fifth of the picture: sky above ground is common to unrelated
-pictures. A correlation near 1 means the same scene; a changing exposure does not count. The noise of a plane is
-measured in each frame by its two halves, and what it takes from the correlation is given back (Spearman 1904,
-correction for attenuation). Frames without evidence count as related.
+Two pictures are related when what they show at corresponding places goes up and down together. They
+are compared on a coarse grid, after taking away what is wider than a fifth of the picture: sky
+above ground is common to unrelated pictures. A correlation near 1 means the same scene; a changing
+exposure does not count. The noise of a plane is measured in each frame by its two halves, and what
+it takes from the correlation is given back (Spearman 1904, correction for attenuation). Frames
+without evidence count as related.
 """
 
 from __future__ import annotations
@@ -39,12 +40,13 @@ SMOOTHED_CELLS = 3
 LEAST_RELIABILITY = 0.5  # share of a plane's variance that is no noise
 BLACK_LIGHT_RATIO = 1e-2  # of the mean light: anything darker is just black
 LEAST_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role.DEPTH: 0.02}
-"""Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors, doublings."""
+"""Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors,
+doublings."""
 
 
 LEAST_CELLS = 0.1
-"""Share of the cells that hold a guide's structure, below which it is that of a thing, such as a wire, that may have
-moved; water has 0.11, other scenes 0.14 and more."""
+"""Share of the cells that hold a guide's structure, below which it is that of a thing, such as a
+wire, that may have moved; water has 0.11, other scenes 0.14 and more."""
 
 
 @dataclass(slots=True)
@@ -53,7 +55,8 @@ class Picture:
 
     Attributes:
         light: (rows, columns, 2) log2 of the light of both halves of each cell, without layout.
-        guides: role -> (rows, columns, 2, channels) with layout: diffuse albedo, normal, log2 of depth.
+        guides: role -> (rows, columns, 2, channels) with layout: diffuse albedo, normal, log2 of
+            depth.
         motion: (rows, columns, 2) in cells, NaN where unknown, or None.
         cell: height and width of a cell as parts of the frame's.
         bands: role -> a guide without layout, of those that were compared so far.
@@ -73,14 +76,15 @@ class Picture:
 
 
 class CutDetector:
-    """Stateful: call it with each frame in order; True where a frame is unrelated to the one before it.
+    """Stateful: call it with each frame in order; True where a frame is unrelated to the one before
+    it.
 
-    It looks at this frame and the last one only, which may have another size. The first frame is no cut, nor are frames
-    marked with `frame.reset` compared: the history is dropped there anyway.
+    It looks at this frame and the last one only, which may have another size. The first frame is no
+    cut, nor are frames marked with `frame.reset` compared: the history is dropped there anyway.
 
     Attributes:
-        relation: correlation of the last two frames, 1 the same scene, about 0 another one; None where nothing was
-            compared.
+        relation: correlation of the last two frames, 1 the same scene, about 0 another one; None
+            where nothing was compared.
     """
 
     def __init__(self) -> None:
@@ -102,13 +106,16 @@ class CutDetector:
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         """Go on as a detector that had this `history`."""
-        guides = {Role(name.removeprefix("guide ")): plane for name, plane in history.items() if name[:6] == "guide "}
+        guides = {Role(name.removeprefix("guide ")): plane
+                  for name, plane in history.items() if name[:6] == "guide "}
         self._before = None
         if history:
-            self._before = Picture(history["light"], guides, history.get("motion"), tuple(history["cell"].tolist()))
+            self._before = Picture(history["light"], guides, history.get("motion"),
+                                   tuple(history["cell"].tolist()))
 
     def __call__(self, frame: Frame) -> bool:
-        """Whether `frame`, whose colour is scene-linear, begins another shot. False without a colour."""
+        """Whether `frame`, whose colour is scene-linear, begins another shot. False without a
+        colour."""
         before, self._before = self._before, _picture(frame) if Role.COLOUR in frame else None
         self.relation = None
         if before and self._before and not frame.reset:
@@ -119,8 +126,9 @@ class CutDetector:
 def relation(before: Picture, now: Picture) -> float | None:
     """Correlation of two frames, one warped onto the other; None where nothing tells.
 
-    By the motion vectors; where they do not lead to what is shown, which may be their fault, without motion as well.
-    Frames that lack some or all of them are compared without motion there, then shifted as a whole by what fits best.
+    By the motion vectors; where they do not lead to what is shown, which may be their fault,
+    without motion as well. Frames that lack some or all of them are compared without motion there,
+    then shifted as a whole by what fits best.
     """
     still = np.zeros_like(now.light)
     is_whole = now.motion is not None and bool(np.isfinite(now.motion).all())
@@ -163,7 +171,8 @@ def _picture(frame: Frame) -> Picture | None:
         guides[Role.DEPTH] = _log_depth(pair_means(planes[Role.DEPTH], block))
     motion = None
     if Role.MOTION in planes:
-        motion = planes[Role.MOTION][block // 2 :: block, block // 2 :: block][:rows, :columns].astype(float) / block
+        motion = planes[Role.MOTION][block // 2 :: block,
+                                     block // 2 :: block][:rows, :columns].astype(float) / block
     return Picture(_band(light.transpose(1, 2, 0)), guides, motion, (block / height, block / width))
 
 
@@ -175,11 +184,13 @@ def _log_depth(depth: np.ndarray) -> np.ndarray:
 
 def _band(planes: np.ndarray) -> np.ndarray:
     """(rows, columns, ...) without the finest noise and without what is wide."""
-    return band_of(planes.reshape(*planes.shape[:2], -1), SMOOTHED_CELLS, LAYOUT_CELLS).reshape(planes.shape)
+    return band_of(planes.reshape(*planes.shape[:2], -1), SMOOTHED_CELLS,
+                   LAYOUT_CELLS).reshape(planes.shape)
 
 
 def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
-    """Correlation under one motion: the light's; where that is not related, the mean of the guides' if it is higher.
+    """Correlation under one motion: the light's; where that is not related, the mean of the guides'
+    if it is higher.
 
     None where no plane tells anything, 0 where the motion leads out of the frame before.
     """
@@ -199,30 +210,36 @@ def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
 
 
 def _extent(band: np.ndarray) -> float:
-    """Share of the cells (rows, columns, 2 halves, channels) over which the variance of a band is spread."""
+    """Share of the cells (rows, columns, 2 halves, channels) over which the variance of a band is
+    spread."""
     cells = band.mean(2).reshape(band.shape[0] * band.shape[1], -1)
     energy = np.square(cells - cells.mean(0)).sum(1)
     return float(energy.sum() ** 2 / max(energy.size * np.square(energy).sum(), 1e-30))
 
 
 def _correlation(
-    before: np.ndarray, now: np.ndarray, places: tuple[np.ndarray, np.ndarray, np.ndarray], least_spread: float
+    before: np.ndarray, now: np.ndarray, places: tuple[np.ndarray, np.ndarray, np.ndarray],
+    least_spread: float
 ) -> float | None:
-    """Correlation of cells (rows, columns, 2 halves, ...) with what was at their places, as it would be without noise;
-    None where there is little else."""
+    """Correlation of cells (rows, columns, 2 halves, ...) with what was at their places, as it
+    would be without noise; None where there is little else."""
     x, y, numbers = places
     rows, columns = now.shape[:2]
     flat = now.reshape(rows * columns, 2, -1)
-    then = mix_places(before.reshape(rows, columns, -1), x, y).reshape(numbers.size, *flat.shape[1:])
+    then = mix_places(before.reshape(rows, columns, -1), x, y).reshape(numbers.size,
+                                                                       *flat.shape[1:])
     found = true_correlation(then, flat.take(numbers, axis=0), least_spread, LEAST_RELIABILITY)
     return None if math.isnan(found) else found
 
 
 def _shift(before: Picture, now: Picture) -> np.ndarray:
-    """Shift (2,) in whole cells, x and y, up to half the picture, that fits its light best (cross-correlation)."""
+    """Shift (2,) in whole cells, x and y, up to half the picture, that fits its light best
+    (cross-correlation)."""
     rows, columns = now.light.shape[:2]
-    spectra = [np.fft.rfft2(picture.light.mean(axis=2), (2 * rows, 2 * columns)) for picture in (before, now)]
+    spectra = [np.fft.rfft2(picture.light.mean(axis=2), (2 * rows, 2 * columns))
+               for picture in (before, now)]
     match = np.fft.irfft2(spectra[0] * np.conj(spectra[1]), (2 * rows, 2 * columns))
-    match = np.fft.fftshift(match)[rows - rows // 2 : rows + rows // 2 + 1, columns - columns // 2 :][:, : columns + 1]
+    match = np.fft.fftshift(match)[rows - rows // 2 : rows + rows // 2 + 1,
+                                   columns - columns // 2 :][:, : columns + 1]
     y, x = np.unravel_index(match.argmax(), match.shape)
     return np.array([x - columns // 2, y - rows // 2], float)

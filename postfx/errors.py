@@ -1,5 +1,5 @@
-"""Every error that postfx raises on purpose. Each message is one line that names the file, the plane or the command,
-and says how to fix it.
+"""Every error that postfx raises on purpose. Each message is one line that names the file, the
+plane or the command, and says how to fix it.
 
     PostfxError                 the command line prints it as ``error: ...`` and exits 2
       FrameError                planes of a frame do not fit together
@@ -50,7 +50,8 @@ from typing import Any
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
-    """': did you mean X?' for a word that is nearly a known one, or begins with one; else nothing."""
+    """': did you mean X?' for a word that is nearly a known one, or begins with one; else
+    nothing."""
     from difflib import get_close_matches  # on errors only
 
     names = list(known)
@@ -60,14 +61,17 @@ def suggest(word: str, known: Iterable[str]) -> str:
 
 
 class PostfxError(Exception):
-    """Base of every error that postfx raises on purpose; the command line prints it as ``error: ...`` and exits 2."""
+    """Base of every error that postfx raises on purpose; the command line prints it as
+    ``error: ...`` and exits 2."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # The default pickle calls the constructor with the message alone, which fails where it takes more.
+        # The default pickle calls the constructor with the message alone, which fails where it
+        # takes more.
         return _unpickle, (type(self), self.args, self.__dict__)
 
 
-def _unpickle(kind: type[PostfxError], args: tuple[Any, ...], attributes: dict[str, Any]) -> PostfxError:
+def _unpickle(kind: type[PostfxError], args: tuple[Any, ...],
+              attributes: dict[str, Any]) -> PostfxError:
     """An error that came from another process."""
     error = kind.__new__(kind, *args)
     error.__dict__.update(attributes)
@@ -141,7 +145,8 @@ class OutputExistsError(WriteError):
 
 
 class ManifestReadError(WriteError):
-    """A manifest is there but cannot be read now: no permission, or a failing disk. It may well be intact."""
+    """A manifest is there but cannot be read now: no permission, or a failing disk. It may well be
+    intact."""
 
 
 class RunError(PostfxError):
@@ -207,7 +212,8 @@ class MemoryBudgetError(PostfxError):
 
 
 class ModelError(PostfxError):
-    """A model file is missing, damaged, not the one its card describes, or cannot be specialised."""
+    """A model file is missing, damaged, not the one its card describes, or cannot be
+    specialised."""
 
 
 class BindingError(PostfxError):
@@ -222,13 +228,15 @@ class HazardError(PostfxError):
     """Two accesses to the same memory are not ordered, or memory is read that nothing wrote.
 
     Attributes:
-        kind: 'read after write', 'write after write', 'write after read', 'read before write', 'aliasing',
-            'released' or 'host access'.
+        kind: 'read after write', 'write after write', 'write after read', 'read before write',
+            'aliasing', 'released' or 'host access'.
         tensor: name of the tensor.
-        first, second: labels of the commands concerned, earlier one first; `first` is None when there is only one.
+        first, second: labels of the commands concerned, earlier one first; `first` is None when
+            there is only one.
     """
 
-    def __init__(self, message: str, kind: str, tensor: str, first: str | None, second: str) -> None:
+    def __init__(self, message: str, kind: str, tensor: str, first: str | None,
+                 second: str) -> None:
         super().__init__(message)
         self.kind = kind
         self.tensor = tensor
@@ -272,15 +280,18 @@ class CaptureError(PostfxError):
 
 
 class CompareError(PostfxError):
-    """Two captures cannot be compared: other commands, other tensors, or their content was not kept."""
+    """Two captures cannot be compared: other commands, other tensors, or their content was not
+    kept."""
 
 
 class ReportError(PostfxError):
-    """A report cannot be made: references do not fit, a library is missing, or options exclude each other."""
+    """A report cannot be made: references do not fit, a library is missing, or options exclude each
+    other."""
 
 
 class BenchError(PostfxError):
-    """A benchmark cannot be made: frames do not fit together, a method is unknown, or a library is not installed."""
+    """A benchmark cannot be made: frames do not fit together, a method is unknown, or a library is
+    not installed."""
 
 
 class IntegrationError(PostfxError):

@@ -1,7 +1,8 @@
-"""Files that other programs write, read or lose: bounded reads, retries, reading ahead, atomic writes, live processes.
+"""Files that other programs write, read or lose: bounded reads, retries, reading ahead, atomic
+writes, live processes.
 
-Everything that postfx writes in place of an older file goes through `atomic_file`, so readers see the old content or
-the new one, never half of it.
+Everything that postfx writes in place of an older file goes through `atomic_file`, so readers see
+the old content or the new one, never half of it.
 """
 
 from __future__ import annotations
@@ -37,17 +38,20 @@ PARTIAL = ".part"
 """Suffix of files that are being written; no frame pattern matches it."""
 FILE_PIECE_BYTES = 1 << 22
 """Bytes that are read, hashed or written at once."""
-_NAME_BYTES = 120  # of the final name within the temporary one: file systems limit the length of names
-_TEMPORARY = re.compile(rf"\.(?P<name>.+)\.(?P<host>[\w-]+)-(?P<process>\d{{1,9}})-\d+{re.escape(PARTIAL)}", re.DOTALL)
+# of the final name within the temporary one: file systems limit the length of names
+_NAME_BYTES = 120
+_TEMPORARY = re.compile(
+    rf"\.(?P<name>.+)\.(?P<host>[\w-]+)-(?P<process>\d{{1,9}})-\d+{re.escape(PARTIAL)}", re.DOTALL
+)
 _numbers = count()
 
 
 def read_text(path: Path, most: int = MAX_BYTES) -> str:
-    """Read a UTF-8 file of at most `most` bytes, without the byte order mark that Windows' editors put first; also one
-    of UTF-16 or UTF-32 with such a mark, as PowerShell writes.
+    """Read a UTF-8 file of at most `most` bytes, without the byte order mark that Windows' editors
+    put first; also one of UTF-16 or UTF-32 with such a mark, as PowerShell writes.
 
-    Raises OSError for a larger file and for anything that is not a regular file, such as a pipe or an endless device;
-    ValueError when the content is none of these.
+    Raises OSError for a larger file and for anything that is not a regular file, such as a pipe or
+    an endless device; ValueError when the content is none of these.
     """
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "it is not a file", str(path))
@@ -58,10 +62,12 @@ def read_text(path: Path, most: int = MAX_BYTES) -> str:
     try:
         return content.decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
-        raise ValueError(f"byte {error.start + 1} is no {encoding.upper()}: save it as UTF-8") from None
+        raise ValueError(f"byte {error.start + 1} is no {encoding.upper()}: save it as "
+                         "UTF-8") from None
 
 
-_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32",
+_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF32_LE: "utf-32",
+          codecs.BOM_UTF32_BE: "utf-32",
           codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 """Encodings by the mark that a file begins with, the longer marks first."""
 
@@ -75,8 +81,8 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML; ValueError when it is malformed, nested too deeply, or has a line of too many dots, which takes
-    tomllib time by the square of their number."""
+    """Parse TOML; ValueError when it is malformed, nested too deeply, or has a line of too many
+    dots, which takes tomllib time by the square of their number."""
     import tomllib  # most commands can do without
 
     if any(line.count(".") > _MOST_DOTS for line in text.splitlines()):
@@ -88,7 +94,8 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def with_slashes(name: str) -> str:
-    """A path with / between folders. Windows also takes a backslash for that, which elsewhere is a letter of a name."""
+    """A path with / between folders. Windows also takes a backslash for that, which elsewhere is a
+    letter of a name."""
     return name.replace("\\", "/") if os.name == "nt" else name
 
 
@@ -123,8 +130,8 @@ Result = TypeVar("Result")
 
 
 def despite_readers(work: Callable[[], Result]) -> Result:
-    """What `work` gives, which removes or replaces a file: Windows refuses that for the moment in which another process
-    reads the file."""
+    """What `work` gives, which removes or replaces a file: Windows refuses that for the moment in
+    which another process reads the file."""
     for pause in (0.01, 0.03, 0.1, 0.3, 1.0) if os.name == "nt" else ():
         try:
             return work()
@@ -140,8 +147,8 @@ def remove(path: Path) -> None:
 
 @contextmanager
 def memory_file(suffix: str, room: int = 0) -> Iterator[Path]:
-    """Path of a file to write and to read, which is gone afterwards: in memory where the system has such files, else in
-    the temporary folder. OSError where that has less than `room` bytes."""
+    """Path of a file to write and to read, which is gone afterwards: in memory where the system has
+    such files, else in the temporary folder. OSError where that has less than `room` bytes."""
     if hasattr(os, "memfd_create"):
         with os.fdopen(os.memfd_create("postfx"), "rb") as file:
             yield Path(f"/dev/fd/{file.fileno()}")
@@ -153,8 +160,9 @@ def memory_file(suffix: str, room: int = 0) -> Iterator[Path]:
 
 
 def read_to_end(pipe: int, most: int) -> memoryview:
-    """At most so many bytes that come through a pipe, which is then closed. One call of the C library reads them all
-    without the interpreter's lock, so what writes into the pipe may hold it."""
+    """At most so many bytes that come through a pipe, which is then closed. One call of the C
+    library reads them all without the interpreter's lock, so what writes into the pipe may hold
+    it."""
     content, library = mmap.mmap(-1, most), ctypes.CDLL(None)
     library.fdopen.restype, library.fread.restype = ctypes.c_void_p, ctypes.c_size_t
     file = ctypes.c_void_p(library.fdopen(pipe, b"rb"))
@@ -166,8 +174,8 @@ def read_to_end(pipe: int, most: int) -> memoryview:
 
 @contextmanager
 def atomic_file(path: Path, durable: bool = True) -> Iterator[Path]:
-    """Yield a temporary path beside `path`. When the block ends, that file replaces `path` in one step; when the block
-    raises, the file is removed.
+    """Yield a temporary path beside `path`. When the block ends, that file replaces `path` in one
+    step; when the block raises, the file is removed.
 
     durable: flush the file and its name to the disk first, so that they survive a power cut.
     """
@@ -186,10 +194,11 @@ def atomic_file(path: Path, durable: bool = True) -> Iterator[Path]:
 
 
 def create_whole(path: Path, content: bytes) -> bool:
-    """Make a file that is not there yet, with its content from the first moment on; False where anything is there.
+    """Make a file that is not there yet, with its content from the first moment on; False where
+    anything is there.
 
-    It is written aside and linked, which is atomic on NFS, too. Where a file system has no links, it is made by O_EXCL,
-    and may be seen empty.
+    It is written aside and linked, which is atomic on NFS, too. Where a file system has no links,
+    it is made by O_EXCL, and may be seen empty.
     """
     temporary = _temporary(path)
     try:
@@ -214,8 +223,8 @@ def create_whole(path: Path, content: bytes) -> bool:
 
 @contextmanager
 def output_file(path: Path) -> Iterator[Path]:
-    """`atomic_file` for what a user asked for: makes the folder, removes what killed processes of this machine left
-    behind for `path`, and raises WriteError where the file system refuses."""
+    """`atomic_file` for what a user asked for: makes the folder, removes what killed processes of
+    this machine left behind for `path`, and raises WriteError where the file system refuses."""
     temporary = path
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -224,10 +233,12 @@ def output_file(path: Path) -> Iterator[Path]:
             yield temporary
     except OSError as error:
         reason = (error.strerror or str(error)).replace(str(temporary), str(path))
-        raise WriteError(f"{path}: cannot be written: {reason}; check the folder's rights and free space") from error
+        raise WriteError(f"{path}: cannot be written: {reason}; check the folder's rights and free "
+                         "space") from error
 
 
-def write_atomically(path: Path, write: Callable[[BinaryIO], object], durable: bool = False) -> None:
+def write_atomically(path: Path, write: Callable[[BinaryIO], object],
+                     durable: bool = False) -> None:
     """Replace `path` by a file that `write` fills; see `atomic_file`."""
     with atomic_file(path, durable) as temporary, temporary.open("wb") as file:
         write(file)
@@ -241,8 +252,8 @@ def write_text(path: Path, text: str) -> None:
 def remove_leftovers(folder: Path, names: Iterable[str], any_host: bool = False) -> None:
     """Remove temporary files that killed writers of these file names left in a folder.
 
-    Files of living processes of this machine stay. `any_host` also removes files that other machines wrote: use it only
-    while nobody else may write these names.
+    Files of living processes of this machine stay. `any_host` also removes files that other
+    machines wrote: use it only while nobody else may write these names.
     """
     own, meant = _host(), set(map(_shorten, names))
     for entry in os.scandir(folder):
@@ -255,7 +266,8 @@ def remove_leftovers(folder: Path, names: Iterable[str], any_host: bool = False)
 
 
 def is_process_alive(pid: int) -> bool:
-    """Whether a process of this number runs on this machine, as far as its process numbers are visible from here."""
+    """Whether a process of this number runs on this machine, as far as its process numbers are
+    visible from here."""
     import psutil  # only where a lock or a leftover is found
 
     try:
@@ -270,7 +282,8 @@ def _host() -> str:
 
 
 def _temporary(path: Path) -> Path:
-    return path.with_name(f".{_shorten(path.name)}.{_host()}-{os.getpid()}-{next(_numbers)}{PARTIAL}")
+    return path.with_name(f".{_shorten(path.name)}.{_host()}-{os.getpid()}-{next(_numbers)}"
+                          f"{PARTIAL}")
 
 
 def _shorten(name: str) -> str:
@@ -289,8 +302,10 @@ PAUSES = (0.1, 0.4)
 """Seconds before the second and the third try."""
 
 
-def read_patiently(read: Callable[[], Result], failed: Callable[[ReadError], None] = lambda error: None) -> Result:
-    """What `read` gives. A ReadError is told to `failed` and `read` called again, twice at most; then it is raised."""
+def read_patiently(read: Callable[[], Result],
+                   failed: Callable[[ReadError], None] = lambda error: None) -> Result:
+    """What `read` gives. A ReadError is told to `failed` and `read` called again, twice at most;
+    then it is raised."""
     for pause in PAUSES:
         try:
             return read()
@@ -304,8 +319,10 @@ Item = TypeVar("Item")
 Content = TypeVar("Content")
 
 
-def read_ahead(items: Iterable[Item], read: Callable[[Item], Content]) -> Iterator[tuple[Item, Content]]:
-    """Each item with the result of `read`, in order. At most one more is read ahead, by a thread of its own.
+def read_ahead(items: Iterable[Item],
+               read: Callable[[Item], Content]) -> Iterator[tuple[Item, Content]]:
+    """Each item with the result of `read`, in order. At most one more is read ahead, by a thread of
+    its own.
 
     An error of `read` is raised when it is the item's turn, so that earlier items are not lost.
     """
@@ -326,10 +343,12 @@ def file_threads(count: int) -> Workers:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=file_threads.cache_clear)  # a forked process has none of them
+    # a forked process has none of them
+    os.register_at_fork(after_in_child=file_threads.cache_clear)
 
 
-def run_in_order(threads: Workers, tasks: Iterable[Callable[[], Result]], most: int) -> Iterator[Result]:
+def run_in_order(threads: Workers, tasks: Iterable[Callable[[], Result]],
+                 most: int) -> Iterator[Result]:
     """What tasks give, in their order; at most so many are begun before their turn."""
     begun: deque[Future[Result]] = deque()
     try:
@@ -345,9 +364,11 @@ def run_in_order(threads: Workers, tasks: Iterable[Callable[[], Result]], most: 
 
 
 class WriteBehind:
-    """Runs one task at a time in a thread of its own. Use it as a context manager: leaving it waits for the last one.
+    """Runs one task at a time in a thread of its own. Use it as a context manager: leaving it waits
+    for the last one.
 
-    An error of a task is raised by the next `put` or `wait`, or on leaving, where no other error is on its way.
+    An error of a task is raised by the next `put` or `wait`, or on leaving, where no other error is
+    on its way.
     """
 
     def __init__(self) -> None:
@@ -355,7 +376,8 @@ class WriteBehind:
         self._last: Future[None] | None = None
 
     def put(self, task: Callable[[], None]) -> None:
-        """Wait for the task before, then begin this one; so at most one result waits to be written."""
+        """Wait for the task before, then begin this one; so at most one result waits to be
+        written."""
         self.wait()
         self._last = self._writer.submit(task)
 

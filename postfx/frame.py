@@ -1,4 +1,5 @@
-"""Frames as named planes, and what the planes mean: the one convention that everything after reading relies on."""
+"""Frames as named planes, and what the planes mean: the one convention that everything after
+reading relies on."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ LOG = logging.getLogger("postfx")
 """What the library has to tell on the way; it is silent unless a program sets up logging."""
 LOG.addHandler(logging.NullHandler())
 TOLD = LOG.getChild("told")
-"""Part of it: what commands pass on to their users, each kind once. The first argument is the file or frame."""
+"""Part of it: what commands pass on to their users, each kind once. The first argument is the file
+or frame."""
 
 
 class Role(StrEnum):
@@ -55,7 +57,8 @@ class Role(StrEnum):
         return _OTHER_WORDS.get(value) if isinstance(value, str) else None
 
 
-_OTHER_WORDS = {"color": Role.COLOUR, "opaque_color": Role.OPAQUE_COLOUR, "albedo": Role.DIFFUSE_ALBEDO}
+_OTHER_WORDS = {"color": Role.COLOUR, "opaque_color": Role.OPAQUE_COLOUR,
+                "albedo": Role.DIFFUSE_ALBEDO}
 
 
 class RoleInfo(NamedTuple):
@@ -72,44 +75,60 @@ _REFLECTANCE = "linear Rec.709"
 _OF_COLOUR = "the colour's"
 
 ROLES: Mapping[Role, RoleInfo] = {
-    Role.COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "none; premultiplied by alpha"),
+    Role.COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf",
+                          "none; premultiplied by alpha"),
     Role.ALPHA: RoleInfo(1, "coverage", "none", "0..1", "0 transparent, 1 opaque"),
-    Role.DEPTH: RoleInfo(1, "scene units", "camera", "0..1e10", "along the view axis, away from the camera; miss 1e10"),
+    Role.DEPTH: RoleInfo(1, "scene units", "camera", "0..1e10",
+                         "along the view axis, away from the camera; miss 1e10"),
     Role.MOTION: RoleInfo(2, "pixels of this frame", "image", "any; NaN unknown",
                           "previous - current; x right, y down; no jitter"),
-    Role.NORMAL: RoleInfo(3, "none", "world", "-1..1", "facing the viewer; unit length not forced, zero at misses"),
+    Role.NORMAL: RoleInfo(3, "none", "world", "-1..1",
+                          "facing the viewer; unit length not forced, zero at misses"),
     Role.DIFFUSE_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "none"),
-    Role.SPECULAR_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "Fresnel towards the viewer"),
+    Role.SPECULAR_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1",
+                                   "Fresnel towards the viewer"),
     Role.ROUGHNESS: RoleInfo(1, "none", "linear (not squared)", "0..1", "0 mirror, 1 rough"),
-    Role.SPECULAR_HIT_DISTANCE: RoleInfo(1, "scene units", "world", "0..inf", "primary surface to the reflected hit"),
+    Role.SPECULAR_HIT_DISTANCE: RoleInfo(1, "scene units", "world", "0..inf",
+                                         "primary surface to the reflected hit"),
     Role.STRENGTH: RoleInfo(1, "none", "none", "0..1", "0 leave as it is, 1 denoise fully"),
     Role.REACTIVE: RoleInfo(1, "none", "none", "0..1", "0 use the history, 1 ignore it"),
-    Role.OPAQUE_COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "colour before transparency"),
-    Role.OVERLAY: RoleInfo(4, "radiance and coverage", "scene-linear Rec.709", "0..inf", "RGBA, premultiplied"),
-    Role.LATER: RoleInfo(4, "radiance and weight", "scene-linear Rec.709", "0..inf", "RGBA, times weight"),
+    Role.OPAQUE_COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf",
+                                 "colour before transparency"),
+    Role.OVERLAY: RoleInfo(4, "radiance and coverage", "scene-linear Rec.709", "0..inf",
+                           "RGBA, premultiplied"),
+    Role.LATER: RoleInfo(4, "radiance and weight", "scene-linear Rec.709", "0..inf",
+                         "RGBA, times weight"),
     Role.PARTNER: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "of another denoiser"),
-    Role.DENOISING_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "also of what mirrors and glass show"),
-    Role.DENOISING_NORMAL: RoleInfo(3, "none", "camera, as in files", "-1..1", "also of what mirrors and glass show"),
-    Role.ERROR: RoleInfo(1, "squared code values", "sRGB of x / (1 + x)", "0..1", "expected of the denoised colour"),
-    Role.VARIANCE_OF_MEAN: RoleInfo(3, "radiance squared", _OF_COLOUR, "0..inf", "squared standard error of the pixel"),
-    Role.SAMPLE_VARIANCE: RoleInfo(3, "radiance squared", _OF_COLOUR, "0..inf", "of a pixel's samples"),
-    Role.SECOND_MOMENT: RoleInfo(3, "radiance squared", _OF_COLOUR, "0..inf", "mean of a pixel's squared samples"),
-    Role.SAMPLE_COUNT: RoleInfo(1, "samples a pixel", "none", "0..inf", "or shares, 0..1, of the header's number"),
+    Role.DENOISING_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1",
+                                    "also of what mirrors and glass show"),
+    Role.DENOISING_NORMAL: RoleInfo(3, "none", "camera, as in files", "-1..1",
+                                    "also of what mirrors and glass show"),
+    Role.ERROR: RoleInfo(1, "squared code values", "sRGB of x / (1 + x)", "0..1",
+                         "expected of the denoised colour"),
+    Role.VARIANCE_OF_MEAN: RoleInfo(3, "radiance squared", _OF_COLOUR, "0..inf",
+                                    "squared standard error of the pixel"),
+    Role.SAMPLE_VARIANCE: RoleInfo(3, "radiance squared", _OF_COLOUR, "0..inf",
+                                   "of a pixel's samples"),
+    Role.SECOND_MOMENT: RoleInfo(3, "radiance squared", _OF_COLOUR, "0..inf",
+                                 "mean of a pixel's squared samples"),
+    Role.SAMPLE_COUNT: RoleInfo(1, "samples a pixel", "none", "0..inf",
+                                "or shares, 0..1, of the header's number"),
 }
 
 VARIANCES = (Role.SAMPLE_VARIANCE, Role.SECOND_MOMENT, Role.VARIANCE_OF_MEAN)
 """Planes that tell a pixel's error; the first that a frame has counts."""
 ERROR_ROLES = (*VARIANCES, Role.SAMPLE_COUNT)
-"""Planes that tell how far a render has converged. They are only read when somebody asks for that, so no pass misses
-them."""
+"""Planes that tell how far a render has converged. They are only read when somebody asks for that,
+so no pass misses them."""
 
 DEPTH_MISS = 1e10
 """Depth of a pixel whose ray hit nothing."""
 
 LINEAR = ("scene-linear", "display-linear")
 ENCODINGS = (*LINEAR, *DISPLAY_KINDS)
-"""Meanings of the colour plane: light in the scene, light of a display (1 is white), both in Rec.709; and code values
-0..1 of a display by its name, with peak and white for HDR ('pq,peak=1000,white=203')."""
+"""Meanings of the colour plane: light in the scene, light of a display (1 is white), both in
+Rec.709; and code values 0..1 of a display by its name, with peak and white for HDR
+('pq,peak=1000,white=203')."""
 
 GUIDE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH)
 """Planes at output size that make edges exact."""
@@ -129,11 +148,12 @@ def stops_of_factor(factor: float) -> float:
     return -math.inf if factor == 0 else math.nan
 
 
-PART_KINDS = ("light", "diffuse", "specular", "scatter", "emission", "albedo", "normal", "position", "depth", "mist",
-              "shadow", "ao", "factor")
-"""Meanings of a part. Light is added up to the picture: with all of the reflectance in it, the diffuse or the specular
-one, or none (fog; lamps and a background, which are seen as they are). The others are no light and add up to nothing. A
-factor is what files divide parts by: it is not filtered, only brought to the output's size."""
+PART_KINDS = ("light", "diffuse", "specular", "scatter", "emission", "albedo", "normal", "position",
+              "depth", "mist", "shadow", "ao", "factor")
+"""Meanings of a part. Light is added up to the picture: with all of the reflectance in it, the
+diffuse or the specular one, or none (fog; lamps and a background, which are seen as they are). The
+others are no light and add up to nothing. A factor is what files divide parts by: it is not
+filtered, only brought to the output's size."""
 ADDITIVE = PART_KINDS[:5]
 
 
@@ -144,9 +164,10 @@ class Part:
     Attributes:
         name: as the frame's `parts` name it.
         kind: one of `PART_KINDS`.
-        group: parts of one group add up to the picture, or to some of it; a frame may be taken apart in several ways.
-        factor: name of the part of the kind 'factor' that this one is divided by in files: where that is 0, there is
-            nothing of it.
+        group: parts of one group add up to the picture, or to some of it; a frame may be taken
+            apart in several ways.
+        factor: name of the part of the kind 'factor' that this one is divided by in files: where
+            that is 0, there is nothing of it.
 
     Raises FrameError for another kind.
     """
@@ -158,7 +179,8 @@ class Part:
 
     def __post_init__(self) -> None:
         if self.kind not in PART_KINDS:
-            raise FrameError(f"part '{self.name}' is of the unknown kind '{self.kind}': use {', '.join(PART_KINDS)}")
+            raise FrameError(f"part '{self.name}' is of the unknown kind '{self.kind}': use "
+                             f"{', '.join(PART_KINDS)}")
 
     @property
     def is_light(self) -> bool:
@@ -170,8 +192,8 @@ class Part:
 class GuideSpec:
     """Size and roles of a frame's guides, which are planes at output size.
 
-    `roles` may be any of `OUTPUT_SIZE_ROLES` and are kept in the order of `Role`; empty if no pass reads the guides.
-    `source` is the file that they come from, for messages: comparisons ignore it.
+    `roles` may be any of `OUTPUT_SIZE_ROLES` and are kept in the order of `Role`; empty if no pass
+    reads the guides. `source` is the file that they come from, for messages: comparisons ignore it.
     """
 
     width: int
@@ -182,7 +204,8 @@ class GuideSpec:
     def __post_init__(self) -> None:
         wanted = {Role(role) for role in self.roles}
         for role in wanted - set(OUTPUT_SIZE_ROLES):
-            raise GuideError(f"plane '{role}' cannot be a guide: those are {', '.join(OUTPUT_SIZE_ROLES)}")
+            raise GuideError(f"plane '{role}' cannot be a guide: those are "
+                             f"{', '.join(OUTPUT_SIZE_ROLES)}")
         object.__setattr__(self, "roles", tuple(role for role in Role if role in wanted))
 
 
@@ -192,12 +215,13 @@ class FrameSpec:
 
     Attributes:
         width, height: pixels.
-        planes: role and channel count of each plane, in the order of `Role`, so specs compare and hash by meaning. They
-            may be given as a mapping, as pairs or as roles only.
+        planes: role and channel count of each plane, in the order of `Role`, so specs compare and
+            hash by meaning. They may be given as a mapping, as pairs or as roles only.
         encoding: meaning of the colour plane, see `ENCODINGS`.
         guides: None for a frame without planes at output size.
         source: file that the frame comes from, for messages: comparisons ignore it.
-        parts: name and channel count of each part, in the order of the names; given as a mapping or as pairs.
+        parts: name and channel count of each part, in the order of the names; given as a mapping or
+            as pairs.
 
     Raises FrameError for an empty size, a wrong channel count and an unknown encoding.
     """
@@ -256,10 +280,12 @@ class FrameSpec:
 
 
 @lru_cache(16)
-def _spec_of(shapes: tuple[tuple[Role, tuple[int, ...]], ...], encoding: str, guides: tuple[Any, ...] | None,
+def _spec_of(shapes: tuple[tuple[Role, tuple[int, ...]], ...], encoding: str,
+             guides: tuple[Any, ...] | None,
              source: str | None, parts: tuple[tuple[str, int], ...]) -> FrameSpec:
     (height, width, _), sharp = shapes[0][1], GuideSpec(*guides) if guides else None
-    return FrameSpec(width, height, {role: shape[2] for role, shape in shapes}, encoding, sharp, source, parts)
+    return FrameSpec(width, height, {role: shape[2] for role, shape in shapes}, encoding, sharp,
+                     source, parts)
 
 
 def _complete_encoding(encoding: str) -> str:
@@ -267,7 +293,8 @@ def _complete_encoding(encoding: str) -> str:
     try:
         return encoding if encoding in LINEAR else str(parse_display(encoding))
     except ColourError as error:
-        raise FrameError(f"unknown colour encoding '{encoding}': use {', '.join(LINEAR)}; {error}") from error
+        raise FrameError(f"unknown colour encoding '{encoding}': use {', '.join(LINEAR)}; "
+                         f"{error}") from error
 
 
 def _order_planes(
@@ -277,7 +304,8 @@ def _order_planes(
     held = {Role(role): int(channels) for role, channels in items}
     for role, channels in held.items():
         if channels != ROLES[role].channels:
-            raise FrameError(f"plane '{role}' has {channels} channels: it needs {ROLES[role].channels}")
+            raise FrameError(f"plane '{role}' has {channels} channels: it needs "
+                             f"{ROLES[role].channels}")
     return tuple((role, held[role]) for role in Role if role in held)
 
 
@@ -293,9 +321,10 @@ class ColourSource:
         part: part of the file, counted from 0.
         channels: names of red, green and blue there.
         attributes: header attributes as they were read.
-        renders: part and name of every channel that stands for the render's colour or its alpha, the layers beside the
-            one that was read included.
-        pixels: part and name of channels whose values are distances in pixels -> their axis, 0 across and 1 down.
+        renders: part and name of every channel that stands for the render's colour or its alpha,
+            the layers beside the one that was read included.
+        pixels: part and name of channels whose values are distances in pixels -> their axis, 0
+            across and 1 down.
     """
 
     part: int
@@ -311,7 +340,8 @@ class PartSource:
 
     Attributes:
         channels: full names there.
-        factor: name of the part that it is divided by there, as Cycles divides light by the colour of surfaces.
+        factor: name of the part that it is divided by there, as Cycles divides light by the colour
+            of surfaces.
         exact: whether its numbers are places or distances, which half floats do not hold.
     """
 
@@ -322,41 +352,45 @@ class PartSource:
 
 @dataclass(eq=False, repr=False)
 class Frame:
-    """One image of a sequence: planes of one size, perhaps guides at output size, and what the passes must know.
+    """One image of a sequence: planes of one size, perhaps guides at output size, and what the
+    passes must know.
 
     Attributes:
-        planes: role -> float32 C-contiguous array (height, width, channels); units and directions are in `ROLES`. Roles
-            may be given as text ("colour" or "color"), arrays of floats by any library that has `__dlpack__`, in the
-            host's memory: NumPy's and PyTorch's are not copied if they are of that type and layout.
+        planes: role -> float32 C-contiguous array (height, width, channels); units and directions
+            are in `ROLES`. Roles may be given as text ("colour" or "color"), arrays of floats by
+            any library that has `__dlpack__`, in the host's memory: NumPy's and PyTorch's are not
+            copied if they are of that type and layout.
         number: frame number in its sequence.
-        jitter: sub-pixel sample position minus 0.5, pixels of this frame, x right, y down; (0, 0) when the samples
-            are spread over the pixel.
+        jitter: sub-pixel sample position minus 0.5, pixels of this frame, x right, y down; (0, 0)
+            when the samples are spread over the pixel.
         exposure: stops that the scene's author suggests for the tone mapper, or None.
         reset: True at a cut: history must be dropped before this frame.
         samples: samples per pixel, or None when unknown.
         world_to_camera: 4x4 float64, row vectors (p_camera = p_world @ M), or None.
         fov_x: horizontal field of view in degrees, or None.
-        metadata: header attributes to keep on writing, by EXR name; windows are kept under 'displayWindow' and
-            'dataWindow' as (x0, y0, x1, y1), bounds included, the rectangle that the planes cover under 'postfx:area'
-            (without it, the display window).
+        metadata: header attributes to keep on writing, by EXR name; windows are kept under
+            'displayWindow' and 'dataWindow' as (x0, y0, x1, y1), bounds included, the rectangle
+            that the planes cover under 'postfx:area' (without it, the display window).
         source: file that the frame, of several files its colour, was read from, or None.
         colour_source: where the colour is in `source`, if it is in one part of it.
         encoding: meaning of the colour plane, see `ENCODINGS`.
-        guides: role -> array like those of `planes`, at output size; roles are among `OUTPUT_SIZE_ROLES`.
-        guide_size: width and height of the guides; given only for a frame whose guides were not read.
+        guides: role -> array like those of `planes`, at output size; roles are among
+            `OUTPUT_SIZE_ROLES`.
+        guide_size: width and height of the guides; given only for a frame whose guides were not
+            read.
         guide_jitter: like `jitter`, of the guides' samples, in pixels of the guides.
         guide_source: file that the guides were read from, or None.
-        parts: name -> array (height, width, 1 or 3) of a part of the picture, such as a light group, in radiance like
-            the colour; or of another plane that is to be denoised with it.
+        parts: name -> array (height, width, 1 or 3) of a part of the picture, such as a light
+            group, in radiance like the colour; or of another plane that is to be denoised with it.
         part_sources: name of a part -> how files store it.
-        views: name -> frame of another view of the same moment, such as the right eye of a stereo pair; the frame
-            itself is the first view.
+        views: name -> frame of another view of the same moment, such as the right eye of a stereo
+            pair; the frame itself is the first view.
 
-    Two frames are equal when all of that is, NaN being equal to NaN; only the files that they come from may differ.
-    `print` shows a table of the planes, and a notebook the picture as well.
+    Two frames are equal when all of that is, NaN being equal to NaN; only the files that they come
+    from may differ. `print` shows a table of the planes, and a notebook the picture as well.
 
-    Raises FrameError when a plane or guide has a wrong shape, channel count or data type, or when sizes differ;
-    GuideError, one of its kind, when a guide is of another role.
+    Raises FrameError when a plane or guide has a wrong shape, channel count or data type, or when
+    sizes differ; GuideError, one of its kind, when a guide is of another role.
     """
 
     planes: dict[Role, np.ndarray]
@@ -384,7 +418,8 @@ class Frame:
             raise FrameError(f"frame {self._name()} has no planes")
         self.planes = self._check_all(self.planes, "plane", self.source)
         self.guides = self._check_all(self.guides, "guide", self.guide_source)
-        self.parts = {str(name): self._checked_part(name, part) for name, part in self.parts.items()}
+        self.parts = {str(name): self._checked_part(name, part)
+                      for name, part in self.parts.items()}
         if self.guides:
             self.guide_size = next(iter(self.guides.values())).shape[1::-1]
         if self.world_to_camera is not None:
@@ -416,12 +451,14 @@ class Frame:
     def spec(self) -> FrameSpec:
         """Size, planes and encoding of this frame."""
         shapes = tuple([(role, plane.shape) for role, plane in self.planes.items()])
-        guides = (*self.guide_size, tuple(self.guides), self.guide_source) if self.guide_size else None
+        guides = ((*self.guide_size, tuple(self.guides), self.guide_source) if self.guide_size
+                  else None)
         parts = tuple([(name, part.shape[2]) for name, part in self.parts.items()])
         return _spec_of(shapes, self.encoding, guides, self.source, parts)
 
     def copy_with(self, check: bool = False, **fields: Any) -> Self:
-        """A copy with other values of some fields, which fit together, unless everything is to be checked anew."""
+        """A copy with other values of some fields, which fit together, unless everything is to be
+        checked anew."""
         copied = object.__new__(type(self))
         copied.__dict__.update(self.__dict__, **fields)
         if check:
@@ -429,13 +466,16 @@ class Frame:
         return copied
 
     def __getitem__(self, role: Role | str) -> np.ndarray:
-        """Plane of a role, (height, width, channels); FrameError when the frame does not hold it."""
+        """Plane of a role, (height, width, channels); FrameError when the frame does not hold
+        it."""
         if role not in self:
-            raise FrameError(f"frame {self._name()} has no plane '{role}': it has {', '.join(self.planes)}")
+            raise FrameError(f"frame {self._name()} has no plane '{role}': it has "
+                             f"{', '.join(self.planes)}")
         return self.planes[Role(role)]
 
     def __contains__(self, role: object) -> bool:
-        return role in self.planes or (isinstance(role, str) and _OTHER_WORDS.get(role) in self.planes)
+        return (role in self.planes
+                or (isinstance(role, str) and _OTHER_WORDS.get(role) in self.planes))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Frame):
@@ -447,16 +487,19 @@ class Frame:
         rows = [_COLUMNS, *self._rows()]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-        return "\n  ".join([f"Frame {self._name()}: {self.spec.width}x{self.spec.height}, {self.encoding}", *lines])
+        return "\n  ".join([f"Frame {self._name()}: {self.spec.width}x{self.spec.height}, "
+                            f"{self.encoding}", *lines])
 
     def _repr_html_(self) -> str:
         """Table of the planes under the picture, for notebooks."""
         from postfx.report.pictures import notebook_page
 
-        return notebook_page(repr(self).partition("\n")[0], _COLUMNS, self._rows(), self._repr_png_())
+        return notebook_page(repr(self).partition("\n")[0], _COLUMNS, self._rows(),
+                             self._repr_png_())
 
     def _repr_png_(self) -> bytes | None:
-        """The colour as a PNG file at most 640 pixels wide or high, for notebooks; None without a colour."""
+        """The colour as a PNG file at most 640 pixels wide or high, for notebooks; None without a
+        colour."""
         from postfx.report.pictures import notebook_picture
 
         if Role.COLOUR not in self:
@@ -468,16 +511,21 @@ class Frame:
         planes = [(str(role), plane) for role, plane in self.planes.items()]
         planes += [(f"guide {role}", plane) for role, plane in self.guides.items()]
         planes += [(f"part {name}", part) for name, part in self.parts.items()]
-        return [(name, f"{plane.shape[1]}x{plane.shape[0]}x{plane.shape[2]}", str(plane.dtype), _range(plane))
+        return [(name, f"{plane.shape[1]}x{plane.shape[0]}x{plane.shape[2]}", str(plane.dtype),
+                 _range(plane))
                 for name, plane in planes]
 
-    def _check_all(self, planes: dict[Role, np.ndarray], kind: str, source: str | None) -> dict[Role, np.ndarray]:
-        named = {role if type(role) is Role else self._role(role, kind): plane for role, plane in planes.items()}
+    def _check_all(self, planes: dict[Role, np.ndarray], kind: str,
+                   source: str | None) -> dict[Role, np.ndarray]:
+        named = {role if type(role) is Role else self._role(role, kind): plane
+                 for role, plane in planes.items()}
         if len(named) < len(planes):
-            raise FrameError(f"{kind}s of frame {self._name(source)} name a role twice: {', '.join(planes)}")
+            raise FrameError(f"{kind}s of frame {self._name(source)} name a role twice: "
+                             f"{', '.join(planes)}")
         checked = {role: self._check(role, plane, kind) for role, plane in named.items()}
         if len({plane.shape[:2] for plane in checked.values()}) > 1:
-            sizes = ", ".join(f"{role} {plane.shape[1]}x{plane.shape[0]}" for role, plane in checked.items())
+            sizes = ", ".join(f"{role} {plane.shape[1]}x{plane.shape[0]}"
+                              for role, plane in checked.items())
             raise FrameError(f"{kind}s of frame {self._name(source)} differ in size: {sizes}")
         return checked
 
@@ -485,23 +533,26 @@ class Frame:
         try:
             return Role(role)
         except ValueError:
-            raise FrameError(f"{kind} '{role}' of frame {self._name()} has no meaning here{suggest(str(role), Role)}"
-                             f"{'' if suggest(str(role), Role) else ':'} roles are {', '.join(Role)}") from None
+            raise FrameError(f"{kind} '{role}' of frame {self._name()} has no meaning "
+                             f"here{suggest(str(role), Role)}"
+                             f"{'' if suggest(str(role), Role) else ':'} roles are "
+                             f"{', '.join(Role)}") from None
 
     def _check(self, role: Role, plane: np.ndarray, kind: str) -> np.ndarray:
         if kind == "guide" and role not in OUTPUT_SIZE_ROLES:
             raise GuideError(f"plane '{role}' of frame {self._name()} cannot be a guide: use "
                              f"{', '.join(OUTPUT_SIZE_ROLES)}")
         channels = ROLES[role].channels
-        if type(plane) is np.ndarray and plane.dtype == _FLOAT32 and plane.ndim == 3 and plane.flags.c_contiguous \
-                and plane.shape[2] == channels and plane.size:
+        if (type(plane) is np.ndarray and plane.dtype == _FLOAT32 and plane.ndim == 3
+                and plane.flags.c_contiguous and plane.shape[2] == channels and plane.size):
             return plane  # as nearly all are
         plane = host_floats(plane, f"{kind} '{role}' of frame {self._name()}")
         if plane.ndim == 2 and channels == 1:
             plane = plane[:, :, None]
         if plane.ndim != 3 or plane.shape[2] != channels or 0 in plane.shape:
             expected = f"(height, width, {channels})"
-            raise FrameError(f"{kind} '{role}' of frame {self._name()} has shape {plane.shape}: it needs {expected}")
+            raise FrameError(f"{kind} '{role}' of frame {self._name()} has shape {plane.shape}: it "
+                             f"needs {expected}")
         return np.ascontiguousarray(plane, np.float32)
 
     def _checked_part(self, name: str, part: np.ndarray) -> np.ndarray:
@@ -510,7 +561,8 @@ class Frame:
         part = part[:, :, None] if part.ndim == 2 else part
         if part.ndim != 3 or part.shape[:2] != size or part.shape[2] not in (1, 3):
             expected = f"({size[0]}, {size[1]}, 1 or 3)"
-            raise FrameError(f"part '{name}' of frame {self._name()} has shape {part.shape}: it needs {expected}")
+            raise FrameError(f"part '{name}' of frame {self._name()} has shape {part.shape}: it "
+                             f"needs {expected}")
         return np.ascontiguousarray(part, np.float32)
 
     def _name(self, source: str | None = None) -> str:
@@ -531,7 +583,8 @@ def _is_same(one: Any, other: Any) -> bool:
         floats = np.asarray(one).dtype.kind == np.asarray(other).dtype.kind == "f"
         return np.array_equal(one, other, equal_nan=floats)
     if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(_is_same(value, other[key]) for key, value in one.items())
+        return one.keys() == other.keys() and all(_is_same(value, other[key])
+                                                  for key, value in one.items())
     return bool(one == other)
 
 
@@ -544,5 +597,6 @@ def _range(plane: np.ndarray) -> str:
 
 
 def pixel_aspect(header: Mapping[str, Any]) -> float:
-    """Width of a pixel over its height, by the attributes of a header or a frame's metadata; 1 without."""
+    """Width of a pixel over its height, by the attributes of a header or a frame's metadata; 1
+    without."""
     return float(header.get("pixelAspectRatio", 1.0)) or 1.0

@@ -1,7 +1,9 @@
-"""The global part of a look as a 3-D look-up table, and how much a picture changes when the table stands in for it.
+"""The global part of a look as a 3-D look-up table, and how much a picture changes when the table
+stands in for it.
 
-The look is probed from outside: the colours of a table replace some pixels of a picture, here and there, and the
-results are averaged over places and pictures. A network that decides by the rest of the picture still sees it.
+The look is probed from outside: the colours of a table replace some pixels of a picture, here and
+there, and the results are averaged over places and pictures. A network that decides by the rest of
+the picture still sees it.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ class LookTable:
         output: the display that it is for, as a frame's encoding.
     """
 
-    def __init__(self, passes: Sequence[Pass], frames: Iterable[Frame], device: Device, size: int = 33) -> None:
+    def __init__(self, passes: Sequence[Pass], frames: Iterable[Frame], device: Device,
+                 size: int = 33) -> None:
         self._pipeline = Pipeline(passes, device, exposure=0.0, cuts="none")
         self._device = device
         corners = _corners(size)
@@ -52,14 +55,17 @@ class LookTable:
 
     def measure(self, path: Path, frames: Iterable[Frame]) -> Difference:
         """How pictures by a file of the table differ from those by the look itself."""
-        by_table = Pipeline([View(view=f"{path},input={SPACE},output={self.output}")], self._device, 0.0, "none")
+        by_table = Pipeline([View(view=f"{path},input={SPACE},output={self.output}")], self._device,
+                            0.0, "none")
         pairs = [(self._apply(frame), by_table(frame)[Role.COLOUR]) for frame in frames]
         looks, tables = zip(*pairs, strict=True)
         return measure_difference(list(tables), list(looks), parse_display(self.output))
 
     def write(self, path: Path, notes: Sequence[str]) -> None:
-        """Write a .cube file as OpenColorIO, DaVinci Resolve and others read it; WriteError when that fails."""
-        size, rows = len(self.cube), self.cube.transpose(2, 1, 0, 3).reshape(-1, 3)  # red changes fastest
+        """Write a .cube file as OpenColorIO, DaVinci Resolve and others read it; WriteError when
+        that fails."""
+        # red changes fastest
+        size, rows = len(self.cube), self.cube.transpose(2, 1, 0, 3).reshape(-1, 3)
         head = [f"# {note}" for note in notes] + [f"# postfx: input={SPACE}, output={self.output}"]
         head += [f'TITLE "{path.stem}"', f"LUT_3D_SIZE {size}"]
         lines = head + [f"{red:.6f} {green:.6f} {blue:.6f}" for red, green, blue in rows]
@@ -70,7 +76,8 @@ class LookTable:
             raise WriteError(f"{path}: cannot be written: {error.strerror or error}") from error
 
     def _probe(self, frame: Frame, corners: np.ndarray, turn: int) -> np.ndarray:
-        """The look's results (count, 3) for colours (count, 3) at places that differ from turn to turn."""
+        """The look's results (count, 3) for colours (count, 3) at places that differ from turn to
+        turn."""
         picture = _enlarge(frame[Role.COLOUR], len(corners) / MOST_REPLACED_SHARE)
         places = np.random.default_rng(turn).permutation(picture[..., 0].size)[: len(corners)]
         picture.reshape(-1, 3)[places] = corners
@@ -82,7 +89,8 @@ class LookTable:
 
 def expose_colour(frame: Frame, exposure_factor: float) -> Frame:
     """The frame's colour alone, times an exposure."""
-    return Frame({Role.COLOUR: frame[Role.COLOUR] * np.float32(exposure_factor)}, number=frame.number)
+    return Frame({Role.COLOUR: frame[Role.COLOUR] * np.float32(exposure_factor)},
+                 number=frame.number)
 
 
 def _corners(size: int) -> np.ndarray:
@@ -101,18 +109,21 @@ def _enlarge(colour: np.ndarray, pixels: float) -> np.ndarray:
 SDR_WHITE = 100.0
 """Light of an SDR display's white, cd/m2, for Delta E ITP."""
 _TO_LMS = np.array([[1688, 2146, 262], [683, 2951, 462], [99, 309, 3688]]) / 4096
-_TO_ITP = np.array([[2048, 2048, 0], [3305, -6806.5, 3501.5], [17933, -17390, -543]]) / 4096  # T is half of CT
+# T is half of CT
+_TO_ITP = np.array([[2048, 2048, 0], [3305, -6806.5, 3501.5], [17933, -17390, -543]]) / 4096
 
 
 class Difference(NamedTuple):
-    """PSNR in dB, mean Delta E ITP, and the Delta E ITP that 99 % of the pixels stay below (`most`)."""
+    """PSNR in dB, mean Delta E ITP, and the Delta E ITP that 99 % of the pixels stay below
+    (`most`)."""
 
     psnr: float
     mean: float
     most: float
 
     def __str__(self) -> str:
-        return f"PSNR {self.psnr:.2f} dB, Delta E ITP {self.mean:.2f} (99 % of the pixels below {self.most:.2f})"
+        return (f"PSNR {self.psnr:.2f} dB, Delta E ITP {self.mean:.2f} (99 % of the pixels below "
+                f"{self.most:.2f})")
 
 
 def to_itp(codes: np.ndarray, display: Display) -> np.ndarray:
@@ -124,12 +135,15 @@ def to_itp(codes: np.ndarray, display: Display) -> np.ndarray:
 
 def delta_e_itp(codes: np.ndarray, others: np.ndarray, display: Display) -> np.ndarray:
     """Delta E ITP (ITU-R BT.2124-0, annex 1) of each colour; about 1 can just be seen."""
-    distance: np.ndarray = np.sqrt(np.square(to_itp(codes, display) - to_itp(others, display)).sum(-1))
+    distance: np.ndarray = np.sqrt(np.square(to_itp(codes, display) - to_itp(others, display))
+                                   .sum(-1))
     return 720 * distance
 
 
-def measure_difference(codes: list[np.ndarray], others: list[np.ndarray], display: Display) -> Difference:
-    """Difference over all pixels between two lists of pictures (height, width, 3) of code values."""
+def measure_difference(codes: list[np.ndarray], others: list[np.ndarray],
+                       display: Display) -> Difference:
+    """Difference over all pixels between two lists of pictures (height, width, 3) of code
+    values."""
     pairs = list(zip(codes, others, strict=True))
     squares = np.concatenate([np.square(a.astype(np.float64) - b).ravel() for a, b in pairs])
     seen = np.concatenate([delta_e_itp(a, b, display).ravel() for a, b in pairs])

@@ -52,8 +52,10 @@ class Network:
         inputs: numbers of a point.
         hidden: outputs of every layer but the last, each followed by the activation; up to four.
         outputs: of the last layer.
-        activation: 'relu', 'gelu' (of the error function) or 'sine' (Sitzmann 2020; its frequency is in the weights).
-        bands: sin(2^k pi x) and cos(2^k pi x) for k < bands follow the inputs (Fourier features, Tancik 2020).
+        activation: 'relu', 'gelu' (of the error function) or 'sine' (Sitzmann 2020; its frequency
+            is in the weights).
+        bands: sin(2^k pi x) and cos(2^k pi x) for k < bands follow the inputs (Fourier features,
+            Tancik 2020).
         encoded: how many inputs, from the first on, have them; default all.
 
     Raises ModelError if a layer is wider than 128, or there are too many layers.
@@ -68,14 +70,17 @@ class Network:
 
     def __post_init__(self) -> None:
         if self.activation not in ACTIVATIONS:
-            raise ModelError(f"no activation '{self.activation}': there are {', '.join(ACTIVATIONS)}")
+            raise ModelError(f"no activation '{self.activation}': there are "
+                             f"{', '.join(ACTIVATIONS)}")
         if len(self.hidden) >= MOST_LAYERS:
-            raise ModelError(f"{len(self.hidden)} hidden layers: a small network has at most {MOST_LAYERS - 1}")
+            raise ModelError(f"{len(self.hidden)} hidden layers: a small network has at most "
+                             f"{MOST_LAYERS - 1}")
         if not 0 <= self._encoded <= self.inputs or not 0 <= self.bands <= 20:
-            raise ModelError(f"{self.bands} bands of {self._encoded} inputs: there are {self.inputs} inputs, and at "
-                             "most 20 bands")
+            raise ModelError(f"{self.bands} bands of {self._encoded} inputs: there are "
+                             f"{self.inputs} inputs, and at most 20 bands")
         if not all(1 <= size <= MOST_WIDTH for size in (self.inputs, *self.sizes)):
-            raise ModelError(f"layers of {', '.join(map(str, self.sizes))} numbers: each must have 1 to {MOST_WIDTH}")
+            raise ModelError(f"layers of {', '.join(map(str, self.sizes))} numbers: each must have "
+                             f"1 to {MOST_WIDTH}")
 
     @property
     def _encoded(self) -> int:
@@ -93,13 +98,15 @@ class Network:
 
     @cached_property
     def count(self) -> int:
-        """How many parameters there are: weights (outputs, inputs) and biases (outputs,), layer by layer."""
+        """How many parameters there are: weights (outputs, inputs) and biases (outputs,), layer by
+        layer."""
         return sum(makes * (reads + 1) for makes, reads in self.shapes)
 
     def facts(self) -> np.ndarray:
         """The argument `network` of the kernels."""
         facts = np.zeros(FACTS, np.float32)
-        numbers = (len(self.shapes), self.inputs, self._encoded, self.bands, ACTIVATIONS.index(self.activation))
+        numbers = (len(self.shapes), self.inputs, self._encoded, self.bands,
+                   ACTIVATIONS.index(self.activation))
         facts[:len(numbers) + len(self.sizes)] = (*numbers, *self.sizes)
         return facts
 
@@ -123,15 +130,17 @@ class Network:
         """The network as an ONNX model: points (points, inputs) -> values (points, outputs).
 
         Args:
-            parameters: (count,), which the model then holds. Without them they are a second input, so that the model
-                can read a tensor that a `Learner` writes in the same command buffer.
+            parameters: (count,), which the model then holds. Without them they are a second input,
+                so that the model can read a tensor that a `Learner` writes in the same command
+                buffer.
 
         Raises ModelError without the package `onnx`.
         """
         try:
             from onnx import TensorProto, helper, numpy_helper
         except ImportError:
-            raise ModelError(f"ONNX models are made with the package onnx: {pip_install('capture')}") from None
+            raise ModelError("ONNX models are made with the package onnx: "
+                             f"{pip_install('capture')}") from None
         nodes: list[Any] = []
         held: dict[str, np.ndarray] = {}
 
@@ -152,8 +161,10 @@ class Network:
             whole = add("Floor", [add("Add", [turns, hold(0.5, np.float32)])])
             angle = add("Mul", [add("Sub", [turns, whole]), hold(np.pi, np.float32)])
             odd = add("Mod", [whole, hold(2.0, np.float32)], fmod=1)
-            sign = add("Sub", [hold(1.0, np.float32), add("Mul", [hold(2.0, np.float32), add("Abs", [odd])])])
-            waves = [add("Unsqueeze", [add("Mul", [sign, add(kind, [angle])]), hold([3])]) for kind in ("Sin", "Cos")]
+            sign = add("Sub", [hold(1.0, np.float32),
+                               add("Mul", [hold(2.0, np.float32), add("Abs", [odd])])])
+            waves = [add("Unsqueeze", [add("Mul", [sign, add(kind, [angle])]), hold([3])])
+                     for kind in ("Sin", "Cos")]
             pairs = add("Concat", waves, axis=3)
             parts.append(add("Reshape", [pairs, hold([-1, 2 * self.bands * self._encoded])]))
             row = add("Concat", parts, axis=1)
@@ -173,10 +184,14 @@ class Network:
         nodes[-1].output[0] = "values"
         values = [("points", ("points", self.inputs)), ("parameters", (self.count,)),
                   ("values", ("points", self.outputs))]
-        points, given, made = (helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in values)
-        graph = helper.make_graph(nodes, "network", [points, given][:1 if parameters is not None else 2], [made],
-                                  [numpy_helper.from_array(array, name) for name, array in held.items()])
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=9)
+        points, given, made = (helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
+                               for name, shape in values)
+        graph = helper.make_graph(nodes, "network",
+                                  [points, given][:1 if parameters is not None else 2], [made],
+                                  [numpy_helper.from_array(array, name)
+                                   for name, array in held.items()])
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)],
+                                  ir_version=9)
         return bytes(model.SerializeToString())
 
     def save_onnx(self, path: str | Path, parameters: np.ndarray | None = None) -> None:
@@ -186,15 +201,18 @@ class Network:
 
 @dataclass(frozen=True)
 class Grid:
-    """A hash grid (Mueller 2022): tables whose entries are learnt, and which a network reads interpolated at a point.
+    """A hash grid (Mueller 2022): tables whose entries are learnt, and which a network reads
+    interpolated at a point.
 
     Attributes:
-        dims: how many numbers of a point, from the first on, are its place, in [0, 1]; 2 or 3. Places outside count as
-            on the edge.
+        dims: how many numbers of a point, from the first on, are its place, in [0, 1]; 2 or 3.
+            Places outside count as on the edge.
         levels: tables, at most 16.
         numbers: of an entry.
-        entries: of a table, a power of two; where a level has more corners than that, some share an entry.
-        sides: cells along an axis of the first level and of the last; the others lie between in equal ratios.
+        entries: of a table, a power of two; where a level has more corners than that, some share an
+            entry.
+        sides: cells along an axis of the first level and of the last; the others lie between in
+            equal ratios.
 
     Raises ModelError if these do not fit.
     """
@@ -206,13 +224,16 @@ class Grid:
     sides: tuple[int, int] = (16, 512)
 
     def __post_init__(self) -> None:
-        if self.dims not in (2, 3) or not 1 <= self.levels <= MOST_LEVELS or not 1 <= self.numbers <= 8:
-            raise ModelError(f"a grid of {self.dims} dims, {self.levels} levels, {self.numbers} numbers: it has 2 or 3 "
-                             f"dims, at most {MOST_LEVELS} levels and at most 8 numbers")
-        if not 1 <= self.sides[0] <= self.sides[1] <= 1 << 16 or not 0 < self.entries <= 1 << 22 or \
-                self.entries & (self.entries - 1):
-            raise ModelError(f"a grid of {self.entries} entries and {self.sides[0]} to {self.sides[1]} cells: entries "
-                             "are a power of two up to 4194304, cells at most 65536")
+        if (self.dims not in (2, 3) or not 1 <= self.levels <= MOST_LEVELS
+            or not 1 <= self.numbers <= 8):
+            raise ModelError(f"a grid of {self.dims} dims, {self.levels} levels, {self.numbers} "
+                             f"numbers: it has 2 or 3 dims, at most {MOST_LEVELS} levels and at "
+                             "most 8 numbers")
+        if (not 1 <= self.sides[0] <= self.sides[1] <= 1 << 16 or not 0 < self.entries <= 1 << 22 or
+                self.entries & (self.entries - 1)):
+            raise ModelError(f"a grid of {self.entries} entries and {self.sides[0]} to "
+                             f"{self.sides[1]} cells: entries are a power of two up to 4194304, "
+                             "cells at most 65536")
 
     @property
     def width(self) -> int:
@@ -229,7 +250,8 @@ class Grid:
     def initial(self, seed: int = 0) -> np.ndarray:
         """Random tables (levels, entries * numbers) in [-1e-4, 1e-4]."""
         random = np.random.default_rng(seed)
-        return random.uniform(-1e-4, 1e-4, (self.levels, self.entries * self.numbers)).astype(np.float32)
+        return random.uniform(-1e-4, 1e-4,
+                              (self.levels, self.entries * self.numbers)).astype(np.float32)
 
 
 class _GridOnDevice:
@@ -252,7 +274,8 @@ class _GridOnDevice:
     def rows(self, points: int, inputs: int) -> tuple[Tensor, Tensor]:
         """What the network reads of so many points, and the derivatives by that."""
         if points not in self._rows:
-            one, other = (self._device.heap.tensor(f"neural {name}", (points, inputs)) for name in ("rows", "pulls"))
+            one, other = (self._device.heap.tensor(f"neural {name}", (points, inputs))
+                          for name in ("rows", "pulls"))
             self._rows[points] = one, other
         return self._rows[points]
 
@@ -262,43 +285,48 @@ class _GridOnDevice:
             "grid": self._facts, "table": self.table, "points": points, "rows": rows}))
         encoder.barrier()
 
-    def learn(self, encoder: ComputeEncoder, points: Tensor, pulls: Tensor, partials: Tensor, hyper: Tensor) -> None:
+    def learn(self, encoder: ComputeEncoder, points: Tensor, pulls: Tensor, partials: Tensor,
+              hyper: Tensor) -> None:
         encoder.dispatch(self._pull, ArgumentTable(self._pull, {
             "grid": self._facts, "points": points, "pulls": pulls, "sums": self._sums}))
         encoder.barrier()
         encoder.dispatch(self._step, ArgumentTable(self._step, {
-            "sums": self._sums, "partials": partials, "hyper": hyper, "table": self.table, "moments": self._moments}))
+            "sums": self._sums, "partials": partials, "hyper": hyper, "table": self.table,
+            "moments": self._moments}))
 
 
 class Learner:
     """A network on a device, perhaps behind a hash grid, with the state of Adam (Kingma 2015).
 
     Attributes:
-        parameters: tensor (count,), which `learn` changes and `run` reads in the order in which they are recorded.
+        parameters: tensor (count,), which `learn` changes and `run` reads in the order in which
+            they are recorded.
         moments: tensor (count, 3) of Adam: mean, mean square, and number of steps.
     """
 
-    def __init__(self, device: Device, network: Network, rate: float = 1e-2, parameters: np.ndarray | None = None,
+    def __init__(self, device: Device, network: Network, rate: float = 1e-2,
+                 parameters: np.ndarray | None = None,
                  seed: int = 0, grid: Grid | None = None) -> None:
         """
         Args:
             rate: step size of Adam.
             parameters: (count,) to begin with; default `network.initial(seed)`.
-            grid: replaces a point's place by what its tables hold there: the network's inputs are those numbers and the
-                rest of the point.
+            grid: replaces a point's place by what its tables hold there: the network's inputs are
+                those numbers and the rest of the point.
 
         Raises ModelError if the network has fewer inputs than the grid gives, or bands.
         """
         if grid and (network.bands or network.inputs < grid.width):
-            raise ModelError(f"a network of {network.inputs} inputs and {network.bands} bands behind a grid: it needs "
-                             f"at least {grid.width} inputs and no bands")
+            raise ModelError(f"a network of {network.inputs} inputs and {network.bands} bands "
+                             f"behind a grid: it needs at least {grid.width} inputs and no bands")
         self.device, self.network = device, network
         self.parameters = device.heap.tensor("neural parameters", (network.count,))
         self.moments = device.heap.tensor("neural moments", (network.count, 3))
         self._facts, self._hyper = (device.heap.tensor(name, shape) for name, shape in
                                     (("network", network.facts().shape), ("neural hyper", (4,))))
         self._facts.upload(network.facts())
-        self._forward, self._gradients, self._adam = map(device.compute_state, (FORWARD, GRADIENTS, ADAM))
+        self._forward, self._gradients, self._adam = map(device.compute_state,
+                                                         (FORWARD, GRADIENTS, ADAM))
         self._partials: dict[int, Tensor] = {}
         self._grid = _GridOnDevice(device, grid) if grid else None
         self._inputs = network.inputs - grid.width + grid.dims if grid else network.inputs
@@ -319,8 +347,8 @@ class Learner:
         self._hyper.upload(np.array([rate, *DECAYS, EPSILON], np.float32))
 
     def restart(self, parameters: np.ndarray, seed: int = 0) -> None:
-        """Begin anew with these parameters (count,), a grid with random entries. No command that uses the network may
-        be in flight."""
+        """Begin anew with these parameters (count,), a grid with random entries. No command that
+        uses the network may be in flight."""
         if parameters.shape != (self.network.count,):
             raise BindingError(f"parameters have the shape {parameters.shape}: this network has "
                                f"({self.network.count},)")
@@ -335,11 +363,12 @@ class Learner:
         self._check(values, self.network.outputs, points.shape[0])
         rows, _ = self._read(encoder, points)
         encoder.dispatch(self._forward, ArgumentTable(self._forward, {
-            "network": self._facts, "parameters": self.parameters, "points": rows, "values": values}))
+            "network": self._facts, "parameters": self.parameters, "points": rows,
+            "values": values}))
 
     def learn(self, encoder: ComputeEncoder, points: Tensor, targets: Tensor) -> None:
-        """Record one step of Adam on the mean squared error of the points that are learnt, and barriers around its
-        update of the parameters.
+        """Record one step of Adam on the mean squared error of the points that are learnt, and
+        barriers around its update of the parameters.
 
         Args:
             points: (points, inputs).
@@ -352,14 +381,16 @@ class Learner:
         least, most = CPU_GROUPS if self.device.memory.host_visible else GPU_GROUPS
         groups = min(most, -(-points.shape[0] // least))
         if groups not in self._partials:
-            self._partials[groups] = self.device.heap.tensor("neural partials", (groups, self.network.count + 2))
+            self._partials[groups] = self.device.heap.tensor("neural partials",
+                                                             (groups, self.network.count + 2))
         partials = self._last = self._partials[groups]
         encoder.dispatch(self._gradients, ArgumentTable(self._gradients, {
-            "network": self._facts, "parameters": self.parameters, "points": rows, "targets": targets,
-            "partials": partials, "pulls": pulls}))
+            "network": self._facts, "parameters": self.parameters, "points": rows,
+            "targets": targets, "partials": partials, "pulls": pulls}))
         encoder.barrier()
         encoder.dispatch(self._adam, ArgumentTable(self._adam, {
-            "partials": partials, "hyper": self._hyper, "parameters": self.parameters, "moments": self.moments}))
+            "partials": partials, "hyper": self._hyper, "parameters": self.parameters,
+            "moments": self.moments}))
         if self._grid:
             self._grid.learn(encoder, points, pulls, partials, self._hyper)
         encoder.barrier()
@@ -372,14 +403,15 @@ class Learner:
         self._grid.read(encoder, points, rows)
         return rows, pulls
 
-    def fit(self, points: np.ndarray, targets: np.ndarray, steps: int, rate: float, batch: int = 8192,
-            random: np.random.Generator | None = None) -> None:
+    def fit(self, points: np.ndarray, targets: np.ndarray, steps: int, rate: float,
+            batch: int = 8192, random: np.random.Generator | None = None) -> None:
         """Learn from batches that are drawn from known points, and wait for each.
 
         Args:
             points: (count, inputs) float32.
             targets: (count, outputs) float32; a point with one that is not finite is left out.
-            rate: step size of the first batch; it falls to nearly 0 by half a cosine (Loshchilov and Hutter 2017).
+            rate: step size of the first batch; it falls to nearly 0 by half a cosine (Loshchilov
+                and Hutter 2017).
             batch: points of a batch.
             random: draws the points; default `np.random.default_rng(0)`.
         """
@@ -398,13 +430,15 @@ class Learner:
             commands.wait()
 
     def error(self) -> float:
-        """Mean squared error of the points that the last step learnt, before that step; NaN if it learnt none."""
+        """Mean squared error of the points that the last step learnt, before that step; NaN if it
+        learnt none."""
         if self._last is None:
-            raise BindingError("the network has not learned yet: record `learn` and wait for its commands")
+            raise BindingError("the network has not learned yet: record `learn` and wait for its "
+                               "commands")
         off, learnt = self._last.content()[:, -2:].sum(0, dtype=np.float64)
         return float(off / learnt) if learnt else float("nan")
 
     def _check(self, tensor: Tensor, numbers: int, points: int) -> None:
         if tensor.shape != (points, numbers) or points < 1:
-            raise BindingError(f"tensor '{tensor.name}' has the shape {tensor.shape}: this network takes "
-                               f"({max(points, 1)}, {numbers}) here")
+            raise BindingError(f"tensor '{tensor.name}' has the shape {tensor.shape}: this network "
+                               f"takes ({max(points, 1)}, {numbers}) here")

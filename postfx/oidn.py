@@ -1,4 +1,5 @@
-"""Open Image Denoise through the package pyoidn: its filters for pictures of one size after the other."""
+"""Open Image Denoise through the package pyoidn: its filters for pictures of one size after the
+other."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from postfx.version import pip_install
 OIDN_PACKAGE = "pyoidn"
 QUALITIES = ("fast", "balanced", "high")
 GUIDE_WAYS = ("clean", "prefiltered", "raw")
-"""How albedo and normal are taken: as if they had no noise; each filtered alone first; as noisy ones."""
+"""How albedo and normal are taken: as if they had no noise; each filtered alone first; as noisy
+ones."""
 MOST_COMMITTED_SIZES = 4
 """Most sizes and sets of planes whose filters stay committed."""
 
@@ -41,8 +43,8 @@ def finds_cuda() -> bool:
 def require() -> None:
     """Raise DeviceError where the package is not installed."""
     if not is_installed():
-        raise DeviceError(f"the package {OIDN_PACKAGE}, which runs Open Image Denoise, is not installed: "
-                          f"{pip_install('oidn')}")
+        raise DeviceError(f"the package {OIDN_PACKAGE}, which runs Open Image Denoise, is not "
+                          f"installed: {pip_install('oidn')}")
 
 
 class Kind(NamedTuple):
@@ -65,9 +67,9 @@ class Kind(NamedTuple):
 class OpenImageDenoise:
     """Denoises pictures, by albedo and normal where they are given.
 
-    By default albedo and normal are filtered alone first, each by a filter of its own, and are then clean for the
-    picture's filter. So Open Image Denoise's guide advises for planes that are noisy themselves. Filters are committed
-    once for each size.
+    By default albedo and normal are filtered alone first, each by a filter of its own, and are then
+    clean for the picture's filter. So Open Image Denoise's guide advises for planes that are noisy
+    themselves. Filters are committed once for each size.
 
     Args:
         quality: 'fast', 'balanced' or 'high'.
@@ -81,7 +83,8 @@ class OpenImageDenoise:
     Raises DeviceError if the package is not installed, or the filters cannot run on the device.
     """
 
-    def __init__(self, quality: str, device: str, threads: int, planes: str = "prefiltered") -> None:
+    def __init__(self, quality: str, device: str, threads: int,
+                 planes: str = "prefiltered") -> None:
         require()
         self._oidn: Any = import_module(OIDN_PACKAGE)
         self._quality = getattr(self._oidn, f"OIDN_QUALITY_{quality.upper()}")
@@ -105,7 +108,8 @@ class OpenImageDenoise:
             taken["normal"] = aids["normal"]
         height, width = picture.shape[:2]
         kind = Kind(height, width, tuple(taken), self._planes, hdr)
-        filters = self._ready.get_or_make(kind, partial(Filters, self._oidn, self._device, self._quality, kind))
+        filters = self._ready.get_or_make(kind, partial(Filters, self._oidn, self._device,
+                                                        self._quality, kind))
         for name, plane in {"color": picture, **taken}.items():
             filters.write(name, plane)
         begin = time.perf_counter()
@@ -117,8 +121,10 @@ class OpenImageDenoise:
 
     def _new_device(self, name: str, threads: int) -> Any:
         if name == "cuda" and not finds_cuda():
-            raise DeviceError("Open Image Denoise finds no CUDA device: use the CPU, or leave it out")
-        kind = self._oidn.OIDN_DEVICE_TYPE_CUDA if name == "cuda" else self._oidn.OIDN_DEVICE_TYPE_CPU
+            raise DeviceError("Open Image Denoise finds no CUDA device: use the CPU, or leave it "
+                              "out")
+        kind = (self._oidn.OIDN_DEVICE_TYPE_CUDA if name == "cuda"
+                else self._oidn.OIDN_DEVICE_TYPE_CPU)
         device = self._oidn.Device(kind)
         if name == "cpu":
             device.set_int("numThreads", threads)
@@ -139,8 +145,10 @@ class Filters:
         self._shape = kind.height, kind.width, 3
         nbytes = 4 * kind.height * kind.width * 3
         names = ("color", *kind.aids, "output")
-        self._images = {name: oidn.Buffer(device, nbytes, oidn.OIDN_STORAGE_DEVICE) for name in names}
-        self._filters = [self._alone(device, quality, name) for name in kind.aids if kind.planes == "prefiltered"]
+        self._images = {name: oidn.Buffer(device, nbytes, oidn.OIDN_STORAGE_DEVICE)
+                        for name in names}
+        self._filters = [self._alone(device, quality, name)
+                         for name in kind.aids if kind.planes == "prefiltered"]
         last = self._new(device, names)
         last.set_bool("hdr", kind.hdr)
         last.set_bool("cleanAux", bool(kind.aids) and kind.planes != "raw")
@@ -167,14 +175,16 @@ class Filters:
     def _alone(self, device: Any, quality: int, name: str) -> Any:
         """A filter of an albedo or normal, in place."""
         made = self._new(device, (name,))
-        made.set_image("output", self._images[name], self._oidn.OIDN_FORMAT_FLOAT3, *self._shape[1::-1])
+        made.set_image("output", self._images[name], self._oidn.OIDN_FORMAT_FLOAT3,
+                       *self._shape[1::-1])
         self._commit(made, quality)
         return made
 
     def _new(self, device: Any, names: tuple[str, ...]) -> Any:
         made = self._oidn.Filter(device, self._oidn.OIDN_FILTER_TYPE_RT)
         for name in names:
-            made.set_image(name, self._images[name], self._oidn.OIDN_FORMAT_FLOAT3, *self._shape[1::-1])
+            made.set_image(name, self._images[name], self._oidn.OIDN_FORMAT_FLOAT3,
+                           *self._shape[1::-1])
         return made
 
     def _commit(self, made: Any, quality: int) -> None:

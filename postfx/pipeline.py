@@ -25,7 +25,15 @@ from postfx.repair import is_unusable, repair_nonfinite
 from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Tensor, default_device
 from postfx.runtime.encoders import Recordings
 from postfx.runtime.memory import address
-from postfx.wrap import WRAP_AROUND, WRAP_AUTO, crop, is_panorama, validate_wrap, widen, widened_plan
+from postfx.wrap import (
+    WRAP_AROUND,
+    WRAP_AUTO,
+    crop,
+    is_panorama,
+    validate_wrap,
+    widen,
+    widened_plan,
+)
 
 if TYPE_CHECKING:
     from postfx.doctor.first_frames import FirstFrames
@@ -36,7 +44,8 @@ MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
 SMALL_COPY_BYTES = 1 << 20
 
 RunUp = Callable[[Frame, Callable[[Frame], None]], Frame]
-"""Runs frames before one that begins a shot, by the function that it is given, and says as what that one is run."""
+"""Runs frames before one that begins a shot, by the function that it is given, and says as what
+that one is run."""
 
 
 def _kind(thing: object) -> str:
@@ -46,9 +55,11 @@ def _kind(thing: object) -> str:
 
 def _check_passes(passes: Sequence[Pass]) -> tuple[Pass, ...]:
     """The passes of a pipeline; PassOptionError for anything else, such as the picture itself."""
-    how = "give a list: Pipeline([postfx.DenoiseUpscale(), postfx.ToneMap()]), then call it with a postfx.Frame"
+    how = ("give a list: Pipeline([postfx.DenoiseUpscale(), postfx.ToneMap()]), then call it with "
+           "a postfx.Frame")
     if isinstance(passes, Pass):
-        raise PassOptionError(f"a pipeline takes a list of passes, not one pass: Pipeline([{passes!r}])")
+        raise PassOptionError("a pipeline takes a list of passes, not one pass: "
+                              f"Pipeline([{passes!r}])")
     found = tuple(passes) if isinstance(passes, Iterable) else (passes,)
     wrong = [one for one in found if not isinstance(one, Pass)]
     if wrong:
@@ -60,20 +71,25 @@ class Pipeline:
     """Runs passes on frame after frame and keeps their history between calls.
 
     Args:
-        passes: in the order in which they run, each of this pipeline alone; those that would change nothing are
-            skipped.
+        passes: in the order in which they run, each of this pipeline alone; those that would change
+            nothing are skipped.
         device: where to run; default: one device shared by the process.
-        exposure: 'auto', 'metadata' or a number of stops, see `postfx.exposure.ExposureMeter`; or a meter, such as a
-            `postfx.exposure.SmoothExposure` of the whole sequence.
+        exposure: 'auto', 'metadata' or a number of stops, see `postfx.exposure.ExposureMeter`; or a
+            meter, such as a `postfx.exposure.SmoothExposure` of the whole sequence.
         cuts: 'auto' drops the history also before frames that are unrelated to the one before, as
-            `postfx.cuts.CutDetector` finds them; 'none' only before frames marked with `frame.reset`.
-        run_up: what fills the history before the first frame of a shot, such as a `postfx.RunUp`; None for nothing.
-        checks: whether to look at the first frames that are denoised over time, and to tell the logger "postfx" what is
-            plainly wrong with them, such as motion of the wrong sign; it takes a moment of the third frame.
-        wrap: 'x' for panorama frames, whose right edge goes on at the left one: there is no seam, and motion leads
-            across it; 'none' for others; 'auto' for what each frame's header says. Not for `on_device`.
+            `postfx.cuts.CutDetector` finds them; 'none' only before frames marked with
+            `frame.reset`.
+        run_up: what fills the history before the first frame of a shot, such as a `postfx.RunUp`;
+            None for nothing.
+        checks: whether to look at the first frames that are denoised over time, and to tell the
+            logger "postfx" what is plainly wrong with them, such as motion of the wrong sign; it
+            takes a moment of the third frame.
+        wrap: 'x' for panorama frames, whose right edge goes on at the left one: there is no seam,
+            and motion leads across it; 'none' for others; 'auto' for what each frame's header says.
+            Not for `on_device`.
 
-    Where POSTFX_EXPOSURE_TOOL is 1 in the environment, `postfx.passes.exposure_tool` covers the upscaler's output.
+    Where POSTFX_EXPOSURE_TOOL is 1 in the environment, `postfx.passes.exposure_tool` covers the
+    upscaler's output.
 
     Attributes:
         plan: the plan of the last frame, None before the first.
@@ -84,10 +100,12 @@ class Pipeline:
         cut: whether the last frame was found to begin another shot.
         bad_pixels: plane -> how many of its pixels in the last frame were not finite, see
             `postfx.repair.repair_nonfinite`.
-        noticed: what passes found in the last frame that is to be mended, a line each, which is told once.
+        noticed: what passes found in the last frame that is to be mended, a line each, which is
+            told once.
 
-    The other views of a frame (`Frame.views`) run through copies of the passes, each with its own history, and with the
-    exposure and the cuts of the frame itself; times and counts are those of all views.
+    The other views of a frame (`Frame.views`) run through copies of the passes, each with its own
+    history, and with the exposure and the cuts of the frame itself; times and counts are those of
+    all views.
     """
 
     def __init__(
@@ -101,7 +119,8 @@ class Pipeline:
         wrap: str = WRAP_AUTO,
     ) -> None:
         if cuts not in ("auto", "none"):
-            raise CutError(f"cuts '{cuts}': use auto or none, and frame.reset for cuts that are known")
+            raise CutError(f"cuts '{cuts}': use auto or none, and frame.reset for cuts that are "
+                           "known")
         self.passes = with_tool(_check_passes(passes))
         self.device = device if device is not None else default_device()
         self.plan: Plan | None = None
@@ -116,15 +135,18 @@ class Pipeline:
         self._run_up = run_up
         self._checks = checks
         self._looker: FirstFrames | None = None
-        self._changed = set[Role]()  # planes that came or went within a shot, which the log was told of
+        # planes that came or went within a shot, which the log was told of
+        self._changed = set[Role]()
         self._wrap = validate_wrap(wrap)
-        self._wide: tuple[Plan, int] | None = None  # the plan for frames with a margin, and the margin
+        # the plan for frames with a margin, and the margin
+        self._wide: tuple[Plan, int] | None = None
         self._begins = True  # nothing is known of the frames before
         self._flow = Flow(self.device)
         self._own_device = device
         self._cuts = cuts
         self._views: dict[str, Pipeline] = {}
-        self._lent: tuple[dict[Role, Tensor], dict[Role, Tensor]] = {}, {}  # the last frame's, in the device's memory
+        # the last frame's, in the device's memory
+        self._lent: tuple[dict[Role, Tensor], dict[Role, Tensor]] = {}, {}
 
     @property
     def exposure(self) -> float | None:
@@ -135,22 +157,23 @@ class Pipeline:
         return f"Pipeline([{', '.join(map(repr, self.passes))}], device={self.device!r})"
 
     def __reduce__(self) -> tuple[Callable[..., Pipeline], tuple[Any, ...]]:
-        """Pickled by its arguments: the copy is not compiled and has no history. Without a device of its own it
-        runs on the default device of the process that it comes to."""
-        return _make_pipeline, (self.passes, self._own_device, self._meter, self._cuts, self._run_up, self._checks,
-                                self._wrap)
+        """Pickled by its arguments: the copy is not compiled and has no history. Without a device
+        of its own it runs on the default device of the process that it comes to."""
+        return _make_pipeline, (self.passes, self._own_device, self._meter, self._cuts,
+                                self._run_up, self._checks, self._wrap)
 
     def __call__(self, frame: Frame) -> Frame:
         """The frame after all passes; the given frame is not changed. For one thread at a time.
 
-        Planes and guides that no pass touches are passed on as they are, unless a pass changed the size. Compiles when
-        the frame's spec is not the last one's, which drops the history of passes that cannot go on with frames of
-        another size. When anything fails, the history is dropped and the error is raised; FrameError for planes that do
-        not fit together.
+        Planes and guides that no pass touches are passed on as they are, unless a pass changed the
+        size. Compiles when the frame's spec is not the last one's, which drops the history of
+        passes that cannot go on with frames of another size. When anything fails, the history is
+        dropped and the error is raised; FrameError for planes that do not fit together.
         """
         if not isinstance(frame, Frame):
-            raise FrameError(f"a pipeline takes a postfx.Frame, not {_kind(frame)}: give Frame({{'colour': array}}), "
-                             "or use postfx.denoise(array) for a single picture")
+            raise FrameError(f"a pipeline takes a postfx.Frame, not {_kind(frame)}: give "
+                             "Frame({'colour': array}), or use postfx.denoise(array) for a "
+                             "single picture")
         try:
             # planes may have been put into it since it was made
             with lend(self.device.lent):
@@ -167,7 +190,9 @@ class Pipeline:
         if self._checks and before and before is not plan:
             self._tell_changed_planes(frame.number, before, plan)
         if not plan.steps:
-            self.timings, self.exposure_factor, self.cut, self.bad_pixels, self.noticed = {}, None, False, {}, ()
+            self.timings, self.exposure_factor, self.cut, self.bad_pixels, self.noticed = (
+                {}, None, False, {}, ()
+            )
             return frame
         frame, self.bad_pixels = repair_nonfinite(frame, plan.planes, self.device.scratch)
         self.cut = self._is_cut(frame)
@@ -193,7 +218,8 @@ class Pipeline:
         return result.copy_with(views=views)
 
     def _run(self, frame: Frame, plan: Plan, unusable: bool, given: Frame) -> Frame:
-        """The frame that comes out, of the one that is run; of a panorama, with what lies beyond its edges."""
+        """The frame that comes out, of the one that is run; of a panorama, with what lies beyond
+        its edges."""
         assert self.exposure_factor is not None
         if self._wide is None:
             return self._flow.run(frame, plan, self.exposure_factor, unusable, given)
@@ -205,12 +231,13 @@ class Pipeline:
 
     def _goes_around(self, frame: Frame) -> bool:
         """Whether a frame's right edge goes on at the left one."""
-        return self._wrap == WRAP_AROUND or (self._wrap == WRAP_AUTO and "textureformat" in frame.metadata
-                                             and is_panorama(frame.metadata))
+        return (self._wrap == WRAP_AROUND or (self._wrap == WRAP_AUTO and "textureformat"
+                                              in frame.metadata and is_panorama(frame.metadata)))
 
     def _look(self, frame: Frame, plan: Plan) -> None:
         """Tell the log what is plainly wrong with the first frames."""
-        if not self._checks or self.device.scratch or frame.encoding != "scene-linear" or not plan.accumulating_steps():
+        if (not self._checks or self.device.scratch or frame.encoding != "scene-linear"
+            or not plan.accumulating_steps()):
             return
         if self._looker is None:
             from postfx.doctor.first_frames import (
@@ -222,8 +249,10 @@ class Pipeline:
             LOG.warning("%s", text)
 
     def _tell_changed_planes(self, number: int, before: Plan, plan: Plan) -> None:
-        """Tell the log, once for each, of planes that a frame of a shot has and the one before had not, or lacks."""
-        if (before.available.width, before.available.height) != (plan.available.width, plan.available.height):
+        """Tell the log, once for each, of planes that a frame of a shot has and the one before had
+        not, or lacks."""
+        if (before.available.width, before.available.height) != (plan.available.width,
+                                                                 plan.available.height):
             return
         come, gone = {*plan.planes} - {*before.planes}, {*before.planes} - {*plan.planes}
         for roles, text in ((come, "has {}, which the frame before had not"),
@@ -231,8 +260,8 @@ class Pipeline:
             new = sorted(map(str, roles - self._changed))
             if new:
                 self._changed |= roles
-                LOG.warning("frame %d %s: its history begins anew; give it in all frames of a shot or in none", number,
-                            text.format(" and ".join(new)))
+                LOG.warning("frame %d %s: its history begins anew; give it in all frames of a shot "
+                            "or in none", number, text.format(" and ".join(new)))
 
     def _process_view(self, name: str, frame: Frame) -> Frame:
         result = (own := self._of_view(name))(frame)
@@ -248,8 +277,8 @@ class Pipeline:
         if name not in self._views:
             of_view = getattr(self._run_up, "of_view", None)
             passes = [copy.copy(item) for item in self.passes]
-            self._views[name] = Pipeline(passes, self.device, _SharedExposure(self), "none", of_view and of_view(name),
-                                         checks=False, wrap=self._wrap)
+            self._views[name] = Pipeline(passes, self.device, _SharedExposure(self), "none",
+                                         of_view and of_view(name), checks=False, wrap=self._wrap)
         return self._views[name]
 
     def on_device(
@@ -269,22 +298,25 @@ class Pipeline:
     ) -> dict[Role, Tensor]:
         """Run the passes on planes that lie in the device's memory, and leave the results there.
 
-        For renderers and training that keep their pictures on the GPU: nothing is uploaded, and results are shared by
-        DLPack and `__cuda_array_interface__`, as in `torch.from_dlpack(result[Role.COLOUR])`. The results of the next
-        call are on other memory. Planes that are always in the same memory are launched as a CUDA graph.
+        For renderers and training that keep their pictures on the GPU: nothing is uploaded, and
+        results are shared by DLPack and `__cuda_array_interface__`, as in
+        `torch.from_dlpack(result[Role.COLOUR])`. The results of the next call are on other memory.
+        Planes that are always in the same memory are launched as a CUDA graph.
 
-        Nothing looks at the pixels: cuts are known by `reset` alone, pixels that are not finite count as black or as
-        the largest light, and what does not move is not told apart. Only a plane 'strength', and where reflections are
-        followed depth and motion, are copied to the host.
+        Nothing looks at the pixels: cuts are known by `reset` alone, pixels that are not finite
+        count as black or as the largest light, and what does not move is not told apart. Only a
+        plane 'strength', and where reflections are followed depth and motion, are copied to the
+        host.
 
         Args:
-            planes, guides: role -> (height, width, channels) float32 without gaps, of any library with DLPack or CUDA's
-                array interface. What is in the host's memory is uploaded.
+            planes, guides: role -> (height, width, channels) float32 without gaps, of any library
+                with DLPack or CUDA's array interface. What is in the host's memory is uploaded.
             exposure: stops; None to have the pipeline's meter look at a copy of the colour.
-            number, jitter, guide_jitter, reset, samples, world_to_camera, fov_x, encoding: as in `Frame`.
+            number, jitter, guide_jitter, reset, samples, world_to_camera, fov_x, encoding: as in
+            `Frame`.
 
-        Raises FrameError for planes that do not fit together, BindingError for arrays that cannot be read,
-        ExposureError for stops that are not a number within -64..64.
+        Raises FrameError for planes that do not fit together, BindingError for arrays that cannot
+        be read, ExposureError for stops that are not a number within -64..64.
         """
         try:
             lent, lent_guides = self._lent
@@ -296,10 +328,12 @@ class Pipeline:
             if reset:
                 self._reset_passes()
             self.exposure_factor = self._exposure_of(exposure, tensors, number, reset)
-            used, seen = {role: tensors[role] for role in plan.planes}, {role: sharp[role] for role in plan.guides}
+            used, seen = {role: tensors[role] for role in plan.planes}, {role: sharp[role]
+                                                                         for role in plan.guides}
             resident = ResidentFrame(
-                plan.input, dict(used), number, jitter, self.exposure_factor, reset, samples=samples, fov_x=fov_x,
-                world_to_camera=world_to_camera, guides=seen, guide_jitter=guide_jitter, is_away=True,
+                plan.input, dict(used), number, jitter, self.exposure_factor, reset,
+                samples=samples, fov_x=fov_x, world_to_camera=world_to_camera, guides=seen,
+                guide_jitter=guide_jitter, is_away=True,
                 host_planes=Downloads(used), host_guides=Downloads(seen))
             result = self._flow.run_away(resident, plan)
         except BaseException:
@@ -307,38 +341,45 @@ class Pipeline:
             raise
         self._begins, self.timings = False, dict(self._flow.timings)
         same_size = (plan.output.width, plan.output.height) == (spec.width, spec.height)
-        return {role: tensor for role, tensor in tensors.items() if same_size and role not in plan.planes} | result
+        return {role: tensor for role, tensor in tensors.items()
+                if same_size and role not in plan.planes} | result
 
-    def _exposure_of(self, given: float | None, tensors: Mapping[Role, Tensor], number: int, reset: bool) -> float:
+    def _exposure_of(self, given: float | None, tensors: Mapping[Role, Tensor], number: int,
+                     reset: bool) -> float:
         if given is not None:
             return factor_of(given)
         if Role.COLOUR not in tensors:
             return 1.0
-        return self._meter(Frame({Role.COLOUR: tensors[Role.COLOUR].download()}, number, reset=reset))
+        return self._meter(Frame({Role.COLOUR: tensors[Role.COLOUR].download()}, number,
+                                 reset=reset))
 
     def compile(self, spec: FrameSpec, views: Sequence[str] = ()) -> Plan:
-        """Make the passes ready for frames of a spec, so that the first one does not wait for it; the plan.
+        """Make the passes ready for frames of a spec, so that the first one does not wait for it;
+        the plan.
 
         views: names of the other views that each frame will hold, which have the same spec.
-        Networks are loaded and kernels compiled. Raises ModelError and the like, as the first frame would.
+        Networks are loaded and kernels compiled. Raises ModelError and the like, as the first frame
+        would.
         """
         for name in views:
             self._of_view(name).compile(spec)
         return self._make_plan(spec, self._wrap == WRAP_AROUND)
 
     def explain(self, spec: FrameSpec | None = None) -> Plan:
-        """The plan for a spec, by default the last frame's, with what frames were spared so far. `print` it, or take
-        `as_dict()` or `to_json()`."""
+        """The plan for a spec, by default the last frame's, with what frames were spared so far.
+        `print` it, or take `as_dict()` or `to_json()`."""
         if spec is not None:
             return make_plan(self.passes, spec)
         if self.plan is None:
-            raise FrameError("there is no plan yet: give explain() a FrameSpec, or process a frame first")
+            raise FrameError("there is no plan yet: give explain() a FrameSpec, or process a frame "
+                             "first")
         return dataclasses.replace(self.plan, skips=(*self.plan.skips, *self.savings()))
 
     def savings(self) -> list[Skip]:
         """What the passes spared the frames so far, with the time that it saved."""
         steps = self.plan.steps if self.plan else ()
-        return [Skip(f"{what} in {step.name}", why) for step in steps for what, why in step.instance.savings()]
+        return [Skip(f"{what} in {step.name}", why) for step in steps
+                for what, why in step.instance.savings()]
 
     def reset(self) -> None:
         """Drop all history: the next frame is treated as the first of a sequence."""
@@ -355,16 +396,18 @@ class Pipeline:
         return bool(plan.steps) and (passes or getattr(self._meter, "remembers", True))
 
     def history(self) -> dict[str, np.ndarray] | None:
-        """Between two frames: what the next one's result depends on beside the frame itself, by name; None where a pass
-        or the meter has a history and does not tell it, and before the first frame. To be looked at before the next
-        frame begins."""
+        """Between two frames: what the next one's result depends on beside the frame itself, by
+        name; None where a pass or the meter has a history and does not tell it, and before the
+        first frame. To be looked at before the next frame begins."""
         if self.plan is None:
             return None
-        found = {name: part.history() for name, part in self._rememberers().items() if hasattr(part, "history")}
+        found = {name: part.history()
+                 for name, part in self._rememberers().items() if hasattr(part, "history")}
         found |= {f"{_VIEW}{name}": own.history() for name, own in self._views.items()}
         if len(found) < len(self._rememberers()) + len(self._views) or None in found.values():
             return None
-        return {f"{name}/{key}": array for name, history in found.items() for key, array in (history or {}).items()}
+        return {f"{name}/{key}": array for name, history in found.items()
+                for key, array in (history or {}).items()}
 
     def recall(self, frame: Frame, history: Mapping[str, np.ndarray]) -> None:
         """Go on as a pipeline whose last frame was `frame`, and that then had this `history`.
@@ -384,15 +427,18 @@ class Pipeline:
             self._begins = False
         except (KeyError, ValueError, IndexError, BindingError) as error:
             self.reset()
-            raise FrameError(f"frame {frame.number}: the history does not fit the passes: {error}") from error
+            raise FrameError(f"frame {frame.number}: the history does not fit the passes: "
+                             f"{error}") from error
 
     def _rememberers(self) -> dict[str, Any]:
         """Whatever may have a history, by name."""
-        found = {f"pass {step.name}": step.instance for step in (self.plan.steps if self.plan else ())}
+        found = {f"pass {step.name}": step.instance
+                 for step in (self.plan.steps if self.plan else ())}
         return found | {"meter": self._meter} | ({"cuts": self._detector} if self._detector else {})
 
     def _is_cut(self, frame: Frame) -> bool:
-        return self._detector is not None and frame.encoding == "scene-linear" and self._detector(frame)
+        return (self._detector is not None and frame.encoding == "scene-linear"
+                and self._detector(frame))
 
     def _make_plan(self, spec: FrameSpec, around: bool = False) -> Plan:
         if self.plan is None or self.plan.available != spec or around != (self._wide is not None):
@@ -409,13 +455,15 @@ class Pipeline:
         return self.plan
 
     def _make_ready(self, step: Step, before: FrameSpec | None) -> None:
-        """Compile a pass, if it is not ready as it is, and cannot go on with frames of another size."""
+        """Compile a pass, if it is not ready as it is, and cannot go on with frames of another
+        size."""
         if before != step.input and not (before and step.instance.resize(step.input)):
             self._flow.forget()
             step.instance.compile(self.device, step.input)
 
     def _run_up_to(self, frame: Frame, plan: Plan) -> Frame:
-        """What is run for a frame: where it begins a shot and a pass profits, what the frames after it lead to."""
+        """What is run for a frame: where it begins a shot and a pass profits, what the frames after
+        it lead to."""
         if self._run_up is None or not self._begins:
             return frame
         plan = self._wide[0] if self._wide else plan
@@ -424,11 +472,13 @@ class Pipeline:
 
     def _run_ahead(self, plan: Plan, steps: Sequence[Step], frame: Frame) -> None:
         """Run a frame only for the history, as far as passes profit from it."""
-        frame, bad_pixels = repair_nonfinite(dataclasses.replace(frame), plan.planes, self.device.scratch)
+        frame, bad_pixels = repair_nonfinite(dataclasses.replace(frame), plan.planes,
+                                             self.device.scratch)
         if frame.reset:
             self._reset_passes()
         frame = widen(frame, self._wide[1]) if self._wide else frame
-        self._flow.run_ahead(frame, plan, steps, self.exposure_factor or 1.0, is_unusable(frame, bad_pixels))
+        self._flow.run_ahead(frame, plan, steps, self.exposure_factor or 1.0,
+                             is_unusable(frame, bad_pixels))
         self.ahead += (sum(self._flow.timings.values()),)
 
     def _reset_passes(self) -> None:
@@ -442,11 +492,13 @@ _VIEW = "view "
 
 
 def _histories_under(name: str, history: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {key.removeprefix(f"{name}/"): array for key, array in history.items() if key.startswith(f"{name}/")}
+    return {key.removeprefix(f"{name}/"): array
+            for key, array in history.items() if key.startswith(f"{name}/")}
 
 
 class _SharedExposure(ExposureMeter):
-    """Meter of a pipeline that runs another view of the frames of another one: both eyes see the same exposure."""
+    """Meter of a pipeline that runs another view of the frames of another one: both eyes see the
+    same exposure."""
 
     def __init__(self, first: Pipeline) -> None:
         super().__init__("metadata")
@@ -466,7 +518,8 @@ def _make_pipeline(
 
 
 class Flow:
-    """Takes frames through the steps of a plan whose passes are compiled for them; the `Pipeline` decides which.
+    """Takes frames through the steps of a plan whose passes are compiled for them; the `Pipeline`
+    decides which.
 
     Attributes:
         timings: pass name -> milliseconds on the device, of the last frame.
@@ -485,8 +538,10 @@ class Flow:
         for kept in (self._copies, self._inputs, self._recordings, self._results):
             kept.clear()
 
-    def run(self, frame: Frame, plan: Plan, exposure_factor: float, unusable: bool, given: Frame) -> Frame:
-        """The frame that comes out. Planes that no pass touches, and all that is not a plane, come from `given`."""
+    def run(self, frame: Frame, plan: Plan, exposure_factor: float, unusable: bool,
+            given: Frame) -> Frame:
+        """The frame that comes out. Planes that no pass touches, and all that is not a plane, come
+        from `given`."""
         resident = self._upload(frame, plan, exposure_factor, unusable)
         inputs = dict(resident.tensors)
         with self._device.results_lock:  # the next commit may take the memory of the results
@@ -519,29 +574,34 @@ class Flow:
         with self._device.results_lock:
             self._run(steps, resident)
 
-    def _upload(self, frame: Frame, plan: Plan, exposure_factor: float, unusable: bool) -> ResidentFrame:
+    def _upload(self, frame: Frame, plan: Plan, exposure_factor: float,
+                unusable: bool) -> ResidentFrame:
         inputs = {role: self._input(role, frame.planes[role]) for role in plan.planes}
         guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
         parts = {name: self._input(f"part {name}", frame.parts[name]) for name in plan.parts}
         return ResidentFrame.of(frame, plan.input, inputs, guides, parts, exposure_factor, unusable)
 
     def _input(self, name: str, array: np.ndarray) -> Tensor:
-        """A plane as a tensor: on the last frame's memory, so that its commands are known again, where that is the
-        plane's, or the plane is copied: to a GPU, or because it is small."""
+        """A plane as a tensor: on the last frame's memory, so that its commands are known again,
+        where that is the plane's, or the plane is copied: to a GPU, or because it is small."""
         last, away, copy = self._inputs.get(name), not self._device.memory.host_visible, None
-        if last and not away and (last.start, last.shape) == (address(array), array.shape) and not last.released:
+        if (last and not away and (last.start, last.shape) == (address(array), array.shape)
+            and not last.released):
             return last  # it keeps its memory alive, so that nothing else can lie there
         if last and last.allocation.borrowed:
             last.release()
         if away or (last and array.nbytes <= SMALL_COPY_BYTES):
-            copy = self._copies.get_or_make((name, array.shape), partial(self._device.heap.tensor, name, array.shape))
-        found = self._inputs[name] = copy if copy and not away else self._device.wrap(name, array, copy)
+            copy = self._copies.get_or_make((name, array.shape),
+                                            partial(self._device.heap.tensor, name, array.shape))
+        found = self._inputs[name] = (copy if copy and not away
+                                      else self._device.wrap(name, array, copy))
         if found is copy:
             found.upload(array)
         return found
 
     def _run(self, steps: Sequence[Step], resident: ResidentFrame) -> None:
-        commands = self._device.command_buffer(f"frame {resident.number}", not resident.history_only, self._recordings)
+        commands = self._device.command_buffer(f"frame {resident.number}",
+                                               not resident.history_only, self._recordings)
         try:
             for step in steps:
                 _encode(step, commands, resident)
@@ -551,7 +611,8 @@ class Flow:
             commands.discard()
         _wait(commands)
         spent = commands.timings
-        self.timings = {step.name: sum([time for label, time in spent if label.startswith(f"{step.name}/")])
+        self.timings = {step.name: sum([time for label, time in spent
+                                        if label.startswith(f"{step.name}/")])
                         for step in steps}
 
 
@@ -572,9 +633,11 @@ def _encode(step: Step, commands: CommandBuffer, resident: ResidentFrame) -> Non
         step.instance.encode(commands, resident)
     output, left = step.reflection.output, resident.tensors
     resident.tensors = {role: left[role] for role in output.roles if role in left}
-    wrong = [role for role in output.roles if role not in left or not _fits(left[role], role, output)]
+    wrong = [role
+             for role in output.roles if role not in left or not _fits(left[role], role, output)]
     if wrong:
-        raise PassContractError(f"pass '{step.name}' did not leave plane '{wrong[0]}' as its reflection declares")
+        raise PassContractError(f"pass '{step.name}' did not leave plane '{wrong[0]}' as its "
+                                "reflection declares")
     resident.guides = {role: resident.guides[role] for role in output.guide_roles}
     resident.spec = output
 
@@ -586,14 +649,17 @@ def _fits(tensor: Tensor, role: Role, spec: FrameSpec) -> bool:
 def _finish(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role, Tensor],
             results: SpareMemory) -> Frame:
     """The frame that comes out: new planes copied from the device, the others as they came in."""
-    same_size = (plan.output.width, plan.output.height) == (plan.available.width, plan.available.height)
+    same_size = (plan.output.width, plan.output.height) == (plan.available.width,
+                                                            plan.available.height)
     unread = [role for role in plan.available.roles if role not in plan.planes and same_size]
     planes = {role: frame.planes[role] for role in unread}
     for role, tensor in resident.tensors.items():
-        planes[role] = frame.planes[role] if tensor is inputs.get(role) else tensor.download(results.empty)
+        planes[role] = (frame.planes[role] if tensor is inputs.get(role)
+                        else tensor.download(results.empty))
     parts = {name: part for name, part in frame.parts.items() if same_size}
     parts |= {name: tensor.download(results.empty) for name, tensor in resident.parts.items()}
-    result = frame.copy_with(planes=planes, encoding=plan.output.encoding, jitter=resident.jitter, parts=parts)
+    result = frame.copy_with(planes=planes, encoding=plan.output.encoding, jitter=resident.jitter,
+                             parts=parts)
     if same_size:
         return result
     return result.copy_with(guides={}, guide_size=None, guide_jitter=(0.0, 0.0), guide_source=None)

@@ -1,4 +1,5 @@
-"""The plan: which passes a frame needs, in what order, what must be read for them, and what is skipped and why."""
+"""The plan: which passes a frame needs, in what order, what must be read for them, and what is
+skipped and why."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ NO_GUIDES = "none: albedo, normals and depth at output size would make edges sha
 
 @dataclass(frozen=True)
 class Step:
-    """One active pass: its name in this plan, the spec that it gets, and its reflection for that spec."""
+    """One active pass: its name in this plan, the spec that it gets, and its reflection for that
+    spec."""
 
     name: str
     instance: Pass
@@ -35,7 +37,8 @@ class Step:
     @property
     def uses_guides(self) -> tuple[Role, ...]:
         """Guides it reads here, in the order of `Role`."""
-        return tuple(role for role in self.input.guide_roles if role in self.reflection.may_read_guides)
+        return tuple(role
+                     for role in self.input.guide_roles if role in self.reflection.may_read_guides)
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,8 @@ class Plan:
 
     Attributes:
         available: spec of the frame as it is offered.
-        planes: roles that must be read, in the order of `Role`; everything else may stay in the file.
+        planes: roles that must be read, in the order of `Role`; everything else may stay in the
+            file.
         steps: active passes in order.
         skips: passes and planes that are left out, and why.
         remarks: remarks of the active passes on the result.
@@ -76,8 +80,10 @@ class Plan:
         return _restrict(self.available, self.planes, self.guides, self.parts)
 
     def accumulating_steps(self) -> tuple[Step, ...]:
-        """The steps up to the last one whose results improve with the frames before; empty if there is none."""
-        last = max((at for at, step in enumerate(self.steps, 1) if step.instance.accumulates(step.input)), default=0)
+        """The steps up to the last one whose results improve with the frames before; empty if there
+        is none."""
+        last = max((at for at, step in enumerate(self.steps, 1)
+                    if step.instance.accumulates(step.input)), default=0)
         return self.steps[:last]
 
     def as_dict(self) -> dict[str, Any]:
@@ -108,7 +114,8 @@ class Plan:
         return "\n".join(f"{head:<8}{text}" for head, text in lines)
 
     def _guides_text(self) -> list[str]:
-        """Whether planes at output size are used; nothing where there are none and no pass asks for any."""
+        """Whether planes at output size are used; nothing where there are none and no pass asks for
+        any."""
         offered, read = self.available.guides, from_files(self.guides)
         if offered is None or not from_files(offered.roles):
             wanted = any(step.reflection.may_read_guides for step in self.steps)
@@ -120,8 +127,8 @@ class Plan:
 def make_plan(passes: Sequence[Pass], spec: FrameSpec) -> Plan:
     """The plan for frames of `spec`, which may hold more planes than are needed.
 
-    Raises MissingPlaneError when a pass needs a plane that neither the frame nor an earlier pass provides,
-    PassContractError when a pass declares an output that cannot be.
+    Raises MissingPlaneError when a pass needs a plane that neither the frame nor an earlier pass
+    provides, PassContractError when a pass declares an output that cannot be.
     """
     steps: list[Step] = []
     skipped: list[Skip] = []
@@ -136,24 +143,30 @@ def make_plan(passes: Sequence[Pass], spec: FrameSpec) -> Plan:
         steps.append(step)
         current = step.reflection.output
     planes, guides = _find_needed(spec, steps), _needed_guides(spec, steps)
-    skipped += [Skip(f"AOV '{role}'", "no pass reads it") for role in spec.roles if role not in planes]
+    skipped += [Skip(f"AOV '{role}'", "no pass reads it")
+                for role in spec.roles if role not in planes]
     skipped += _unread_guides(spec, guides)
     read = {name for step in steps for name in step.reflection.parts}
     parts = tuple(name for name in spec.part_names if name in read)
-    skipped += [Skip(f"part '{name}'", "no pass reads it") for name in spec.part_names if name not in parts]
-    return _narrow(Plan(spec, planes, tuple(steps), tuple(skipped), current, guides=guides, parts=parts))
+    skipped += [Skip(f"part '{name}'", "no pass reads it")
+                for name in spec.part_names if name not in parts]
+    return _narrow(Plan(spec, planes, tuple(steps), tuple(skipped), current, guides=guides,
+                        parts=parts))
 
 
 def _narrow(plan: Plan) -> Plan:
-    """The same plan with specs that hold only the planes that are read, as the passes will see them."""
+    """The same plan with specs that hold only the planes that are read, as the passes will see
+    them."""
     current = plan.input
     steps = []
     for step in plan.steps:
         steps.append(Step(step.name, step.instance, current, step.instance.reflect(current)))
         current = steps[-1].reflection.output
-    remarks = [f"{step.name}: {remark}" for step in steps for remark in step.instance.remarks(step.input)]
+    remarks = [f"{step.name}: {remark}" for step in steps
+               for remark in step.instance.remarks(step.input)]
     if current.has(Role.OVERLAY) and current.encoding != "scene-linear":
-        remarks.append("the overlay is not composited: put the pass overlay before the one that tone-maps")
+        remarks.append("the overlay is not composited: put the pass overlay before the one that "
+                       "tone-maps")
     return replace(plan, steps=tuple(steps), output=current, remarks=tuple(remarks))
 
 
@@ -175,35 +188,42 @@ def _needed_guides(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:
 def _unread_guides(spec: FrameSpec, used: Sequence[Role]) -> list[Skip]:
     if spec.guide_roles and not used:
         return [Skip("guides", "no pass reads them")]
-    return [Skip(f"guide '{role}'", "no pass reads it") for role in spec.guide_roles if role not in used]
+    return [Skip(f"guide '{role}'", "no pass reads it")
+            for role in spec.guide_roles if role not in used]
 
 
 def _check(step: Step, spec: FrameSpec) -> None:
     missing = [role for role in step.reflection.reads if not step.input.has(role)]
     if missing:
-        dropped = "an earlier pass dropped it" if spec.has(missing[0]) else "the frame does not have it"
+        dropped = ("an earlier pass dropped it" if spec.has(missing[0])
+                   else "the frame does not have it")
         fix = "render it, name it in a profile, or leave the pass out"
-        raise MissingPlaneError(f"pass '{step.name}' needs AOV '{missing[0]}', but {dropped}: {fix}")
+        raise MissingPlaneError(f"pass '{step.name}' needs AOV '{missing[0]}', but {dropped}: "
+                                f"{fix}")
     output, writes = step.reflection.output, step.reflection.writes
     kept = [role for role in output.roles if role not in writes]
     invented = [role for role in kept if not step.input.has(role)]
     invented += set(output.guide_roles) - set(step.input.guide_roles)
     if invented or not set(writes) <= set(output.roles):
-        raise PassContractError(f"pass '{step.name}' declares an output of other planes than it keeps and writes")
+        raise PassContractError(f"pass '{step.name}' declares an output of other planes than it "
+                                "keeps and writes")
     if kept and (output.width, output.height) != (step.input.width, step.input.height):
-        raise PassContractError(f"pass '{step.name}' changes the size but keeps plane '{kept[0]}' at the old one")
+        raise PassContractError(f"pass '{step.name}' changes the size but keeps plane '{kept[0]}' "
+                                "at the old one")
 
 
 def _step_names(passes: Sequence[Pass]) -> list[str]:
     """Names of the passes; a second pass of the same name gets a number."""
     plain = [instance.name for instance in passes]
     counts = [plain[: index + 1].count(name) for index, name in enumerate(plain)]
-    return [name if count == 1 else f"{name} {count}" for name, count in zip(plain, counts, strict=True)]
+    return [name if count == 1 else f"{name} {count}"
+            for name, count in zip(plain, counts, strict=True)]
 
 
-def _restrict(spec: FrameSpec, roles: Sequence[Role], guides: Sequence[Role], parts: Sequence[str]) -> FrameSpec:
-    """The spec with these planes and guides only; guides keep their size even if none is read, for the output's
-    size."""
+def _restrict(spec: FrameSpec, roles: Sequence[Role], guides: Sequence[Role],
+              parts: Sequence[str]) -> FrameSpec:
+    """The spec with these planes and guides only; guides keep their size even if none is read, for
+    the output's size."""
     kept = replace(spec.guides, roles=tuple(guides)) if spec.guides else None
     held = [(name, channels) for name, channels in spec.parts if name in parts]
     return FrameSpec(spec.width, spec.height, roles, spec.encoding, kept, spec.source, held)
@@ -213,7 +233,8 @@ def _step_text(step: Step) -> str:
     before, after = step.input, step.reflection.output
     changes = [f"{before.width}x{before.height} -> {after.width}x{after.height}"]
     changes = changes if (before.width, before.height) != (after.width, after.height) else []
-    changes += [f"{before.encoding} -> {after.encoding}"] if before.encoding != after.encoding else []
+    changes += ([f"{before.encoding} -> {after.encoding}"] if before.encoding != after.encoding
+                else [])
     text = f"{step.name}: reads {_names(step.uses)}; writes {_names(step.reflection.writes)}"
     changes += ["uses the guides"] if from_files(step.uses_guides) else []
     return "; ".join([text, *changes, *step.reflection.notes])
@@ -233,8 +254,10 @@ def _spec_text(spec: FrameSpec) -> str:
 
 def _spec_dict(spec: FrameSpec) -> dict[str, Any]:
     planes, guides = [str(role) for role in spec.roles], spec.guides
-    size = guides and {"width": guides.width, "height": guides.height, "planes": [str(role) for role in guides.roles]}
-    return {"width": spec.width, "height": spec.height, "encoding": spec.encoding, "planes": planes, "guides": size}
+    size = guides and {"width": guides.width, "height": guides.height,
+                       "planes": [str(role) for role in guides.roles]}
+    return {"width": spec.width, "height": spec.height, "encoding": spec.encoding, "planes": planes,
+            "guides": size}
 
 
 def from_files(guides: Iterable[Role]) -> tuple[Role, ...]:

@@ -1,5 +1,5 @@
-"""Whole planes of float32 on the host: whether all numbers are finite, 0 or the same, and how they are copied. A
-pipeline lends threads for the largest of these.
+"""Whole planes of float32 on the host: whether all numbers are finite, 0 or the same, and how they
+are copied. A pipeline lends threads for the largest of these.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ _lent: ContextVar[Divide | None] = ContextVar("divide", default=None)
 
 @contextmanager
 def lend(divide: Divide | None) -> Iterator[None]:
-    """Let `share` divide work by `divide(rows, count)`, which runs `rows(first, last)` in several threads."""
+    """Let `share` divide work by `divide(rows, count)`, which runs `rows(first, last)` in several
+    threads."""
     token = _lent.set(divide)
     try:
         yield
@@ -33,8 +34,8 @@ def lend(divide: Divide | None) -> Iterator[None]:
 
 
 def share(rows: Rows, count: int, *arrays: np.ndarray) -> None:
-    """Run `rows(first, last, *arrays)` over rows 0 to count - 1, on the threads that are lent if it is worth that. The
-    first array is by far the largest."""
+    """Run `rows(first, last, *arrays)` over rows 0 to count - 1, on the threads that are lent if it
+    is worth that. The first array is by far the largest."""
     divide = _lent.get()
     if divide is None or arrays[0].nbytes < 2 * WORTH:
         rows(0, count, *arrays)
@@ -43,16 +44,16 @@ def share(rows: Rows, count: int, *arrays: np.ndarray) -> None:
 
 
 copy_pieces = Rows("copy_pieces")
-"""`copy_pieces(first, last, source, target)`: pieces of `WORTH` bytes of flat uint32, the last of which may
-be smaller."""
+"""`copy_pieces(first, last, source, target)`: pieces of `WORTH` bytes of flat uint32, the last of
+which may be smaller."""
 _largest_bits = Rows("largest_bits")
 _is_blank = Rows("is_blank")
 _is_same_plane = Rows("is_same_plane")
 
 
 def largest_bits_of(plane: np.ndarray) -> int:
-    """The largest bits of the numbers of a plane (height, ...) of float32, without their signs, on the threads that are
-    lent if it is worth that."""
+    """The largest bits of the numbers of a plane (height, ...) of float32, without their signs, on
+    the threads that are lent if it is worth that."""
     bits = whole(plane, np.float32).view(np.uint32)
     divides = bits.nbytes >= 2 * WORTH and _lent.get()
     rows = bits.reshape(len(bits) if divides else 1, -1)

@@ -1,7 +1,7 @@
 """Shows pictures in even steps of time: rendered frames, and frames between them, each at its turn.
 
-A picture that comes early waits; one that comes late is shown at once, left out or moved to a later turn by one rule.
-What was shown when is measured. See docs/lab/interpolation.md.
+A picture that comes early waits; one that comes late is shown at once, left out or moved to a later
+turn by one rule. What was shown when is measured. See docs/lab/interpolation.md.
 """
 
 from __future__ import annotations
@@ -24,13 +24,15 @@ LATE = 0.25
 BUCKET = 0.125
 """Width of a bucket of measured intervals, as a share of the interval."""
 SPIN = 0.002
-"""Seconds before a turn at which the clock stops sleeping and looks at the time: a system may sleep so much longer."""
+"""Seconds before a turn at which the clock stops sleeping and looks at the time: a system may sleep
+so much longer."""
 MOST_WAITING_PICTURES = 4
 """Pictures that may wait for their turn before `submit` waits, too."""
 
 
 class Clock(Protocol):
-    """Tells the time in seconds, and waits for it. `time.monotonic` is none: its wait is `time.sleep`'s."""
+    """Tells the time in seconds, and waits for it. `time.monotonic` is none: its wait is
+    `time.sleep`'s."""
 
     def now(self) -> float:
         """Seconds since any moment that stays the same."""
@@ -40,7 +42,8 @@ class Clock(Protocol):
 
 
 class SystemClock:
-    """The machine's clock: sleeps, and for the last two milliseconds only lets other threads run."""
+    """The machine's clock: sleeps, and for the last two milliseconds only lets other threads
+    run."""
 
     def now(self) -> float:
         """Seconds of `time.perf_counter`."""
@@ -88,8 +91,8 @@ class Pacing:
 
     @property
     def histogram(self) -> dict[float, int]:
-        """Intervals by buckets of an eighth of the planned one, around its multiples: middle in seconds -> how many.
-        A sequence in time has one or two."""
+        """Intervals by buckets of an eighth of the planned one, around its multiples: middle in
+        seconds -> how many. A sequence in time has one or two."""
         width = BUCKET * self.interval
         counted = Counter(round(measured / width) for measured in self.intervals)
         return {bucket * width: counted[bucket] for bucket in sorted(counted)}
@@ -101,8 +104,10 @@ class Pacing:
 
     @property
     def late(self) -> int:
-        """Pictures that were shown later than a share of `LATE` of the interval after their turn began."""
-        return sum(one.at is not None and one.at - one.due > LATE * self.interval for one in self.shown)
+        """Pictures that were shown later than a share of `LATE` of the interval after their turn
+        began."""
+        return sum(one.at is not None and one.at - one.due > LATE * self.interval
+                   for one in self.shown)
 
     @property
     def missed(self) -> int:
@@ -115,8 +120,9 @@ class Pacing:
         if not measured:
             return f"{len(self.shown)} pictures, none after another"
         most = max(abs(one - self.interval) for one in measured)
-        return (f"{len(measured) + 1} pictures every {1e3 * self.interval:.2f} ms, at most {1e3 * most:.2f} ms off; "
-                f"{self.dropped} left out, {self.missed} turns without a new one, {len(self.histogram)} buckets")
+        return (f"{len(measured) + 1} pictures every {1e3 * self.interval:.2f} ms, at most "
+                f"{1e3 * most:.2f} ms off; {self.dropped} left out, {self.missed} turns without a "
+                f"new one, {len(self.histogram)} buckets")
 
     def draw(self, path: str | Path) -> None:
         """Write a PNG of all intervals in order, and of their histogram. Raises WriteError."""
@@ -128,26 +134,30 @@ class Pacing:
 class Presenter:
     """Shows pictures one interval apart.
 
-    The first picture begins the first turn. Every later one is for the next turn and waits for it. If it is late by
-    more than a quarter of the interval:
+    The first picture begins the first turn. Every later one is for the next turn and waits for it.
+    If it is late by more than a quarter of the interval:
 
     - a frame between is left out: the rendered frame after it is newer, and is due next;
-    - a rendered frame is shown at the beginning of the next turn, so that steps stay whole intervals, and the
-      pictures after it follow from there.
+    - a rendered frame is shown at the beginning of the next turn, so that steps stay whole
+      intervals, and the pictures after it follow from there.
 
     Args:
-        show: shows a picture, such as by swapping buffers. It may return when the picture was seen, in seconds of the
-            clock, if the system tells; else the time of the call counts.
-        interval: seconds from picture to picture: half of a rendered frame's, with one frame between.
+        show: shows a picture, such as by swapping buffers. It may return when the picture was seen,
+            in seconds of the clock, if the system tells; else the time of the call counts.
+        interval: seconds from picture to picture: half of a rendered frame's, with one frame
+            between.
         clock: tells the time; default the machine's.
 
-    `present` shows a picture at its turn and returns then. `submit` hands it to a thread that does, and so the next
-    frame can be made meanwhile; leave `with presenter:` or call `close` to wait for the last one. Use one of the two.
+    `present` shows a picture at its turn and returns then. `submit` hands it to a thread that does,
+    and so the next frame can be made meanwhile; leave `with presenter:` or call `close` to wait for
+    the last one. Use one of the two.
     """
 
-    def __init__(self, show: Callable[[Any], float | None], interval: float, clock: Clock | None = None) -> None:
+    def __init__(self, show: Callable[[Any], float | None], interval: float,
+                 clock: Clock | None = None) -> None:
         if not 0 < interval < math.inf:
-            raise PostfxError(f"an interval of {interval} s: give the seconds from picture to picture, above 0")
+            raise PostfxError(f"an interval of {interval} s: give the seconds from picture to "
+                              "picture, above 0")
         self.interval = float(interval)
         self._show, self._clock = show, clock or SystemClock()
         self._begin, self._next = 0.0, 0
@@ -175,7 +185,8 @@ class Presenter:
         self._clock.wait_until(self._due(turn))
         at = self._clock.now()
         seen = self._show(picture)
-        return self._note(Shown(turn, self._due(turn), at if seen is None else float(seen), between))
+        return self._note(Shown(turn, self._due(turn), at if seen is None else float(seen),
+                                between))
 
     def _due(self, turn: int) -> float:
         return self._begin + turn * self.interval
@@ -194,7 +205,8 @@ class Presenter:
             if self._closed:
                 raise PostfxError("the presenter is closed: make a new one")
             if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="postfx presenter", daemon=True)
+                self._thread = threading.Thread(target=self._run, name="postfx presenter",
+                                                daemon=True)
                 self._thread.start()
             self._changed.wait_for(lambda: len(self._queue) < MOST_WAITING_PICTURES or self._failed)
             self._raise()

@@ -1,5 +1,5 @@
-"""Pixels that are not finite: counted in every plane, and repaired in colour from the neighbours that are; and
-fireflies, which are clamped."""
+"""Pixels that are not finite: counted in every plane, and repaired in colour from the neighbours
+that are; and fireflies, which are clamped."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from postfx.planes import INFINITY_BITS, WORTH, largest_bits_of
 from postfx.system import Scratch
 
 LEAST_KNOWN_SHARE = 0.75
-"""Share of a pixel's neighbours that must be finite: repairs one, two or three bad pixels, not the edge of a sun."""
+"""Share of a pixel's neighbours that must be finite: repairs one, two or three bad pixels, not the
+edge of a sun."""
 
 # Longest side in pixels of a block of bad pixels that is repaired, and the share of finite
 # neighbours at its rim.
@@ -22,7 +23,8 @@ LONGEST_BLOCK_PX = 4
 LEAST_RIM_SHARE = 0.375
 
 MOST_BAD_SHARE = 0.5
-"""Share of bad pixels in the colour above which the frame is lost, and bad pixels count as black."""
+"""Share of bad pixels in the colour above which the frame is lost, and bad pixels count as
+black."""
 _INFINITY = int(INFINITY_BITS)
 
 # Fireflies are told by the pixels so far around them, of which the brightest `FIREFLY_RANK` - 1
@@ -36,15 +38,17 @@ NEIGHBOUR_OFFSETS = tuple((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or
 def repair_nonfinite(
     frame: Frame, roles: tuple[Role, ...], scratch: Scratch | None = None
 ) -> tuple[Frame, dict[Role, int]]:
-    """The frame with its colour repaired, and role -> number of pixels that are not finite, for planes that have any.
+    """The frame with its colour repaired, and role -> number of pixels that are not finite, for
+    planes that have any.
 
-    An infinite depth is a miss and does not count. Motion that is NaN is unknown: it does not count either, and becomes
-    none, as most that is without vectors stands still. A bad pixel of the colour gets the mean of its finite
-    neighbours, if at least 6 of 8 are finite (in proportion at the picture's edge). What is left of blocks of up to
-    4 x 4 pixels is filled from the rim inwards. Larger blocks, lines two pixels wide and suns cannot be repaired, as
-    nothing tells what they should show: they stay, and passes take NaN for 0 and infinities for the largest light. If
-    more than half of the colour is bad, all bad pixels become 0. The given frame does not change. `scratch` is the
-    memory budget for looking at planes and copying them.
+    An infinite depth is a miss and does not count. Motion that is NaN is unknown: it does not count
+    either, and becomes none, as most that is without vectors stands still. A bad pixel of the
+    colour gets the mean of its finite neighbours, if at least 6 of 8 are finite (in proportion at
+    the picture's edge). What is left of blocks of up to 4 x 4 pixels is filled from the rim
+    inwards. Larger blocks, lines two pixels wide and suns cannot be repaired, as nothing tells what
+    they should show: they stay, and passes take NaN for 0 and infinities for the largest light. If
+    more than half of the colour is bad, all bad pixels become 0. The given frame does not change.
+    `scratch` is the memory budget for looking at planes and copying them.
     """
     found = find_nonfinite({role: frame.planes[role] for role in roles}, scratch)
     if Role.MOTION in found:
@@ -74,15 +78,19 @@ def still_where_unknown(motion: np.ndarray, scratch: Scratch | None = None) -> n
 
 def is_unusable(frame: Frame, counts: dict[Role, int]) -> bool:
     """Whether a frame with these counts is lost: more than half of its colour is not finite."""
-    return Role.COLOUR in counts and counts[Role.COLOUR] > MOST_BAD_SHARE * frame[Role.COLOUR][..., 0].size
+    return (Role.COLOUR in counts
+            and counts[Role.COLOUR] > MOST_BAD_SHARE * frame[Role.COLOUR][..., 0].size)
 
 
-def find_nonfinite(planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> dict[Role, np.ndarray]:
-    """Role -> (height, width) bool: pixels of planes (height, width, C) that are not finite, for planes with any."""
+def find_nonfinite(planes: Mapping[Role, np.ndarray],
+                   scratch: Scratch | None = None) -> dict[Role, np.ndarray]:
+    """Role -> (height, width) bool: pixels of planes (height, width, C) that are not finite, for
+    planes with any."""
     found = []
     for role, plane in planes.items():
         most = _INFINITY if role is Role.DEPTH else _INFINITY - 1
-        if any([largest_bits_of(band) > most for band in (_bands(plane, scratch) if scratch else (plane,))]):
+        if any([largest_bits_of(band) > most
+                for band in (_bands(plane, scratch) if scratch else (plane,))]):
             found.append(role)
     return {role: _nonfinite(planes[role], role, scratch) for role in found}
 
@@ -98,7 +106,8 @@ def _is_not_finite(values: np.ndarray) -> np.ndarray:
 
 
 def _bands(plane: np.ndarray, scratch: Scratch | None) -> Iterator[np.ndarray]:
-    """Rows of a plane, about `WORTH` bytes at a time, which takes less memory than the whole picture."""
+    """Rows of a plane, about `WORTH` bytes at a time, which takes less memory than the whole
+    picture."""
     rows = max(1, WORTH // max(1, plane[:1].nbytes))
     for first in range(0, plane.shape[0], rows):
         yield plane[first : first + rows]
@@ -128,8 +137,10 @@ def _fill(colour: np.ndarray, bad: np.ndarray) -> None:
         rows, columns = rows[~filled], columns[~filled]
 
 
-def _fill_some(colour: np.ndarray, bad: np.ndarray, rows: np.ndarray, columns: np.ndarray, share: float) -> np.ndarray:
-    """Write the mean of the finite neighbours into these pixels; (count,) whether each had a large enough share."""
+def _fill_some(colour: np.ndarray, bad: np.ndarray, rows: np.ndarray, columns: np.ndarray,
+               share: float) -> np.ndarray:
+    """Write the mean of the finite neighbours into these pixels; (count,) whether each had a large
+    enough share."""
     height, width = bad.shape
     total, known, there = np.zeros((rows.size, 3)), np.zeros(rows.size), np.zeros(rows.size)
     for down, right in NEIGHBOUR_OFFSETS:
@@ -145,7 +156,8 @@ def _fill_some(colour: np.ndarray, bad: np.ndarray, rows: np.ndarray, columns: n
 
 
 def _in_small_blocks(bad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of bad pixels that have at most `LONGEST_BLOCK_PX` bad ones in a row, across and down."""
+    """Rows and columns of bad pixels that have at most `LONGEST_BLOCK_PX` bad ones in a row, across
+    and down."""
     rows, columns = np.nonzero(bad)
     for down, right in ((0, 1), (1, 0)):
         run = _run(bad, rows, columns, down, right) + _run(bad, rows, columns, -down, -right) + 1
@@ -153,8 +165,10 @@ def _in_small_blocks(bad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rows, columns
 
 
-def _run(bad: np.ndarray, rows: np.ndarray, columns: np.ndarray, down: int, right: int) -> np.ndarray:
-    """(count,): bad pixels in a row beside each pixel in one direction, counted up to `LONGEST_BLOCK_PX`."""
+def _run(bad: np.ndarray, rows: np.ndarray, columns: np.ndarray, down: int,
+         right: int) -> np.ndarray:
+    """(count,): bad pixels in a row beside each pixel in one direction, counted up to
+    `LONGEST_BLOCK_PX`."""
     height, width = bad.shape
     length, goes_on = np.zeros(rows.size, int), np.ones(rows.size, bool)
     for step in range(1, LONGEST_BLOCK_PX + 1):
@@ -195,7 +209,8 @@ class Fireflies:
 
 
 def parse_limit(limit: float | str | None) -> float | None:
-    """How many times as bright as its surroundings a pixel may be, above 1; OptionError for other values."""
+    """How many times as bright as its surroundings a pixel may be, above 1; OptionError for other
+    values."""
     if limit is None:
         return None
     try:
@@ -203,21 +218,25 @@ def parse_limit(limit: float | str | None) -> float | None:
     except ValueError:
         number = 0.0
     if not 1 < number < float("inf"):
-        raise OptionError(f"--clamp-fireflies {limit}: give a number above 1, such as 8: how many times as bright as "
-                          "the pixels around it a pixel may be")
+        raise OptionError(f"--clamp-fireflies {limit}: give a number above 1, such as 8: how many "
+                          "times as bright as the pixels around it a pixel may be")
     return number
 
 
-def clamp_fireflies(frame: Frame, limit: float, count: Fireflies, lights: Iterable[str] = ()) -> None:
-    """Darken pixels of the colour that are more than `limit` times as bright as the third brightest of the 24 around
-    them, or as the mean of the frame where that is brighter; in the frame itself, which `count` counts.
+def clamp_fireflies(frame: Frame, limit: float, count: Fireflies,
+                    lights: Iterable[str] = ()) -> None:
+    """Darken pixels of the colour that are more than `limit` times as bright as the third brightest
+    of the 24 around them, or as the mean of the frame where that is brighter; in the frame itself,
+    which `count` counts.
 
-    A pixel's brightness is its largest channel, and its hue stays. Its parts `lights` are darkened like it, so that
-    they add up as before. Pixels that are not finite are not looked at, and beyond the border lies a mirror.
+    A pixel's brightness is its largest channel, and its hue stays. Its parts `lights` are darkened
+    like it, so that they add up as before. Pixels that are not finite are not looked at, and beyond
+    the border lies a mirror.
     """
     colour = frame[Role.COLOUR]
     bright = np.where(np.isfinite(colour), colour, 0).max(axis=2)
-    most = limit * np.maximum(_third_brightest(bright), bright.mean(dtype=np.float64).astype(np.float32))
+    most = limit * np.maximum(_third_brightest(bright),
+                              bright.mean(dtype=np.float64).astype(np.float32))
     found = bright > most
     count.light += float(np.where(np.isfinite(colour), colour, 0).sum(dtype=np.float64))
     if not found.any():

@@ -1,12 +1,13 @@
 """Noise that repeats from one frame to the next, as with one random seed for all frames.
 
-Noise that stays in its pixels while the picture hardly moves adds up along the motion like the picture itself: a
-history would take it for detail. Small squares spread over the picture are compared with the frame before, where it
-moves by less than a pixel. White light is looked at: colour without what the albedos explain, in parts of the square's
-own light, so that a lamp that changes is no difference. Its Laplacian leaves out slopes and edges (Immerkaer 1996,
-"Fast noise variance estimation"). A square repeats where this has hardly changed, and is white: in noise neighbours are
-independent, in textures they are not. Squares whose noise is new speak against it. So a picture without noise does not
-count, nor do many samples of a textured one.
+Noise that stays in its pixels while the picture hardly moves adds up along the motion like the
+picture itself: a history would take it for detail. Small squares spread over the picture are
+compared with the frame before, where it moves by less than a pixel. White light is looked at:
+colour without what the albedos explain, in parts of the square's own light, so that a lamp that
+changes is no difference. Its Laplacian leaves out slopes and edges (Immerkaer 1996, "Fast noise
+variance estimation"). A square repeats where this has hardly changed, and is white: in noise
+neighbours are independent, in textures they are not. Squares whose noise is new speak against it.
+So a picture without noise does not count, nor do many samples of a textured one.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ NOISY = 0.002
 NEW = 0.0005
 
 WHITE_NOISE_ENERGY = 0.5
-"""Least energy of the diagonal differences of noise in parts of the others': 0.9 in the median for 4 samples of Cycles,
-0.1 to 0.2 for textures and edges."""
+"""Least energy of the diagonal differences of noise in parts of the others': 0.9 in the median for
+4 samples of Cycles, 0.1 to 0.2 for textures and edges."""
 
 # Energy of the change of noise, in parts of twice its own, up to which it is the same, from which
 # on it is new.
@@ -48,12 +49,14 @@ FEWEST_REPEATING_SQUARES = 4
 BLACK_ALBEDO = np.float32(0.03)  # of albedo: what is darker is as good as black
 DARK_LIGHT = np.float32(1e-6)
 ONE_SEED = ("the same random seed in every frame",
-            "change the seed with the frame number (Blender: Noise > Seed, clock icon; Mitsuba: seed of render)")
+            "change the seed with the frame number (Blender: Noise > Seed, clock icon; Mitsuba: "
+            "seed of render)")
 """The likely cause, and the fix."""
 
 
 class RepeatDetector:
-    """Call it with each frame's planes in order: whether its noise is that of the frame before, where things are slow.
+    """Call it with each frame's planes in order: whether its noise is that of the frame before,
+    where things are slow.
 
     Attributes:
         share: of the squares looked at, those that repeat.
@@ -79,7 +82,8 @@ class RepeatDetector:
         self._size = tuple(history["size"].tolist()) if history else (0, 0)
 
     def __call__(self, planes: Mapping[Role, np.ndarray]) -> bool:
-        """Of finite planes with scene-linear colour; without motion, nothing is known to be slow."""
+        """Of finite planes with scene-linear colour; without motion, nothing is known to be
+        slow."""
         size, last, self.share = planes[Role.COLOUR].shape[:2], self._before, 0.0
         if min(size) < REPEAT_SIDE_PX:
             return False
@@ -96,24 +100,30 @@ class RepeatDetector:
         repeats = (noisy & (change < SAME_NOISE_ENERGY * energy)).sum()
         new = (slow & (change > NEW_NOISE_ENERGY * energy) & (change > NEW**2)).sum()
         self.share = float(repeats / slow.size)
-        return bool(repeats >= FEWEST_REPEATING_SQUARES and self.share >= LEAST_SHARE and repeats > 2 * new)
+        return bool(repeats >= FEWEST_REPEATING_SQUARES and self.share >= LEAST_SHARE
+                    and repeats > 2 * new)
 
     def _light(self, planes: Mapping[Role, np.ndarray]) -> np.ndarray:
-        """White light of the squares (rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX), 0 to 1, about 1/2 in the middle
-        of each square."""
-        albedos = [squares(planes[role]) for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in planes]
+        """White light of the squares (rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX), 0 to 1, about
+        1/2 in the middle of each square."""
+        albedos = [squares(planes[role])
+                   for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in planes]
         colour = squares(planes[Role.COLOUR])
-        light = np.maximum(luminance(colour / np.maximum(sum(albedos), BLACK_ALBEDO) if albedos else colour), 0)
-        usual = np.median(light, axis=(-2, -1), keepdims=True) + light.mean((-2, -1), keepdims=True) / 8
+        light = np.maximum(luminance(colour / np.maximum(sum(albedos), BLACK_ALBEDO) if albedos
+                                     else colour), 0)
+        usual = (np.median(light, axis=(-2, -1), keepdims=True)
+                 + light.mean((-2, -1), keepdims=True) / 8)
         result: np.ndarray = light / (light + usual + DARK_LIGHT)
         return result
 
 
 def squares(plane: np.ndarray) -> np.ndarray:
-    """(rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX, channels) of a plane (height, width, channels)."""
-    (rows, down), (columns,
-                   right) = _places(plane.shape[0], MOST_SQUARE_ROWS), _places(plane.shape[1], MOST_SQUARE_COLUMNS)
-    some: np.ndarray = plane[down][:, right].reshape(rows, REPEAT_SIDE_PX, columns, REPEAT_SIDE_PX, -1).swapaxes(1, 2)
+    """(rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX, channels) of a plane (height, width,
+    channels)."""
+    (rows, down), (columns, right) = (_places(plane.shape[0], MOST_SQUARE_ROWS),
+                                      _places(plane.shape[1], MOST_SQUARE_COLUMNS))
+    some: np.ndarray = plane[down][:, right].reshape(rows, REPEAT_SIDE_PX, columns, REPEAT_SIDE_PX,
+                                                     -1).swapaxes(1, 2)
     return some
 
 
@@ -135,13 +145,15 @@ def whiteness(light: np.ndarray) -> np.ndarray:
     """(...) of (..., height, width): about 1 for white noise, 0 where neighbours are alike."""
     a, b = light[..., :-1, :-1], light[..., :-1, 1:]
     c, d = light[..., 1:, :-1], light[..., 1:, 1:]
-    across, down, diagonal = (np.square(one).mean((-2, -1)) for one in (a - b + c - d, a + b - c - d, a - b - c + d))
+    across, down, diagonal = (np.square(one).mean((-2, -1))
+                              for one in (a - b + c - d, a + b - c - d, a - b - c + d))
     result: np.ndarray = 2 * diagonal / (across + down + DARK_LIGHT)
     return result
 
 
 class Alike(Enum):
-    """What a frame is beside the one before: another, one that few pixels do not tell from it, or the same."""
+    """What a frame is beside the one before: another, one that few pixels do not tell from it, or
+    the same."""
 
     OTHER = 0
     LIKELY = 1
@@ -155,8 +167,8 @@ LOOKED_AT = 31
 class FrameMemory:
     """Finds frames that are the ones before them, bit for bit.
 
-    A frame is copied only where few of its pixels are those of the one before. So others cost nothing,
-    and of frames that are alike the third is the first that is known to be the same.
+    A frame is copied only where few of its pixels are those of the one before. So others cost
+    nothing, and of frames that are alike the third is the first that is known to be the same.
     """
 
     def __init__(self) -> None:
@@ -169,7 +181,8 @@ class FrameMemory:
         self._some = self._planes = None
 
     def look(self, facts: tuple[Hashable, ...], planes: Mapping[Hashable, np.ndarray]) -> Alike:
-        """What a frame of these `planes` (height, width, channels) is, with `facts` that count, too.
+        """What a frame of these `planes` (height, width, channels) is, with `facts` that count,
+        too.
 
         The first plane is the one whose pixels are looked at.
         """

@@ -44,29 +44,34 @@ def denoise(
 ) -> Any:
     """Denoise one picture, and enlarge it by `scale`.
 
-    The arrays are of any library with DLPack; meanings, units and ranges are those of `postfx.ROLES`. Each picture is
-    denoised alone: for sequences, in which the frames before help, there is `postfx.Pipeline`. Networks stay loaded
-    between calls with the same options. Calls from several threads take turns.
+    The arrays are of any library with DLPack; meanings, units and ranges are those of
+    `postfx.ROLES`. Each picture is denoised alone: for sequences, in which the frames before help,
+    there is `postfx.Pipeline`. Networks stay loaded between calls with the same options. Calls from
+    several threads take turns.
 
-    Where `color` lies on a GPU, as a CUDA tensor, all of it happens there: nothing but the metering's look at the
-    picture goes through the host's memory. All planes are then float32 without gaps, and `color` has three channels.
+    Where `color` lies on a GPU, as a CUDA tensor, all of it happens there: nothing but the
+    metering's look at the picture goes through the host's memory. All planes are then float32
+    without gaps, and `color` has three channels.
 
     Args:
-        color, colour: (height, width, 3) scene-linear radiance, or with alpha (height, width, 4), premultiplied. Either
-            spelling.
+        color, colour: (height, width, 3) scene-linear radiance, or with alpha (height, width, 4),
+            premultiplied. Either spelling.
         albedo, specular_albedo: (height, width, 3) reflectance.
         normal: (height, width, 3) in world space.
         roughness: (height, width) or (height, width, 1).
         depth: likewise, along the view axis.
         scale, model, strength: as for `postfx.DenoiseUpscale`.
-        exposure: 'auto', or stops: what the picture is exposed by before the network sees it; the result is not.
-        device: 'cpu', 'cuda', 'cuda:1' or 'auto'; None for the default device, or the GPU where `color` lies.
+        exposure: 'auto', or stops: what the picture is exposed by before the network sees it; the
+            result is not.
+        device: 'cpu', 'cuda', 'cuda:1' or 'auto'; None for the default device, or the GPU where
+            `color` lies.
 
-    Returns a float32 array (scale * height, scale * width, 3), or 4 where there is alpha; other libraries take it
-    without a copy, as in `torch.from_dlpack(result)`. For a `color` on a GPU it is an array there, of the library of
-    `color` if that has `from_dlpack`, else a `postfx.Tensor`.
+    Returns a float32 array (scale * height, scale * width, 3), or 4 where there is alpha; other
+    libraries take it without a copy, as in `torch.from_dlpack(result)`. For a `color` on a GPU it
+    is an array there, of the library of `color` if that has `from_dlpack`, else a `postfx.Tensor`.
 
-    Raises FrameError for arrays that do not fit together, and other `postfx.PostfxError`s for options that cannot be.
+    Raises FrameError for arrays that do not fit together, and other `postfx.PostfxError`s for
+    options that cannot be.
     """
     if (color is None) == (colour is None):
         raise FrameError("denoise takes one picture: give color, the first argument, or colour")
@@ -79,7 +84,8 @@ def denoise(
     with _DENOISER_LOCK:
         pipeline = _pipeline(scale, model, strength, exposure, place, os.getpid())
         pipeline.reset()
-        return _on_host(pipeline, picture, planes) if gpu is None else _on_gpu(pipeline, picture, planes)
+        return (_on_host(pipeline, picture, planes) if gpu is None
+                else _on_gpu(pipeline, picture, planes))
 
 
 def _on_host(pipeline: Pipeline, given: Any, planes: Mapping[Role, Any]) -> np.ndarray:
@@ -87,19 +93,22 @@ def _on_host(pipeline: Pipeline, given: Any, planes: Mapping[Role, Any]) -> np.n
     picture = host_floats(given, "color")
     if picture.ndim != 3 or picture.shape[2] != 4:
         return pipeline(Frame({Role.COLOUR: picture} | dict(planes)))[Role.COLOUR]
-    result = pipeline(Frame({Role.COLOUR: picture[..., :3], Role.ALPHA: picture[..., 3:]} | dict(planes)))
+    result = pipeline(Frame({Role.COLOUR: picture[..., :3], Role.ALPHA: picture[..., 3:]}
+                            | dict(planes)))
     return np.concatenate([result[Role.COLOUR], result[Role.ALPHA]], -1)
 
 
 def _on_gpu(pipeline: Pipeline, given: Any, planes: Mapping[Role, Any]) -> Any:
     """A picture on the pipeline's device; the result lies there, too."""
     if getattr(given, "shape", (0, 0, 3))[-1] != 3:
-        raise FrameError(f"color is {tuple(given.shape)} on a GPU, where it has three channels: give color[..., :3], "
-                         "and denoise alpha as an array in the host's memory")
-    lent: dict[Role | str, Any] = {Role.COLOUR: given, **{str(role): plane for role, plane in planes.items()}}
+        raise FrameError(f"color is {tuple(given.shape)} on a GPU, where it has three channels: "
+                         "give color[..., :3], and denoise alpha as an array in the host's memory")
+    lent: dict[Role | str, Any] = {Role.COLOUR: given,
+                                   **{str(role): plane for role, plane in planes.items()}}
     found = pipeline.on_device(lent, reset=True)[Role.COLOUR]
     library = sys.modules.get(type(given).__module__.partition(".")[0])
-    return library.from_dlpack(found) if library is not None and hasattr(library, "from_dlpack") else found
+    return (library.from_dlpack(found) if library is not None and hasattr(library, "from_dlpack")
+            else found)
 
 
 def _gpu_of(array: Any) -> int | None:

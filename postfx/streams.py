@@ -1,4 +1,5 @@
-"""Standard output and error of a command: they never stop its work, and nothing in a name controls the terminal."""
+"""Standard output and error of a command: they never stop its work, and nothing in a name controls
+the terminal."""
 
 from __future__ import annotations
 
@@ -13,10 +14,11 @@ _KEPT = "\n\t"
 
 
 class SafeStream:
-    """A text stream that loses what cannot be written: its file is closed or full, or its reader has gone away.
+    """A text stream that loses what cannot be written: its file is closed or full, or its reader
+    has gone away.
 
-    Characters that would control a terminal become question marks, as they may come from names of files, layers and
-    headers. What is styled on purpose goes into `styled`, which takes all.
+    Characters that would control a terminal become question marks, as they may come from names of
+    files, layers and headers. What is styled on purpose goes into `styled`, which takes all.
     """
 
     def __init__(self, stream: TextIO, filters: bool = True) -> None:
@@ -51,7 +53,8 @@ class SafeStream:
         return getattr(self._stream, name)
 
     def _give_up(self) -> None:
-        """Let what waits, and what comes, go nowhere: the interpreter flushes the stream once more as it ends."""
+        """Let what waits, and what comes, go nowhere: the interpreter flushes the stream once more
+        as it ends."""
         if self._stream in (sys.__stdout__, sys.__stderr__):
             with suppress(OSError, ValueError):
                 nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -61,7 +64,8 @@ class SafeStream:
 
 
 def styled(stream: TextIO) -> TextIO:
-    """A stream for text that is styled for a terminal, whose author has made the rest of it printable."""
+    """A stream for text that is styled for a terminal, whose author has made the rest of it
+    printable."""
     return stream.styled if isinstance(stream, SafeStream) else stream  # type: ignore[return-value]
 
 
@@ -73,8 +77,8 @@ def _printable(text: str) -> str:
 
 @contextmanager
 def safe_streams() -> Iterator[None]:
-    """Make this process's standard streams safe while a command runs. Those that are closed lead nowhere, so that no
-    file that is opened takes their place and gets what is written to them."""
+    """Make this process's standard streams safe while a command runs. Those that are closed lead
+    nowhere, so that no file that is opened takes their place and gets what is written to them."""
     for number in _STREAMS:
         try:
             os.fstat(number)

@@ -1,8 +1,8 @@
 """What this process may use of its machine, and where its files lie.
 
-Cores and memory, as affinity and control groups limit them; threads that share work; a memory budget, beyond which
-arrays lie in temporary files; arrays of other libraries; folders for what can be remade, such as compiled kernels; and
-the folder of the models that ship with the code.
+Cores and memory, as affinity and control groups limit them; threads that share work; a memory
+budget, beyond which arrays lie in temporary files; arrays of other libraries; folders for what can
+be remade, such as compiled kernels; and the folder of the models that ship with the code.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ _OWN = Path("/proc/self/cgroup")
 
 
 def models_dir() -> Path:
-    """Folder of the model packages (*.onnx + *.json): inside an installed wheel, or `models/` of a checkout."""
+    """Folder of the model packages (*.onnx + *.json): inside an installed wheel, or `models/` of a
+    checkout."""
     packaged = _PACKAGE_FOLDER / "_models"
     return packaged if packaged.is_dir() else _PACKAGE_FOLDER.parent / "models"
 
@@ -52,8 +53,8 @@ def is_plain_name(name: str) -> bool:
 
 
 def private_folder(name: str) -> Path | None:
-    """A folder that nobody else may write to, since what lies there is run: in the user's cache, else with the
-    temporary files; None where neither can be had."""
+    """A folder that nobody else may write to, since what lies there is run: in the user's cache,
+    else with the temporary files; None where neither can be had."""
     owner = getattr(os, "getuid", getpass.getuser)()
     bases = [Path(tempfile.gettempdir()) / f"postfx-{owner}"]
     with suppress(ImportError):  # machines that only train do without
@@ -74,28 +75,33 @@ def private_folder(name: str) -> Path | None:
 
 
 def _is_private(folder: Path) -> bool:
-    """Whether a folder, and the link if it is one, is this user's, and not for everyone to write to. On Windows both
-    places lie in the user's profile, which no other user may write to."""
+    """Whether a folder, and the link if it is one, is this user's, and not for everyone to write
+    to. On Windows both places lie in the user's profile, which no other user may write to."""
     if not hasattr(os, "getuid"):
         return True
     status = folder.stat()
-    return {status.st_uid, folder.lstat().st_uid} == {os.getuid()} and not status.st_mode & stat.S_IWOTH
+    return ({status.st_uid, folder.lstat().st_uid} == {os.getuid()}
+            and not status.st_mode & stat.S_IWOTH)
 
 
 # Cores and memory
 
 
 def usable_cores() -> int:
-    """Cores that this process may use: by its affinity, or fewer if its container gets less time."""
+    """Cores that this process may use: by its affinity, or fewer if its container gets less
+    time."""
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     times = _limits("cpu", ("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us"))
-    return max(1, min([cores, *(math.ceil(quota / period) for quota, period in times if quota > 0)]))  # -1: no limit
+    # -1: no limit
+    return max(1,
+               min([cores, *(math.ceil(quota / period) for quota, period in times if quota > 0)]))
 
 
 def share_one_heap() -> None:
-    """Let all threads of this process take memory from one heap of the C library, where that is glibc's. Frames are
-    read, run and written by different threads: with a heap for each of them, the memory that one frees serves no other.
+    """Let all threads of this process take memory from one heap of the C library, where that is
+    glibc's. Frames are read, run and written by different threads: with a heap for each of them,
+    the memory that one frees serves no other.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt:
@@ -122,7 +128,8 @@ def allocated_bytes() -> int | None:
 
 def usable_memory() -> int:
     """Bytes that this process may have: the machine's, or fewer if its container gets less."""
-    return min([_machine_memory(), *(most for most, in _limits("memory", ("memory.max",), ("memory.limit_in_bytes",)))])
+    return min([_machine_memory(), *(most for most, in _limits("memory", ("memory.max",),
+                                                               ("memory.limit_in_bytes",)))])
 
 
 def _machine_memory() -> int:
@@ -136,8 +143,9 @@ def _machine_memory() -> int:
 
 
 def _limits(controller: str, *names: tuple[str, ...]) -> Iterator[list[int]]:
-    """The numbers in files of these names, together, of each limited control group around this process, of version 2
-    and 1 (the Linux kernel's cgroup-v2.rst, sched-bwc.rst and cgroup-v1/memory.rst)."""
+    """The numbers in files of these names, together, of each limited control group around this
+    process, of version 2 and 1 (the Linux kernel's cgroup-v2.rst, sched-bwc.rst and
+    cgroup-v1/memory.rst)."""
     with suppress(OSError):
         for line in _OWN.read_text().splitlines():
             _, controllers, path = line.split(":", 2)
@@ -147,7 +155,8 @@ def _limits(controller: str, *names: tuple[str, ...]) -> Iterator[list[int]]:
 
 
 def _around(top: Path, path: str) -> Iterator[Path]:
-    """A group and those around it; in a container the path may be the host's, and only the top is there."""
+    """A group and those around it; in a container the path may be the host's, and only the top is
+    there."""
     group = top / path.strip("/")
     yield from (group, *(one for one in group.parents if one.is_relative_to(top)))
 
@@ -184,7 +193,8 @@ def at_once(tasks: Iterable[Callable[[], Any]], waiting: bool = False) -> list[A
 
 
 def in_bands(height: int, kernel: Callable[..., None], *arguments: Any) -> None:
-    """Run a kernel on all rows, in bands side by side: small ones, as some rows take longer than others."""
+    """Run a kernel on all rows, in bands side by side: small ones, as some rows take longer than
+    others."""
     cores = _shared_cores()
     band = max(4, -(-height // (16 * cores))) * 2
     firsts = deque(range(0, height, band))
@@ -218,9 +228,11 @@ def parse_size(size: str | int) -> int:
     """Bytes of '4G', '512M' or a number; MemoryBudgetError for anything else."""
     found = _SIZE_TEXT.fullmatch(str(size).strip())
     if found is None or not float(found[1]):
-        raise MemoryBudgetError(f"memory budget '{size}' is not a size: give bytes, or a number with K, M, G or T: 4G")
+        raise MemoryBudgetError(f"memory budget '{size}' is not a size: give bytes, or a number "
+                                "with K, M, G or T: 4G")
     if isinstance(size, str) and not found[2] and float(found[1]) < _SIZE_UNITS["M"]:
-        raise MemoryBudgetError(f"memory budget '{size}' is in bytes without a unit: {found[1]}G for gigabytes?")
+        raise MemoryBudgetError(f"memory budget '{size}' is in bytes without a unit: {found[1]}G "
+                                "for gigabytes?")
     return int(float(found[1]) * _SIZE_UNITS[found[2].upper()])
 
 
@@ -258,7 +270,8 @@ class Scratch:
         return found
 
     def relax(self) -> None:
-        """Release the pages that were read, where the system can be told so; their content stays in the files."""
+        """Release the pages that were read, where the system can be told so; their content stays in
+        the files."""
         if hasattr(mmap, "MADV_DONTNEED"):
             with self._lock:
                 held = list(self._maps)
@@ -266,7 +279,8 @@ class Scratch:
                 each.madvise(mmap.MADV_DONTNEED)
 
     def pieces(self, rows: int, row_bytes: int) -> Iterator[tuple[int, int]]:
-        """First and last row, not included, of pieces of something large; pages are let go of after each."""
+        """First and last row, not included, of pieces of something large; pages are let go of after
+        each."""
         step = max(1, self.left // WORK_PIECE_PART // max(1, row_bytes))
         for first in range(0, rows, step):
             yield first, min(rows, first + step)
@@ -275,26 +289,32 @@ class Scratch:
 
 def _explain_refusal(error: OSError, nbytes: int) -> str:
     if error.errno in (errno.EMFILE, errno.ENFILE):
-        return "too many open files, as every large plane that is kept is one: keep fewer frames, or raise 'ulimit -n'"
+        return ("too many open files, as every large plane that is kept is one: keep fewer frames, "
+                "or raise 'ulimit -n'")
     return f"{tempfile.gettempdir()}: no room for {nbytes >> 20} MB: set TMPDIR to a larger disk"
 
 
 def host_floats(given: Any, what: str) -> np.ndarray:
-    """An array of floats of any library that has `__dlpack__`, as NumPy's; not copied where that can be.
+    """An array of floats of any library that has `__dlpack__`, as NumPy's; not copied where that
+    can be.
 
-    Raises FrameError, which begins with `what`, for other types and for arrays in the memory of a device.
+    Raises FrameError, which begins with `what`, for other types and for arrays in the memory of a
+    device.
     """
     array = given
     if not isinstance(given, np.ndarray) and hasattr(given, "__dlpack__"):
         try:
-            if given.__dlpack_device__()[0] not in (1, 3):  # the host's memory, plain or pinned by CUDA
+            # the host's memory, plain or pinned by CUDA
+            if given.__dlpack_device__()[0] not in (1, 3):
                 raise BufferError("it lies in the memory of a device, for Pipeline.on_device")
             array = np.asarray(np.from_dlpack(given))
         except (BufferError, RuntimeError, TypeError, ValueError) as error:
             reason = str(error).partition("\n")[0].rstrip(".")
-            raise FrameError(f"{what} cannot be read from {type(given).__name__} ({reason}): give an array of float32 "
-                             "in the host's memory, as by tensor.detach().cpu().float()") from error
+            raise FrameError(f"{what} cannot be read from {type(given).__name__} "
+                             f"({reason}): give an array of float32 in the host's memory, as by "
+                             "tensor.detach().cpu().float()") from error
     if not isinstance(array, np.ndarray) or not np.issubdtype(array.dtype, np.floating):
         found = getattr(array, "dtype", type(array).__name__)
-        raise FrameError(f"{what} is {found}: give a NumPy array of floats, or one of a library with DLPack")
+        raise FrameError(f"{what} is {found}: give a NumPy array of floats, or one of a library "
+                         "with DLPack")
     return array

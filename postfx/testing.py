@@ -1,4 +1,5 @@
-"""A pytest plug-in for packages that bring passes: the contract suite, devices, pictures, and the command line.
+"""A pytest plug-in for packages that bring passes: the contract suite, devices, pictures, and the
+command line.
 
 In the `conftest.py` of such a package:
 
@@ -65,7 +66,8 @@ def portable() -> Device:
 @pytest.fixture
 def postfx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
            capfd: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
-    """Runs `postfx ARGUMENTS` in the test's folder and process: a start of Python takes longer than most runs."""
+    """Runs `postfx ARGUMENTS` in the test's folder and process: a start of Python takes longer than
+    most runs."""
     from postfx.cli.main import main
 
     monkeypatch.chdir(tmp_path)
@@ -111,16 +113,19 @@ def write_exr(tmp_path: Path) -> Callable[..., Path]:
 
 
 def make_frame(spec: FrameSpec, number: int = 1, **facts: Any) -> Frame:
-    """A frame of random planes with the ranges of real ones; the number is their seed. facts: as of `postfx.Frame`."""
+    """A frame of random planes with the ranges of real ones; the number is their seed. facts: as of
+    `postfx.Frame`."""
     random = np.random.default_rng(number)
-    planes = {role: random.random((spec.height, spec.width, ROLES[role].channels), np.float32) for role in spec.roles}
+    planes = {role: random.random((spec.height, spec.width, ROLES[role].channels), np.float32)
+              for role in spec.roles}
     for role in {Role.MOTION, Role.NORMAL} & planes.keys():
         planes[role] = 2 * planes[role] - 1
     if Role.DEPTH in planes:
         planes[Role.DEPTH] = 1 + 9 * planes[Role.DEPTH]
     guides: Mapping[Role, np.ndarray] = {}
     if spec.guides:
-        guides = make_frame(FrameSpec(spec.guides.width, spec.guides.height, spec.guide_roles), 100).planes
+        guides = make_frame(FrameSpec(spec.guides.width, spec.guides.height, spec.guide_roles),
+                            100).planes
     return Frame(planes, number=number, encoding=spec.encoding, guides=dict(guides), **facts)
 
 
@@ -129,7 +134,8 @@ def find_spec(instance: Pass, roles: tuple[Role, ...] = tuple(Role),
     """A spec that the pass is not skipped for."""
     specs = [FrameSpec(*size, roles, encoding) for encoding in ENCODINGS]
     found = next((spec for spec in specs if instance.skip(spec) is None), None)
-    assert found is not None, f"pass '{instance.name}' is skipped for every encoding with these planes: {roles}"
+    assert found is not None, (f"pass '{instance.name}' is skipped for every encoding with these "
+                               f"planes: {roles}")
     return found
 
 
@@ -146,7 +152,8 @@ def _same(one: Frame, other: Frame) -> bool:
 
 
 class PassContract:
-    """Tests that every pass must hold; a subclass whose name begins with Test, and that sets `name`, runs them."""
+    """Tests that every pass must hold; a subclass whose name begins with Test, and that sets
+    `name`, runs them."""
 
     name: ClassVar[str]
     """The pass's name in the registry."""
@@ -162,7 +169,8 @@ class PassContract:
 
     def test_unknown_option_is_an_error_that_names_the_valid_ones(self, make: Maker) -> None:
         options = make().defaults
-        with pytest.raises(PassOptionError, match="has no option 'colour_of_magic': its options are") as caught:
+        with pytest.raises(PassOptionError,
+                           match="has no option 'colour_of_magic': its options are") as caught:
             make(colour_of_magic=8)
         assert all(option in str(caught.value) for option in options)
 
@@ -188,7 +196,8 @@ class PassContract:
         for encoding in ENCODINGS:
             for roles in (tuple(Role), (Role.COLOUR,), (Role.COLOUR, Role.ALPHA)):
                 reason = instance.skip(FrameSpec(*CONTRACT_SIZE_PX, roles, encoding))
-                assert reason is None or (isinstance(reason, str) and reason.strip() and "\n" not in reason)
+                assert (reason is None
+                        or (isinstance(reason, str) and reason.strip() and "\n" not in reason))
 
     def test_encode_before_compile_is_an_error(self, make: Maker, device: Device) -> None:
         instance = make()
@@ -199,13 +208,16 @@ class PassContract:
     def test_encode_for_another_spec_is_an_error(self, make: Maker, device: Device) -> None:
         instance = make()
         instance.compile(device, find_spec(instance))
-        with pytest.raises(NotCompiledError, match=f"pass '{instance.name}' is compiled for another spec"):
-            instance.encode(device.command_buffer("other"), ResidentFrame(find_spec(instance, size=(64, 64)), {}))
+        with pytest.raises(NotCompiledError,
+                           match=f"pass '{instance.name}' is compiled for another spec"):
+            instance.encode(device.command_buffer("other"),
+                            ResidentFrame(find_spec(instance, size=(64, 64)), {}))
 
     def test_reset_before_compile_is_fine(self, make: Maker) -> None:
         make().reset()
 
-    def test_output_is_what_reflect_declares_and_the_input_stays(self, make: Maker, device: Device) -> None:
+    def test_output_is_what_reflect_declares_and_the_input_stays(self, make: Maker,
+                                                                 device: Device) -> None:
         instance = make()
         given = make_frame(find_spec(instance))
         kept = {role: plane.copy() for role, plane in given.planes.items()}
@@ -220,7 +232,8 @@ class PassContract:
         instance = make()
         full = find_spec(instance)
         reflection = instance.reflect(full)
-        declared = [role for role in full.roles if role in (*reflection.reads, *reflection.may_read)]
+        declared = [role
+                    for role in full.roles if role in (*reflection.reads, *reflection.may_read)]
         given = make_frame(full)
         fewer = Frame({role: given[role] for role in declared}, encoding=full.encoding)
         one, other = _run(make(), [given], device)[0], _run(make(), [fewer], device)[0]
@@ -235,10 +248,12 @@ class PassContract:
     def test_guides_that_are_not_declared_do_not_matter(self, make: Maker, device: Device) -> None:
         instance = make()
         spec = replace(find_spec(instance),
-                       guides=GuideSpec(2 * CONTRACT_SIZE_PX[0], 2 * CONTRACT_SIZE_PX[1], GUIDE_ROLES))
+                       guides=GuideSpec(2 * CONTRACT_SIZE_PX[0], 2 * CONTRACT_SIZE_PX[1],
+                                        GUIDE_ROLES))
         reflection = instance.reflect(spec)
         given = make_frame(spec)
-        fewer = replace(given, guides={role: given.guides[role] for role in reflection.may_read_guides})
+        fewer = replace(given,
+                        guides={role: given.guides[role] for role in reflection.may_read_guides})
         one, other = _run(make(), [given], device)[0], _run(make(), [fewer], device)[0]
         assert all(np.array_equal(one[role], other[role]) for role in reflection.writes)
         assert all(np.isfinite(one[role]).all() for role in reflection.writes)
@@ -263,9 +278,11 @@ class PassContract:
         spec = find_spec(instance)
         cut = make_frame(spec, 3, reset=True)
         (alone,) = _run(make(), [cut], device)
-        assert _same(_run(instance, [make_frame(spec, 1), make_frame(spec, 2), cut], device)[-1], alone)
+        assert _same(_run(instance, [make_frame(spec, 1), make_frame(spec, 2), cut], device)[-1],
+                     alone)
 
-    def test_what_it_remembers_can_be_taken_up_by_another_instance(self, make: Maker, device: Device) -> None:
+    def test_what_it_remembers_can_be_taken_up_by_another_instance(self, make: Maker,
+                                                                   device: Device) -> None:
         instance = make()
         frames = [make_frame(find_spec(instance), number) for number in (1, 2, 3, 4)]
         whole = Pipeline([instance], device)
@@ -285,7 +302,8 @@ class PassContract:
         pipeline = Pipeline([instance], device)
         pipeline(make_frame(find_spec(instance)))
         history = pipeline.history() or {}
-        wrong = {f"{name} of another": np.array(array) for name, array in history.items() if name.startswith("pass")}
+        wrong = {f"{name} of another": np.array(array)
+                 for name, array in history.items() if name.startswith("pass")}
         if wrong:
             with pytest.raises(FrameError, match="the history does not fit the passes"):
                 pipeline.recall(make_frame(find_spec(instance)), wrong)
@@ -293,7 +311,8 @@ class PassContract:
     def test_another_size_and_back(self, make: Maker, device: Device) -> None:
         instance = make()
         large, small = find_spec(instance), find_spec(instance, size=(18, 20))
-        first, _, last = _run(instance, [make_frame(large), make_frame(small), make_frame(large)], device)
+        first, _, last = _run(instance, [make_frame(large), make_frame(small), make_frame(large)],
+                              device)
         assert _same(first, last)
 
     def test_two_instances_do_not_disturb_each_other(self, make: Maker, device: Device) -> None:
@@ -304,7 +323,8 @@ class PassContract:
         other(make_frame(spec, 5))
         assert _same(one(make_frame(spec, 2)), alone)
 
-    def test_portable_kernels_give_the_same_picture(self, make: Maker, device: Device, portable: Device) -> None:
+    def test_portable_kernels_give_the_same_picture(self, make: Maker, device: Device,
+                                                    portable: Device) -> None:
         instance = make()
         frames = [make_frame(find_spec(instance), number) for number in (1, 2)]
         try:
@@ -312,10 +332,12 @@ class PassContract:
         except ModelError as error:
             if "has no form that runs on" not in str(error):
                 raise
-            pytest.skip(f"{error}; without it, the pass runs on a CPU, and on CUDA if it has a source")
+            pytest.skip(f"{error}; without it, the pass runs on a CPU, and on CUDA if it has a "
+                        "source")
         for one, other in zip(_run(make(), frames, device), others, strict=True):
             for role in one.planes:
-                np.testing.assert_allclose(one[role], other[role], rtol=PORTABLE_TOLERANCE, atol=PORTABLE_TOLERANCE)
+                np.testing.assert_allclose(one[role], other[role], rtol=PORTABLE_TOLERANCE,
+                                           atol=PORTABLE_TOLERANCE)
 
     def test_device_memory_is_given_back(self, make: Maker) -> None:
         device = Device("cpu")

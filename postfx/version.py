@@ -1,13 +1,15 @@
-"""What the package is called, which version it is and how it is installed: a file of its own, so that any module can
-write it."""
+"""What the package is called, which version it is and how it is installed: a file of its own, so
+that any module can write it."""
 
 __version__ = "0.2.0"
 DISTRIBUTION = "postfx-render"
 """Name for the package index, where the name postfx is another project's."""
 IS_PUBLISHED = False
-"""Whether the package index has it. Until then messages and documents name a checkout or a wheel."""
+"""Whether the package index has it. Until then messages and documents name a checkout or a
+wheel."""
 PUBLISHER = "OWNER"
-"""The account that publishes it, in conda-forge's recipe and ComfyUI's registry: to be set with IS_PUBLISHED."""
+"""The account that publishes it, in conda-forge's recipe and ComfyUI's registry: to be set with
+IS_PUBLISHED."""
 
 
 def pip_install(extra: str = "") -> str:

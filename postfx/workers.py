@@ -10,8 +10,8 @@ from typing import Any
 
 
 class Workers(ThreadPoolExecutor):
-    """A pool of threads that also serves the program's own threads while the interpreter waits for them to end: pools
-    of Python refuse work from the moment that the main thread is done."""
+    """A pool of threads that also serves the program's own threads while the interpreter waits for
+    them to end: pools of Python refuse work from the moment that the main thread is done."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Start a function; its result or error is in the future."""

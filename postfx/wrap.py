@@ -40,7 +40,8 @@ def validate_wrap(wrap: str) -> str:
 
 
 def is_panorama(attributes: Mapping[str, Any]) -> bool:
-    """Whether a header says, as OpenEXR's attribute 'envmap', that the picture is equirectangular."""
+    """Whether a header says, as OpenEXR's attribute 'envmap', that the picture is
+    equirectangular."""
     return attributes.get("textureformat") == "LatLong Environment"
 
 
@@ -90,7 +91,8 @@ def widen(frame: Frame, margin: int) -> Frame:
 
 
 def crop(result: Frame, given: Frame, plan: Plan) -> Frame:
-    """What comes out of a widened frame, without its margin. Guides are those of the given frame."""
+    """What comes out of a widened frame, without its margin. Guides are those of the given
+    frame."""
     width = plan.output.width
 
     def own(array: np.ndarray) -> np.ndarray:

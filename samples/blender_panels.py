@@ -1,10 +1,13 @@
-"""Blender's panels with what postfx needs, drawn from Blender's own panels and those of the extension.
+"""Blender's panels with what postfx needs, drawn from Blender's own panels and those of the
+extension.
 
-python samples/blender_panels.py FOLDER      needs `make blender`, and POSTFX_BPY_PYTHON, a Python with the package bpy
+python samples/blender_panels.py FOLDER      needs `make blender`, and POSTFX_BPY_PYTHON
 
-Writes blender_passes.png and blender_panel.png. bpy has no window to photograph. So each panel's own `draw` tells its
-rows to a recorder, before and after **Set up passes**, and the rows are drawn here. What the button changed gets a
-frame.
+POSTFX_BPY_PYTHON names a Python that has the package bpy.
+
+Writes blender_passes.png and blender_panel.png. bpy has no window to photograph. So each panel's
+own `draw` tells its rows to a recorder, before and after **Set up passes**, and the rows are drawn
+here. What the button changed gets a frame.
 """
 import json
 import os
@@ -21,7 +24,8 @@ PASSES = {
     "Render > Motion Blur": ("CYCLES_RENDER_PT_motion_blur", 1),
     "Output > Output": ("RENDER_PT_output", 6),
 }
-"""Title -> a panel of Blender, and how many of its rows the picture has, with the check box beside the title."""
+"""Title -> a panel of Blender, and how many of its rows the picture has, with the check box beside
+the title."""
 PANEL = {"Render > postfx": ("RENDER_PT_postfx", 99)}
 TITLE = "beside the title"
 """The heading of a check box there."""
@@ -111,7 +115,8 @@ def record_all(extension, block=None):
         exec(Path(block).read_text(), {})
         found["block"] = record(PASSES)
         bpy.ops.wm.read_factory_settings()
-    bpy.ops.extensions.package_install_files(filepath=extension, repo="user_default", enable_on_install=True)
+    bpy.ops.extensions.package_install_files(filepath=extension, repo="user_default",
+                                             enable_on_install=True)
     begin_scene()
     found["before"] = record(PASSES)
     bpy.ops.postfx.set_up()
@@ -130,7 +135,8 @@ def in_blender(extension, *block):
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | {"BLENDER_USER_RESOURCES": folder}
         environment.pop("PYTHONPATH", None)
-        done = subprocess.run([os.environ["POSTFX_BPY_PYTHON"], __file__, "--record", *map(str, (extension, *block))],
+        done = subprocess.run([os.environ["POSTFX_BPY_PYTHON"], __file__, "--record",
+                               *map(str, (extension, *block))],
                               text=True, env=environment, capture_output=True)
     if done.returncode:
         raise SystemExit(done.stderr)
@@ -163,7 +169,8 @@ def draw_panel(canvas, left, top, title, rows, changed):
 
 
 def draw_frame(canvas, x0, y0, x1, y1):
-    for box in ((x0, y0, x1, y0 + 2), (x0, y1 - 2, x1, y1), (x0, y0, x0 + 2, y1), (x1 - 2, y0, x1, y1)):
+    for box in ((x0, y0, x1, y0 + 2), (x0, y1 - 2, x1, y1), (x0, y0, x0 + 2, y1),
+                (x1 - 2, y0, x1, y1)):
         canvas.box(*box, FRAME)
 
 
@@ -217,7 +224,8 @@ def draw(path, columns, changed):
     """A picture of panels in columns."""
     from postfx.report.charts import Canvas
 
-    heights = [sum(LINE * (len(rows) + (rows[0][0][0] != TITLE)) + 2 * EDGE for rows in column.values())
+    heights = [sum(LINE * (len(rows) + (rows[0][0][0] != TITLE)) + 2 * EDGE
+                   for rows in column.values())
                for column in columns]
     canvas = Canvas(len(columns) * (WIDTH + EDGE) + EDGE, max(heights) + EDGE, PAPER)
     for k, column in enumerate(columns):

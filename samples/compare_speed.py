@@ -3,11 +3,12 @@
     python samples/compare_speed.py [--width 960] [--height 540] [--runs 5] [--models m,s]
     python samples/compare_speed.py --device cuda --runs 50 --models s,m
 
-It needs pip install '.[bench]', on a GPU also PyTorch with CUDA. postfx turns noisy frames of the given size into
-twice as large, tone-mapped ones, or by --scale 1 into ones of the same size. OIDN (clean albedo and normal) denoises a
-frame of the same size, and one of the output's size. Prints medians, spread and ratios. On the CPU times are those of
-whole calls. On a GPU they are the device's own, between its first and last command: all planes lie there for both, and
-nothing is copied.
+It needs pip install '.[bench]', on a GPU also PyTorch with CUDA. postfx turns noisy frames of the
+given size into twice as large, tone-mapped ones, or by --scale 1 into ones of the same size. OIDN
+(clean albedo and normal) denoises a frame of the same size, and one of the output's size. Prints
+medians, spread and ratios. On the CPU times are those of whole calls. On a GPU they are the
+device's own, between its first and last command: all planes lie there for both, and nothing is
+copied.
 """
 import argparse
 import resource
@@ -26,9 +27,11 @@ PLANES = ("colour", "depth", "motion", "normal", "diffuse_albedo", "specular_alb
 def noisy_frame(width: int, height: int) -> postfx.Frame:
     """Random planes of sensible ranges: the time does not depend on what is in the picture."""
     rng = np.random.default_rng(1)
-    planes = {role: rng.random((height, width, ROLES[postfx.Role(role)].channels), np.float32) for role in PLANES}
+    planes = {role: rng.random((height, width, ROLES[postfx.Role(role)].channels), np.float32)
+              for role in PLANES}
     planes["depth"] += 1
-    return postfx.Frame({postfx.Role(role): plane for role, plane in planes.items()}, jitter=(0.25, -0.25))
+    return postfx.Frame({postfx.Role(role): plane for role, plane in planes.items()},
+                        jitter=(0.25, -0.25))
 
 
 def oidn_on_cpu(frame: postfx.Frame, scale: int, quality: str) -> float:
@@ -37,7 +40,8 @@ def oidn_on_cpu(frame: postfx.Frame, scale: int, quality: str) -> float:
 
     planes = oidn_planes(frame, scale)
     began = time.perf_counter()
-    pyoidn.denoise(planes[0], albedo=planes[1], normal=planes[2], hdr=True, clean_aux=True, quality=quality)
+    pyoidn.denoise(planes[0], albedo=planes[1], normal=planes[2], hdr=True, clean_aux=True,
+                   quality=quality)
     return 1e3 * (time.perf_counter() - began)
 
 
@@ -50,7 +54,8 @@ def oidn_on_gpu(frame: postfx.Frame, scale: int, quality: str) -> float:
     begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
     for _ in range(2):  # the first call at another size makes the filter anew
         begin.record()
-        pyoidn.denoise(planes[0], albedo=planes[1], normal=planes[2], hdr=True, clean_aux=True, quality=quality)
+        pyoidn.denoise(planes[0], albedo=planes[1], normal=planes[2], hdr=True, clean_aux=True,
+                       quality=quality)
         end.record()
     torch.cuda.synchronize()
     return begin.elapsed_time(end)
@@ -74,14 +79,17 @@ def shown(milliseconds: float) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--width", type=int, default=960)
     parser.add_argument("--height", type=int, default=540)
     parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--scale", type=int, default=2, choices=(1, 2), help="of postfx's output (default: 2)")
+    parser.add_argument("--scale", type=int, default=2, choices=(1, 2),
+                        help="of postfx's output (default: 2)")
     parser.add_argument("--models", default="m.fp32,m,s", help="tags of networks, comma-separated")
     parser.add_argument("--device", default="cpu", help="cpu (default) or cuda")
-    parser.add_argument("--quality", default="high", help="of OIDN: high (default), balanced, fast, some, or ''")
+    parser.add_argument("--quality", default="high",
+                        help="of OIDN: high (default), balanced, fast, some, or ''")
     args = parser.parse_args()
     frame, device = noisy_frame(args.width, args.height), Device(args.device)
     chains = {}
@@ -95,7 +103,8 @@ def main() -> None:
     oidn = oidn_on_cpu if device.memory.host_visible else oidn_on_gpu
     for quality in filter(None, args.quality.split(",")):
         for scale, size in ((1, "render size"), (2, "output size"))[:args.scale]:
-            ways[f"OIDN {quality}, {size}"] = lambda scale=scale, quality=quality: oidn(frame, scale, quality)
+            ways[f"OIDN {quality}, "
+                 f"{size}"] = lambda scale=scale, quality=quality: oidn(frame, scale, quality)
     found = {name: [] for name in ways}
     for _ in range(args.runs):
         for name, way in ways.items():
@@ -104,8 +113,8 @@ def main() -> None:
     other = statistics.median(found[first])
     for name, times in found.items():
         middle = statistics.median(times)
-        print(f"{name:28} median {shown(middle):>7} ms  ({shown(min(times))} to {shown(max(times))})  "
-              f"{middle / other:.2f}x of {first}")
+        print(f"{name:28} median {shown(middle):>7} ms  ({shown(min(times))} to "
+              f"{shown(max(times))})  {middle / other:.2f}x of {first}")
     for name, chain in chains.items():
         print(name, {part: f"{shown(ms)} ms" for part, ms in chain.timings.items()})
     print(f"peak memory of postfx, all of these models ready, {peak:.0f} MB")

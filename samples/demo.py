@@ -1,4 +1,5 @@
-"""What `make demo` runs: the sample sequence, noisy frames to pictures, a video and a page that shows them.
+"""What `make demo` runs: the sample sequence, noisy frames to pictures, a video and a page that
+shows them.
 
 python samples/demo.py [FOLDER]
 
@@ -30,17 +31,22 @@ PLACES = ((90, 200), (330, 90))
 SIDE, ZOOM = 80, 4
 PAGE = """<!doctype html><meta charset="utf-8"><title>postfx: the demo</title>
 <style>
-  body {{ font: 16px system-ui; margin: 2em auto; max-width: 1000px; background: #222; color: #eee }}
+  body {{ font: 16px system-ui; margin: 2em auto; max-width: 1000px;
+         background: #222; color: #eee }}
   img {{ max-width: 100% }}
 </style>
 <h1>Made on this machine, in {seconds:.0f} s</h1>
-<p>Frame {number}: as rendered, at 4 samples a pixel and half the size, and the result.</p><img src="before_after.png">
+<p>Frame {number}: as rendered, at 4 samples a pixel and half the size, and the result.</p>
+<img src="before_after.png">
 <p>Enlarged: {columns}.</p><img src="crops.png">
 <p>All frames, as rendered and denoised:</p><img src="video.png">
-{showcase}<p>The files beside this page: <code>clean.*.exr</code> (scene-linear) and <code>picture.*.png</code>.</p>
+{showcase}
+<p>The files beside this page: <code>clean.*.exr</code> (scene-linear) and
+<code>picture.*.png</code>.</p>
 """
 SHOWN = """<h1>A product shot from Blender</h1>
-<p>960x540, 4 samples a pixel, denoised at its own size (docs/gallery.md):</p><img src="showcase.jpg">
+<p>960x540, 4 samples a pixel, denoised at its own size (docs/gallery.md):</p>
+<img src="showcase.jpg">
 """
 
 
@@ -51,7 +57,8 @@ def main(argv: list[str]) -> None:
     sequence = postfx.read_sequence(ROOM / "noisy.####.exr")
     shot, clean = list(sequence), out / "clean.####.exr"
     run_up = postfx.RunUp(sequence)
-    denoise = postfx.Pipeline([postfx.DenoiseUpscale(scale=SCALE)], exposure="metadata", run_up=run_up)
+    denoise = postfx.Pipeline([postfx.DenoiseUpscale(scale=SCALE)], exposure="metadata",
+                              run_up=run_up)
     show = postfx.Pipeline([postfx.ToneMap()], exposure="metadata")
     with step("2 of 4", "first frame, and those after it for its history: some seconds"):
         keep(clean, denoise(shot[0]))
@@ -68,11 +75,12 @@ def main(argv: list[str]) -> None:
         animate(out, before, after)
     if SHOWCASE.exists():
         copyfile(SHOWCASE, out / SHOWCASE.name)
-    page = PAGE.format(seconds=time.perf_counter() - began, number=shot[-1].number, columns=", ".join(columns),
-                       showcase=SHOWN if SHOWCASE.exists() else "")
+    page = PAGE.format(seconds=time.perf_counter() - began, number=shot[-1].number,
+                       columns=", ".join(columns), showcase=SHOWN if SHOWCASE.exists() else "")
     (out / "index.html").write_text(page, encoding="utf-8")
     print(f"\nOpen {out / 'index.html'}. The same by two commands:")
-    print(f"  postfx run 'samples/room/noisy.####.exr' -o '{clean}' --scale {SCALE} --exposure metadata")
+    print(f"  postfx run 'samples/room/noisy.####.exr' -o '{clean}' --scale {SCALE} --exposure "
+          "metadata")
     print(f"  postfx run '{clean}' -o '{out}/picture.####.png' --no-denoise --exposure metadata")
 
 
@@ -87,7 +95,8 @@ def step(number: str, what: str) -> Iterator[None]:
 
 def keep(pattern: Path, frame: Frame) -> None:
     """Write a frame under the pattern's name of its number."""
-    postfx.write_frame(pattern.with_name(pattern.name.replace("####", f"{frame.number:04d}")), frame)
+    postfx.write_frame(pattern.with_name(pattern.name.replace("####", f"{frame.number:04d}")),
+                       frame)
 
 
 def enlarge(picture: np.ndarray) -> np.ndarray:
@@ -95,7 +104,8 @@ def enlarge(picture: np.ndarray) -> np.ndarray:
     return picture.repeat(SCALE, 0).repeat(SCALE, 1)
 
 
-def compare(out: Path, before: np.ndarray, after: np.ndarray, noisy: Frame, show: postfx.Pipeline) -> list[str]:
+def compare(out: Path, before: np.ndarray, after: np.ndarray, noisy: Frame,
+            show: postfx.Pipeline) -> list[str]:
     """Write a frame before and after, and enlarged crops; returns what the crops' columns show."""
     reference = next(iter(postfx.read_sequence(ROOM / f"reference.{noisy.number:04d}.exr")))
     columns = {"as rendered": before}
@@ -121,7 +131,8 @@ def animate(out: Path, before: list[np.ndarray], after: list[np.ndarray]) -> Non
 
 def write(path: Path, picture: np.ndarray) -> None:
     """Write code values (height, width, 3) of an sRGB display."""
-    postfx.write_frame(path, Frame({Role.COLOUR: np.ascontiguousarray(picture, np.float32)}, encoding="srgb"))
+    postfx.write_frame(path, Frame({Role.COLOUR: np.ascontiguousarray(picture, np.float32)},
+                                   encoding="srgb"))
 
 
 if __name__ == "__main__":

@@ -1,18 +1,26 @@
-"""Does detail beyond the render size come back? A slow pan of jittered frames, known exactly, enlarged twice.
+"""Does detail beyond the render size come back? A slow pan of jittered frames, known exactly,
+enlarged twice.
 
-python samples/detail.py [--models m,s] [--frames 16] [--noise 0.5] [--pan 0.31,0.13]     needs the extra 'bench'
+python samples/detail.py [--models m,s] [--frames 16] [--noise 0.5] [--pan 0.31,0.13]
 
-A plane has three parts: fine detail in the albedo, the same in the light, and edges of shadows. Methods:
+Needs the extra 'bench'.
 
-    cubic               the frame without noise, cubic interpolation that knows the jitter
-    perfect + cubic     the mean over every render pixel, without noise, enlarged: what a perfect denoiser could give
-    all samples kept    the mean of all noise-free samples so far in each output pixel, at their exact places
-    accumulation        noisy frames, cubic interpolation, motion-compensated mean
-    OIDN + cubic        Open Image Denoise, high quality, at the render size; beside it the same accumulated
-    TAG; TAG, alone     a network with its history, and with the history dropped at every frame
+A plane has three parts: fine detail in the albedo, the same in the light, and edges of shadows.
+Methods:
 
-Prints a table of the second half of the frames: PSNR as seen, and of luminance beyond the render size's Nyquist
-frequency `share`, the part of the reference's amplitude that is there, and `coherence`, the correlation with it.
+    cubic             the frame without noise, cubic interpolation that knows the jitter
+    perfect + cubic   the mean over every render pixel, without noise, enlarged: what a perfect
+                      denoiser could give
+    all samples kept  the mean of all noise-free samples so far in each output pixel, at their exact
+                      places
+    accumulation      noisy frames, cubic interpolation, motion-compensated mean
+    OIDN + cubic      Open Image Denoise, high quality, at the render size; beside it the same
+                      accumulated
+    TAG; TAG, alone   a network with its history, and with the history dropped at every frame
+
+Prints a table of the second half of the frames: PSNR as seen, and of luminance beyond the render
+size's Nyquist frequency `share`, the part of the reference's amplitude that is there, and
+`coherence`, the correlation with it.
 """
 import argparse
 from collections.abc import Callable
@@ -40,8 +48,8 @@ TILE, EDGE = 64, 16
 def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """0..1 at points, in render pixels: patches with a star, a zone plate, slanted bars and digits.
 
-    Too fine for the render size are the star's centre, the zone plate's rim, all bars (BARS cycles a pixel) and the
-    digits, whose strokes are STROKE pixels wide.
+    Too fine for the render size are the star's centre, the zone plate's rim, all bars (BARS cycles
+    a pixel) and the digits, whose strokes are STROKE pixels wide.
     """
     column, row = np.floor(x / PATCH).astype(int), np.floor(y / PATCH).astype(int)
     from_left, from_top = x - column * PATCH, y - row * PATCH
@@ -70,8 +78,10 @@ class View(NamedTuple):
     reference: np.ndarray
 
 
-def sampled(t: int, pan: tuple[float, float], scale: int, offset: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Diffuse albedo (h, w, 3) and light (h, w, 1) at one point of each pixel, `offset` (x, y) from its centre."""
+def sampled(t: int, pan: tuple[float, float], scale: int,
+            offset: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Diffuse albedo (h, w, 3) and light (h, w, 1) at one point of each pixel, `offset` (x, y) from
+    its centre."""
     x = (np.arange(scale * WIDTH) + 0.5 + offset[0]) / scale + t * pan[0]
     y = (np.arange(scale * HEIGHT)[:, None] + 0.5 + offset[1]) / scale + t * pan[1]
     wide = x >= 2 * PART
@@ -83,9 +93,11 @@ def sampled(t: int, pan: tuple[float, float], scale: int, offset: tuple[float, f
 
 
 def view(t: int, pan: tuple[float, float], noise: float) -> View:
-    """Frame `t`, counted from 0, of a plane that moves by `pan` (x, y) render pixels a frame to the left and up.
+    """Frame `t`, counted from 0, of a plane that moves by `pan` (x, y) render pixels a frame to the
+    left and up.
 
-    `noise` is the deviation of a pixel's light over its mean: 0.5 is that of four paths of exponential light.
+    `noise` is the deviation of a pixel's light over its mean: 0.5 is that of four paths of
+    exponential light.
     """
     jitter = integrate.halton(t + 1, 2) - 0.5, integrate.halton(t + 1, 3) - 0.5
     albedo, light = sampled(t, pan, 1, jitter)
@@ -93,18 +105,23 @@ def view(t: int, pan: tuple[float, float], noise: float) -> View:
     lit = light * random.gamma(noise**-2, noise**2, light.shape) if noise else light
     steps = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES - 0.5
     fine = [sampled(t, pan, SCALE, (x, y)) for x in steps for y in steps]
-    reference = np.mean([(albedo + SPECULAR) * light for albedo, light in fine], 0).astype(np.float32)
-    shared = {Role.DIFFUSE_ALBEDO: albedo, Role.SPECULAR_ALBEDO: np.full((HEIGHT, WIDTH, 3), SPECULAR),
-              Role.ROUGHNESS: np.ones((HEIGHT, WIDTH, 1)), Role.DEPTH: np.full((HEIGHT, WIDTH, 1), 4.0),
+    reference = np.mean([(albedo + SPECULAR) * light for albedo, light in fine],
+                        0).astype(np.float32)
+    shared = {Role.DIFFUSE_ALBEDO: albedo,
+              Role.SPECULAR_ALBEDO: np.full((HEIGHT, WIDTH, 3), SPECULAR),
+              Role.ROUGHNESS: np.ones((HEIGHT, WIDTH, 1)),
+              Role.DEPTH: np.full((HEIGHT, WIDTH, 1), 4.0),
               Role.NORMAL: np.broadcast_to([0.0, 0.0, 1.0], (HEIGHT, WIDTH, 3)),
               Role.MOTION: np.broadcast_to(pan, (HEIGHT, WIDTH, 2))}
-    noisy, clean = (Frame({Role.COLOUR: (albedo + SPECULAR) * each} | shared, number=t + 1, jitter=jitter)
+    noisy, clean = (Frame({Role.COLOUR: (albedo + SPECULAR) * each} | shared, number=t + 1,
+                          jitter=jitter)
                     for each in (lit, light))
     return View(noisy, clean, reference)
 
 
 def kept(frames: list[Frame], pan: tuple[float, float], filling: np.ndarray) -> np.ndarray:
-    """The mean of all samples of the frames in each output pixel, at their exact places; empty pixels are filled."""
+    """The mean of all samples of the frames in each output pixel, at their exact places; empty
+    pixels are filled."""
     height, width = filling.shape[:2]
     total, count = np.zeros((height * width, 3)), np.zeros(height * width)
     for frame in frames:
@@ -120,18 +137,24 @@ def kept(frames: list[Frame], pan: tuple[float, float], filling: np.ndarray) -> 
 
 
 def spectra(picture: np.ndarray) -> np.ndarray:
-    """Spectra of luminance (H, W) beyond the render size's limit: tiles that overlap by half, Hann window, no mean."""
-    tiles = np.lib.stride_tricks.sliding_window_view(picture, (TILE, TILE))[:: TILE // 2, :: TILE // 2]
+    """Spectra of luminance (H, W) beyond the render size's limit: tiles that overlap by half, Hann
+    window, no mean."""
+    tiles = np.lib.stride_tricks.sliding_window_view(picture,
+                                                     (TILE, TILE))[:: TILE // 2, :: TILE // 2]
     tiles = tiles.reshape(-1, TILE, TILE).astype(np.float64)
     window, frequency = np.hanning(TILE + 1)[:-1], np.abs(np.fft.fftfreq(TILE))
-    beyond = np.maximum(frequency, frequency[:, None]) >= 0.5 / SCALE + 2 / TILE  # the window spreads two steps
-    return np.fft.fft2((tiles - tiles.mean((1, 2), keepdims=True)) * window * window[:, None]) * beyond
+    # the window spreads two steps
+    beyond = np.maximum(frequency, frequency[:, None]) >= 0.5 / SCALE + 2 / TILE
+    return (np.fft.fft2((tiles - tiles.mean((1, 2), keepdims=True)) * window * window[:, None])
+            * beyond)
 
 
 def share_and_coherence(picture: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
-    """Of the reference's detail: the share that a picture has, and its correlation with it, of luminances (H, W)."""
+    """Of the reference's detail: the share that a picture has, and its correlation with it, of
+    luminances (H, W)."""
     found, wanted = spectra(picture), spectra(reference)
-    both, own, whole = ((a * b.conj()).real.sum() for a, b in ((found, wanted), (found, found), (wanted, wanted)))
+    both, own, whole = ((a * b.conj()).real.sum()
+                        for a, b in ((found, wanted), (found, found), (wanted, wanted)))
     return float(both / whole), float(both / np.sqrt(max(own * whole, 1e-30)))
 
 
@@ -140,20 +163,24 @@ def methods(models: list[str]) -> dict[str, Callable[[Frame], np.ndarray]]:
     known = {method.name: method for method in OTHERS}
     wanted = {"cubic": known["bicubic"], "accumulation": known["accumulation"]}
     if find_spec("pyoidn"):
-        wanted |= {"OIDN + cubic": known["oidn-high"], "OIDN accumulated": known["oidn-high-accumulated"]}
+        wanted |= {"OIDN + cubic": known["oidn-high"],
+                   "OIDN accumulated": known["oidn-high-accumulated"]}
     for tag in models:
         wanted |= {f"postfx {tag}, alone": Method(tag, tag, "ours", tag, alone=True),
                    f"postfx {tag}": Method(tag, tag, "ours", tag)}
     device = postfx.Device("cpu")
-    return {name: make(method, device, SCALE, (SCALE * HEIGHT, SCALE * WIDTH)) for name, method in wanted.items()}
+    return {name: make(method, device, SCALE, (SCALE * HEIGHT, SCALE * WIDTH))
+            for name, method in wanted.items()}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--models", default="m,s")
     parser.add_argument("--frames", type=int, default=16)
     parser.add_argument("--noise", type=float, default=0.5)
-    parser.add_argument("--pan", type=lambda text: tuple(map(float, text.split(","))), default=(0.31, 0.13))
+    parser.add_argument("--pan", type=lambda text: tuple(map(float, text.split(","))),
+                        default=(0.31, 0.13))
     arguments = parser.parse_args()
     ways, frames, figures = methods(arguments.models.split(",")), [], {}
     exposure = 0.0
@@ -171,12 +198,17 @@ def main() -> None:
             for part, (start, end) in zip(PARTS, pairwise(ends), strict=True):
                 at = np.s_[EDGE:-EDGE, round(SCALE * start) + EDGE: round(SCALE * end) - EDGE]
                 seen = psnr(to_codes(picture[at], exposure), to_codes(reference[at], exposure))
-                found = share_and_coherence(picture[at] @ LUMINANCE_WEIGHTS, reference[at] @ LUMINANCE_WEIGHTS)
+                found = share_and_coherence(picture[at] @ LUMINANCE_WEIGHTS,
+                                            reference[at] @ LUMINANCE_WEIGHTS)
                 figures.setdefault(name, {}).setdefault(part, []).append((seen, *found))
-    print(f"| method | {' | '.join(f'{part}: PSNR, share, coherence' for part in PARTS)} |\n|{' --- |' * 4}")
-    for name in sorted(figures, key=lambda name: ("cubic" not in name or "OIDN" in name, "kept" not in name)):
-        cells = (np.mean(found, axis=0) for found in figures[name].values())
-        print(f"| {name} | {' | '.join(f'{seen:.2f} dB, {share:.2f}, {match:.2f}' for seen, share, match in cells)} |")
+    print(f"| method | {' | '.join(f'{part}: PSNR, share, coherence' for part in PARTS)} "
+          f"|\n|{' --- |' * 4}")
+    for name in sorted(figures, key=lambda name: ("cubic" not in name or "OIDN" in name,
+                                                  "kept" not in name)):
+        means = (np.mean(found, axis=0) for found in figures[name].values())
+        cells = " | ".join(
+            f"{seen:.2f} dB, {share:.2f}, {match:.2f}" for seen, share, match in means)
+        print(f"| {name} | {cells} |")
 
 
 if __name__ == "__main__":

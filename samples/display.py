@@ -1,9 +1,11 @@
-"""Two pictures of docs/howto/display.md: one frame by six looks, and a ramp over eight codes, rounded and dithered.
+"""Two pictures of docs/howto/display.md: one frame by six looks, and a ramp over eight codes,
+rounded and dithered.
 
 python samples/display.py [FOLDER] [--frame FILE.exr]
 
-The looks are, in the first row, `local`, ACES 2 through OpenColorIO and `neutral`; in the second one `agx`, `reinhard`
-and light that is only exposed and cut. The ramp's contrast is 25 times what it is on a screen. Needs Pillow.
+The looks are, in the first row, `local`, ACES 2 through OpenColorIO and `neutral`; in the second
+one `agx`, `reinhard` and light that is only exposed and cut. The ramp's contrast is 25 times what
+it is on a screen. Needs Pillow.
 """
 import argparse
 from pathlib import Path
@@ -35,7 +37,8 @@ views.thumbnail((960, 960), Image.Resampling.LANCZOS)
 views.save(chosen.folder / "views.jpg", quality=90)
 
 first, codes = 100, 8
-ramp = np.broadcast_to(np.linspace(first, first + codes, 900, dtype=np.float32)[None, :, None] / 255, (110, 900, 1))
+ramp = np.broadcast_to(np.linspace(first, first + codes, 900,
+                                   dtype=np.float32)[None, :, None] / 255, (110, 900, 1))
 bands = [128 + 25 * (quantise(ramp, 8, dither).astype(int) - first - codes // 2)
          for dither in (Dither.NONE, Dither.MOVING)]
 white = np.full((6, 900, 1), 255)

@@ -1,4 +1,5 @@
-"""A tone mapper outside postfx, measured by checkerboards: right, twice too bright, half as bright, and drifting.
+"""A tone mapper outside postfx, measured by checkerboards: right, twice too bright, half as bright,
+and drifting.
 
 python samples/external_tone_mapper.py [FOLDER]
 """
@@ -28,13 +29,15 @@ MISTAKES = {
 
 
 def show(light):
-    """A tone curve of one's own, which no part of postfx knows: an S over 14 stops. Exposed light to codes 0..1."""
+    """A tone curve of one's own, which no part of postfx knows: an S over 14 stops. Exposed light
+    to codes 0..1."""
     t = np.clip((np.log2(np.maximum(light, 1e-6) / 0.18) + 8) / 14, 0, 1)
     return 1.1 * t**2 * (3 - 2 * t) / (1 + 0.1 * t)
 
 
 def grade(source, target, stops=0.0):
-    """What another program does: read light and its exposure from the header, expose, tone-map, write a PNG."""
+    """What another program does: read light and its exposure from the header, expose, tone-map,
+    write a PNG."""
     picture = oiio.ImageBuf(str(source))
     exposure = picture.spec().getattribute("postfx:exposureUsedEV")
     codes = show(picture.get_pixels(oiio.FLOAT)[..., :3] * 2.0**(exposure + stops))
@@ -46,15 +49,19 @@ def grade(source, target, stops=0.0):
 
 def postfx(*words):
     """Run a command line of postfx; gives what it prints."""
-    with contextlib.redirect_stdout(io.StringIO()) as told, contextlib.redirect_stderr(io.StringIO()) as errors:
+    with contextlib.redirect_stdout(io.StringIO()) as told, contextlib.redirect_stderr(
+        io.StringIO()
+    ) as errors:
         if main(list(map(str, words))) == 2:
             raise SystemExit(errors.getvalue())
     return told.getvalue()
 
 
-folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp(prefix="external-tone-mapper-"))
+folder = Path(sys.argv[1] if len(sys.argv) > 1
+              else tempfile.mkdtemp(prefix="external-tone-mapper-"))
 
-# 1. Frames that hold the checkerboard, with the exposure that the tone mapper has to apply in their headers.
+# 1. Frames that hold the checkerboard, with the exposure that the tone mapper has to apply in their
+#    headers.
 os.environ["POSTFX_EXPOSURE_TOOL"] = "1"
 postfx("run", ROOM, "-o", folder / "boards/room.####.exr", "--frames", FRAMES, "--overwrite")
 del os.environ["POSTFX_EXPOSURE_TOOL"]
@@ -70,7 +77,8 @@ for name, stops in MISTAKES.items():
     for board in boards:
         number = int(board.name[5:9])
         grade(board, folder / name / f"room.{number:04d}.png", stops(number))
-    report = json.loads(postfx("exposure", ROOM, "--frames", FRAMES, "--reference", "auto", "--json", "--graded",
+    report = json.loads(postfx("exposure", ROOM, "--frames", FRAMES, "--reference", "auto",
+                               "--json", "--graded",
                                folder / name / "room.####.png", "--response", folder / "chart.png"))
     made = [stops(frame["number"]) for frame in report["frames"]]
     found = [frame["mismatch_ev"] for frame in report["frames"]]

@@ -1,4 +1,5 @@
-"""What typical mistakes of a renderer's planes cost, on frames of ray_caster.py with a reference of the last one.
+"""What typical mistakes of a renderer's planes cost, on frames of ray_caster.py with a reference of
+the last one.
 
 python samples/ray_caster.py out/ray_caster --reference 8
 python samples/integration_mistakes.py [FOLDER]
@@ -25,28 +26,33 @@ def with_plane(frame: Frame, role: Role, values: np.ndarray) -> Frame:
 
 
 def jitter_left_in(frame: Frame, before: Frame) -> Frame:
-    return with_plane(frame, Role.MOTION, frame[Role.MOTION] + np.subtract(frame.jitter, before.jitter))
+    return with_plane(frame, Role.MOTION,
+                      frame[Role.MOTION] + np.subtract(frame.jitter, before.jitter))
 
 
 def normals_of_camera(frame: Frame, _: Frame) -> Frame:
-    return with_plane(frame, Role.NORMAL, integrate.normals_to_camera(frame[Role.NORMAL], frame.world_to_camera))
+    return with_plane(frame, Role.NORMAL,
+                      integrate.normals_to_camera(frame[Role.NORMAL], frame.world_to_camera))
 
 
 def in_uv(frame: Frame, _: Frame) -> Frame:
-    return with_plane(frame, Role.MOTION, frame[Role.MOTION] / (frame.spec.width, frame.spec.height))
+    return with_plane(frame, Role.MOTION,
+                      frame[Role.MOTION] / (frame.spec.width, frame.spec.height))
 
 
 MISTAKES: dict[str, Change] = {
     "none": lambda frame, _: frame,
-    "every frame marked with postfx:reset (no history)": lambda frame, _: replace(frame, reset=True),
+    "every frame marked with postfx:reset (no "
+    "history)": lambda frame, _: replace(frame, reset=True),
     "motion from previous to current": plane(Role.MOTION, lambda motion: -motion),
     "motion with y up": plane(Role.MOTION, lambda motion: motion * (1, -1)),
-    "motion in UV units": in_uv,
-    "motion 0": plane(Role.MOTION, lambda motion: 0 * motion),
+    "motion in UV units": in_uv, "motion 0": plane(Role.MOTION, lambda motion: 0 * motion),
     "motion of jittered matrices": jitter_left_in,
     "no postfx:jitter header": lambda frame, _: replace(frame, jitter=(0.0, 0.0)),
-    "postfx:jitter with y up": lambda frame, _: replace(frame, jitter=(frame.jitter[0], -frame.jitter[1])),
-    "depth is a reversed buffer": plane(Role.DEPTH, lambda depth: integrate.depth_to_device(depth, 0.1, np.inf, True)),
+    "postfx:jitter with y "
+    "up": lambda frame, _: replace(frame, jitter=(frame.jitter[0], -frame.jitter[1])),
+    "depth is a reversed "
+    "buffer": plane(Role.DEPTH, lambda depth: integrate.depth_to_device(depth, 0.1, np.inf, True)),
     "normals stored as 0..1": plane(Role.NORMAL, lambda normal: normal / 2 + 0.5),
     "normals in camera space": normals_of_camera,
     "roughness squared": plane(Role.ROUGHNESS, np.square),
@@ -73,7 +79,8 @@ def psnr_with(mistake: Change, frames: list[Frame], reference: Frame) -> float:
 def main() -> None:
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "out/ray_caster")
     (reference,) = postfx.read_sequence(sorted(folder.glob("reference.*.exr"))[-1])
-    frames = [frame for frame in postfx.read_sequence(folder / "noisy.####.exr") if frame.number <= reference.number]
+    frames = [frame for frame in postfx.read_sequence(folder / "noisy.####.exr")
+              if frame.number <= reference.number]
     for name, mistake in MISTAKES.items():
         print(f"{psnr_with(mistake, frames, reference):6.2f} dB  {name}", flush=True)
 

@@ -1,12 +1,15 @@
-"""Irradiance under a sky by three techniques: Monte Carlo, a network that learns while frames run, and an offline one.
+"""Irradiance under a sky by three techniques: Monte Carlo, a network that learns while frames run,
+and an offline one.
 
-python samples/irradiance_network.py [PICTURE] [--samples 1 4 16 64] [--frames 1 4 16 64 256] [--runs 5]
+python samples/irradiance_network.py [PICTURE] [--samples 1 4 16 64] [--frames 1 4 16 64 256] \\
+    [--runs 5]
 
-The networks are 3-16-16-3, from a normal to the logarithm of irradiance. Online, a step learns from 512 samples of
-Monte Carlo (32 normals of 16), 4 steps a frame, in the command buffer that runs it. Offline, it has learnt from 256
-samples a normal before, and runs as an ONNX model by the machine-learning encoder. Pixels without a surface are left
-out. Prints the time of a frame (median of runs) and relMSE against 65536 samples, and draws the frame by each
-technique. Needs matplotlib and onnx.
+The networks are 3-16-16-3, from a normal to the logarithm of irradiance. Online, a step learns from
+512 samples of Monte Carlo (32 normals of 16), 4 steps a frame, in the command buffer that runs it.
+Offline, it has learnt from 256 samples a normal before, and runs as an ONNX model by the
+machine-learning encoder. Pixels without a surface are left out. Prints the time of a frame (median
+of runs) and relMSE against 65536 samples, and draws the frame by each technique. Needs matplotlib
+and onnx.
 """
 import argparse
 import statistics
@@ -24,12 +27,15 @@ from postfx.runtime import ArgumentTable, CommandBuffer, Tensor
 NORMALS, EACH, STEPS = 32, 16, 4
 
 parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
-parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "irradiance_network.png")
+parser.add_argument("picture", nargs="?", type=Path,
+                    default=Path(tempfile.gettempdir()) / "irradiance_network.png")
 parser.add_argument("--samples", type=int, nargs="+", default=[1, 4, 16, 64])
-parser.add_argument("--frames", type=int, nargs="+", default=[1, 4, 16, 64, 256], help="after which it is measured")
+parser.add_argument("--frames", type=int, nargs="+", default=[1, 4, 16, 64, 256],
+                    help="after which it is measured")
 parser.add_argument("--offline", type=int, default=1000, help="steps of the offline network")
 parser.add_argument("--reference", type=int, default=65536, help="samples a pixel")
-parser.add_argument("--checked", type=int, default=500, help="pixels that are compared with the reference")
+parser.add_argument("--checked", type=int, default=500,
+                    help="pixels that are compared with the reference")
 parser.add_argument("--width", type=int, default=480)
 parser.add_argument("--runs", type=int, default=5)
 parser.add_argument("--threads", type=int, default=2)
@@ -54,7 +60,8 @@ def sampled(where: np.ndarray, samples: int, seed: int) -> np.ndarray:
 
 def monte_carlo(where: Tensor, samples: int, seed: int, logs: Tensor) -> ArgumentTable:
     params = device.wrap("params", np.float32([samples, seed]))
-    return ArgumentTable(state, {"sky": sky_tensor, "normals": where, "params": params, "logs": logs})
+    return ArgumentTable(state,
+                         {"sky": sky_tensor, "normals": where, "params": params, "logs": logs})
 
 
 def committed(commands: CommandBuffer) -> float:
@@ -72,7 +79,8 @@ pictures = {}
 def tell(name: str, times: list[float], logs: np.ndarray) -> None:
     """One row, and the frame lit so."""
     light = np.exp(logs.astype(np.float64))
-    print(f"{name:<24} {statistics.median(times):>8.2f} {rel_mse(light[checked], wanted):>10.2e}", flush=True)
+    print(f"{name:<24} {statistics.median(times):>8.2f} {rel_mse(light[checked], wanted):>10.2e}",
+          flush=True)
     picture = np.full(normals.shape, np.nan)
     picture[covered] = shown(albedo[covered] / np.pi * light)
     pictures[name] = picture
@@ -113,7 +121,8 @@ for step in range(chosen.offline):
     where = surfaces[random.integers(len(surfaces), size=64)]
     commands = device.command_buffer("offline")
     with commands.compute_encoder("learn") as encoder:
-        offline.learn(encoder, device.wrap("where", where), device.wrap("targets", sampled(where, 256, step)))
+        offline.learn(encoder, device.wrap("where", where),
+                      device.wrap("targets", sampled(where, 256, step)))
     committed(commands)
 with tempfile.TemporaryDirectory() as folder:
     network.save_onnx(Path(folder) / "irradiance.onnx", offline.parameters.download())

@@ -1,9 +1,11 @@
-"""Misses denoised, left alone, and left alone where they are free of noise, with more and more noise put on them.
+"""Misses denoised, left alone, and left alone where they are free of noise, with more and more
+noise put on them.
 
 python samples/leave_alone.py [COUNT_OF_FRAMES]
 
-Prints, for each noise (standard deviation over the sky's own light), the PSNR in dB of the sky in the windows, exposed
-for the sky, and the share of the picture that 'auto' leaves alone. pip install '.[bench]'
+Prints, for each noise (standard deviation over the sky's own light), the PSNR in dB of the sky in
+the windows, exposed for the sky, and the share of the picture that 'auto' leaves alone. pip install
+'.[bench]'
 """
 
 import sys
@@ -26,7 +28,8 @@ def noisy_sky(frame: postfx.Frame, noise: float) -> postfx.Frame:
     random = np.random.default_rng(frame.number)
     colour = frame[Role.COLOUR].copy()
     missed = misses_of(frame.planes)
-    colour[missed] *= np.maximum(0, 1 + noise * random.standard_normal((missed.sum(), 1), np.float32))
+    colour[missed] *= np.maximum(0,
+                                 1 + noise * random.standard_normal((missed.sum(), 1), np.float32))
     return replace(frame, planes={**frame.planes, Role.COLOUR: colour})
 
 
@@ -34,7 +37,8 @@ def main() -> None:
     wanted = f"1-{sys.argv[1] if len(sys.argv) > 1 else 8}"
     frames = list(postfx.read_sequence(ROOM / "noisy.####.exr", wanted))
     references = list(postfx.read_sequence(ROOM / "reference.####.exr", wanted))
-    skies = [np.kron(strength_of_misses(frame.planes)[..., 0] == 0, np.ones((2, 2))) > 0 for frame in frames]
+    skies = [np.kron(strength_of_misses(frame.planes)[..., 0] == 0, np.ones((2, 2))) > 0
+             for frame in frames]
     print("noise  denoised  left alone   auto  auto leaves")
     for noise in NOISE:
         passes = [postfx.Pipeline([postfx.DenoiseUpscale(scale=2)]) for _ in range(3)]
@@ -51,7 +55,8 @@ def main() -> None:
                 errors[i] += np.square(found - target).mean() / len(frames)
             alone += (auto == 0).mean() / len(frames)
         denoised, left, chosen = -10 * np.log10(errors)
-        print(f"{noise:5.3f}  {denoised:8.1f}  {left:10.1f}  {chosen:5.1f}  {100 * alone:9.1f} %", flush=True)
+        print(f"{noise:5.3f}  {denoised:8.1f}  {left:10.1f}  {chosen:5.1f}  {100 * alone:9.1f} %",
+              flush=True)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,13 @@
 """Measure how the time of a frame falls with the share of it that is masked.
 
-python samples/masked_speed.py [--width 960] [--height 540] [--runs 5] [--model m] [--scale 2] [--guides]
+python samples/masked_speed.py [--width 960] [--height 540] [--runs 5] [--model m] [--scale 2] \\
+    [--guides]
                                [--shares 0,90] [--threads 1] [-o masked.png]
 
-The upper part of the picture has strength 0, as a sky would; the rest is denoised. Prints medians of runs in turn, for
-the denoised upscaler alone and with tone mapping, over those of a frame without a mask; the picture is of the same.
-Each run has other noise than the one before, as frames of a shot do: so all but the first go on from a history.
+The upper part of the picture has strength 0, as a sky would; the rest is denoised. Prints medians
+of runs in turn, for the denoised upscaler alone and with tone mapping, over those of a frame
+without a mask; the picture is of the same. Each run has other noise than the one before, as frames
+of a shot do: so all but the first go on from a history.
 """
 import argparse
 import statistics
@@ -31,7 +33,8 @@ def masked(frame: postfx.Frame, percent: int) -> postfx.Frame:
 
 
 def noisy_frames(width: int, height: int, guided_scale: int | None) -> list[postfx.Frame]:
-    """Frames of the same kind with other noise, for runs in turn; with guides of so many times their size."""
+    """Frames of the same kind with other noise, for runs in turn; with guides of so many times
+    their size."""
     random = np.random.default_rng(2)
     frames = [noisy_frame(width, height) for _ in range(2)]
     for plane in frames[1].planes.values():
@@ -39,17 +42,21 @@ def noisy_frames(width: int, height: int, guided_scale: int | None) -> list[post
     if guided_scale is None:
         return frames
     sharp = np.ones((guided_scale, guided_scale, 1), np.float32)
-    return [replace(frame, guides={role: np.kron(frame[role], sharp) for role in GUIDE_ROLES if role in frame.planes})
+    return [replace(frame, guides={role: np.kron(frame[role], sharp)
+                                   for role in GUIDE_ROLES if role in frame.planes})
             for frame in frames]
 
 
-def measure(frames: list[postfx.Frame], model: str, scale: float, runs: int, shares: Iterable[int] = SHARES,
+def measure(frames: list[postfx.Frame], model: str, scale: float, runs: int,
+            shares: Iterable[int] = SHARES,
             threads: int | None = None) -> Iterator[tuple[int, dict[str, float], dict[str, float]]]:
-    """For each share of masked pixels the milliseconds of each pass, and those without a mask, in turn with them."""
+    """For each share of masked pixels the milliseconds of each pass, and those without a mask, in
+    turn with them."""
     device = postfx.Device("cpu", threads=threads) if threads else None
     whole = chain(model, scale, device)
     for percent in shares:
-        ways = {whole: frames, chain(model, scale, device): [masked(frame, percent) for frame in frames]}
+        ways = {whole: frames,
+                chain(model, scale, device): [masked(frame, percent) for frame in frames]}
         times: dict[postfx.Pipeline, list[dict[str, float]]] = {}
         for run in range(runs + 2):
             for way, seen in ways.items():
@@ -62,7 +69,8 @@ def measure(frames: list[postfx.Frame], model: str, scale: float, runs: int, sha
 
 
 def chain(model: str, scale: float, device: postfx.Device | None) -> postfx.Pipeline:
-    return postfx.Pipeline([postfx.DenoiseUpscale(scale=scale, model=model), postfx.ToneMap()], device)
+    return postfx.Pipeline([postfx.DenoiseUpscale(scale=scale, model=model), postfx.ToneMap()],
+                           device)
 
 
 def plot(ratios: list[tuple[int, float, float]], title: str, path: Path) -> None:
@@ -76,35 +84,44 @@ def plot(ratios: list[tuple[int, float, float]], title: str, path: Path) -> None
     axes.plot(shares, alone, "o-", label="denoised upscaler")
     axes.plot(shares, toned, "o-", label="with tone mapping")
     axes.plot([0, 100], [1, 0], "--", color="#999999", label="in proportion")
-    axes.set(xlabel="masked, %", ylabel="time over that without a mask", title=title, ylim=(0, None))
+    axes.set(xlabel="masked, %", ylabel="time over that without a mask", title=title,
+             ylim=(0, None))
     axes.grid(True, color="#dddddd")
     axes.legend()
     figure.savefig(path)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--width", type=int, default=960)
     parser.add_argument("--height", type=int, default=540)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--model", default="m")
     parser.add_argument("--scale", type=int, default=2)
-    parser.add_argument("--guides", action="store_true", help="give frames guides of the output's size")
-    parser.add_argument("--shares", default=",".join(map(str, SHARES)), help="masked, %% (default: %(default)s)")
-    parser.add_argument("--threads", type=int, help="of the CPU; beside other work one is steadiest")
+    parser.add_argument("--guides", action="store_true",
+                        help="give frames guides of the output's size")
+    parser.add_argument("--shares", default=",".join(map(str, SHARES)),
+                        help="masked, %% (default: %(default)s)")
+    parser.add_argument("--threads", type=int,
+                        help="of the CPU; beside other work one is steadiest")
     parser.add_argument("-o", "--output", type=Path, help="picture to write")
     args = parser.parse_args()
     ratios = []
     frames = noisy_frames(args.width, args.height, args.scale if args.guides else None)
     shares = map(int, args.shares.split(","))
-    for share, found, whole in measure(frames, args.model, args.scale, args.runs, shares, args.threads):
+    for share, found, whole in measure(frames, args.model, args.scale, args.runs, shares,
+                                       args.threads):
         alone, toned = found["denoise_upscale"], sum(found.values())
         ratios.append((share, alone / whole["denoise_upscale"], toned / sum(whole.values())))
         _, ratio, toned_ratio = ratios[-1]
-        print(f"{share:3} % masked: denoised upscaler {alone:5.0f} of {whole['denoise_upscale']:5.0f} ms, {ratio:.2f}; "
-              f"with tone mapping {toned:5.0f} of {sum(whole.values()):5.0f} ms, {toned_ratio:.2f}", flush=True)
+        print(f"{share:3} % masked: denoised upscaler {alone:5.0f} of "
+              f"{whole['denoise_upscale']:5.0f} ms, {ratio:.2f}; with tone mapping {toned:5.0f} of "
+              f"{sum(whole.values()):5.0f} ms, {toned_ratio:.2f}", flush=True)
     if args.output:
-        plot(ratios, f"{args.width}x{args.height} to {args.scale} times the size, model {args.model}", args.output)
+        plot(ratios,
+             f"{args.width}x{args.height} to {args.scale} times the size, model {args.model}",
+             args.output)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,12 @@
-"""Measure time and peak memory of `postfx run` against the size of the picture, with and without a memory budget.
+"""Measure time and peak memory of `postfx run` against the size of the picture, with and without a
+memory budget.
 
-python samples/measure_memory.py [--sizes 2048x2048,1920x1080] [--memory 4G] [--model m] [--frames N] [--folder TMP]
+python samples/measure_memory.py [--sizes 2048x2048,1920x1080] [--memory 4G] [--model m] \\
+    [--frames N] [--folder TMP]
 
-Frames are the first one of samples/room, repeated to half of each size, with all its planes. Prints peak memory of the
-process (resident, without the system's cache of files) and seconds of the whole command.
+Frames are the first one of samples/room, repeated to half of each size, with all its planes. Prints
+peak memory of the process (resident, without the system's cache of files) and seconds of the whole
+command.
 """
 import argparse
 import re
@@ -39,17 +42,22 @@ def run(folder: Path, options: list[str]) -> tuple[float, float]:
     code = ("import resource, sys; from postfx.cli.main import main; code = main(sys.argv[1:]); "
             "print('peak', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss); sys.exit(code)")
     began = time.perf_counter()
-    command = [sys.executable, "-c", code, "run", "in.####.exr", "-o", "out.####.exr", "--overwrite"]
-    result = subprocess.run([*command, "--device", "cpu", *options], capture_output=True, text=True, cwd=folder)
+    command = [sys.executable, "-c", code, "run", "in.####.exr", "-o", "out.####.exr",
+               "--overwrite"]
+    result = subprocess.run([*command, "--device", "cpu", *options], capture_output=True, text=True,
+                            cwd=folder)
     if result.returncode:
         raise SystemExit(result.stderr)
     return int(re.search(r"peak (\d+)", result.stdout)[1]) / 1024, time.perf_counter() - began
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sizes", default="2048x2048,4096x4096", help="sizes of outputs, comma-separated")
-    parser.add_argument("--memory", default="4G", help="budgets, comma-separated; 'none' is without one")
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", default="2048x2048,4096x4096",
+                        help="sizes of outputs, comma-separated")
+    parser.add_argument("--memory", default="4G",
+                        help="budgets, comma-separated; 'none' is without one")
     parser.add_argument("--model", default="m")
     parser.add_argument("--frames", type=int, default=1)
     parser.add_argument("--folder", help="where temporary files go, some of them large")
@@ -62,7 +70,8 @@ def main() -> None:
             for memory in args.memory.split(","):
                 budget = [] if memory == "none" else ["--memory", memory]
                 peak, seconds = run(Path(folder), ["--model", args.model, *budget])
-                print(f"{size} model {args.model} budget {memory}: {peak:.0f} MiB, {seconds:.1f} s", flush=True)
+                print(f"{size} model {args.model} budget {memory}: {peak:.0f} MiB, {seconds:.1f} s",
+                      flush=True)
 
 
 if __name__ == "__main__":

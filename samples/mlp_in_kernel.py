@@ -1,9 +1,10 @@
-"""A network inside of a kernel: features, network and shading of a pixel in one dispatch, against three.
+"""A network inside of a kernel: features, network and shading of a pixel in one dispatch, against
+three.
 
 python samples/mlp_in_kernel.py [--width 960] [--runs 9] [--device cuda]
 
-Both ways shade the same picture by a network of 5-32-32-3, which learnt the light of a ball. Prints the largest
-difference and the median times of runs in turn.
+Both ways shade the same picture by a network of 5-32-32-3, which learnt the light of a ball. Prints
+the largest difference and the median times of runs in turn.
 """
 import argparse
 import statistics
@@ -21,11 +22,14 @@ from postfx.runtime import ArgumentTable
 NETWORK = Network(5, (32, 32), 3, "gelu")
 HEADER = Path(__file__).with_suffix(".h")
 IMAGE = ("height", "width", 3)
-ONE = Kernel("shade_by_network", ("parameters", "normal", "albedo"), ("shaded",), Rows("shade_by_network", HEADER),
-             ("shaded", 0), {"parameters": (NETWORK.count,), "normal": IMAGE, "albedo": IMAGE, "shaded": IMAGE})
-FEATURES = Kernel("features_of_pixels", ("normal",), ("points",), Rows("features_of_pixels", HEADER), ("points", 0),
+ONE = Kernel("shade_by_network", ("parameters", "normal", "albedo"), ("shaded",),
+             Rows("shade_by_network", HEADER), ("shaded", 0),
+             {"parameters": (NETWORK.count,), "normal": IMAGE, "albedo": IMAGE, "shaded": IMAGE})
+FEATURES = Kernel("features_of_pixels", ("normal",), ("points",),
+                  Rows("features_of_pixels", HEADER), ("points", 0),
                   {"normal": IMAGE, "points": ("height", "width", 5)})
-SHADE = Kernel("shade_by_values", ("albedo", "values"), ("shaded",), Rows("shade_by_values", HEADER), ("shaded", 0),
+SHADE = Kernel("shade_by_values", ("albedo", "values"), ("shaded",),
+               Rows("shade_by_values", HEADER), ("shaded", 0),
                {"albedo": IMAGE, "values": IMAGE, "shaded": IMAGE})
 
 
@@ -36,7 +40,8 @@ def ball(height, width):
     inside = np.maximum(0.64 - x * x - y * y, 0)
     on_ball = np.stack([x, -y, np.sqrt(inside)], -1) / 0.8
     normal = np.where(inside[..., None] > 0, on_ball, np.float32([0, 0, 1])).astype(np.float32)
-    albedo = np.where(inside[..., None] > 0, np.float32([0.8, 0.5, 0.3]), np.float32(0.6)).astype(np.float32)
+    albedo = np.where(inside[..., None] > 0, np.float32([0.8, 0.5, 0.3]),
+                      np.float32(0.6)).astype(np.float32)
     return normal, albedo
 
 
@@ -47,7 +52,8 @@ def main():
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=1)
     chosen = parser.parse_args()
-    device = Device("cpu", threads=chosen.threads) if chosen.device == "cpu" else Device(chosen.device)
+    device = (Device("cpu", threads=chosen.threads) if chosen.device == "cpu"
+              else Device(chosen.device))
     size = height, width = chosen.width * 9 // 16, chosen.width
     normal, albedo = ball(height, width)
     tensor = device.heap.tensor
@@ -55,10 +61,14 @@ def main():
     points = tensor("points", (*size, 5))
     seen = np.concatenate([normal, *np.broadcast_arrays(
         (2 * np.arange(width, dtype=np.float32)[None, :, None] + 1) / width - 1,
-        (2 * np.arange(height, dtype=np.float32)[:, None, None] + 1) / height - 1)], -1).reshape(-1, 5)
-    light = np.maximum(seen[:, :3] @ np.float32([[0.5, 0.4, 0.1], [0.6, 0.5, 0.5], [0.4, 0.4, 0.6]]), 0) + 0.1
+        (2 * np.arange(height, dtype=np.float32)[:, None, None] + 1) / height - 1)],
+                          -1).reshape(-1, 5)
+    light = (np.maximum(
+        seen[:, :3] @ np.float32([[0.5, 0.4, 0.1], [0.6, 0.5, 0.5], [0.4, 0.4, 0.6]]), 0
+    ) + 0.1)
     learner.fit(seen, light.astype(np.float32), 200, 1e-2, 1024)
-    planes = {name: tensor(name, (*size, 3)) for name in ("normal", "albedo", "values", "one", "three")}
+    planes = {name: tensor(name, (*size, 3))
+              for name in ("normal", "albedo", "values", "one", "three")}
     planes["normal"].upload(normal)
     planes["albedo"].upload(albedo)
     states = {kernel: device.compute_state(kernel) for kernel in (ONE, FEATURES, SHADE)}
@@ -67,7 +77,8 @@ def main():
     features = ArgumentTable(states[FEATURES], {"normal": planes["normal"], "points": points})
     shade = ArgumentTable(states[SHADE], {"albedo": planes["albedo"], "values": planes["values"],
                                           "shaded": planes["three"]})
-    flat = points.view("rows", (height * width, 5)), planes["values"].view("rows of values", (height * width, 3))
+    flat = (points.view("rows", (height * width, 5)),
+            planes["values"].view("rows of values", (height * width, 3)))
 
     def in_one(encoder):
         encoder.dispatch(states[ONE], one)

@@ -2,16 +2,18 @@
 
 python samples/neural_material.py [PICTURE] [--maps FILE.npy] [--steps 2000] [--size 256] [--wide]
 
-The maps are base colour 3, normal x and y, roughness; as codes 0..1 (h, w, 6), from --maps or made here: bricks with
-moss. Block compression takes 16 bits a texel: BC1 for colour, BC5 for normals, BC4 for roughness; or 7 with normals and
-roughness at half the size. The neural material takes 8 or 16: latent textures of 12 channels (`LEVELS`), which are read
-bilinearly by a network of 12-32-6 (GELU), stored in half precision. Latents learn with the quantisation in place
-(straight-through). The decoder runs by the fused kernels of postfx.neural. Prints PSNR and sizes, draws both. Needs
+The maps are base colour 3, normal x and y, roughness; as codes 0..1 (h, w, 6), from --maps or made
+here: bricks with moss. Block compression takes 16 bits a texel: BC1 for colour, BC5 for normals,
+BC4 for roughness; or 7 with normals and roughness at half the size. The neural material takes 8 or
+16: latent textures of 12 channels (`LEVELS`), which are read bilinearly by a network of 12-32-6
+(GELU), stored in half precision. Latents learn with the quantisation in place (straight-through).
+The decoder runs by the fused kernels of postfx.neural. Prints PSNR and sizes, draws both. Needs
 torch and matplotlib.
 
-With --wide, other materials of 8 bits learn instead, from 16384 texels a step (`WIDE`): their decoders have two layers
-of 64, and may read four texels around a point, and its place among 8x8 texels. Quantisation is noise first, rounding
-for the last quarter, in whose last half latents stay as they are.
+With --wide, other materials of 8 bits learn instead, from 16384 texels a step (`WIDE`): their
+decoders have two layers of 64, and may read four texels around a point, and its place among 8x8
+texels. Quantisation is noise first, rounding for the last quarter, in whose last half latents stay
+as they are.
 """
 import argparse
 import math
@@ -46,7 +48,8 @@ class Level(NamedTuple):
 
 
 class Way(NamedTuple):
-    """How a material is stored: its latent textures, its decoder's layers, and whether that reads a texel's place."""
+    """How a material is stored: its latent textures, its decoder's layers, and whether that reads a
+    texel's place."""
 
     levels: tuple[Level, ...]
     hidden: tuple[int, ...] = (32,)
@@ -77,7 +80,7 @@ WIDE = {
     "two grids": Way((Level(2, 7, 3, True), Level(4, 4, 3)), (64, 64), True),
     "full grid": Way((Level(1, 1, 4, True), Level(2, 3, 2, True), Level(4, 2, 4)), (64, 64), True)}
 
-# Block compression: as the formats decode, encoded by least squares -------------------------------------------------
+# Block compression: as the formats decode, encoded by least squares -------------------------------
 
 
 def blocks_of(image: np.ndarray) -> np.ndarray:
@@ -91,10 +94,11 @@ def image_of(blocks: np.ndarray, h: int, w: int) -> np.ndarray:
 
 
 def compressed(image: np.ndarray, steps: int, bits: tuple[int, ...]) -> np.ndarray:
-    """What a format gives back that has two ends a block, in so many bits a channel, and `steps` values from end to
-    end: BC1 is 4 steps of 5, 6, 5 bits, BC4 8 steps of 8.
+    """What a format gives back that has two ends a block, in so many bits a channel, and `steps`
+    values from end to end: BC1 is 4 steps of 5, 6, 5 bits, BC4 8 steps of 8.
 
-    Ends begin at the principal axis. Least squares and the choice of values take turns, and the best turn counts.
+    Ends begin at the principal axis. Least squares and the choice of values take turns, and the
+    best turn counts.
     """
     blocks = blocks_of(image)
     most = np.array([2**b - 1 for b in bits], float)
@@ -124,18 +128,21 @@ def compressed(image: np.ndarray, steps: int, bits: tuple[int, ...]) -> np.ndarr
 
 def block_compressed(maps: np.ndarray) -> np.ndarray:
     """Colour by BC1, normals by BC5, which is two of BC4, roughness by BC4."""
-    parts = [compressed(maps[..., :3], 4, (5, 6, 5)), *(compressed(maps[..., k:k + 1], 8, (8,)) for k in (3, 4, 5))]
+    parts = [compressed(maps[..., :3], 4, (5, 6, 5)),
+             *(compressed(maps[..., k:k + 1], 8, (8,)) for k in (3, 4, 5))]
     return np.concatenate(parts, -1)
 
 
 def halved(maps: np.ndarray, compress: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Maps that are compressed at half the size, and read bilinearly."""
-    small = torch.from_numpy(compress(maps.reshape(len(maps) // 2, 2, -1, 2, maps.shape[-1]).mean((1, 3))))
-    wide = F.interpolate(small.permute(2, 0, 1)[None], scale_factor=2, mode="bilinear", align_corners=False)
+    small = torch.from_numpy(compress(maps.reshape(len(maps) // 2, 2, -1, 2, maps.shape[-1])
+                                      .mean((1, 3))))
+    wide = F.interpolate(small.permute(2, 0, 1)[None], scale_factor=2, mode="bilinear",
+                         align_corners=False)
     return wide[0].permute(1, 2, 0).numpy()
 
 
-# The material -------------------------------------------------------------------------------------------------------
+# The material -------------------------------------------------------------------------------------
 
 
 def noise(size: int, cells: int, random: np.random.Generator) -> np.ndarray:
@@ -167,10 +174,12 @@ def bricks(size: int) -> np.ndarray:
     slope = [np.roll(height, -1, axis) - np.roll(height, 1, axis) for axis in (1, 0)]
     normal = np.stack([-slope[0], slope[1], np.full_like(height, 0.35)], -1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    clay = np.array([0.55, 0.27, 0.2]) * (0.6 + 0.5 * tone[..., None]) * (0.7 + 0.6 * fine[..., None])
+    clay = np.array([0.55, 0.27, 0.2]) * (0.6 + 0.5 * tone[..., None]) * (0.7
+                                                                          + 0.6 * fine[..., None])
     joint = np.array([0.62, 0.6, 0.55]) * (0.6 + 0.6 * fine[..., None])
     colour = joint + (clay - joint) * brick[..., None]
-    colour = colour + (np.array([0.2, 0.32, 0.08]) * (0.4 + fine[..., None]) - colour) * green[..., None]
+    colour = (colour
+              + (np.array([0.2, 0.32, 0.08]) * (0.4 + fine[..., None]) - colour) * green[..., None])
     rough = 0.9 - 0.35 * brick * (1 - fine) * (1 - green) - 0.1 * tone * brick
     return np.clip(np.concatenate([colour, normal[..., :2] / 2 + 0.5, rough[..., None]], -1), 0, 1)
 
@@ -184,11 +193,13 @@ class Material(torch.nn.Module):
         sides = [(level.channels, size // level.step) for level in way.levels]
         self.latents = torch.nn.ParameterList(0.5 + 0.1 * torch.randn(1, channels, side, side)
                                               for channels, side in sides)
-        self.layers = torch.nn.ModuleList(torch.nn.Linear(reads, makes) for makes, reads in network.shapes)
+        self.layers = torch.nn.ModuleList(torch.nn.Linear(reads, makes)
+                                          for makes, reads in network.shapes)
         self.rounds = True
 
     def texels(self, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
-        """What the decoder reads of some texels (n,): (n, inputs), quantised, with the gradient of what is not."""
+        """What the decoder reads of some texels (n,): (n, inputs), quantised, with the gradient of
+        what is not."""
         found = []
         for latent, level in zip(self.latents, self.way.levels, strict=True):
             coded = self._coded(latent.clamp(0, 1), 2**level.bits - 1)[0]
@@ -206,8 +217,10 @@ class Material(torch.nn.Module):
         return held + (torch.round(held * most) / most - held).detach()
 
     @staticmethod
-    def _read(coded: torch.Tensor, level: Level, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
-        """Four texels of a texture (channels, h, w) around texels of the material, or their bilinear mean."""
+    def _read(coded: torch.Tensor, level: Level, rows: torch.Tensor,
+              columns: torch.Tensor) -> torch.Tensor:
+        """Four texels of a texture (channels, h, w) around texels of the material, or their
+        bilinear mean."""
         last = coded.shape[-1] - 1
         axes = []
         for places in (rows, columns):
@@ -215,7 +228,8 @@ class Material(torch.nn.Module):
             low = at.floor().long()
             axes.append((low, (low + 1).clamp(max=last), at - low))
         (top, bottom, down), (left, right, along) = axes
-        corners = [coded[:, top, left], coded[:, top, right], coded[:, bottom, left], coded[:, bottom, right]]
+        corners = [coded[:, top, left], coded[:, top, right], coded[:, bottom, left],
+                   coded[:, bottom, right]]
         if level.around:
             return torch.cat(corners).T
         shares = ((1 - down) * (1 - along), (1 - down) * along, down * (1 - along), down * along)
@@ -232,19 +246,23 @@ class Material(torch.nn.Module):
         return self.layers[-1](texels)
 
     def parameters_of(self) -> np.ndarray:
-        parts = [part.detach().half().float().numpy().ravel() for layer in self.layers for part in layer.parameters()]
+        parts = [part.detach().half().float().numpy().ravel() for layer in self.layers
+                 for part in layer.parameters()]
         return np.concatenate(parts)
 
 
 def psnr(found: np.ndarray, wanted: np.ndarray) -> list[float]:
     """Of colour, normals, roughness, and all six channels."""
     error = ((found - wanted) ** 2).mean((0, 1))
-    return [float(-10 * np.log10(part.mean())) for part in (error[:3], error[3:5], error[5:], error)]
+    return [float(-10 * np.log10(part.mean()))
+            for part in (error[:3], error[3:5], error[5:], error)]
 
 
 parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
-parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "neural_material.png")
-parser.add_argument("--maps", type=Path, help="an array (h, w, 6) of codes 0..1, square, sides a multiple of 4")
+parser.add_argument("picture", nargs="?", type=Path,
+                    default=Path(tempfile.gettempdir()) / "neural_material.png")
+parser.add_argument("--maps", type=Path,
+                    help="an array (h, w, 6) of codes 0..1, square, sides a multiple of 4")
 parser.add_argument("--size", type=int, default=256)
 parser.add_argument("--steps", type=int, default=2000)
 parser.add_argument("--threads", type=int, default=1)
@@ -291,7 +309,8 @@ for name, way in (WIDE if chosen.wide else NARROW).items():
         times.append(sum(ms for _, ms in commands.timings))
     found = np.clip(values.array.reshape(size, size, 6), 0, 1)
     rows.append((name, found, way.bits(network, size)))
-    print(f"{name}: {network.count} parameters learnt in {taken:.0f} s; {np.median(times):.2f} ms to decode")
+    print(f"{name}: {network.count} parameters learnt in {taken:.0f} s; {np.median(times):.2f} ms "
+          "to decode")
 print(f"{'':16} {'bits':>6} {'colour':>7} {'normal':>7} {'rough':>7} {'all':>7}")
 for name, found, count in rows:
     print(f"{name:16} {count:6.2f} " + " ".join(f"{one:7.2f}" for one in psnr(found, maps)))
@@ -302,7 +321,8 @@ part = slice(0, min(size, 128))
 for row, channels in zip(panels, (slice(0, 3), slice(3, 5)), strict=True):
     for panel, (name, picture, _) in zip(row, (("maps", maps, 0), *rows[1:3]), strict=True):
         shown = picture[part, part, channels]
-        panel.imshow(shown if shown.shape[-1] == 3 else np.concatenate([shown, np.ones_like(shown[..., :1])], -1))
+        panel.imshow(shown if shown.shape[-1] == 3
+                     else np.concatenate([shown, np.ones_like(shown[..., :1])], -1))
         panel.set_title(name)
         panel.axis("off")
 figure.savefig(chosen.picture, dpi=80)

@@ -1,12 +1,15 @@
-"""Neural deferred shading of one scene: a small network learns its light from frames, and shades others from planes.
+"""Neural deferred shading of one scene: a small network learns its light from frames, and shades
+others from planes.
 
-python samples/neural_shading.py [PICTURE] [--noisy PATTERN --reference PATTERN] [--held-out 3 6] [--steps 4000]
+python samples/neural_shading.py [PICTURE] [--noisy PATTERN --reference PATTERN] \\
+    [--held-out 3 6] [--steps 4000]
 
-The network, 33-64-64-64-3, reads position with four bands of Fourier features, normal and reflected view direction, and
-gives the logarithm of light without reflectance, which the albedos put back. It learns from the references of all
-frames but the held-out ones, at render size, by the fused kernels of postfx.neural, and shades the held-out ones in a
-command buffer. Also measured: the frame before as it is. Prints PSNR after x/(1+x) and the sRGB curve, and
-frames a second; draws the held-out frames. Needs matplotlib.
+The network, 33-64-64-64-3, reads position with four bands of Fourier features, normal and reflected
+view direction, and gives the logarithm of light without reflectance, which the albedos put back. It
+learns from the references of all frames but the held-out ones, at render size, by the fused kernels
+of postfx.neural, and shades the held-out ones in a command buffer. Also measured: the frame before
+as it is. Prints PSNR after x/(1+x) and the sRGB curve, and frames a second; draws the held-out
+frames. Needs matplotlib.
 """
 import argparse
 import statistics
@@ -22,7 +25,13 @@ import postfx
 from postfx import Device, Frame, Role
 from postfx.neural import Learner, Network
 from postfx.passes.scene import camera_of
-from postfx.passes.scene_points import SceneBox, light_to_learn, places_of, points_of, reflectance_of
+from postfx.passes.scene_points import (
+    SceneBox,
+    light_to_learn,
+    places_of,
+    points_of,
+    reflectance_of,
+)
 
 ROOM = Path(__file__).parent / "room"
 
@@ -36,11 +45,14 @@ def light_of(reference: Frame, frame: Frame) -> np.ndarray:
 
 
 parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
-parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "neural_shading.png")
+parser.add_argument("picture", nargs="?", type=Path,
+                    default=Path(tempfile.gettempdir()) / "neural_shading.png")
 parser.add_argument("--noisy", default=str(ROOM / "noisy.####.exr"), help="whose planes are read")
 parser.add_argument("--reference", default=str(ROOM / "reference.####.exr"))
-parser.add_argument("--held-out", type=int, nargs="+", default=[3, 6], help="frames that are not learnt")
-parser.add_argument("--clean", action="store_true", help="denoise the reference by OIDN, by which both are judged")
+parser.add_argument("--held-out", type=int, nargs="+", default=[3, 6],
+                    help="frames that are not learnt")
+parser.add_argument("--clean", action="store_true",
+                    help="denoise the reference by OIDN, by which both are judged")
 parser.add_argument("--steps", type=int, default=4000)
 parser.add_argument("--threads", type=int, default=1)
 chosen = parser.parse_args()
@@ -50,7 +62,8 @@ wanted = {frame.number: light_of(reference, frame) for frame, reference in
           zip(frames, postfx.read_sequence(chosen.reference), strict=True)}
 known = [frame for frame in frames if frame.number not in chosen.held_out]
 held = [frame for frame in frames if frame.number in chosen.held_out]
-raw = [places_of(camera_of(frame), frame[Role.DEPTH])[frame[Role.DEPTH][..., 0] < 1e9] for frame in known]
+raw = [places_of(camera_of(frame), frame[Role.DEPTH])[frame[Role.DEPTH][..., 0] < 1e9]
+       for frame in known]
 box = SceneBox.around(np.concatenate(raw))
 
 
@@ -65,9 +78,11 @@ def divisor_of(frame: Frame) -> np.ndarray:
 
 
 points = np.concatenate([seen_in(frame) for frame in known])
-targets = np.concatenate([light_to_learn(wanted[frame.number], divisor_of(frame)) for frame in known])
+targets = np.concatenate([light_to_learn(wanted[frame.number], divisor_of(frame))
+                          for frame in known])
 
-device, network = Device("cpu", threads=chosen.threads), Network(9, (64, 64, 64), 3, "gelu", bands=4, encoded=3)
+device, network = Device("cpu", threads=chosen.threads), Network(9, (64, 64, 64), 3, "gelu",
+                                                                 bands=4, encoded=3)
 learner, began = Learner(device, network, seed=0), time.process_time()
 learner.fit(points, targets, chosen.steps, 4e-3)
 print(f"{len(points)} pixels of {len(known)} frames, {network.count} parameters, learnt in "
@@ -94,8 +109,8 @@ for frame in held:
     rows.append((psnr(found, truth), psnr(frame[Role.COLOUR], truth), psnr(wanted[near], truth)))
     pictures.append((f"frame {frame.number}: reference", truth))
     pictures.append((f"shaded, {rows[-1][0]:.1f} dB", found))
-    print(f"frame {frame.number}: shaded {rows[-1][0]:.2f} dB, the noisy render {rows[-1][1]:.2f}, frame "
-          f"{near} as it is {rows[-1][2]:.2f}")
+    print(f"frame {frame.number}: shaded {rows[-1][0]:.2f} dB, the noisy render {rows[-1][1]:.2f}, "
+          f"frame {near} as it is {rows[-1][2]:.2f}")
 means = np.mean(rows, 0)
 print(f"mean {means[0]:.2f} dB, of the frames before as they are {means[2]:.2f}; "
       f"{1000 / statistics.median(times):.0f} frames a second of "

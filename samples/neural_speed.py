@@ -1,13 +1,16 @@
-"""Time of small networks beside torch, eager and compiled, on the same threads or GPU: a run, and a step that learns.
+"""Time of small networks beside torch, eager and compiled, on the same threads or GPU: a run, and a
+step that learns.
 
-python samples/neural_speed.py [--widths 16 32 64] [--threads 1 2] [--points 65536] [--runs 9] [--eager]
+python samples/neural_speed.py [--widths 16 32 64] [--threads 1 2] [--points 65536] [--runs 9] \\
+    [--eager]
 python samples/neural_speed.py --device cuda [--tf32] [--graph]
 
-The network has 3 inputs with 4 bands of Fourier features, 3 hidden layers of ReLU and 3 outputs. A step is the mean
-squared error, its gradient, and Adam (fused in torch). Runs are in turn; prints medians of milliseconds and how many
-times longer torch takes. `--eager` leaves compiled torch out. On a GPU times are of `--repeats` runs or steps between
-two waits, by the host's clock, and by the card's from the first of them to the end of the last (rows `by card`);
-`--tf32` lets torch round factors to 11 bits, `--graph` has compiled torch use CUDA graphs. Needs torch.
+The network has 3 inputs with 4 bands of Fourier features, 3 hidden layers of ReLU and 3 outputs. A
+step is the mean squared error, its gradient, and Adam (fused in torch). Runs are in turn; prints
+medians of milliseconds and how many times longer torch takes. `--eager` leaves compiled torch out.
+On a GPU times are of `--repeats` runs or steps between two waits, by the host's clock, and by the
+card's from the first of them to the end of the last (rows `by card`); `--tf32` lets torch round
+factors to 11 bits, `--graph` has compiled torch use CUDA graphs. Needs torch.
 """
 import argparse
 import time
@@ -45,15 +48,17 @@ class Module(torch.nn.Module):
 
 
 class Ours:
-    """A run and a step, each as a command buffer that is committed again and again; on a GPU it holds many of them."""
+    """A run and a step, each as a command buffer that is committed again and again; on a GPU it
+    holds many of them."""
 
-    def __init__(self, device: Device, network: Network, points: np.ndarray, targets: np.ndarray, repeats: int) -> None:
+    def __init__(self, device: Device, network: Network, points: np.ndarray, targets: np.ndarray,
+                 repeats: int) -> None:
         self.values = device.heap.tensor("values", targets.shape)
         self._run, self._learn = (self._record(device, network, points, targets, repeats, learns)
                                   for learns in (False, True))
 
-    def _record(self, device: Device, network: Network, points: np.ndarray, targets: np.ndarray, repeats: int,
-                learns: bool) -> CommandBuffer:
+    def _record(self, device: Device, network: Network, points: np.ndarray, targets: np.ndarray,
+                repeats: int, learns: bool) -> CommandBuffer:
         learner = Learner(device, network, 1e-3)
         places, wanted = device.wrap("points", points), device.wrap("targets", targets)
         commands = device.command_buffer("network", captured=False)
@@ -82,12 +87,13 @@ class Ours:
 class Torch:
     """The same by torch, eager or compiled."""
 
-    def __init__(self, device: str, network: Network, points: np.ndarray, targets: np.ndarray, repeats: int,
-                 mode: str | None) -> None:
+    def __init__(self, device: str, network: Network, points: np.ndarray, targets: np.ndarray,
+                 repeats: int, mode: str | None) -> None:
         self._module = Module(network, network.initial()).to(device)
         self._adam = torch.optim.Adam(self._module.parameters(), 1e-3, fused=True)
         self._call = torch.compile(self._module, mode=mode) if mode else self._module
-        self._places, self._targets = torch.from_numpy(points).to(device), torch.from_numpy(targets).to(device)
+        self._places, self._targets = (torch.from_numpy(points).to(device),
+                                       torch.from_numpy(targets).to(device))
         self._repeats, self._is_gpu = repeats, device == "cuda"
 
     def run(self) -> float:
@@ -143,7 +149,8 @@ targets = random.normal(size=(chosen.points, 3)).astype(np.float32)
 modes = [None] if chosen.eager else [None, "reduce-overhead" if chosen.graph else "default"]
 repeats = chosen.repeats if chosen.device == "cuda" else 1
 torch.set_float32_matmul_precision("high" if chosen.tf32 else "highest")
-print(f"{'threads':>7} {'width':>5} {'what':<7} {'ours ms':>8} {'eager ms':>9} {'compiled ms':>11}  torch is slower")
+print(f"{'threads':>7} {'width':>5} {'what':<7} {'ours ms':>8} {'eager ms':>9} "
+      f"{'compiled ms':>11}  torch is slower")
 for threads in chosen.threads if chosen.device == "cpu" else [1]:
     torch.set_num_threads(threads)
     for width in chosen.widths:
@@ -153,17 +160,22 @@ for threads in chosen.threads if chosen.device == "cpu" else [1]:
         twins = [Torch(chosen.device, network, points, targets, repeats, mode) for mode in modes]
         for what in ("run", "learn"):
             forms = [getattr(form, what) for form in (ours, *twins)]
-            for _ in range(3 if chosen.device == "cuda" else 1):  # compiles; CUDA graphs are captured the second time
+            # compiles; CUDA graphs are captured the second time
+            for _ in range(3 if chosen.device == "cuda" else 1):
                 for form in forms:
                     form()
             if what == "run":
                 values, bound = ours.values.download(), 1e-2 if chosen.tf32 else 1e-4
-                if max(np.abs(values - other.values.cpu().numpy()).max() for other in twins) > bound:
+                if max(np.abs(values - other.values.cpu().numpy()).max()
+                       for other in twins) > bound:
                     raise SystemExit("the forms do not agree")
-            times = np.array([[milliseconds(form) for form in forms] for _ in range(chosen.runs)]) / repeats
+            times = (np.array([[milliseconds(form) for form in forms] for _ in range(chosen.runs)])
+                     / repeats)
             for clock, shown in enumerate((what, "by card")[:1 if chosen.device == "cpu" else 2]):
                 own, *rest = np.median(times[..., clock], axis=0)
                 ratios = " and ".join(f"{other / own:.1f}x" for other in rest)
                 digits = 3 if chosen.device == "cuda" else 1
-                others = " ".join(f"{other:>{size}.{digits}f}" for other, size in zip(rest, (9, 11), strict=False))
-                print(f"{threads:>7} {width:>5} {shown:<7} {own:>8.{digits}f} {others}  {ratios}", flush=True)
+                others = " ".join(f"{other:>{size}.{digits}f}"
+                                  for other, size in zip(rest, (9, 11), strict=False))
+                print(f"{threads:>7} {width:>5} {shown:<7} {own:>8.{digits}f} {others}  {ratios}",
+                      flush=True)

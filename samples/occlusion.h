@@ -46,7 +46,8 @@ static double nearest(const Shapes& shapes, const double* origin, const double* 
         int axis = 0;
         for (int a = 0; a < 3; a++) {
             const double slope = __builtin_fabs(d[a]) > 1e-12 ? 1 / d[a] : 1e12;
-            const double one = (-shape.half[a] - p[a]) * slope, other = (shape.half[a] - p[a]) * slope;
+            const double one = (-shape.half[a] - p[a]) * slope,
+                         other = (shape.half[a] - p[a]) * slope;
             const double begins = one < other ? one : other, ends = one < other ? other : one;
             if (begins > enter) {
                 enter = begins, axis = a, side = d[a] > 0 ? -1 : d[a] < 0 ? 1 : 0;
@@ -89,7 +90,8 @@ static void visibility(Long first, Long last, Shapes shapes, View<const double, 
             const double sign = n[2] >= 0 ? 1 : -1, a = -1 / (sign + n[2]), b = n[0] * n[1] * a;
             for (Long r = 0; r < radii.size[0]; r++) visible(r, y)[x] = 0;
             for (int k = 0; k < count; k++) {
-                const double u = turn[0] + k * LATTICE[0], angle = 2 * PI * (turn[1] + k * LATTICE[1]);
+                const double u = turn[0] + k * LATTICE[0],
+                             angle = 2 * PI * (turn[1] + k * LATTICE[1]);
                 const double share = u - __builtin_floor(u), radius = __builtin_sqrt(share);
                 const double i = radius * cos(angle), j = radius * sin(angle);
                 const double up = __builtin_sqrt(1 - share);

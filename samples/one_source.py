@@ -2,8 +2,9 @@
 
 python samples/one_source.py [--width 960] [--height 544] [--runs 25]
 
-`postfx/kernels/denoise/pyramid.h` has the 5x5 filter as a function of F, which is one float or a vector of 4, 8 or 16.
-Prints the median time of each level on one thread, runs in turn, and how far its pixels are from those of the highest.
+`postfx/kernels/denoise/pyramid.h` has the 5x5 filter as a function of F, which is one float or a
+vector of 4, 8 or 16. Prints the median time of each level on one thread, runs in turn, and how far
+its pixels are from those of the highest.
 """
 import argparse
 import statistics
@@ -18,7 +19,8 @@ from postfx.kernels.denoise.pyramid import FILTER
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--width", type=int, default=960)
     parser.add_argument("--height", type=int, default=544)
     parser.add_argument("--runs", type=int, default=25)
@@ -37,7 +39,8 @@ def main() -> None:
             times[level].append(1e3 * (time.perf_counter() - began))
     for level, found in filtered.items():
         difference = np.abs(found - filtered[library.levels()[-1]]).max()
-        print(f"{level:>10} {statistics.median(times[level][1:]):9.3f} ms  difference {difference:.1e}")
+        print(f"{level:>10} {statistics.median(times[level][1:]):9.3f} ms  difference "
+              f"{difference:.1e}")
 
 
 if __name__ == "__main__":

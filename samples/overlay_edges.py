@@ -1,11 +1,13 @@
-"""How overlays are enlarged to twice their size, against other ways: what is lost, what rings, what becomes too bright.
+"""How overlays are enlarged to twice their size, against other ways: what is lost, what rings, what
+becomes too bright.
 
 python samples/overlay_edges.py [PICTURE.png]
 
-Prints, for overlays whose coverage is known: the RMS error of premultiplied RGBA, how far colour or alpha leave the
-range of the four nearest pixels, and by how much colours are brighter than the nearest straight colours at the coverage
-that comes out, each the largest, and the share of the pixels where that is more than 0.001. PICTURE: the second frame
-of the sample room under an overlay, and a part of it by cubic interpolation without limits and by postfx.
+Prints, for overlays whose coverage is known: the RMS error of premultiplied RGBA, how far colour or
+alpha leave the range of the four nearest pixels, and by how much colours are brighter than the
+nearest straight colours at the coverage that comes out, each the largest, and the share of the
+pixels where that is more than 0.001. PICTURE: the second frame of the sample room under an overlay,
+and a part of it by cubic interpolation without limits and by postfx.
 """
 
 import sys
@@ -48,7 +50,8 @@ def particles(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     found = np.zeros((*np.broadcast_shapes(x.shape, y.shape), 4))
     for number in range(200):
         left, top, radius = random.random(), random.random(), random.uniform(0.008, 0.06)
-        rows, columns = (slice(*np.searchsorted(axis.ravel(), (at - 4 * radius, at + 4 * radius)))  # beyond it is 1e-14
+        # beyond it is 1e-14
+        rows, columns = (slice(*np.searchsorted(axis.ravel(), (at - 4 * radius, at + 4 * radius)))
                          for axis, at in ((y, top), (x, left)))
         distance = np.hypot(x[:, columns] - left, y[rows] - top) / radius
         alpha = random.random() * (np.exp(-2 * distance**2) if number % 2 else distance < 1)
@@ -60,11 +63,13 @@ def particles(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def rendered(shape: Callable, height: int, width: int) -> np.ndarray:
     """Mean over each pixel of a picture (height, width, 4)."""
     y, x = ((np.arange(side * FINE) + 0.5) / (side * FINE) for side in (height, width))
-    return shape(x[None], y[:, None]).reshape(height, FINE, width, FINE, 4).mean((1, 3)).astype(np.float32)
+    return shape(x[None], y[:, None]).reshape(height, FINE, width, FINE,
+                                              4).mean((1, 3)).astype(np.float32)
 
 
 def gathered(image: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The 4x4 pixels around each pixel of twice the size, and how far it is from the second ones, down and across."""
+    """The 4x4 pixels around each pixel of twice the size, and how far it is from the second ones,
+    down and across."""
     index, offset = [], []
     for size in image.shape[:2]:
         at = positions(size, 2 * size)
@@ -84,8 +89,9 @@ def bilinear(image: np.ndarray) -> np.ndarray:
 
 
 def cubic(image: np.ndarray) -> np.ndarray:
-    return weighted(image, lambda t: np.stack([((-t + 2) * t - 1) * t / 2, (1.5 * t - 2.5) * t * t + 1,
-                                               ((-1.5 * t + 2) * t + 0.5) * t, (t - 1) * t * t / 2]))
+    return weighted(image,
+                    lambda t: np.stack([((-t + 2) * t - 1) * t / 2, (1.5 * t - 2.5) * t * t + 1,
+                                        ((-1.5 * t + 2) * t + 0.5) * t, (t - 1) * t * t / 2]))
 
 
 def by_kernel(kernel) -> Callable[[np.ndarray], np.ndarray]:
@@ -103,10 +109,12 @@ WAYS = {"bilinear": bilinear, "cubic": cubic, "cubic, each channel held": by_ker
 
 
 def faults(image: np.ndarray, result: np.ndarray) -> tuple[float, float, float]:
-    """How far values leave the range of the four nearest pixels, and colours what coverage allows; its share."""
+    """How far values leave the range of the four nearest pixels, and colours what coverage allows;
+    its share."""
     nearest = gathered(image)[0][1:3, 1:3].reshape(4, *result.shape)
     outside = np.maximum(result - nearest.max(0), nearest.min(0) - result).max()
-    straight = np.divide(nearest[..., :3], nearest[..., 3:], out=0 * nearest[..., :3], where=nearest[..., 3:] > 0)
+    straight = np.divide(nearest[..., :3], nearest[..., 3:], out=0 * nearest[..., :3],
+                         where=nearest[..., 3:] > 0)
     excess = np.maximum(result[..., :3] - straight.max(0) * result[..., 3:], 0)
     return outside, excess.max(), 100 * (excess.max(2) > 1e-3).mean()
 
@@ -126,9 +134,12 @@ def draw(path: str) -> None:
     front = rendered(overlay, 180, 320)
     still = [replace(frame, jitter=(0.0, 0.0)) for frame in postfx.read_sequence(ROOM, "2")]
     frames = [replace(frame, planes={**frame.planes, Role.OVERLAY: front}) for frame in still]
-    mine = shown([postfx.Pipeline([postfx.DenoiseUpscale(scale=2), postfx.Overlay(), postfx.ToneMap()])])
-    frames = [replace(frame, guides={Role.OVERLAY: cubic(front).astype(np.float32)}) for frame in still]
-    ringing = shown([postfx.Pipeline([postfx.DenoiseUpscale(scale=2), postfx.Overlay(), postfx.ToneMap()])])
+    mine = shown([postfx.Pipeline([postfx.DenoiseUpscale(scale=2), postfx.Overlay(),
+                                   postfx.ToneMap()])])
+    frames = [replace(frame, guides={Role.OVERLAY: cubic(front).astype(np.float32)})
+              for frame in still]
+    ringing = shown([postfx.Pipeline([postfx.DenoiseUpscale(scale=2), postfx.Overlay(),
+                                      postfx.ToneMap()])])
     parts = [picture[66:156, 356:446].repeat(2, 0).repeat(2, 1) for picture in (ringing, mine)]
     Path(path).write_bytes(png(np.concatenate([mine, np.concatenate(parts)], axis=1)))
 
@@ -141,7 +152,8 @@ def main() -> None:
             result = enlarge(image)
             error = np.sqrt(np.square(result - wanted).mean())
             outside, excess, share = faults(image, result)
-            print(f"{shape.__name__:10} {name:25} {error:9.4f}  {outside:7.4f}  {excess:.4f} at {share:.1f} %")
+            print(f"{shape.__name__:10} {name:25} {error:9.4f}  {outside:7.4f}  {excess:.4f} at "
+                  f"{share:.1f} %")
     if len(sys.argv) > 1:
         draw(sys.argv[1])
 

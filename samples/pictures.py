@@ -1,4 +1,5 @@
-"""What several samples draw: crops, enlarged and beside each other, and a video that every browser plays."""
+"""What several samples draw: crops, enlarged and beside each other, and a video that every browser
+plays."""
 
 from __future__ import annotations
 
@@ -14,12 +15,14 @@ _GAP = 4
 """Pixels between two crops."""
 
 
-def crops(pictures: Sequence[np.ndarray], places: Sequence[tuple[int, int]], side: int, zoom: int) -> np.ndarray:
-    """Squares of pictures (height, width, 3) of one size, enlarged by repeating pixels: a row for each place (x, y), a
-    column for each picture, white between them."""
+def crops(pictures: Sequence[np.ndarray], places: Sequence[tuple[int, int]], side: int,
+          zoom: int) -> np.ndarray:
+    """Squares of pictures (height, width, 3) of one size, enlarged by repeating pixels: a row for
+    each place (x, y), a column for each picture, white between them."""
     rows = []
     for x, y in places:
-        cut = [picture[y:y + side, x:x + side].repeat(zoom, 0).repeat(zoom, 1) for picture in pictures]
+        cut = [picture[y:y + side, x:x + side].repeat(zoom, 0).repeat(zoom, 1)
+               for picture in pictures]
         rows.append(_join(cut, axis=1))
     return _join(rows, axis=0)
 
@@ -32,12 +35,14 @@ def beside(pictures: Sequence[np.ndarray]) -> np.ndarray:
 def below(pictures: Sequence[np.ndarray]) -> np.ndarray:
     """Pictures below each other, white between and beside them."""
     widest = max(picture.shape[1] for picture in pictures)
-    padded = [np.pad(one, ((0, 0), (0, widest - one.shape[1]), (0, 0)), constant_values=1) for one in pictures]
+    padded = [np.pad(one, ((0, 0), (0, widest - one.shape[1]), (0, 0)), constant_values=1)
+              for one in pictures]
     return _join(padded, axis=0)
 
 
 def split(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """One picture to the left of the middle, the other to its right, and a white line between them."""
+    """One picture to the left of the middle, the other to its right, and a white line between
+    them."""
     middle = left.shape[1] // 2
     joined = np.concatenate([left[:, :middle], right[:, middle:]], 1)
     joined[:, middle - 1:middle + 1] = 1
@@ -57,7 +62,8 @@ def write_animation(path: Path, files: Sequence[Path], frames_a_second: int) -> 
         out.append(_chunk(b"fcTL", timing))
         number += 1
         for data in (data for kind, data in picture if kind == b"IDAT"):
-            out.append(_chunk(b"IDAT", data) if index == 0 else _chunk(b"fdAT", struct.pack(">I", number) + data))
+            out.append(_chunk(b"IDAT", data) if index == 0
+                       else _chunk(b"fdAT", struct.pack(">I", number) + data))
             number += index > 0
     path.write_bytes(_SIGNATURE + b"".join(out) + _chunk(b"IEND", b""))
 

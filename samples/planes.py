@@ -13,7 +13,8 @@ import postfx
 from postfx.doctor.inspection import picture
 from postfx.frame import Role
 
-PLANES = (Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.DEPTH, Role.MOTION, Role.ROUGHNESS)
+PLANES = (Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.DEPTH,
+          Role.MOTION, Role.ROUGHNESS)
 FRAME, GAP = 6, 4  # late enough to have a history; pixels between the pictures
 
 target = Path(sys.argv[1] if len(sys.argv) > 1 else "out/planes.jpg")

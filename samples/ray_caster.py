@@ -1,9 +1,11 @@
 """A small ray caster that writes every plane postfx reads, by the helpers of postfx.integrate.
 
-python samples/ray_caster.py [OUTPUT_FOLDER] [--frames 8] [--samples 2] [--size 240x136] [--reference FRAMES]
+python samples/ray_caster.py [OUTPUT_FOLDER] [--frames 8] [--samples 2] [--size 240x136] \\
+    [--reference FRAMES]
 
-A textured ball rolls over a chequered floor between a rough copper ball and a flat mirror; the camera moves.
---reference also renders frames such as 8 at twice the size, 64 samples spread over the pixel, to measure against.
+A textured ball rolls over a chequered floor between a rough copper ball and a flat mirror; the
+camera moves. --reference also renders frames such as 8 at twice the size, 64 samples spread over
+the pixel, to measure against.
 """
 import argparse
 import math
@@ -57,12 +59,15 @@ def reflected(rays: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def trace(eye: np.ndarray, rays: np.ndarray, frame: float) -> tuple[np.ndarray, np.ndarray]:
-    """Distance along each ray (..., 1) and what is hit (...); distance infinite where nothing is."""
+    """Distance along each ray (..., 1) and what is hit (...); distance infinite where nothing
+    is."""
     with np.errstate(divide="ignore", invalid="ignore"):
         floor, wall = -eye[..., 1:2] / rays[..., 1:2], (MIRROR_AT[2] - eye[..., 2:]) / rays[..., 2:]
         place = eye + wall * rays
-    framed = (np.abs(place[..., :1]) < 1.3) & (place[..., 1:2] > 0.1) & (place[..., 1:2] < 1.5) & (rays[..., 2:] < 0)
-    hits = [floor, *(sphere(eye, rays, *each) for each in spheres(frame)), np.where(framed, wall, np.inf)]
+    framed = ((np.abs(place[..., :1]) < 1.3) & (place[..., 1:2] > 0.1) & (place[..., 1:2] < 1.5)
+              & (rays[..., 2:] < 0))
+    hits = [floor, *(sphere(eye, rays, *each) for each in spheres(frame)),
+            np.where(framed, wall, np.inf)]
     hits = np.stack([np.where(hit > 1e-4, hit, np.inf) for hit in hits])
     nearest = hits.min(axis=0)
     return nearest, np.where(np.isfinite(nearest), hits.argmin(axis=0), MISS)[..., 0]
@@ -78,7 +83,8 @@ def sphere(eye: np.ndarray, rays: np.ndarray, centre: np.ndarray, radius: float)
         return np.nan_to_num((-b - np.sqrt(b * b - a * c)) / a, nan=np.inf)
 
 
-def surface(points: np.ndarray, ids: np.ndarray, frame: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def surface(points: np.ndarray, ids: np.ndarray,
+            frame: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normals (..., 3), base colour (..., 3) and metallic (..., 1)."""
     normals = np.where(ids[..., None] == MIRROR, MIRROR_NORMAL, [0.0, 1.0, 0.0])
     for identity, (centre, radius) in zip((BALL, COPPER), spheres(frame), strict=True):
@@ -86,7 +92,8 @@ def surface(points: np.ndarray, ids: np.ndarray, frame: float) -> tuple[np.ndarr
     own = (points - ball(frame)[3, :3]) @ np.linalg.inv(ball(frame)[:3, :3])
     stripes = np.sign(np.sin(14 * own[..., :1]) * np.sin(14 * own[..., 1:2]))
     tiles = np.sign(np.sin(6 * points[..., :1]) * np.sin(6 * points[..., 2:]))
-    colour = np.where(ids[..., None] == BALL, 0.5 + stripes * [0.35, 0.2, -0.1], 0.45 + tiles * [0.3, 0.28, 0.25])
+    colour = np.where(ids[..., None] == BALL, 0.5 + stripes * [0.35, 0.2, -0.1],
+                      0.45 + tiles * [0.3, 0.28, 0.25])
     metallic = (ids == COPPER)[..., None].astype(float)
     return normals, np.where(metallic > 0, COPPER_COLOUR, colour), metallic
 
@@ -100,12 +107,15 @@ def on_sphere(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     return unit(rng.normal(size=(*shape, 3)))
 
 
-def light_at(points: np.ndarray, normals: np.ndarray, frame: float, rng: np.random.Generator) -> np.ndarray:
-    """Irradiance over pi (..., 3), by one ray to the lamp and one to the surroundings: this is the noise."""
+def light_at(points: np.ndarray, normals: np.ndarray, frame: float,
+             rng: np.random.Generator) -> np.ndarray:
+    """Irradiance over pi (..., 3), by one ray to the lamp and one to the surroundings: this is the
+    noise."""
     start = points + 1e-3 * normals
     to_lamp = LIGHT + LIGHT_RADIUS * on_sphere(rng, points.shape[:-1]) - start
     clear = trace(start, to_lamp, frame)[0] > 1
-    lamp = clear * np.maximum(dot(unit(to_lamp), normals), 0) * LIGHT_RADIANCE / dot(to_lamp, to_lamp) / math.pi
+    lamp = clear * np.maximum(dot(unit(to_lamp), normals),
+                              0) * LIGHT_RADIANCE / dot(to_lamp, to_lamp) / math.pi
     around = unit(normals + on_sphere(rng, points.shape[:-1]) * 0.999)
     return lamp + np.where(np.isinf(trace(start, around, frame)[0]), sky(around), 0.12)
 
@@ -120,7 +130,8 @@ def shaded(eye: np.ndarray, rays: np.ndarray, frame: float, rng: np.random.Gener
 
 
 def seen(eye: np.ndarray, rays: np.ndarray, frame: float) -> tuple[np.ndarray, ...]:
-    """What each view ray shows, through the mirror where it hits that: eye, rays, distance, ids, whether mirrored."""
+    """What each view ray shows, through the mirror where it hits that: eye, rays, distance, ids,
+    whether mirrored."""
     eye = np.broadcast_to(eye, rays.shape)
     distance, ids = trace(eye, rays, frame)
     mirrored = (ids == MIRROR)[..., None]
@@ -130,13 +141,15 @@ def seen(eye: np.ndarray, rays: np.ndarray, frame: float) -> tuple[np.ndarray, .
 
 
 def render(
-    number: int, width: int, height: int, samples: int, jitter: np.ndarray | None, seed: int | None = None,
-    floor: float | None = None,
+    number: int, width: int, height: int, samples: int, jitter: np.ndarray | None,
+    seed: int | None = None, floor: float | None = None,
 ) -> postfx.Frame:
-    """One frame with all planes. Without jitter the samples are spread over the pixel, and the planes of the last stay.
+    """One frame with all planes. Without jitter the samples are spread over the pixel, and the
+    planes of the last stay.
 
-    Frame 1 is the first of the shot, so it is marked as a cut. Without a seed the number is the seed of the noise.
-    `floor` makes the floor a metal of this roughness, and adds the plane of hit distances.
+    Frame 1 is the first of the shot, so it is marked as a cut. Without a seed the number is the
+    seed of the noise. `floor` makes the floor a metal of this roughness, and adds the plane of hit
+    distances.
     """
     rng, colour, nearness = np.random.default_rng(number if seed is None else seed), 0, 0
     projection = integrate.perspective(FOV, width, height)
@@ -158,17 +171,20 @@ def render(
         diffuse = integrate.diffuse_albedo(base, metallic)
         facet = unit(normals + gloss**2 * on_sphere(rng, rays.shape[:-1]))
         glossy = shaded(points + 1e-3 * normals, reflected(ways, facet), number, rng)
-        if floor is not None:  # the mirror's planes show what it reflects, so it has no hit distance
+        # the mirror's planes show what it reflects, so it has no hit distance
+        if floor is not None:
             away = trace(points + 1e-3 * normals, unit(reflected(ways, facet)), number)[0]
             nearness = nearness + np.where(hit & (metallic > 0) & ~mirrored, 1 / away, 0) / samples
         lit = diffuse * light_at(points, normals, number, rng) + specular * glossy
         colour = colour + np.where(hit, lit, sky(ways)) / samples
-    before = integrate.rigid_previous_positions(points, ids, {BALL: ball(number)}, {BALL: ball(number - 1)})
+    before = integrate.rigid_previous_positions(points, ids, {BALL: ball(number)},
+                                                {BALL: ball(number - 1)})
     virtual, virtual_before = (
         np.where(mirrored, integrate.mirrored_positions(each, MIRROR_AT, MIRROR_NORMAL), each)
         for each in (points, before)
     )
-    homogeneous = [np.concatenate([np.where(hit, each, rays), hit], axis=-1) for each in (virtual, virtual_before)]
+    homogeneous = [np.concatenate([np.where(hit, each, rays), hit], axis=-1)
+                   for each in (virtual, virtual_before)]
     turned = np.where(mirrored, integrate.mirrored_normals(normals, MIRROR_NORMAL), normals)
     planes = {
         Role.COLOUR: colour,
@@ -180,15 +196,17 @@ def render(
         Role.MOTION: integrate.motion_from_positions(*homogeneous, clip, clip_before),
     }
     if floor is not None:
-        planes[Role.SPECULAR_HIT_DISTANCE] = np.where(nearness > 0, 1 / np.maximum(nearness, 1e-10), 0)
+        planes[Role.SPECULAR_HIT_DISTANCE] = np.where(nearness > 0, 1 / np.maximum(nearness, 1e-10),
+                                                      0)
     return postfx.Frame(
-        planes, number, (0.0, 0.0) if jitter is None else tuple(jitter), reset=number == 1, samples=samples,
-        world_to_camera=camera(number), fov_x=FOV,
+        planes, number, (0.0, 0.0) if jitter is None else tuple(jitter), reset=number == 1,
+        samples=samples, world_to_camera=camera(number), fov_x=FOV,
     )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("output", nargs="?", type=Path, default=Path("out/ray_caster"))
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--samples", type=int, default=2)
@@ -205,8 +223,10 @@ def main() -> None:
         print("wrote", integrate.write_planes(arguments.output / f"noisy.{number:04d}.exr", frame))
     for number in arguments.reference:
         frame = render(number, 2 * width, 2 * height, 64, None)
-        colour = postfx.Frame({Role.COLOUR: frame[Role.COLOUR]}, number, exposure=exposure, samples=frame.samples)
-        print("wrote", integrate.write_planes(arguments.output / f"reference.{number:04d}.exr", colour))
+        colour = postfx.Frame({Role.COLOUR: frame[Role.COLOUR]}, number, exposure=exposure,
+                              samples=frame.samples)
+        print("wrote",
+              integrate.write_planes(arguments.output / f"reference.{number:04d}.exr", colour))
 
 
 if __name__ == "__main__":

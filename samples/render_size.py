@@ -1,10 +1,11 @@
-"""A renderer that keeps to a time for each frame: the size to render at is chosen by the times of the frames before.
+"""A renderer that keeps to a time for each frame: the size to render at is chosen by the times of
+the frames before.
 
 python samples/render_size.py [PICTURE] [--time 400] [--size 640x360] [--frames 40] [--model s]
 
-The ray caster of ray_caster.py renders, and the denoised upscaler brings every frame to the same size with its history.
-In the middle third of the frames, a frame is rendered with twice the samples. Prints each frame's size and time, and
-draws both. Needs matplotlib.
+The ray caster of ray_caster.py renders, and the denoised upscaler brings every frame to the same
+size with its history. In the middle third of the frames, a frame is rendered with twice the
+samples. Prints each frame's size and time, and draws both. Needs matplotlib.
 """
 import argparse
 import tempfile
@@ -19,7 +20,8 @@ import postfx
 from postfx import Role, integrate
 
 parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
-parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "render_size.png")
+parser.add_argument("picture", nargs="?", type=Path,
+                    default=Path(tempfile.gettempdir()) / "render_size.png")
 parser.add_argument("--time", type=float, default=400, help="milliseconds that a frame may take")
 parser.add_argument("--size", default="640x360", help="of the output")
 parser.add_argument("--frames", type=int, default=40)
@@ -41,9 +43,11 @@ for number in range(1, chosen.frames + 1):
     times.append(1e3 * (time.perf_counter() - began))
     widths.append(width)
     controller.note_time(times[-1])
-    print(f"frame {number:3}  {'heavy' if heavy else 'light'}  {width}x{height}  {times[-1]:6.0f} ms", flush=True)
+    print(f"frame {number:3}  {'heavy' if heavy else 'light'}  {width}x{height}  {times[-1]:6.0f} "
+          "ms", flush=True)
     assert shown[Role.COLOUR].shape[:2] == size[::-1]
-settled = [taken for number, taken in enumerate(times) if number % (chosen.frames // 3 or 1) >= chosen.frames // 6]
+settled = [taken for number, taken in enumerate(times)
+           if number % (chosen.frames // 3 or 1) >= chosen.frames // 6]
 print(f"settled frames: median {np.median(settled):.0f} ms of {chosen.time:.0f}")
 
 figure = Figure((8, 4), layout="constrained")

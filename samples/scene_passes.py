@@ -2,11 +2,12 @@
 
 python samples/scene_passes.py [--threads 1] [--runs 5] [--size 1000x640] [--only scene_shading]
 
-Prints the milliseconds of each pass, and the processor's time of a call with its frames a second, which other programs
-change less; with --device cuda, the time of a whole call with its frames a second. Medians of runs in turn. The passes:
-occlusion by GTAO and by the network; scene_shading by a U-Net from planes alone and with history, and by a network of
-points, 33-64-64-64-3; irradiance by a network of 3-16-16-3. The last two have random weights, which take as long. With
-a size, pixels of the room are repeated.
+Prints the milliseconds of each pass, and the processor's time of a call with its frames a second,
+which other programs change less; with --device cuda, the time of a whole call with its frames a
+second. Medians of runs in turn. The passes: occlusion by GTAO and by the network; scene_shading by
+a U-Net from planes alone and with history, and by a network of points, 33-64-64-64-3; irradiance by
+a network of 3-16-16-3. The last two have random weights, which take as long. With a size, pixels of
+the room are repeated.
 """
 import argparse
 import json
@@ -34,13 +35,16 @@ parser.add_argument("--only", default="", help="passes whose names begin so")
 parser.add_argument("--size", help="such as 1000x640; default: the room's own")
 chosen = parser.parse_args()
 
-device = Device(chosen.device, threads=chosen.threads) if chosen.device == "cpu" else Device(chosen.device)
-clock, whose = (time.process_time, "processor") if chosen.device == "cpu" else (time.perf_counter, "call")
+device = (Device(chosen.device, threads=chosen.threads) if chosen.device == "cpu"
+          else Device(chosen.device))
+clock, whose = ((time.process_time, "processor") if chosen.device == "cpu"
+                else (time.perf_counter, "call"))
 frames = list(postfx.read_sequence(str(ROOM / "noisy.####.exr")))[:2]
 if chosen.size:
     width, height = map(int, chosen.size.split("x"))
     known_height, known_width = frames[0][Role.COLOUR].shape[:2]
-    rows, columns = np.arange(height) * known_height // height, np.arange(width) * known_width // width
+    rows, columns = (np.arange(height) * known_height // height,
+                     np.arange(width) * known_width // width)
     frames = [replace(frame, planes={role: np.ascontiguousarray(plane[rows][:, columns])
                                      for role, plane in frame.planes.items()}) for frame in frames]
 with tempfile.TemporaryDirectory() as folder:
@@ -48,7 +52,8 @@ with tempfile.TemporaryDirectory() as folder:
     network.save_onnx(Path(folder) / "light.onnx", network.initial(1))
     network = Network(POINT, (64, 64, 64), 3, "gelu", bands=4, encoded=3)
     network.save_onnx(Path(folder) / "points.onnx", network.initial(1))
-    (Path(folder) / "points.json").write_text(json.dumps(SceneBox(np.zeros(3, np.float32), 3.0).card()))
+    (Path(folder) / "points.json").write_text(json.dumps(SceneBox(np.zeros(3, np.float32), 3.0)
+                                                         .card()))
     ways = {
         "occlusion, GTAO": Occlusion(network=False),
         "occlusion, network": Occlusion(),
@@ -73,4 +78,5 @@ print(f"{width}x{height}, {device.name}, {chosen.threads} threads")
 for name, taken in times.items():
     middle = statistics.median(taken)
     busy = statistics.median(work[name])
-    print(f"{name:<28} {middle:8.1f} ms, of the {whose} {1000 * busy:8.1f} ms, {1 / busy:6.2f} frames a second")
+    print(f"{name:<28} {middle:8.1f} ms, of the {whose} {1000 * busy:8.1f} ms, {1 / busy:6.2f} "
+          "frames a second")

@@ -1,11 +1,13 @@
-"""The README's and the gallery's product shot: a full frame before and after, crops beside OIDN, a video, and figures.
+"""The README's and the gallery's product shot: a full frame before and after, crops beside OIDN, a
+video, and figures.
 
     python samples/showcase.py FOLDER OUT [--name showcase] [--places 310,105 490,70] [--side 79]
 
-FOLDER holds noisy.####.exr and reference.####.exr, as `training/measure/validation/showcase.py` renders them. The last
-frame that has a reference is shown and measured; a larger reference is averaged to the frame's size. Writes
-OUT/NAME.jpg, the video OUT/NAME.webp, and for the gallery's sliders OUT/NAME_noisy.jpg, NAME_oidn.jpg and
-NAME_postfx.jpg. Prints PSNR and FLIP behind the display curve of `postfx bench`.
+FOLDER holds noisy.####.exr and reference.####.exr, as `training/measure/validation/showcase.py`
+renders them. The last frame that has a reference is shown and measured; a larger reference is
+averaged to the frame's size. Writes OUT/NAME.jpg, the video OUT/NAME.webp, and for the gallery's
+sliders OUT/NAME_noisy.jpg, NAME_oidn.jpg and NAME_postfx.jpg. Prints PSNR and FLIP behind the
+display curve of `postfx bench`.
 """
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ QUALITY, VIDEO_QUALITY = 88, 60
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--name", default="showcase")
@@ -43,7 +46,8 @@ def main(argv: list[str]) -> None:
     reference = at_size(references[-1], shot[-1])
     exposure = auto_exposure(reference)
     ways = {"noisy": [], "oidn": [postfx.Oidn()], "postfx": [postfx.DenoiseUpscale(scale=1)]}
-    light = {name: run(passes, shot if name != "oidn" else shot[-1:], exposure) for name, passes in ways.items()}
+    light = {name: run(passes, shot if name != "oidn" else shot[-1:], exposure)
+             for name, passes in ways.items()}
     print(f"{'as rendered':28} {figures(light['noisy'][-1], reference, exposure)}")
     print(f"{'Open Image Denoise':28} {figures(light['oidn'][-1], reference, exposure)}")
     print(f"{'postfx, network m':28} {figures(light['postfx'][-1], reference, exposure)}")
@@ -52,10 +56,13 @@ def main(argv: list[str]) -> None:
     for name, one in last.items():
         save(one).save(args.out / f"{args.name}_{name}.jpg", quality=QUALITY)
     four = [*last.values(), shown(reference, exposure)]
-    picture = below([split(last["noisy"], last["postfx"]), crops(four, args.places, args.side, ZOOM)])
+    picture = below([split(last["noisy"], last["postfx"]),
+                     crops(four, args.places, args.side, ZOOM)])
     save(picture).save(args.out / f"{args.name}.jpg", quality=QUALITY)
-    pairs = [save(beside(pair)).reduce(2) for pair in zip(codes["noisy"], codes["postfx"], strict=True)]
-    pairs[0].save(args.out / f"{args.name}.webp", save_all=True, append_images=pairs[1:] + pairs[-2:0:-1],
+    pairs = [save(beside(pair)).reduce(2)
+             for pair in zip(codes["noisy"], codes["postfx"], strict=True)]
+    pairs[0].save(args.out / f"{args.name}.webp", save_all=True,
+                  append_images=pairs[1:] + pairs[-2:0:-1],
                   duration=FRAME_TIME, loop=0, quality=VIDEO_QUALITY, method=4)
 
 

@@ -1,6 +1,7 @@
-"""Pictures of the documentation that show tools: exposure boards, curves and views, a report, and a captured network.
+"""Pictures of the documentation that show tools: exposure boards, curves and views, a report, and a
+captured network.
 
-python samples/site_pictures.py FOLDER      needs Chromium, onnx and the extra 'bench' for the last two
+python samples/site_pictures.py FOLDER   needs Chromium, onnx and the extra 'bench' for the last two
 
 Writes board.png, curve.png, false_colour.png, zebra.png, report.jpg and capture_network.png.
 """
@@ -28,7 +29,8 @@ PAPER, INK = (250, 250, 248), (60, 60, 60)
 SHOT, FRAME = 25, 6  # frames of a shot of the curve; the frame of the room that is shown
 ONLY_NETWORKS = """<script>setTimeout(() => {
 document.querySelectorAll("#left > section:not(#networks)").forEach((section) => section.remove());
-[...document.querySelectorAll("#networks *")].filter((one) => one.textContent === "down.1.0").at(-1)?.click();
+[...document.querySelectorAll("#networks *")]
+    .filter((one) => one.textContent === "down.1.0").at(-1)?.click();
 }, 500)</script>"""
 """Leaves the networks on the page of a capture, and chooses a node."""
 
@@ -47,9 +49,11 @@ def pixels_of(path: Path) -> np.ndarray:
 
 
 def draw_boards(path: Path) -> None:
-    """The checkerboard of `postfx exposure` through ACES 2: one stop too dark, right, one stop too bright."""
+    """The checkerboard of `postfx exposure` through ACES 2: one stop too dark, right, one stop too
+    bright."""
     canvas = Canvas(976, 214, PAPER)
-    for k, (stops, words) in enumerate(((-1, "too dark by 1 EV"), (0, "right"), (1, "too bright by 1 EV"))):
+    for k, (stops, words) in enumerate(((-1, "too dark by 1 EV"), (0, "right"),
+                                        (1, "too bright by 1 EV"))):
         tool = registry.create("exposure_tool", reference={1: 1.0})
         shown = postfx.Pipeline([tool, postfx.ToneMap(look="aces2")], exposure=stops)
         frame = shown(Frame({Role.COLOUR: np.zeros((180, 320, 3), np.float32)}, number=1))
@@ -71,38 +75,43 @@ def shots() -> Iterator[Frame]:
 
 def take_screenshot(page: Path, size: tuple[int, int], path: Path) -> None:
     """A PNG of a page, by headless Chromium."""
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    chromium = (shutil.which("chromium") or shutil.which("chromium-browser")
+                or shutil.which("google-chrome"))
     if chromium is None:
         raise SystemExit("screenshots need Chromium")
     command = [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
                "--disable-background-networking", f"--user-data-dir={page.parent / 'chromium'}",
-               "--virtual-time-budget=20000", f"--window-size={size[0]},{size[1]}", f"--screenshot={path}",
-               page.resolve().as_uri()]
+               "--virtual-time-budget=20000", f"--window-size={size[0]},{size[1]}",
+               f"--screenshot={path}", page.resolve().as_uri()]
     # no pipes: processes that Chromium leaves behind would hold them open
-    subprocess.run(command, check=True, timeout=120, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    subprocess.run(command, check=True, timeout=120, stdout=subprocess.DEVNULL,
+                   stderr=subprocess.DEVNULL)
 
 
 def make_all(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     folder = folder.resolve()
     noisy, reference = "samples/room/noisy.####.exr", "samples/room/reference.####.exr"
-    with tempfile.TemporaryDirectory() as name, contextlib.chdir(ROOT):  # pages then show short paths
+    # pages then show short paths
+    with tempfile.TemporaryDirectory() as name, contextlib.chdir(ROOT):
         work = Path(name)
         draw_boards(folder / "board.png")
-        draw_exposure(debug(shots(), [postfx.ToneMap(look="aces2")], "metadata"), "shot.####.exr: exposure metadata",
-                      folder / "curve.png")
+        draw_exposure(debug(shots(), [postfx.ToneMap(look="aces2")], "metadata"),
+                      "shot.####.exr: exposure metadata", folder / "curve.png")
         run("exposure", noisy, "--frames", f"1-{FRAME}", "--views", work / "views")
-        view = {kind: pixels_of(next((work / "views").glob(f"*{kind}*{FRAME:04d}.png"))) for kind in ("log_c", "zebra")}
+        view = {kind: pixels_of(next((work / "views").glob(f"*{kind}*{FRAME:04d}.png")))
+                for kind in ("log_c", "zebra")}
         save_png(folder / "false_colour.png", view["log_c"])
-        save_png(folder / "zebra.png", view["zebra"][:, -510:])  # the windows, the lamp and the metal
-        run("run", noisy, "-o", work / "clean.####.exr", "--scale", "2", "--report", work / "report.html",
-            "--reference", reference, "--quiet")
+        # the windows, the lamp and the metal
+        save_png(folder / "zebra.png", view["zebra"][:, -510:])
+        run("run", noisy, "-o", work / "clean.####.exr", "--scale", "2", "--report",
+            work / "report.html", "--reference", reference, "--quiet")
         take_screenshot(work / "report.html", (1340, 1760), work / "report.png")
         report = oiio.ImageBufAlgo.channels(oiio.ImageBuf(str(work / "report.png")), (0, 1, 2))
         report.specmod().attribute("Compression", "jpeg:85")
         report.write(str(folder / "report.jpg"))
-        run("run", noisy, "-o", work / "captured.####.exr", "--scale", "2", "--frames", "1-2", "--model", "m.fp32",
-            "--capture", work / "look", "--capture-network", "--quiet")
+        run("run", noisy, "-o", work / "captured.####.exr", "--scale", "2", "--frames", "1-2",
+            "--model", "m.fp32", "--capture", work / "look", "--capture-network", "--quiet")
         page = work / "look/capture.html"
         page.write_text(page.read_text("utf-8").replace(f"{ROOT}/", "") + ONLY_NETWORKS, "utf-8")
         take_screenshot(page, (1500, 880), folder / "capture_network.png")

@@ -1,11 +1,12 @@
-"""A network of 3-4-4-3 learns the sky while the sun moves, fills the misses of a frame with it and lights the rest.
+"""A network of 3-4-4-3 learns the sky while the sun moves, fills the misses of a frame with it and
+lights the rest.
 
 python samples/sky_probe.py [PICTURE] [--frames 120] [--steps 8] [--points 256]
 
-Each frame is one command buffer: the sky in random directions, some steps of learning, then the network in the
-directions of all misses and in directions around every surface. The logarithm of 1 + radiance is learnt. Prints the
-error against the analytic sky of the network, and of one that learns in the first third of the frames only, and draws
-both. Needs matplotlib.
+Each frame is one command buffer: the sky in random directions, some steps of learning, then the
+network in the directions of all misses and in directions around every surface. The logarithm of 1 +
+radiance is learnt. Prints the error against the analytic sky of the network, and of one that learns
+in the first third of the frames only, and draws both. Needs matplotlib.
 """
 import argparse
 import tempfile
@@ -20,7 +21,8 @@ from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable
 
 parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
-parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "sky_probe.png")
+parser.add_argument("picture", nargs="?", type=Path,
+                    default=Path(tempfile.gettempdir()) / "sky_probe.png")
 parser.add_argument("--frames", type=int, default=120)
 parser.add_argument("--steps", type=int, default=8, help="of learning in each frame")
 parser.add_argument("--points", type=int, default=256, help="directions of a step")
@@ -33,11 +35,13 @@ learners = [Learner(device, network, 2e-2, seed=1) for _ in range(2)]  # one lea
 rays, normals, albedo = scene(chosen.width, chosen.width * 9 // 16)
 missed = ~normals.any(-1)
 around = sphere_directions(1024)
-asked = np.concatenate([around, rays[missed]])  # error and light are taken from the first, the picture from the rest
+# error and light are taken from the first, the picture from the rest
+asked = np.concatenate([around, rays[missed]])
 
 state = device.compute_state(SKY)
 sky = device.heap.tensor("sky", (21,))
-directions = [device.heap.tensor(f"directions {k}", (chosen.points, 3)) for k in range(chosen.steps)]
+directions = [device.heap.tensor(f"directions {k}", (chosen.points, 3))
+              for k in range(chosen.steps)]
 logs = [device.heap.tensor(f"logs {k}", (chosen.points, 3)) for k in range(chosen.steps)]
 places = device.wrap("asked", asked)
 values = [device.heap.tensor(f"values {k}", asked.shape) for k in range(2)]
@@ -67,11 +71,13 @@ for frame in range(chosen.frames):
     commands.wait()
     times.append(dict(commands.timings)["learn"])
     SKY.rows(0, len(asked), sky.array, asked, truth)
-    errors.append([rel_mse(np.expm1(value.array[:len(around)]), np.expm1(truth[:len(around)])) for value in values])
+    errors.append([rel_mse(np.expm1(value.array[:len(around)]), np.expm1(truth[:len(around)]))
+                   for value in values])
 
 
 def lit(light: np.ndarray) -> np.ndarray:
-    """The frame by light from the directions asked for: irradiance of every normal, and misses filled."""
+    """The frame by light from the directions asked for: irradiance of every normal, and misses
+    filled."""
     facing = np.maximum(normals.reshape(-1, 3) @ around.T, 0)
     irradiance = (facing @ light[:len(around)]).reshape(normals.shape) * 4 * np.pi / len(around)
     picture = albedo / np.pi * irradiance
@@ -83,11 +89,12 @@ errors = np.array(errors)
 late = errors[2 * chosen.frames // 3:].mean(0)
 print(f"{network.count} parameters, {chosen.steps} steps of {chosen.points} directions a frame: "
       f"{np.median(times):.2f} ms a frame with all {len(asked)} directions of the picture")
-print(f"relMSE over the last third of {chosen.frames} frames: {late[0]:.4f} where it learns on, {late[1]:.4f} where it "
-      "stopped")
+print(f"relMSE over the last third of {chosen.frames} frames: {late[0]:.4f} where it learns on, "
+      f"{late[1]:.4f} where it stopped")
 figure = Figure((12, 7), layout="constrained")
 panels = figure.subplot_mosaic([["a", "b", "c"], ["d", "d", "d"]])
-for name, title, log in (("a", "analytic sky", truth), ("b", "network that learns on", values[0].array),
+for name, title, log in (("a", "analytic sky", truth),
+                         ("b", "network that learns on", values[0].array),
                          ("c", "network that stopped", values[1].array)):
     panels[name].imshow(lit(np.expm1(log)))
     panels[name].set_title(f"last frame by the {title}")

@@ -1,13 +1,15 @@
-"""Measure how a frame's time and memory grow with pixels, threads, unmasked share and parts; fit a model, plot it, and
-simulate a farm with it.
+"""Measure how a frame's time and memory grow with pixels, threads, unmasked share and parts; fit a
+model, plot it, and simulate a farm with it.
 
-python samples/time_model.py [--models m,s] [--runs 5] [--sizes 480x270,...] [--full 960x540] [--what work,threads,...]
+python samples/time_model.py [--models m,s] [--runs 5] [--sizes 480x270,...] [--full 960x540] \\
+    [--what work,threads,...]
     [--threads 1,2] [-o time_model.png]
 
-Frames are denoised to twice their size and tone-mapped on the CPU, random planes in memory; those with parts are not
-tone-mapped. Work is processor time in one thread, the least of all runs, as other programs can only add to it; times of
-several threads are by the clock, medians of runs in turn; memory is the peak of a process of its own. Sizes are those
-of frames before they are enlarged: 427x240 makes 480p, 7680x4320 makes 16K.
+Frames are denoised to twice their size and tone-mapped on the CPU, random planes in memory; those
+with parts are not tone-mapped. Work is processor time in one thread, the least of all runs, as
+other programs can only add to it; times of several threads are by the clock, medians of runs in
+turn; memory is the peak of a process of its own. Sizes are those of frames before they are
+enlarged: 427x240 makes 480p, 7680x4320 makes 16K.
 """
 import argparse
 import heapq
@@ -38,15 +40,18 @@ MOST_SECONDS = 60
 """Of runs at one size: large frames get fewer."""
 
 
-def chain(model: str, threads: int | None, parts: int = 0, memory: str | None = None) -> postfx.Pipeline:
-    denoiser = postfx.DenoiseUpscale(scale=2, model=model, parts=[f"part {i}" for i in range(parts)])
+def chain(model: str, threads: int | None, parts: int = 0,
+          memory: str | None = None) -> postfx.Pipeline:
+    denoiser = postfx.DenoiseUpscale(scale=2, model=model,
+                                     parts=[f"part {i}" for i in range(parts)])
     toned = [] if parts else [postfx.ToneMap()]  # parts are light of the scene, and stay so
     return postfx.Pipeline([denoiser, *toned], postfx.Device("cpu", threads=threads, memory=memory))
 
 
-def measure(chains: list[postfx.Pipeline], frame: postfx.Frame, runs: int, clock: Callable[[], float],
-            middle: Callable[[list[float]], float]) -> list[float]:
-    """Milliseconds of each chain, the middle of runs in turn; three runs before them do not count."""
+def measure(chains: list[postfx.Pipeline], frame: postfx.Frame, runs: int,
+            clock: Callable[[], float], middle: Callable[[list[float]], float]) -> list[float]:
+    """Milliseconds of each chain, the middle of runs in turn; three runs before them do not
+    count."""
     found: list[list[float]] = [[] for _ in chains]
     began = time.perf_counter()
     for run in range(runs + 3):
@@ -68,7 +73,8 @@ def work_of(model: str, frame: postfx.Frame, runs: int, parts: int = 0) -> float
 def with_parts(frame: postfx.Frame, count: int) -> postfx.Frame:
     """The frame with its colour in equal parts."""
     share = frame[postfx.Role.COLOUR] / np.float32(max(count, 1))
-    return postfx.Frame(frame.planes, jitter=frame.jitter, parts={f"part {i}": share.copy() for i in range(count)})
+    return postfx.Frame(frame.planes, jitter=frame.jitter,
+                        parts={f"part {i}": share.copy() for i in range(count)})
 
 
 def fit(rows: list[list[float]], times: list[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -86,17 +92,21 @@ def fit(rows: list[list[float]], times: list[float]) -> tuple[np.ndarray, np.nda
 
 
 def windowed(share: float, height: int, model: str) -> float:
-    """The share of a frame's rows that the network sees, halo included, if a share of them is not masked."""
+    """The share of a frame's rows that the network sees, halo included, if a share of them is not
+    masked."""
     return 1.0 if share >= 1 else min(1.0, share + HALOS[model] / height)
 
 
-def measure_work(model: str, sizes: list[tuple[int, int]], full: tuple[int, int], runs: int) -> dict[str, float]:
+def measure_work(model: str, sizes: list[tuple[int, int]], full: tuple[int, int],
+                 runs: int) -> dict[str, float]:
     """Print and fit the work; the model's coefficients by name."""
     rows, times, names = [], [], []
 
-    def note(name: str, size: tuple[int, int], share: float, parts: int, picture: postfx.Frame) -> None:
+    def note(name: str, size: tuple[int, int], share: float, parts: int,
+             picture: postfx.Frame) -> None:
         pixels = size[0] * size[1] / 1e6
-        rows.append([1, pixels, pixels * windowed(share, size[1], model), pixels * (parts > 0), pixels * parts])
+        rows.append([1, pixels, pixels * windowed(share, size[1], model), pixels * (parts > 0),
+                     pixels * parts])
         times.append(work_of(model, picture, runs, parts))
         names.append(name)
 
@@ -109,8 +119,9 @@ def measure_work(model: str, sizes: list[tuple[int, int]], full: tuple[int, int]
         note(f"{count} parts", full, 1, count, with_parts(frame, count))
     # Without masks the second and the third column cannot be told apart, and masks have one size.
     values, errors = fit(rows, times)
-    print(f"{model}: work of P million render pixels, a share w of which the network sees, in n parts: "
-          "{:.1f} + P ({:.0f} + {:.0f} w + {:.0f} (n > 0) + {:.0f} n) ms".format(*values))
+    print(f"{model}: work of P million render pixels, a share w of which the network sees, in n "
+          "parts: {:.1f} + P ({:.0f} + {:.0f} w + {:.0f} (n > 0) + {:.0f} n) "
+          "ms".format(*values))
     for name, taken, error in zip(names, times, errors, strict=True):
         print(f"{model}: {name}: {taken:.0f} ms, the model is {100 * error:+.1f} % off")
     return {"base": values[0], "pixel": values[1] + values[2],
@@ -119,20 +130,23 @@ def measure_work(model: str, sizes: list[tuple[int, int]], full: tuple[int, int]
 
 def measure_threads(model: str, full: tuple[int, int], counts: list[int], runs: int) -> list[float]:
     """Print and fit times by the clock: Amdahl's a + b / n."""
-    times = measure([chain(model, count) for count in counts], noisy_frame(*full), runs, time.perf_counter,
-                    statistics.median)
+    times = measure([chain(model, count) for count in counts], noisy_frame(*full), runs,
+                    time.perf_counter, statistics.median)
     (alone, shared), errors = fit([[1, 1 / count] for count in counts], times)
-    print("{}: {}x{} by the clock in n threads: {:.1f} + {:.0f} / n ms".format(model, *full, alone, shared))
+    print("{}: {}x{} by the clock in n threads: {:.1f} + {:.0f} / n "
+          "ms".format(model, *full, alone, shared))
     for count, taken, error in zip(counts, times, errors, strict=True):
-        print(f"{model}: {count} threads: {taken:.1f} ms, {times[0] / taken:.2f} times as fast as {counts[0]}, "
-              f"the model is {100 * error:+.1f} % off")
+        print(f"{model}: {count} threads: {taken:.1f} ms, {times[0] / taken:.2f} times as fast as "
+              f"{counts[0]}, the model is {100 * error:+.1f} % off")
     return times
 
 
 def measure_memory(model: str, sizes: list[tuple[int, int]], budgets: list[str]) -> None:
-    """Print the peak memory of a process that runs three frames, and its seconds by the clock for the last one."""
+    """Print the peak memory of a process that runs three frames, and its seconds by the clock for
+    the last one."""
     for size, budget in itertools.product(sizes, budgets):
-        command = [sys.executable, __file__, "--one", "{}x{}".format(*size), "--models", model, "--budgets", budget]
+        command = [sys.executable, __file__, "--one", "{}x{}".format(*size), "--models", model,
+                   "--budgets", budget]
         done = subprocess.run(command, capture_output=True, text=True)
         print(f"{model}: {size[0]}x{size[1]}, budget {budget}: "
               + (done.stdout.strip() or done.stderr.strip().rpartition("\n")[2]), flush=True)
@@ -145,13 +159,13 @@ def run_alone(model: str, size: tuple[int, int], budget: str) -> None:
         way(frame)
         taken = time.perf_counter() - began
     peak = peak_memory() * 1e6 / 2**20
-    print(f"{peak:.0f} MiB, {sum(plane.nbytes for plane in frame.planes.values()) / 2**20:.0f} of them the planes; "
-          f"{1e3 * taken:.0f} ms")
+    print(f"{peak:.0f} MiB, {sum(plane.nbytes for plane in frame.planes.values()) / 2**20:.0f} of "
+          f"them the planes; {1e3 * taken:.0f} ms")
 
 
 def cut(frames: int, size: int, shot: int) -> list[tuple[int, int]]:
-    """Chunks as (frames to write, frames to run before them): shots of equal length, each cut into equal chunks of at
-    most `size`."""
+    """Chunks as (frames to write, frames to run before them): shots of equal length, each cut into
+    equal chunks of at most `size`."""
     chunks = []
     for first in range(0, frames, shot):
         long = min(shot, frames - first)
@@ -165,9 +179,10 @@ def simulate_farm(chunks: list[tuple[int, int]], seconds: float, start: float, m
                   between_failures: float = float("inf"), seed: int = 0) -> float:
     """Hours until all chunks are done.
 
-    Machines take the longest chunk left as they become free. Their speeds differ (log-normal, 15 %). One fails after a
-    time (exponential, `between_failures` hours on average) and is back after ten minutes; the rest of its chunk then
-    goes to the next free machine, which runs the frames before it again.
+    Machines take the longest chunk left as they become free. Their speeds differ (log-normal, 15
+    %). One fails after a time (exponential, `between_failures` hours on average) and is back after
+    ten minutes; the rest of its chunk then goes to the next free machine, which runs the frames
+    before it again.
     """
     rng = np.random.default_rng(seed)
     slowness = np.exp(rng.normal(0, 0.15, machines))
@@ -181,7 +196,8 @@ def simulate_farm(chunks: list[tuple[int, int]], seconds: float, start: float, m
         pace = slowness[machine] * seconds
         done = at + slowness[machine] * start + (write + before) * pace
         if done > fails[machine]:
-            written = int(max(0.0, (fails[machine] - at - slowness[machine] * start) / pace - before))
+            written = int(max(0.0,
+                              (fails[machine] - at - slowness[machine] * start) / pace - before))
             left.append((write - min(written, write - 1), min(RUN_UP, before + written)))
             done = fails[machine] = fails[machine] + 600.0
             fails[machine] += rng.exponential(1) * between_failures * 3600
@@ -192,9 +208,10 @@ def simulate_farm(chunks: list[tuple[int, int]], seconds: float, start: float, m
 
 
 def report_farm(model: str, seconds: float, start: float) -> None:
-    """Print hours of a farm of 1,000 machines for 10^6 frames, in shots of 100 and of 1,000 frames."""
-    print(f"{model}: 10^6 frames by 1,000 machines, {1e3 * seconds:.0f} ms a frame and {start} s to start; without "
-          f"starts and frames before chunks {1e3 * seconds / 3600:.3f} h")
+    """Print hours of a farm of 1,000 machines for 10^6 frames, in shots of 100 and of 1,000
+    frames."""
+    print(f"{model}: 10^6 frames by 1,000 machines, {1e3 * seconds:.0f} ms a frame and {start} s "
+          f"to start; without starts and frames before chunks {1e3 * seconds / 3600:.3f} h")
     for shot, size in itertools.product((100, 1000), CHUNKS):
         if size <= shot:
             chunks = cut(10**6, size, shot)
@@ -202,7 +219,8 @@ def report_farm(model: str, seconds: float, start: float) -> None:
             times = [simulate_farm(chunks, seconds, start, between_failures=hours)
                      for hours in (float("inf"), 24.0, 2.0)]
             print(f"{model}: shots of {shot}, chunks of {size}: {before:.2f} frames before each; "
-                  "{:.3f} h, {:.3f} with a failure a day, {:.3f} with one in two hours".format(*times), flush=True)
+                  "{:.3f} h, {:.3f} with a failure a day, {:.3f} with one in two "
+                  "hours".format(*times), flush=True)
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -211,23 +229,29 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--models", default="m,s", help="tags of networks, comma-separated")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--what", default=",".join(KINDS), help="what to measure, comma-separated")
-    parser.add_argument("--sizes", default=SIZES, help="of frames before they are enlarged, comma-separated")
-    parser.add_argument("--full", default="960x540", help="the size at which masks, parts and threads are measured")
+    parser.add_argument("--sizes", default=SIZES,
+                        help="of frames before they are enlarged, comma-separated")
+    parser.add_argument("--full", default="960x540",
+                        help="the size at which masks, parts and threads are measured")
     parser.add_argument("--threads", default="1,2", help="comma-separated")
     parser.add_argument("--budgets", default="none", help="of memory, such as none,4G")
-    parser.add_argument("--start", type=float, default=1.5, help="seconds of a process before its first frame")
-    parser.add_argument("--frame", type=float, help="milliseconds of a frame for the farm, in place of the work")
+    parser.add_argument("--start", type=float, default=1.5,
+                        help="seconds of a process before its first frame")
+    parser.add_argument("--frame", type=float,
+                        help="milliseconds of a frame for the farm, in place of the work")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     parser.add_argument("-o", "--output", type=Path, help="picture to write")
     args = parser.parse_args()
     if args.one:
         run_alone(args.models, parse_size(args.one), args.budgets)
         return
-    sizes, full, what = [parse_size(size) for size in args.sizes.split(",")], parse_size(args.full), args.what
+    sizes, full, what = ([parse_size(size) for size in args.sizes.split(",")],
+                         parse_size(args.full), args.what)
     counts, drawn = list(map(int, args.threads.split(","))), {}
     for model in args.models.split(","):
         seconds = (args.frame or 0) / 1e3
@@ -245,7 +269,8 @@ def main() -> None:
         plot(drawn, sizes, full, args.output)
 
 
-def plot(drawn: dict[str, dict[str, float]], sizes: list[tuple[int, int]], full: tuple[int, int], path: Path) -> None:
+def plot(drawn: dict[str, dict[str, float]], sizes: list[tuple[int, int]], full: tuple[int, int],
+         path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -253,20 +278,26 @@ def plot(drawn: dict[str, dict[str, float]], sizes: list[tuple[int, int]], full:
     FigureCanvasAgg(figure)
     over_pixels, over_share, over_parts = figure.subplots(1, 3)
     for model, found in drawn.items():
-        pixels, whole = [width * height / 1e6 for width, height in sizes], found.get("{}x{}".format(*full))
-        line = over_pixels.plot(pixels, [found["{}x{}".format(*size)] for size in sizes], "o", label=model)[0]
+        pixels, whole = ([width * height / 1e6 for width, height in sizes],
+                         found.get("{}x{}".format(*full)))
+        line = over_pixels.plot(pixels, [found["{}x{}".format(*size)] for size in sizes], "o",
+                                label=model)[0]
         ends = np.geomspace(min(pixels), max(pixels), 50)
         over_pixels.plot(ends, found["base"] + found["pixel"] * ends, "-", color=line.get_color())
         shares = [(share, found[f"{share} % not masked"]) for share in SHARES[1:]]
-        over_share.plot(*zip(*([(100, whole)] if whole else []) + shares, strict=True), "o-", label=model)
-        over_parts.plot(PARTS[1:], [found[f"{count} parts"] for count in PARTS[1:]], "o-", label=model)
-    over_pixels.set(xlabel="million pixels before enlarging", ylabel="ms", xscale="log", yscale="log")
+        over_share.plot(*zip(*([(100, whole)] if whole else []) + shares, strict=True), "o-",
+                        label=model)
+        over_parts.plot(PARTS[1:], [found[f"{count} parts"] for count in PARTS[1:]], "o-",
+                        label=model)
+    over_pixels.set(xlabel="million pixels before enlarging", ylabel="ms", xscale="log",
+                    yscale="log")
     over_share.set(xlabel="share not masked, %", ylabel="ms", xlim=(0, None), ylim=(0, None))
     over_parts.set(xlabel="parts", ylabel="ms", xlim=(0, None), ylim=(0, None))
     for axes in (over_pixels, over_share, over_parts):
         axes.grid(True, color="#dddddd")
     over_pixels.legend()
-    figure.suptitle("Processor time of a frame, with the fitted line; masks and parts at {}x{}".format(*full))
+    figure.suptitle("Processor time of a frame, with the fitted line; masks and parts at "
+                    "{}x{}".format(*full))
     figure.savefig(path)
 
 

@@ -1,10 +1,12 @@
-"""What windows of the denoised upscaler take beside their pixels: postfx.passes.denoise.tiling counts on it.
+"""What windows of the denoised upscaler take beside their pixels: postfx.passes.denoise.tiling
+counts on it.
 
 python samples/window_cost.py [--width 960] [--height 540] [--runs 5] [--model m]
 
-Some squares of a frame have strength, so that windows of several sizes and numbers are worked on; and the whole frame
-without a mask. Prints the processor time of each (medians of runs in turn), and its least-squares fit by a part for
-each frame with windows, each window, and each render pixel in them, in pixels of the whole frame.
+Some squares of a frame have strength, so that windows of several sizes and numbers are worked on;
+and the whole frame without a mask. Prints the processor time of each (medians of runs in turn), and
+its least-squares fit by a part for each frame with windows, each window, and each render pixel in
+them, in pixels of the whole frame.
 """
 import argparse
 import statistics
@@ -55,7 +57,8 @@ def windows_of(chain: postfx.Pipeline, frame: postfx.Frame) -> tuple[int, int]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--width", type=int, default=960)
     parser.add_argument("--height", type=int, default=540)
     parser.add_argument("--runs", type=int, default=5)
@@ -69,10 +72,12 @@ def main() -> None:
         print(f"{count} windows, {pixels:7} pixels: {spent:6.1f} ms")
     rows = [(1, count, pixels) for count, pixels in found if count]
     (frames, window, pixel), *_ = np.linalg.lstsq(
-        np.array(rows, float), [spent for (count, _), spent in zip(found, times, strict=True) if count])
+        np.array(rows, float),
+        [spent for (count, _), spent in zip(found, times, strict=True) if count])
     one = whole / (args.width * args.height)
-    print(f"whole frame: {whole:.0f} ms, {1e6 * one:.0f} ns a pixel; with windows {1e6 * pixel:.0f} ns a pixel, "
-          f"{window:.1f} ms a window = {window / one:.0f} pixels, {frames:.1f} ms a frame = {frames / one:.0f} pixels")
+    print(f"whole frame: {whole:.0f} ms, {1e6 * one:.0f} ns a pixel; with windows "
+          f"{1e6 * pixel:.0f} ns a pixel, {window:.1f} ms a window = {window / one:.0f} pixels, "
+          f"{frames:.1f} ms a frame = {frames / one:.0f} pixels")
 
 
 if __name__ == "__main__":

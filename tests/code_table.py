@@ -127,7 +127,8 @@ def make_table(sources: list[Source]) -> dict[str, str]:
         "modules": f"{len(sources)}",
         "lines": f"{total}",
         "lines over 100 columns": f"{wide} ({100 * wide / total:.1f} %)",
-        "functions with more than 8 parameters": f"{len(find_functions_with_many_parameters(sources))}",
+        "functions with more than 8 "
+        "parameters": f"{len(find_functions_with_many_parameters(sources))}",
         "constants named in several modules": f"{len(find_shared_constants(sources))}",
         "lines with several constants": f"{len(find_crowded_lines(sources))}",
     }

@@ -15,25 +15,29 @@ os.environ.setdefault("POSTFX_CONFIG", "")  # no defaults of this machine or use
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 LONGEST = (
-    "test_types.py", "training/denoise/test_picture.py", "training/test_remake.py", "test_quality.py",
+    "test_types.py", "training/denoise/test_picture.py", "training/test_remake.py",
+    "test_quality.py",
     "kernels/test_library.py", "training/datagen/test_clip.py", "training/denoise/test_tune.py",
-    "doctor/test_breakages.py",
-    "training/denoise/test_train_processes.py", "test_windows.py", "test_samples.py", "test_docs.py",
-    "training/datagen/test_render.py",
-    "training/datagen/scenes/test_interior.py", "training/measure/test_validation.py", "doctor/test_unbroken.py",
-    "training/denoise/test_export.py", "cli/test_bench.py", "fuzz/test_fuzz.py", "passes/test_denoise_reactive.py",
+    "doctor/test_breakages.py", "training/denoise/test_train_processes.py", "test_windows.py",
+    "test_samples.py", "test_docs.py", "training/datagen/test_render.py",
+    "training/datagen/scenes/test_interior.py", "training/measure/test_validation.py",
+    "doctor/test_unbroken.py", "training/denoise/test_export.py", "cli/test_bench.py",
+    "fuzz/test_fuzz.py", "passes/test_denoise_reactive.py",
     "passes/test_denoise_fp16.py", "exposure/test_debugger.py", "stress/test_precisions.py",
-    "passes/test_denoise_tiles.py", "training/tonemap/test_flicker.py", "training/tonemap/test_train.py",
-    "test_shared_memory.py", "bench/test_measure.py", "cli/test_inspect.py", "passes/test_contract.py",
+    "passes/test_denoise_tiles.py", "training/tonemap/test_flicker.py",
+    "training/tonemap/test_train.py", "test_shared_memory.py", "bench/test_measure.py",
+    "cli/test_inspect.py", "passes/test_contract.py",
     "stress/test_network_bounds.py", "stress/test_kernel_bounds.py", "passes/test_denoise_int8.py",
 )
-"""Files that take about ten seconds of a core and more, longest first: begun last, one would keep a worker busy alone.
-Those that need no compiled kernel come early: on a new machine the first worker compiles them meanwhile."""
+"""Files that take about ten seconds of a core and more, longest first: begun last, one would keep a
+worker busy alone. Those that need no compiled kernel come early: on a new machine the first worker
+compiles them meanwhile."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Workers side by side compute on cores of their own: threads that wait for each other on one core take many times
-    as long. Libraries that start threads when they are imported must not have been by now."""
+    """Workers side by side compute on cores of their own: threads that wait for each other on one
+    core take many times as long. Libraries that start threads when they are imported must not have
+    been by now."""
     worker = getattr(config, "workerinput", None)
     if worker and hasattr(os, "sched_setaffinity"):
         number, cores = int(worker["workerid"].removeprefix("gw")), sorted(os.sched_getaffinity(0))
@@ -44,7 +48,8 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """The longest files come first, and tests marked soak run only when asked for."""
     places = {name: place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: places.get(item.nodeid.partition("::")[0].removeprefix("tests/"), len(places)))
+    items.sort(key=lambda item: places.get(item.nodeid.partition("::")[0].removeprefix("tests/"),
+                                           len(places)))
     if "soak" not in config.option.markexpr:
         for item in items:
             if item.get_closest_marker("soak"):
@@ -52,7 +57,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish() -> None:
-    """Modules and tests stay until the end: what a test collects as garbage is looked for among later objects only."""
+    """Modules and tests stay until the end: what a test collects as garbage is looked for among
+    later objects only."""
     gc.collect()
     gc.freeze()
 
@@ -63,7 +69,8 @@ def pytest_sessionfinish() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def no_pauses() -> Iterator[None]:
-    """A frame that cannot be read is tried again at once: half a second for each would be minutes in all."""
+    """A frame that cannot be read is tried again at once: half a second for each would be minutes
+    in all."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("postfx.files.PAUSES", (0.0, 0.0))
         yield
@@ -71,7 +78,8 @@ def no_pauses() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def models_parsed_once() -> Iterator[None]:
-    """What follows from the bytes of a model's file alone is found once: tests make the same networks ready anew."""
+    """What follows from the bytes of a model's file alone is found once: tests make the same
+    networks ready anew."""
     with pytest.MonkeyPatch.context() as patch:
         for place in ("postfx.runtime.models.parse_model", "postfx.passes.scene.parse_model",
                       "postfx.runtime.device.take_products"):
@@ -82,14 +90,16 @@ def models_parsed_once() -> Iterator[None]:
 
 @pytest.fixture
 def no_first_look(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The doctor does not look at the first frames of a run, which took a tenth of the time of tests of passes. Its own
-    tests, those of the command line, and those of frames of any content have it look."""
+    """The doctor does not look at the first frames of a run, which took a tenth of the time of
+    tests of passes. Its own tests, those of the command line, and those of frames of any content
+    have it look."""
     monkeypatch.setattr("postfx.pipeline.Pipeline._look", lambda *_: None)
 
 
 @pytest.fixture(scope="session")
 def shared_dir() -> Path:
-    """Folder `shared` beside the checkout, with sequences that other software rendered; skips where it is absent."""
+    """Folder `shared` beside the checkout, with sequences that other software rendered; skips where
+    it is absent."""
     folder = REPOSITORY.parent / "shared"
     if not (folder / "sequences").is_dir():
         pytest.skip(f"{folder} is not there")

@@ -1,4 +1,5 @@
-"""Files that take tests long to make: made once for all processes and runs, as long as their sources stay the same."""
+"""Files that take tests long to make: made once for all processes and runs, as long as their
+sources stay the same."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from postfx.system import private_folder
 
 def copy_made_once(name: str, sources: Iterable[Path], versions: str, make: Callable[[Path], None],
                    target: Path) -> None:
-    """Fill a folder with copies of what ``make`` puts into one: now, or in an earlier run from the same sources."""
+    """Fill a folder with copies of what ``make`` puts into one: now, or in an earlier run from the
+    same sources."""
     digest = hashlib.sha256(versions.encode())
     for path in sorted(sources):
         digest.update(path.read_bytes())

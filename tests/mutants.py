@@ -1,11 +1,14 @@
-"""Do the tests find faults? Puts small faults into postfx, one at a time, and runs the tests that should find them.
+"""Do the tests find faults? Puts small faults into postfx, one at a time, and runs the tests that
+should find them.
 
-Faults are of two kinds: some are chosen by hand, the rest is drawn from the sources by a seed. A drawn fault swaps
-an operator, adds 1 to or takes 1 from a number, swaps min and max, drops a `not`, an `abs` or a statement. The draw
-goes by the text of each line, so that changes elsewhere in the sources leave it as it is.
+Faults are of two kinds: some are chosen by hand, the rest is drawn from the sources by a seed. A
+drawn fault swaps an operator, adds 1 to or takes 1 from a number, swaps min and max, drops a `not`,
+an `abs` or a statement. The draw goes by the text of each line, so that changes elsewhere in the
+sources leave it as it is.
 
-Everything happens in a copy of the checkout. Kernels of changed sources are compiled into a copy of the cache. The
-test that found a fault in the table before is tried first: most faults then take seconds.
+Everything happens in a copy of the checkout. Kernels of changed sources are compiled into a copy of
+the cache. The test that found a fault in the table before is tried first: most faults then take
+seconds.
 """
 
 from __future__ import annotations
@@ -31,8 +34,8 @@ from typing import NamedTuple
 CHECKOUT = Path(__file__).resolve().parent.parent
 TABLE = Path(__file__).with_suffix(".md")
 EXAMPLES = """examples:
-  python -m tests.mutants                          all of them; writes tests/mutants.md (about half an hour)
-  python -m tests.mutants --resume                 goes on after a break, and tries again what nothing found
+  python -m tests.mutants                  all of them; writes tests/mutants.md (about half an hour)
+  python -m tests.mutants --resume         goes on after a break, and tries again what nothing found
   python -m tests.mutants --only kernels/denoise   those of some files
   python -m tests.mutants --list                   what would be done
 """
@@ -41,8 +44,9 @@ PATIENCE = 1200
 """Seconds after which tests that do not end count as having found the fault."""
 NO_TESTS = 5
 """Exit code of pytest where no test was to be run."""
-COPIED = ("postfx", "tests", "training", "docs", "samples", "pyproject.toml", "README.md", "Makefile", "LICENSE",
-          "NOTICE", "constraints.txt", "web", "hosts", "mkdocs.yml", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
+COPIED = ("postfx", "tests", "training", "docs", "samples", "pyproject.toml", "README.md",
+          "Makefile", "LICENSE", "NOTICE", "constraints.txt", "web", "hosts", "mkdocs.yml",
+          "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
 LINKED = ("models",)
 
 
@@ -55,16 +59,19 @@ class Room(NamedTuple):
 
 
 def _kernels(module: str, drawn: int, *names: str, also: str = "") -> tuple[Room, Room]:
-    """The compiled rows of some kernels, and their CUDA sources. also: more tests, if their names fit."""
+    """The compiled rows of some kernels, and their CUDA sources. also: more tests, if their names
+    fit."""
     chosen = " or ".join(names)
     cuda = "tests/kernels/test_cuda_kernels.py"
-    python = f"tests/kernels/test_denoise_kernels.py {cuda} tests/stress/test_kernel_bounds.py {also}"
+    python = (f"tests/kernels/test_denoise_kernels.py {cuda} tests/stress/test_kernel_bounds.py "
+              f"{also}")
     return (Room(f"postfx/kernels/denoise/{module}.py", drawn, f"{python} -k '{chosen}'"),
             Room(f"postfx/kernels/denoise/{module}.cu", 0, f"{cuda} -k '{chosen}'"))
 
 
 def _room(sources: str, drawn: int, *tests: str) -> Room:
-    return Room(f"postfx/{sources}", drawn, " ".join(test if " " in test else f"tests/{test}" for test in tests))
+    return Room(f"postfx/{sources}", drawn,
+                " ".join(test if " " in test else f"tests/{test}" for test in tests))
 
 
 def _in(folder: str, *names: str) -> tuple[str, ...]:
@@ -72,34 +79,43 @@ def _in(folder: str, *names: str) -> tuple[str, ...]:
 
 
 ROOMS = (
-    *_kernels("features", 1, "denoise_features", "denoise_guides", "denoise_trust", "denoise_upsample_guided"),
+    *_kernels("features", 1, "denoise_features", "denoise_guides", "denoise_trust",
+              "denoise_upsample_guided"),
     *_kernels("pyramid", 3, "denoise_pool", "denoise_mix", "denoise_filter", "denoise_remodulate",
               "denoise_alpha_level", "denoise_enlarge_alpha"),
-    *_kernels("prepare", 1, "denoise_scale", "denoise_dilate", "denoise_means", "denoise_accumulate"),
+    *_kernels("prepare", 1, "denoise_scale", "denoise_dilate", "denoise_means",
+              "denoise_accumulate"),
     *_kernels("network_io", 2, "denoise_pack", "denoise_open", "denoise_store", "stored"),
-    *_kernels("output", 1, "denoise_judge", "denoise_detail", "denoise_restore", "detail_is_told", "denoise_assemble",
-              "denoise_strength"),
+    *_kernels("output", 1, "denoise_judge", "denoise_detail", "denoise_restore", "detail_is_told",
+              "denoise_assemble", "denoise_strength"),
     *_kernels("alpha", 2, "denoise_gather", "denoise_fit", "denoise_correct"),
-    *_kernels("history", 1, "denoise_history", "denoise_resize", "denoise_reactive", "denoise_spread", "denoise_keep",
-              "denoise_reflections", "error_of_reflections", also="tests/passes/test_denoise_reflections.py"),
+    *_kernels("history", 1, "denoise_history", "denoise_resize", "denoise_reactive",
+              "denoise_spread", "denoise_keep", "denoise_reflections", "error_of_reflections",
+              also="tests/passes/test_denoise_reflections.py"),
     *_kernels("upsample", 3, "denoise_upsample"),
-    *_kernels("parts", 1, "denoise_accumulate_part", "denoise_reflectance", "denoise_upsample_light", "denoise_balance",
-              "denoise_decode"),
+    *_kernels("parts", 1, "denoise_accumulate_part", "denoise_reflectance",
+              "denoise_upsample_light", "denoise_balance", "denoise_decode"),
     _room("kernels/neural.", 2, "neural"),
-    _room("kernels/common.cuh", 0, "kernels/test_cuda_kernels.py", "-k 'denoise_history or denoise_upsample_light'"),
+    _room("kernels/common.cuh", 0, "kernels/test_cuda_kernels.py",
+          "-k 'denoise_history or denoise_upsample_light'"),
     _room("kernels/denoise/__init__.py", 0, *_in("kernels", "denoise_kernels")),
     _room("kernels/image.", 3, "kernels", *_in("passes", "composite_overlay"), "test_sampling.py",
           "-k 'resampl or overlay or checkerboard or sampling or cells'"),
-    _room("kernels/tonemap.", 2, *_in("kernels", "tonemap_kernels", "cuda_kernels"), "-k 'not denoise_'"),
-    _room("kernels/colour.", 1, *_in("kernels", "tonemap_kernels"), "-k 'encode_display or apply_cube'"),
-    _room("io/pixel_formats.", 8, *_in("io", "image_file", "encode_dither", "writer", "encode_light")),
-    _room("passes/denoise/tiling.py", 3, *_in("passes", "denoise_tiles", "denoise_strength"), "test_memory_budget.py",
-          *_in("stress", "tiles")),
-    _room("passes/denoise/", 5, *_in("passes", "denoise_upscale", "denoise_1x", "denoise_guides", "denoise_reactive",
-                                     "denoise_strength", "denoise_int8", "denoise_models", "denoise_budget",
-                                     "denoise_restore", "denoise_reflections", "denoise_tiles", "denoise_parts"),
+    _room("kernels/tonemap.", 2, *_in("kernels", "tonemap_kernels", "cuda_kernels"),
+          "-k 'not denoise_'"),
+    _room("kernels/colour.", 1, *_in("kernels", "tonemap_kernels"),
+          "-k 'encode_display or apply_cube'"),
+    _room("io/pixel_formats.", 8,
+          *_in("io", "image_file", "encode_dither", "writer", "encode_light")),
+    _room("passes/denoise/tiling.py", 3, *_in("passes", "denoise_tiles", "denoise_strength"),
+          "test_memory_budget.py", *_in("stress", "tiles")),
+    _room("passes/denoise/", 5,
+          *_in("passes", "denoise_upscale", "denoise_1x", "denoise_guides", "denoise_reactive",
+               "denoise_strength", "denoise_int8", "denoise_models", "denoise_budget",
+               "denoise_restore", "denoise_reflections", "denoise_tiles", "denoise_parts"),
           "test_trouble.py"),
-    _room("passes/", 3, *_in("passes", "registry", "contract", "display", "composite_overlay", "exposure_tool",
+    _room("passes/", 3, *_in("passes", "registry", "contract", "display", "composite_overlay",
+                             "exposure_tool",
                              "composite_both_ways", "tonemap"), "test_on_device.py"),
     _room("io/exr/", 4, *_in("files", "kept", "broken"), *_in("io", "writer", "image_file")),
     _room("io/quantisation.py", 1, *_in("io", "encode_dither", "writer")),
@@ -108,9 +124,11 @@ ROOMS = (
     _room("io/read_plan.py", 1, *_in("io", "read_plan", "frame_reader", "frame_reader_guides")),
     _room("io/windows.py", 1, *_in("files", "windows"), *_in("io", "frame_reader")),
     _room("io/masks.py", 1, *_in("io", "masks")),
-    _room("io/convert.py", 1, *_in("io", "convert_depth", "frame_reader"), "files/test_profiles.py"),
+    _room("io/convert.py", 1, *_in("io", "convert_depth", "frame_reader"),
+          "files/test_profiles.py"),
     _room("io/pattern.py", 9, *_in("io", "sequence"), *_in("files", "paths")),
-    _room("io/sequence.py", 5, *_in("io", "sequence", "frame_reader_guides", "parts", "views", "estimated_motion"),
+    _room("io/sequence.py", 5,
+          *_in("io", "sequence", "frame_reader_guides", "parts", "views", "estimated_motion"),
           *_in("files", "broken")),
     _room("io/writer.py", 7, *_in("io", "writer", "encode_tags", "parts", "views"),
           *_in("files", "paths", "whole_or_nothing")),
@@ -121,13 +139,13 @@ ROOMS = (
     _room("runtime/model_file.py", 1, *_in("reliability", "models"), *_in("runtime", "models")),
     _room("runtime/", 5, "runtime"),
     _room("doctor/", 6, "doctor"),
-    _room("runs/", 5, *_in("reliability", "schedule", "run", "locks", "resume"), *_in("cli", "chunks"),
-          *_in("passes", "denoise_models")),
+    _room("runs/", 5, *_in("reliability", "schedule", "run", "locks", "resume"),
+          *_in("cli", "chunks"), *_in("passes", "denoise_models")),
     _room("temporal/", 3, "temporal", *_in("integrate", "motion")),
     _room("masks/", 3, "masks", *_in("io", "masks")),
     _room("exposure/", 2, "exposure"),
-    _room("colour/", 2, "colour", *_in("exposure", "views"), *_in("passes", "display", "display_view"),
-          "test_look_table.py"),
+    _room("colour/", 2, "colour", *_in("exposure", "views"),
+          *_in("passes", "display", "display_view"), "test_look_table.py"),
     _room("integrate/", 2, "integrate"),
     _room("interpolate/", 4, "interpolate"),
     _room("neural", 1, "neural"),
@@ -143,14 +161,15 @@ ROOMS = (
     _room("repair.py", 1, *_in("stress", "bad_pixels")),
     _room("report/", 2, "report"),
     _room("bench/", 1, "bench"),
-    _room("cli/", 3, *_in("cli", "options", "run", "inspect", "report", "exposure", "ray"), *_in("files", "on_error"),
-          *_in("io", "views")),
+    _room("cli/", 3, *_in("cli", "options", "run", "inspect", "report", "exposure", "ray"),
+          *_in("files", "on_error"), *_in("io", "views")),
 )
 """The first one that holds a source is its room."""
 CHOSEN = (
     ("h", "clip(y + j, picture.height)", "clip(y + j, picture.height - 1)"),
     ("cpp", "Long(seen_columns.at[x])) + 1 + 2 * side", "Long(seen_columns.at[x])) + 1 + side"),
-    ("cpp", "picked_planes<3>(normal(y), columns.at, -1.0f", "picked_planes<3>(normal(y), columns.at, 0.0f"),
+    ("cpp", "picked_planes<3>(normal(y), columns.at, -1.0f",
+     "picked_planes<3>(normal(y), columns.at, 0.0f"),
     ("cpp", "within<F>(log, LEAST_LOG_ERROR, MOST_LOG_ERROR)", "log"),
     ("cpp", "((first + x + 1) * width + w - 1)", "((first + x + 1) * width)"),
     ("py", "(LASTING + WITHOUT_HISTORY / frames)", "(LASTING + WITHOUT_HISTORY)"),
@@ -172,11 +191,15 @@ CHOSEN = (
     ("py", "if len(packed) < plain.size else plain.tobytes()", ""),
     ("py", "-down - first_row, -right", "-down, -right"),
     ("py", "self._inner |= self._current", "self._inner = self._current and self._inner"),
-    ("py", "elif isinstance(record, ConsumerBarrier):\n            _order(self._finished, record, self._waits)",
-     "elif isinstance(record, ConsumerBarrier):\n            _order(self._finished, record, self._later)"),
+    ("py",
+     "elif isinstance(record, ConsumerBarrier):\n            _order(self._finished, record, "
+     "self._waits)",
+     "elif isinstance(record, ConsumerBarrier):\n            _order(self._finished, record, "
+     "self._later)"),
     ("py", "and _begun(self.pid) == self.begun", ""),
     ("py", "if _holder(self._path) == Process.me():", "if True:"),
-    ("py", "(about.pattern, about.fingerprint) == (pattern, fingerprint)", "about.pattern == pattern"),
+    ("py", "(about.pattern, about.fingerprint) == (pattern, fingerprint)",
+     "about.pattern == pattern"),
     ("py", "path.stat().st_size == output.bytes and hash_file(path) == output.sha256",
      "path.stat().st_size == output.bytes"),
     ("py", "if exponent in (0, 255)", "if exponent == 0"),
@@ -184,14 +207,18 @@ CHOSEN = (
     ("cpp", "if (!(z < nearest(j)[i])) continue;", ""),
     ("py", "not (cut or frame.reset)", "not cut"),
 )
-"""The kind of source, what stands once in all of postfx's sources of that kind, and the fault in its place."""
+"""The kind of source, what stands once in all of postfx's sources of that kind, and the fault in
+its place."""
 EQUIVALENT = {
-    "number: 0 -> -1 in for before, frame in zip([frames[0]": "the motion of the first frame leads to none before it",
+    "number: 0 -> -1 in for before, frame in zip([frames[0]": "the motion of the first frame leads "
+    "to none before it",
     "number: 1 -> 2 in head = json.dumps(": "JSON means the same with other spaces",
     "number: 0.0 -> -1.0 in signal = np.clip(": "what is below 0 becomes 0, too",
-    "number: 0 -> -1 in mix_row(": "the output of a network holds one frame, the first and the last",
+    "number: 0 -> -1 in mix_row(": "the output of a network holds one frame, the first and the "
+    "last",
     "number: 0 -> -1 in _correct_type(headers[0]": "a file of one part has one header",
-    "number: 7 -> 6 in shifted = [correlation(": "noise is as unrelated to that of six pixels away as of seven",
+    "number: 7 -> 6 in shifted = [correlation(": "noise is as unrelated to that of six pixels away "
+    "as of seven",
     "number: 1 -> 0 in x += 1": "the pixel is computed a second time",
 }
 """How the name of a fault begins -> why no test can find it."""
@@ -243,11 +270,13 @@ def room_of(source: str) -> Room | None:
 
 
 def chosen() -> Iterator[Mutant]:
-    """Faults that are chosen by hand; those that the sources no longer have a place for are told."""
+    """Faults that are chosen by hand; those that the sources no longer have a place for are
+    told."""
     for suffix, old, new in CHOSEN:
         places = [source for source in sources(suffix) for _ in range(_text(source).count(old))]
         if len(places) != 1:
-            print(f"found {len(places)} times, not once: {old!r} {' '.join(places)}", file=sys.stderr)
+            print(f"found {len(places)} times, not once: {old!r} {' '.join(places)}",
+                  file=sys.stderr)
             continue
         first = _text(places[0]).index(old)
         yield _mutant(places[0], first, first + len(old), new, "chosen")
@@ -255,20 +284,23 @@ def chosen() -> Iterator[Mutant]:
 
 def sources(suffix: str) -> list[str]:
     """All of postfx's sources of a kind."""
-    return sorted(path.relative_to(CHECKOUT).as_posix() for path in (CHECKOUT / "postfx").rglob(f"*.{suffix}"))
+    return sorted(path.relative_to(CHECKOUT).as_posix()
+                  for path in (CHECKOUT / "postfx").rglob(f"*.{suffix}"))
 
 
 def _mutant(source: str, first: int, last: int, new: str, kind: str) -> Mutant:
     line = _text(source)[:first].count("\n")
-    return Mutant(source, first, last, new, line + 1, _text(source).splitlines()[line].strip(), kind)
+    return Mutant(source, first, last, new, line + 1, _text(source).splitlines()[line].strip(),
+                  kind)
 
 
 SWAPS = {
     ast.Lt: ("<", "<="), ast.LtE: ("<=", "<"), ast.Gt: (">", ">="), ast.GtE: (">=", ">"),
-    ast.Eq: ("==", "!="), ast.NotEq: ("!=", "=="), ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "+"),
-    ast.FloorDiv: ("//", "*"), ast.And: ("and", "or"), ast.Or: ("or", "and"),
+    ast.Eq: ("==", "!="), ast.NotEq: ("!=", "=="), ast.Add: ("+", "-"), ast.Sub: ("-", "+"),
+    ast.Mult: ("*", "+"), ast.FloorDiv: ("//", "*"), ast.And: ("and", "or"), ast.Or: ("or", "and"),
 }
-NAMES = {"min": "max", "max": "min", "abs": "", "minimum": "maximum", "maximum": "minimum", "any": "all", "all": "any"}
+NAMES = {"min": "max", "max": "min", "abs": "", "minimum": "maximum", "maximum": "minimum",
+         "any": "all", "all": "any"}
 
 
 def candidates(source: str) -> Iterator[Mutant]:
@@ -282,7 +314,8 @@ def candidates(source: str) -> Iterator[Mutant]:
     def at(line: int, column: int) -> int:
         return starts[line - 1] + len(lines[line - 1].encode()[:column].decode())
 
-    for function in (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)):
+    for function in (node
+                     for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)):
         inner = [inside for part in function.body for inside in ast.walk(part)]
         for node in inner:
             if isinstance(node, ast.Compare | ast.BinOp | ast.BoolOp):
@@ -291,28 +324,35 @@ def candidates(source: str) -> Iterator[Mutant]:
                     if type(operator) not in SWAPS:
                         continue
                     old, new = SWAPS[type(operator)]
-                    first, last = at(left.end_lineno, left.end_col_offset), at(right.lineno, right.col_offset)
-                    found = re.search(rf"(?<![<>=!*/]){re.escape(old)}(?![<>=*/])", text[first:last])
+                    first, last = (at(left.end_lineno, left.end_col_offset),
+                                   at(right.lineno, right.col_offset))
+                    found = re.search(rf"(?<![<>=!*/]){re.escape(old)}(?![<>=*/])",
+                                      text[first:last])
                     if found and not isinstance(getattr(left, "value", None), str):
-                        yield _mutant(source, first + found.start(), first + found.end(), new, "operator")
+                        yield _mutant(source, first + found.start(), first + found.end(), new,
+                                      "operator")
             elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
-                first, last = at(node.lineno, node.col_offset), at(node.end_lineno, node.end_col_offset)
+                first, last = at(node.lineno, node.col_offset), at(node.end_lineno,
+                                                                   node.end_col_offset)
                 for new_value in (node.value + 1, node.value - 1):
                     yield _mutant(source, first, last, repr(new_value), "number")
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
                 name = node.func.id if isinstance(node.func, ast.Name) else node.func.attr
                 if name in NAMES:
                     last = at(node.func.end_lineno, node.func.end_col_offset)
-                    first = last - len(name) if NAMES[name] else at(node.func.lineno, node.func.col_offset)
+                    first = (last - len(name) if NAMES[name]
+                             else at(node.func.lineno, node.func.col_offset))
                     yield _mutant(source, first, last, NAMES[name], "call")
             elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):
-                first, last = at(node.lineno, node.col_offset), at(node.operand.lineno, node.operand.col_offset)
+                first, last = at(node.lineno, node.col_offset), at(node.operand.lineno,
+                                                                   node.operand.col_offset)
                 if text[first:last].strip() in ("not", "-"):
                     yield _mutant(source, first, last, "", "dropped")
             elif isinstance(node, ast.AugAssign | ast.Raise) or (
                 isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)
             ):
-                first, last = at(node.lineno, node.col_offset), at(node.end_lineno, node.end_col_offset)
+                first, last = at(node.lineno, node.col_offset), at(node.end_lineno,
+                                                                   node.end_col_offset)
                 yield _mutant(source, first, last, "pass", "dropped")
 
 
@@ -350,7 +390,8 @@ class House:
         for name in COPIED:
             source = CHECKOUT / name
             if source.is_dir():
-                shutil.copytree(source, self.root / name, ignore=shutil.ignore_patterns("__pycache__"))
+                shutil.copytree(source, self.root / name,
+                                ignore=shutil.ignore_patterns("__pycache__"))
             elif source.exists():
                 shutil.copy(source, self.root / name)
         for name in LINKED:
@@ -360,21 +401,24 @@ class House:
         kernels = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "postfx"
         if kernels.is_dir():
             shutil.copytree(kernels, folder / "cache/postfx", copy_function=_copy_if_there)
-        self._environment = {**os.environ, "PYTHONPATH": str(self.root), "XDG_CACHE_HOME": str(folder / "cache"),
+        self._environment = {**os.environ, "PYTHONPATH": str(self.root),
+                             "XDG_CACHE_HOME": str(folder / "cache"),
                              "PYTHONDONTWRITEBYTECODE": "1"}
 
     def find(self, arguments: list[str]) -> str | None:
-        """The first test that fails, None where all pass; raises RuntimeError where no test runs."""
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "--tb=no", "--no-header", "-p",
-                   "no:cacheprovider", "-m", "not soak and not slow", *arguments]
+        """The first test that fails, None where all pass; raises RuntimeError where no test
+        runs."""
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "--tb=no", "--no-header",
+                   "-p", "no:cacheprovider", "-m", "not soak and not slow", *arguments]
         try:
-            done = subprocess.run(command, cwd=self.root, env=self._environment, capture_output=True, text=True,
-                                  timeout=PATIENCE, check=False)
+            done = subprocess.run(command, cwd=self.root, env=self._environment,
+                                  capture_output=True, text=True, timeout=PATIENCE, check=False)
         except subprocess.TimeoutExpired:
             return "does not end"
         if done.returncode == 0:
             return None
-        found = re.search(r"^(?:FAILED|ERROR) (\S+::\w+(?:\[.*?\])?)(?= - |$)", done.stdout, re.MULTILINE)
+        found = re.search(r"^(?:FAILED|ERROR) (\S+::\w+(?:\[.*?\])?)(?= - |$)", done.stdout,
+                          re.MULTILINE)
         if found:
             return found[1]
         if done.returncode == NO_TESTS or "directory not found" in done.stderr:
@@ -389,7 +433,8 @@ class House:
         path.write_text(mutant.apply(), encoding="utf-8")
         try:
             known = "::" in before and (self.root / before.partition("::")[0]).exists()
-            return before if known and self.find([before]) == before else self.find(shlex.split(tests))
+            return (before if known and self.find([before]) == before
+                    else self.find(shlex.split(tests)))
         finally:
             path.write_text(_text(mutant.source), encoding="utf-8")
 
@@ -411,9 +456,11 @@ def rows_of(table: Path) -> dict[str, str]:
 
 
 def commit() -> str:
-    """The commit of the checkout, and whether what is tested differs from it; empty outside of a repository."""
+    """The commit of the checkout, and whether what is tested differs from it; empty outside of a
+    repository."""
     def git(*words: str) -> str:
-        done = subprocess.run(["git", *words], cwd=CHECKOUT, capture_output=True, text=True, check=False)
+        done = subprocess.run(["git", *words], cwd=CHECKOUT, capture_output=True, text=True,
+                              check=False)
         return done.stdout.strip()
 
     changed = git("status", "--porcelain", "--", "postfx", "tests/*.py")
@@ -425,7 +472,8 @@ def write_table(results: dict[Mutant, str | None], path: Path, seed: int, versio
     lost = [mutant for mutant, killer in results.items() if killer is None]
     equal = sum(bool(mutant.excuse) for mutant in lost)
     lines = ["# Faults put into postfx, and the tests that find them", "",
-             f"Written by `python -m tests.mutants` (seed {seed}, sources of {version}). Of {len(results)} faults,",
+             f"Written by `python -m tests.mutants` (seed {seed}, sources of {version}). Of "
+             f"{len(results)} faults,",
              f"{len(results) - len(lost)} are found; {equal} change nothing that a test could see; "
              f"{len(lost) - equal} are not found.", "",
              "| room | faults | found | no effect | not found |", "| --- | --- | --- | --- | --- |"]
@@ -434,12 +482,14 @@ def write_table(results: dict[Mutant, str | None], path: Path, seed: int, versio
         here = [mutant for mutant in results if mutant.place.partition("/")[0] == room]
         missed = [mutant for mutant in here if mutant in lost]
         excused = sum(bool(mutant.excuse) for mutant in missed)
-        lines.append(f"| {room} | {len(here)} | {len(here) - len(missed)} | {excused} | {len(missed) - excused} |")
-    lines += ["", *(f"- Not found in {mutant.place}: `{mutant.name}`: {mutant.excuse or 'a test is missing'}."
-                    for mutant in lost)]
+        lines.append(f"| {room} | {len(here)} | {len(here) - len(missed)} | {excused} | "
+                     f"{len(missed) - excused} |")
+    lines += ["", *(f"- Not found in {mutant.place}: `{mutant.name}`: "
+                    f"{mutant.excuse or 'a test is missing'}." for mutant in lost)]
     lines += ["", "| | source | fault | found by |", "| --- | --- | --- | --- |"]
     for number, (mutant, killer) in enumerate(results.items(), 1):
-        by = f"`{killer}`" if killer else f"**nothing**: {mutant.excuse}" if mutant.excuse else "**nothing**"
+        by = (f"`{killer}`" if killer else f"**nothing**: {mutant.excuse}" if mutant.excuse
+              else "**nothing**")
         cells = (str(number), f"{mutant.place}:{mutant.line}", f"`{mutant.name}`", by)
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -447,10 +497,12 @@ def write_table(results: dict[Mutant, str | None], path: Path, seed: int, versio
 
 def worse(results: dict[Mutant, str | None], before: dict[str, str]) -> list[str]:
     """Faults that a table says were found, and that were not now."""
-    return [mutant.name for mutant, killer in results.items() if killer is None and before.get(mutant.name)]
+    return [mutant.name
+            for mutant, killer in results.items() if killer is None and before.get(mutant.name)]
 
 
-def run(mutants: Iterable[Mutant], before: dict[str, str], house: House) -> Iterator[tuple[Mutant, str | None]]:
+def run(mutants: Iterable[Mutant], before: dict[str, str],
+        house: House) -> Iterator[tuple[Mutant, str | None]]:
     """Each fault and the test that found it, as they come."""
     for mutant in mutants:
         begin = time.monotonic()
@@ -462,16 +514,21 @@ def run(mutants: Iterable[Mutant], before: dict[str, str], house: House) -> Iter
 
 def main() -> int:
     """0 where no fault is missed that was found before."""
-    parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__, epilog=EXAMPLES,
+    parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__,
+                                     epilog=EXAMPLES,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=SEED, help="draws other faults (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=SEED,
+                        help="draws other faults (default: %(default)s)")
     parser.add_argument("--only", default="", metavar="TEXT",
                         help="faults whose name or file has this text; writes no table")
     parser.add_argument("--list", action="store_true", help="show the faults and do nothing")
-    parser.add_argument("--table", type=Path, default=TABLE, help="where the table is written (default: %(default)s)")
+    parser.add_argument("--table", type=Path, default=TABLE,
+                        help="where the table is written (default: %(default)s)")
     parser.add_argument("--against", type=Path, default=TABLE, metavar="TABLE",
-                        help="an earlier table: what it found must be found again (default: %(default)s)")
-    parser.add_argument("--resume", action="store_true", help="keep the rows that --table has with a test or a reason")
+                        help="an earlier table: what it found must be found again (default: "
+                        "%(default)s)")
+    parser.add_argument("--resume", action="store_true",
+                        help="keep the rows that --table has with a test or a reason")
     options = parser.parse_args()
     mutants = [mutant for mutant in (*chosen(), *draw(options.seed))
                if options.only in f"{mutant.source} {mutant.name}"]
@@ -484,7 +541,8 @@ def main() -> int:
                if mutant.name in known and (known[mutant.name] or mutant.excuse)}
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         house = House(Path(folder))
-        for mutant, found in run([mutant for mutant in mutants if mutant not in results], before, house):
+        for mutant, found in run([mutant for mutant in mutants if mutant not in results], before,
+                                 house):
             results[mutant] = found
             if not options.only:
                 in_order = {mutant: results[mutant] for mutant in mutants if mutant in results}

@@ -1,4 +1,5 @@
-"""Sections whose figures are older than the sources of figures; see tests/test_figures.py. The list only shrinks."""
+"""Sections whose figures are older than the sources of figures; see tests/test_figures.py. The list
+only shrinks."""
 
 from __future__ import annotations
 

@@ -1,14 +1,17 @@
-"""Hashes of what the product writes, so that a change of its structure can be shown to change no pixel.
+"""Hashes of what the product writes, so that a change of its structure can be shown to change no
+pixel.
 
     python -m tests.pixel_hashes write FILE [--only PATTERN]
     python -m tests.pixel_hashes check FILE [--only PATTERN]
 
-`write` runs every case below and stores hashes as JSON; `check` runs the cases again and lists what differs. Files are
-decoded first: pixels, channel names, windows and header entries count, compressed bytes and dates do not. Hashes hold
-for one machine and one set of library versions, so write them there from the commit to compare with.
+`write` runs every case below and stores hashes as JSON; `check` runs the cases again and lists what
+differs. Files are decoded first: pixels, channel names, windows and header entries count,
+compressed bytes and dates do not. Hashes hold for one machine and one set of library versions, so
+write them there from the commit to compare with.
 
-Only the command line and the public library API are used. Sequences that other software rendered are read from
-$POSTFX_SHARED or the folder `shared` beside the checkout; their cases are skipped by name where it is absent.
+Only the command line and the public library API are used. Sequences that other software rendered
+are read from $POSTFX_SHARED or the folder `shared` beside the checkout; their cases are skipped by
+name where it is absent.
 """
 
 from __future__ import annotations
@@ -50,8 +53,8 @@ class Case:
     Attributes:
         name: unique, for messages and patterns.
         source: the frames: a made sequence's name, 'room', or a path below the shared folder.
-        options: of `postfx run`, after the input; '{made}' stands for the folder of made sequences, '{shared}' for the
-            shared one.
+        options: of `postfx run`, after the input; '{made}' stands for the folder of made sequences,
+            '{shared}' for the shared one.
         output: name of the output files.
         frames: to process.
         environment: variables to set.
@@ -74,7 +77,8 @@ def list_cases() -> Iterator[Case]:
             yield Case(f"{model}.{precision}-2x", "room", f"--model {model}.{precision}")
     for model in ("s.int8", "s.fp32", "m.int8", "m.fp32", "l.int8"):
         yield Case(f"{model}-1x", "room", f"--model {model} --scale 1", frames="1-2")
-    for model, scale in (("s.int8", 1.5), ("m.int8", 1.5), ("m.fp32", 1.5), ("l.fp32", 1.5), ("s.fp32", 3)):
+    for model, scale in (("s.int8", 1.5), ("m.int8", 1.5), ("m.fp32", 1.5), ("l.fp32", 1.5),
+                         ("s.fp32", 3)):
         yield Case(f"{model}-{scale}x", "room", f"--model {model} --scale {scale}", frames="1-2")
     yield Case("odd-size-2x", "odd", "--model m.int8")
     yield Case("odd-size-1.7x", "odd", "--model s.fp32 --scale 1.7")
@@ -82,7 +86,8 @@ def list_cases() -> Iterator[Case]:
     yield Case("changing-size", "changing", "--size 480x270 --model s", frames="1-4")
     for model in ("m.int8", "m.fp32", "s.int8"):
         yield Case(f"guides-{model}", "room", f"--guides {{made}}/guides.####.exr --model {model}")
-    yield Case("guides-memory", "room", "--guides {made}/guides.####.exr --memory 465M", frames="1-2")
+    yield Case("guides-memory", "room", "--guides {made}/guides.####.exr --memory 465M",
+               frames="1-2")
     yield Case("strength-0", "room", "--strength 0", frames="1")
     yield Case("strength-0.5", "room", "--strength 0.5 --model s")
     for model in ("m.int8", "m.fp32", "l.int8"):
@@ -104,7 +109,8 @@ def list_cases() -> Iterator[Case]:
     yield Case("memory-window", "window", "--memory 425M --model s --run-up 2")
     yield Case("memory-1x", "room", "--memory 425M --model s --scale 1", frames="1-2")
     yield Case("both-ways", "room", "--both-ways --model m")
-    yield Case("both-ways-fp32-png", "room", "--both-ways --model s.fp32 --scale 1.5", "p.####.png", "2-4")
+    yield Case("both-ways-fp32-png", "room", "--both-ways --model s.fp32 --scale 1.5", "p.####.png",
+               "2-4")
     yield Case("run-up", "room", "--run-up 3 --model m", frames="2-3")
     yield Case("run-up-cuts", "room", "--run-up 2 --model s --cuts 1,4", frames="3-5")
     yield Case("preroll", "room", "--preroll 2 --model s --exposure smooth", "p.####.png", "4-5")
@@ -116,32 +122,44 @@ def list_cases() -> Iterator[Case]:
     yield Case("keep-all-no-denoise", "masks", "--no-denoise", frames="1")
     yield Case("no-denoise-exr-look", "room", "--no-denoise --tonemap", frames="1")
     for look in ("aces2", "agx", "pbr_neutral", "local", "auto", "reinhard", "neutral", "ocio:"):
-        yield Case(f"look-{look.strip(':')}", "room", f"--no-denoise --tonemap {look}", "p.####.png", "1-2")
-    yield Case("look-table", "room", "--no-denoise --tonemap {made}/film.cube,input=ACEScct", "p.####.png", "1")
+        yield Case(f"look-{look.strip(':')}", "room", f"--no-denoise --tonemap {look}",
+                   "p.####.png", "1-2")
+    yield Case("look-table", "room", "--no-denoise --tonemap {made}/film.cube,input=ACEScct",
+               "p.####.png", "1")
     yield Case("look-denoised", "room", "--model s --tonemap local", "p.####.png")
     yield Case("look-memory", "room", "--model s --memory 425M --tonemap auto", "p.####.png", "1-2")
-    for name, options in {"p3": "p3 --tonemap agx", "rec2020": "rec2020 --no-tonemap", "pq": "pq,peak=600",
+    for name, options in {"p3": "p3 --tonemap agx", "rec2020": "rec2020 --no-tonemap",
+                          "pq": "pq,peak=600",
                           "hlg": "hlg --tonemap ocio:", "rec709": "rec709 --dither static"}.items():
-        yield Case(f"display-{name}", "room", f"--no-denoise --display {options}", "p.####.png", "1")
-    yield Case("dither-none-tiff", "room", "--no-denoise --dither none --exposure 0.5", "p.####.tif", "1")
+        yield Case(f"display-{name}", "room", f"--no-denoise --display {options}", "p.####.png",
+                   "1")
+    yield Case("dither-none-tiff", "room", "--no-denoise --dither none --exposure 0.5",
+               "p.####.tif", "1")
     yield Case("jpeg", "room", "--no-denoise --exposure metadata", "p.####.jpg", "1")
     yield Case("colourspace", "room", "--model s --colourspace acescg", frames="1")
-    yield Case("exposure-tool", "room", "--model s", "p.####.png", "1-2", {"POSTFX_EXPOSURE_TOOL": "1"})
+    yield Case("exposure-tool", "room", "--model s", "p.####.png", "1-2",
+               {"POSTFX_EXPOSURE_TOOL": "1"})
     yield Case("broken-copy", "broken", "--on-error copy --model s", frames="1-4", code=3)
     yield Case("broken-skip", "broken", "--on-error skip --model s", frames="1-4", code=3)
     yield Case("nonfinite", "nonfinite", "--model m")
-    yield Case("shared-living-room", "sequences/living_room/noisy.####.exr", "--model m.fp32", frames="1-2")
+    yield Case("shared-living-room", "sequences/living_room/noisy.####.exr", "--model m.fp32",
+               frames="1-2")
     yield Case("shared-living-room-guides", "sequences/living_room/noisy.####.exr",
                "--guides {shared}/sequences/living_room/guides.####.exr --both-ways", frames="1-2")
     yield Case("shared-staircase-guides", "sequences/staircase/noisy.####.exr",
                "--guides {shared}/sequences/staircase/guides.####.exr --model m.fp32", frames="1-2")
-    yield Case("shared-staircase-1x", "sequences/staircase/noisy.####.exr", "--model m.fp32 --scale 1", frames="1-2")
+    yield Case("shared-staircase-1x", "sequences/staircase/noisy.####.exr",
+               "--model m.fp32 --scale 1", frames="1-2")
     yield Case("shared-garage", "sequences/garage/noisy.####.exr", "--model m", frames="3-4")
-    yield Case("shared-garage-part", "sequences/garage/interleaved.0001.exr", "--model l", "p.####.png", "1")
-    yield Case("shared-mist", "sequences/mist/noisy.####.exr", "--model l.int8 --leave auto", frames="1-2")
-    yield Case("shared-doorway", "sequences/doorway/noisy.####.exr", "--model s", "p.####.png", "1-2")
+    yield Case("shared-garage-part", "sequences/garage/interleaved.0001.exr", "--model l",
+               "p.####.png", "1")
+    yield Case("shared-mist", "sequences/mist/noisy.####.exr", "--model l.int8 --leave auto",
+               frames="1-2")
+    yield Case("shared-doorway", "sequences/doorway/noisy.####.exr", "--model s", "p.####.png",
+               "1-2")
     yield Case("shared-names", "exr/gaffer/weirdPartNames.exr", "--no-denoise", "clean.exr", "")
-    yield Case("shared-deep", "exr/gaffer/representativeDeepImage.exr", "--no-denoise", "clean.exr", "", code=2)
+    yield Case("shared-deep", "exr/gaffer/representativeDeepImage.exr", "--no-denoise", "clean.exr",
+               "", code=2)
 
 
 def run_case(case: Case, made: Path, output: Path) -> None:
@@ -150,21 +168,26 @@ def run_case(case: Case, made: Path, output: Path) -> None:
     Raises RuntimeError when it ends with another code than the case expects.
     """
     source = {"room": ROOM / "noisy.####.exr"}.get(case.source)
-    source = source or (SHARED / case.source if "/" in case.source else made / f"{case.source}.####.exr")
+    source = source or (SHARED / case.source if "/" in case.source
+                        else made / f"{case.source}.####.exr")
     options = case.options.format(made=made, shared=SHARED).split()
     frames = ("--frames", case.frames) if case.frames else ()
-    command = (sys.executable, "-m", "postfx", "run", str(source), "-o", case.output, *frames, *TWO_CORES, *options)
+    command = (sys.executable, "-m", "postfx", "run", str(source), "-o", case.output, *frames,
+               *TWO_CORES, *options)
     run(command, output, case.code, dict(case.environment))
 
 
-def run(command: tuple[str, ...], folder: Path, code: int = 0, environment: Mapping[str, str] | None = None) -> None:
+def run(command: tuple[str, ...], folder: Path, code: int = 0,
+        environment: Mapping[str, str] | None = None) -> None:
     done = subprocess.run(command, cwd=folder, env={**os.environ, **(environment or {})}, text=True,
                           capture_output=True)
     if done.returncode != code:
-        raise RuntimeError(f"exit code {done.returncode}, not {code}: {' '.join(command)}\n{done.stderr}")
+        raise RuntimeError(f"exit code {done.returncode}, not {code}: {' '.join(command)}\n"
+                           f"{done.stderr}")
 
 
-# Sequences made of the sample room. They are written without the product, so that they do not change with it.
+# Sequences made of the sample room. They are written without the product, so that they do not
+# change with it.
 
 def make_sequences(folder: Path) -> None:
     """Write all sequences that the cases read, and a look-up table."""
@@ -173,22 +196,27 @@ def make_sequences(folder: Path) -> None:
         height, width = channels["R"].shape
         rows, columns = np.mgrid[:height, :width].astype(np.float32)
 
-        def write(name: str, extra: Planes, header: oiio.ImageSpec = header, channels: Planes = channels,
-                  number: int = number) -> None:
+        def write(name: str, extra: Planes, header: oiio.ImageSpec = header,
+                  channels: Planes = channels, number: int = number) -> None:
             write_exr(folder / f"{name}.{number:04d}.exr", channels | extra, header)
 
         random = np.random.default_rng(number)
         left, top = 40 + 8 * number, 30 + 4 * number
-        inside = ((rows >= top) & (rows < top + 64) & (columns >= left) & (columns < left + 90)).astype(np.float32)
+        inside = ((rows >= top) & (rows < top + 64) & (columns >= left)
+                  & (columns < left + 90)).astype(np.float32)
         ramp = np.clip((columns - left) / 60, 0, 1) * inside
         write("window", {"strength.Y": ramp})
         write("masks", make_masks(inside, random, channels))
-        write("reactive", {"reactive.Y": np.clip(1.5 - np.hypot(rows - 90, columns - 20 * number) / 30, 0, 1)})
-        write("opaque", {f"opaque_colour.{name}": channels[name] * (1 - 0.5 * inside) for name in "RGB"})
+        write("reactive",
+              {"reactive.Y": np.clip(1.5 - np.hypot(rows - 90, columns - 20 * number) / 30, 0, 1)})
+        write("opaque",
+              {f"opaque_colour.{name}": channels[name] * (1 - 0.5 * inside) for name in "RGB"})
         distance = 1 + 4 * np.abs(np.sin(rows / 40) * np.cos(columns / 60)).astype(np.float32)
         rough = np.where(columns < 200, 0.02, channels["roughness.Y"]).astype(np.float32)
-        write("mirror", {"specular_hit_distance.Y": distance, "roughness.Y": rough, "id.Y": 7 * (1 - inside)})
-        cover = (0.7 * np.exp(-((rows - 80) ** 2 + (columns - 90 - 3 * number) ** 2) / 1800)).astype(np.float32)
+        write("mirror",
+              {"specular_hit_distance.Y": distance, "roughness.Y": rough, "id.Y": 7 * (1 - inside)})
+        cover = (0.7 * np.exp(-((rows - 80) ** 2 + (columns - 90 - 3 * number) ** 2)
+                              / 1800)).astype(np.float32)
         colour = {"R": 2, "G": 0.4, "B": 0.1, "A": 1}
         write("overlay", {f"overlay.{name}": cover * share for name, share in colour.items()})
         bad = {name: channels[name].copy() for name in "RGB"}
@@ -201,7 +229,8 @@ def make_sequences(folder: Path) -> None:
         write_exr(folder / f"changing.{number:04d}.exr", changing, header)
         write_exr(folder / f"broken.{number:04d}.exr", channels, header)
         guides = {name: plane.repeat(2, 0).repeat(2, 1) for name, plane in channels.items()
-                  if name.partition(".")[0] in ("albedo", "normal", "roughness", "depth", "specular_albedo")}
+                  if name.partition(".")[0] in ("albedo", "normal", "roughness", "depth",
+                                                "specular_albedo")}
         write_exr(folder / f"guides.{number:04d}.exr", guides, header)
     broken = folder / "broken.0003.exr"
     broken.write_bytes(broken.read_bytes()[:60_000])
@@ -213,10 +242,12 @@ def make_masks(inside: np.ndarray, random: np.random.Generator, channels: Planes
     ids = np.where(inside > 0, 7, 2 + np.arange(inside.shape[1]) // 80).astype(np.float32)
     names = {"logo": hash_name("logo"), "wall_a": hash_name("wall_a"), "floor": hash_name("floor")}
     left = (np.arange(inside.shape[1]) < 100).astype(np.float32) * np.ones_like(inside)
-    first = np.where(inside > 0, names["logo"], np.where(left > 0, names["wall_a"], names["floor"])).astype(np.float32)
+    first = np.where(inside > 0, names["logo"],
+                     np.where(left > 0, names["wall_a"], names["floor"])).astype(np.float32)
     share = (0.5 + 0.5 * random.random(inside.shape)).astype(np.float32)
     planes = {"id.Y": ids, "CryptoObject00.R": first, "CryptoObject00.G": share,
-              "CryptoObject00.B": np.full_like(first, names["floor"]), "CryptoObject00.A": 1 - share}
+              "CryptoObject00.B": np.full_like(first, names["floor"]),
+              "CryptoObject00.A": 1 - share}
     spread = (random.random(inside.shape) * 0.02 * (1 - inside)).astype(np.float32)
     planes |= {f"sample_variance.{name}": spread * channels[name] ** 2 for name in "RGB"}
     return planes | {"sample_count.Y": np.where(inside > 0, 32, 4).astype(np.float32)}
@@ -228,7 +259,8 @@ def hash_name(name: str) -> np.float32:
 
 
 def murmur(data: bytes) -> int:
-    """MurmurHash3, 32 bits, seed 0, without the exponents of infinity and zero (Cryptomatte 1.2.0)."""
+    """MurmurHash3, 32 bits, seed 0, without the exponents of infinity and zero (Cryptomatte
+    1.2.0)."""
     mask, state = 0xFFFFFFFF, 0
     for start in range(0, len(data), 4):
         block = data[start : start + 4]
@@ -247,7 +279,8 @@ def murmur(data: bytes) -> int:
 def read_room(number: int) -> tuple[Planes, oiio.ImageSpec]:
     picture = oiio.ImageBuf(str(ROOM / f"noisy.{number:04d}.exr"))
     pixels = picture.get_pixels(oiio.FLOAT)
-    return {name: pixels[..., i] for i, name in enumerate(picture.spec().channelnames)}, picture.spec()
+    return ({name: pixels[..., i] for i, name in enumerate(picture.spec().channelnames)},
+            picture.spec())
 
 
 def write_exr(path: Path, channels: Planes, header: oiio.ImageSpec) -> None:
@@ -275,7 +308,8 @@ def write_table(path: Path) -> None:
     axis = np.linspace(0, 1, 9)
     blue, green, red = np.meshgrid(axis, axis, axis, indexing="ij")
     colours = np.stack([red**1.2, green**1.3, 0.9 * blue**1.4], -1).reshape(-1, 3)
-    path.write_text("LUT_3D_SIZE 9\n" + "".join(f"{r:.6f} {g:.6f} {b:.6f}\n" for r, g, b in colours))
+    path.write_text("LUT_3D_SIZE 9\n" + "".join(f"{r:.6f} {g:.6f} {b:.6f}\n"
+                                                for r, g, b in colours))
 
 
 # The library, as scripts use it.
@@ -283,7 +317,8 @@ def write_table(path: Path) -> None:
 def hash_library(made: Path) -> Iterator[tuple[str, Hashes]]:
     """Planes that pipelines return, by case."""
     for name, run_frames in LIBRARY_CASES.items():
-        yield name, {f"frame {index}": {str(role): hash_array(plane) for role, plane in sorted(frame.planes.items())}
+        yield name, {f"frame {index}": {str(role): hash_array(plane)
+                                        for role, plane in sorted(frame.planes.items())}
                      for index, frame in enumerate(run_frames(made), 1)}
 
 
@@ -314,7 +349,8 @@ def run_overlay(made: Path) -> Iterator[Any]:
     import postfx
 
     shot = postfx.read_sequence(made / "overlay.####.exr", frames="1-3")
-    passes = postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.Overlay()], run_up=postfx.RunUp(shot))
+    passes = postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.Overlay()],
+                             run_up=postfx.RunUp(shot))
     return map(passes, shot)
 
 
@@ -332,7 +368,8 @@ def run_with_states(made: Path) -> Iterator[Any]:
 
 
 LIBRARY_CASES: dict[str, Callable[[Path], Iterator[Any]]] = {
-    "library-picture": run_picture, "library-window": run_windows, "library-both-ways": run_both_ways,
+    "library-picture": run_picture, "library-window": run_windows,
+    "library-both-ways": run_both_ways,
     "library-overlay": run_overlay, "library-reset": run_with_states}
 
 
@@ -362,13 +399,16 @@ def hash_file(path: Path) -> Hashes:
     part = 0
     while source.seek_subimage(part, 0):
         spec = source.spec()
-        window = (spec.x, spec.y, spec.width, spec.height, spec.full_x, spec.full_y, spec.full_width, spec.full_height)
+        window = (spec.x, spec.y, spec.width, spec.height, spec.full_x, spec.full_y,
+                  spec.full_width, spec.full_height)
         formats = map(str, spec.channelformats or (spec.format,) * spec.nchannels)
-        channels = " ".join(f"{name}:{kind}" for name, kind in zip(spec.channelnames, formats, strict=True))
+        channels = " ".join(f"{name}:{kind}"
+                            for name, kind in zip(spec.channelnames, formats, strict=True))
         found[f"part {part}"] = {"window": " ".join(map(str, window)), "channels": channels,
                                  "pixels": "deep" if spec.deep else hash_pixels(source, part, spec),
                                  "header": {entry.name: hash_text(f"{entry.type} {entry.value}")
-                                            for entry in spec.extra_attribs if entry.name not in IGNORED}}
+                                            for entry in spec.extra_attribs
+                                            if entry.name not in IGNORED}}
         part += 1
     source.close()
     return found
@@ -391,7 +431,8 @@ def list_differences(stored: Any, found: Any, place: str = "") -> Iterator[str]:
         if key not in stored or key not in found:
             yield f"{place} / {key}: {'is new' if key in found else 'is gone'}"
         else:
-            yield from list_differences(stored[key], found[key], f"{place} / {key}" if place else key)
+            yield from list_differences(stored[key], found[key],
+                                        f"{place} / {key}" if place else key)
 
 
 def hash_all(pattern: str) -> Hashes:
@@ -421,12 +462,14 @@ def hash_all(pattern: str) -> Hashes:
                 print(f"FAILED {case.name}: {error}", file=sys.stderr)
             print(f"{time.perf_counter() - begun:5.1f} s  {case.name}", flush=True)
         if any(fnmatch.fnmatch(name, pattern) for name in LIBRARY_CASES):
-            results |= {name: hashes for name, hashes in hash_library(made) if fnmatch.fnmatch(name, pattern)}
+            results |= {name: hashes
+                        for name, hashes in hash_library(made) if fnmatch.fnmatch(name, pattern)}
     return results
 
 
 def describe_machine() -> dict[str, str]:
-    return {"processor": platform.processor() or platform.machine(), **{name: version(name) for name in LIBRARIES}}
+    return {"processor": platform.processor() or platform.machine(),
+            **{name: version(name) for name in LIBRARIES}}
 
 
 def check(stored: Mapping[str, Any], results: Hashes, pattern: str) -> int:
@@ -434,12 +477,15 @@ def check(stored: Mapping[str, Any], results: Hashes, pattern: str) -> int:
     machine = describe_machine()
     if stored["machine"] != machine:
         print(f"warning: hashes were written with {stored['machine']}, this is {machine}")
-    known = {name: hashes for name, hashes in stored["cases"].items() if fnmatch.fnmatch(name, pattern)}
-    known = {name: hashes for name, hashes in known.items() if name in results or not name.startswith("shared-")}
+    known = {name: hashes
+             for name, hashes in stored["cases"].items() if fnmatch.fnmatch(name, pattern)}
+    known = {name: hashes
+             for name, hashes in known.items() if name in results or not name.startswith("shared-")}
     differences = list(list_differences(known, results))
     print("\n".join(differences[:60]))
     cases = {line.partition(" / ")[0].lstrip(" /") for line in differences}
-    print(f"{len(results)} cases, {len(differences)} differences in {', '.join(sorted(cases)) or 'none'}")
+    print(f"{len(results)} cases, {len(differences)} differences in "
+          f"{', '.join(sorted(cases)) or 'none'}")
     return len(differences)
 
 
@@ -447,7 +493,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("verb", choices=("write", "check"))
     parser.add_argument("file", type=Path)
-    parser.add_argument("--only", default="*", metavar="PATTERN", help="cases by name, e.g. 'window-*'")
+    parser.add_argument("--only", default="*", metavar="PATTERN",
+                        help="cases by name, e.g. 'window-*'")
     arguments = parser.parse_args()
     results = hash_all(arguments.only)
     if arguments.verb == "check":

@@ -1,11 +1,19 @@
-"""A cache of values, of which the one used longest ago goes first, and memory that is used again."""
+"""A cache of values, of which the one used longest ago goes first, and memory that is used
+again."""
 
 import gc
 import weakref
 
 import numpy as np
 
-from postfx.caching import MOST_IDLE_ARRAYS, LRUCache, SpareMemory, filled_array, new_array, reuse_memory
+from postfx.caching import (
+    MOST_IDLE_ARRAYS,
+    LRUCache,
+    SpareMemory,
+    filled_array,
+    new_array,
+    reuse_memory,
+)
 
 
 class Costly:
@@ -57,13 +65,16 @@ def test_memory_serves_again_once_no_view_of_an_array_is_left():
     other = new_array((512, 512))
     assert place(other) != at and (view == 3).all(), "a view still shows the first one"
     del view
-    assert place(new_array((500, 512))) == at and place(new_array((9, 512))) != at, "the size decides"
+    assert (place(new_array((500, 512))) == at
+            and place(new_array((9, 512))) != at), "the size decides"
     held = new_array((512, 512))
-    assert place(held) == at and held.flags.c_contiguous and held.flags.writeable and held.dtype == np.float32
+    assert (place(held) == at and held.flags.c_contiguous and held.flags.writeable
+            and held.dtype == np.float32)
     del other
     for _ in range(2 * MOST_IDLE_ARRAYS):
         new_array((700, 700))
-    assert [raw.nbytes for _, raw in spare._free] == [4 * 700 * 700], "what serves nothing for long is given back"
+    assert [raw.nbytes for _, raw in spare._free] == [4 * 700 * 700], ("what serves nothing for "
+                                                                       "long is given back")
     alive = weakref.ref(spare)
     del spare
     assert alive() is None, "an array that is still in use holds no other memory"

@@ -1,4 +1,5 @@
-"""Cuts are found where pictures are unrelated, and nowhere else: on real sequences, pans, flashes and noise."""
+"""Cuts are found where pictures are unrelated, and nowhere else: on real sequences, pans, flashes
+and noise."""
 
 from dataclasses import replace
 from itertools import permutations, product
@@ -40,15 +41,18 @@ def cuts(frames: list[Frame]) -> list[int]:
     return [index for index, frame in enumerate(frames) if detector(frame)]
 
 
-@pytest.mark.parametrize(("size", "cells"), [((1080, 1920), (45, 80)), ((2160, 800), (80, 29)), ((64, 96), (16, 24))])
-def test_pictures_have_few_cells_of_four_pixels_and_more(size: tuple[int, int], cells: tuple[int, int]) -> None:
+@pytest.mark.parametrize(("size", "cells"),
+                         [((1080, 1920), (45, 80)), ((2160, 800), (80, 29)), ((64, 96), (16, 24))])
+def test_pictures_have_few_cells_of_four_pixels_and_more(size: tuple[int, int],
+                                                         cells: tuple[int, int]) -> None:
     found = _picture(Frame({Role.COLOUR: np.ones((*size, 3), np.float32)}))
     assert found.light.shape == (*cells, 2)
 
 
 def turned(frame: Frame) -> Frame:
     """A frame upside down: another picture with the same noise and planes."""
-    planes = {role: np.rot90(plane, 2) * (-1 if role is Role.MOTION else 1) for role, plane in frame.planes.items()}
+    planes = {role: np.rot90(plane, 2) * (-1 if role is Role.MOTION else 1)
+              for role, plane in frame.planes.items()}
     return replace(frame, planes=planes)
 
 
@@ -56,7 +60,8 @@ def noisier(frame: Frame, kept: float) -> Frame:
     """Only some of the pixels got light, as with fewer samples."""
     rng = np.random.default_rng(frame.number)
     lit = rng.random((frame.spec.height, frame.spec.width, 1)) < kept
-    return replace(frame, planes={**frame.planes, Role.COLOUR: frame[Role.COLOUR] * lit / np.float32(kept)})
+    return replace(frame, planes={**frame.planes,
+                                  Role.COLOUR: frame[Role.COLOUR] * lit / np.float32(kept)})
 
 
 @pytest.mark.parametrize("roles", [None, WITH_MOTION, COLOUR_ONLY])
@@ -69,9 +74,11 @@ def resized(frame: Frame, height: int, width: int) -> Frame:
     """The same view at another size, by the nearest pixels; motion in pixels of that size."""
     rows = (np.arange(height) + 0.5) * frame.spec.height // height
     columns = (np.arange(width) + 0.5) * frame.spec.width // width
-    planes = {role: plane[rows.astype(int)][:, columns.astype(int)] for role, plane in frame.planes.items()}
+    planes = {role: plane[rows.astype(int)][:, columns.astype(int)]
+              for role, plane in frame.planes.items()}
     if Role.MOTION in planes:
-        planes[Role.MOTION] = planes[Role.MOTION] * np.float32([width / frame.spec.width, height / frame.spec.height])
+        planes[Role.MOTION] = planes[Role.MOTION] * np.float32([width / frame.spec.width,
+                                                                height / frame.spec.height])
     return replace(frame, planes=planes)
 
 
@@ -96,7 +103,8 @@ def test_flashes_exposure_and_black_frames_are_no_cuts(room):
 
 
 def test_other_light_on_the_same_surfaces_is_no_cut(room):
-    albedo, facing = room[3][Role.DIFFUSE_ALBEDO], np.maximum(room[3][Role.NORMAL] @ np.float32([0.6, 0.8, 0]), 0.01)
+    albedo, facing = (room[3][Role.DIFFUSE_ALBEDO],
+                      np.maximum(room[3][Role.NORMAL] @ np.float32([0.6, 0.8, 0]), 0.01))
     relit = replace(room[3], planes={**room[3].planes, Role.COLOUR: albedo * facing[..., None]})
     assert cuts([room[2], relit, room[4]]) == []
     assert cuts([unmarked(frame, WITH_MOTION) for frame in (room[2], relit)]) == [1]
@@ -125,7 +133,8 @@ def test_fast_pans_are_no_cuts(picture, step):
     """More than half of the picture's width a frame, with motion vectors."""
     wide = np.concatenate([picture, picture[:, ::-1]], axis=1)
     motion = np.broadcast_to(np.float32([step, 0]), (90, 160, 2))
-    frames = [Frame({Role.COLOUR: wide[100:190, at : at + 160], Role.MOTION: motion}) for at in range(0, 900, step)]
+    frames = [Frame({Role.COLOUR: wide[100:190, at : at + 160], Role.MOTION: motion})
+              for at in range(0, 900, step)]
     assert cuts(frames[:12]) == []
 
 
@@ -135,7 +144,8 @@ def test_pans_without_motion_vectors_are_no_cuts(picture):
 
 
 def test_motion_vectors_that_are_wrong_are_no_cuts(room):
-    wrong = [replace(frame, planes={**frame.planes, Role.MOTION: frame[Role.MOTION] * 1.5 + 20}) for frame in room]
+    wrong = [replace(frame, planes={**frame.planes, Role.MOTION: frame[Role.MOTION] * 1.5 + 20})
+             for frame in room]
     assert cuts(wrong) == []
 
 
@@ -143,25 +153,32 @@ def test_unknown_vectors_are_no_cuts_and_a_join_is_found(picture):
     """Compared as frames without vectors, also where some are known."""
     known = np.full((180, 320, 2), np.nan, np.float32)
     known[:40, :40] = 60, 0
-    frames = [Frame({Role.COLOUR: picture[100:280, at : at + 320], Role.MOTION: known}) for at in range(0, 320, 60)]
+    frames = [Frame({Role.COLOUR: picture[100:280, at : at + 320], Role.MOTION: known})
+              for at in range(0, 320, 60)]
     assert cuts(frames) == []
-    other = np.random.default_rng(7).uniform(0, 1, (45, 80, 3)).astype(np.float32).repeat(4, 0).repeat(4, 1)
+    other = (np.random.default_rng(7).uniform(0, 1, (45, 80, 3)).astype(np.float32).repeat(4, 0)
+             .repeat(4, 1))
     assert cuts(frames[:3] + [Frame({Role.COLOUR: other, Role.MOTION: known})] * 2) == [3]
 
 
 def test_tiny_and_empty_pictures_are_no_cuts(room):
-    small = [Frame({Role.COLOUR: frame[Role.COLOUR][:20, :20]}) for frame in (room[0], turned(room[0]))]
-    empty = [Frame({Role.COLOUR: np.full((90, 160, 3), value, np.float32)}) for value in (0.0, 1.0, np.nan)]
+    small = [Frame({Role.COLOUR: frame[Role.COLOUR][:20, :20]})
+             for frame in (room[0], turned(room[0]))]
+    empty = [Frame({Role.COLOUR: np.full((90, 160, 3), value, np.float32)})
+             for value in (0.0, 1.0, np.nan)]
     assert cuts(small) == [] and cuts(empty) == []
 
 
 def test_real_shots(shared_dir, room):
-    shots = {name: [unmarked(frame) for frame in read_sequence(shared_dir / "sequences" / name / "noisy.####.exr")]
+    shots = {name: [unmarked(frame)
+                    for frame in read_sequence(shared_dir / "sequences" / name / "noisy.####.exr")]
              for name in ("living_room", "staircase", "garage")} | {"room": room}
     for roles in (None, WITH_MOTION, COLOUR_ONLY):
-        reduced = {name: [unmarked(frame, roles) for frame in frames] for name, frames in shots.items()}
+        reduced = {name: [unmarked(frame, roles) for frame in frames]
+                   for name, frames in shots.items()}
         assert [name for name, frames in reduced.items() if cuts(frames)] == []
-        joins = [(reduced[a][i], reduced[b][j]) for (a, b), i, j in product(permutations(shots, 2), (0, 7), (0, 4))]
+        joins = [(reduced[a][i], reduced[b][j])
+                 for (a, b), i, j in product(permutations(shots, 2), (0, 7), (0, 4))]
         assert [cuts(list(pair)) for pair in joins] == [[1]] * len(joins)
 
 
@@ -182,7 +199,8 @@ def test_the_pipeline_drops_its_history_there(room):
             results.append(pipeline(frame).reset)
             assert pipeline.cut == results[-1]
             resets.append(denoise.resets)
-        assert results == wanted and resets[2] - resets[1] == wanted[2] and not any(frame.reset for frame in frames)
+        assert (results == wanted and resets[2] - resets[1] == wanted[2]
+                and not any(frame.reset for frame in frames))
 
 
 def test_unknown_modes_are_refused():

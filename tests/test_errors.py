@@ -33,9 +33,11 @@ def test_the_docstring_shows_the_tree():
 
 def test_no_error_for_users_is_defined_elsewhere():
     for source in PACKAGE.rglob("*.py"):
-        bases = [ast.unparse(base) for node in ast.walk(ast.parse(source.read_text(encoding="utf-8")))
+        bases = [ast.unparse(base)
+                 for node in ast.walk(ast.parse(source.read_text(encoding="utf-8")))
                  if isinstance(node, ast.ClassDef) for base in node.bases]
-        # A build of the kernels runs before the package can be imported, so its error stands beside it.
+        # A build of the kernels runs before the package can be imported, so its error stands beside
+        # it.
         own = source.name in ("errors.py", "build.py")
         assert own or not {"Exception", *vars(errors)} & {base.split(".")[-1] for base in bases}
 
@@ -70,10 +72,13 @@ def test_what_may_not_be_looked_at_is_an_error_that_names_it(what, tmp_path, mon
         look(tmp_path)
 
 
-@pytest.mark.parametrize("look", [verify, lambda path: file_transform(f"{path}/film.cube,input=ACEScct")])
+@pytest.mark.parametrize("look",
+                         [verify, lambda path: file_transform(f"{path}/film.cube,input=ACEScct")])
 def test_what_may_not_be_read_is_an_error_that_names_it(look, tmp_path, monkeypatch):
     (tmp_path / "film.cube").write_text("LUT_3D_SIZE 2")
-    (tmp_path / MANIFEST_NAME).write_text(Manifest({}, {"film.cube": Output("run", 1, "0" * 64, 13)}).to_json())
+    (tmp_path / MANIFEST_NAME).write_text(Manifest(
+        {}, {"film.cube": Output("run", 1, "0" * 64, 13)}
+    ).to_json())
     opened = open
 
     def refuse(path, *words, **named):
@@ -83,7 +88,8 @@ def test_what_may_not_be_read_is_an_error_that_names_it(look, tmp_path, monkeypa
 
     monkeypatch.setattr("builtins.open", refuse)
     monkeypatch.setattr("io.open", refuse)
-    with pytest.raises(errors.PostfxError, match="film.cube: .*cannot be read: Permission denied; check its rights"):
+    with pytest.raises(errors.PostfxError,
+                       match="film.cube: .*cannot be read: Permission denied; check its rights"):
         look(tmp_path)
 
 

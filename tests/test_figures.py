@@ -1,14 +1,19 @@
-"""Every figure of README, documents and model cards has a source: what a script printed, with commit and date.
+"""Every figure of README, documents and model cards has a source: what a script printed, with
+commit and date.
 
-A document says where its figures come from, from a comment to the next one, the next heading or the end:
+A document says where its figures come from, from a comment to the next one, the next heading or the
+end:
 
-    <!-- measured: NAME, NAME -->   figures are in docs/measured/runs/NAME.txt, by `python -m training.measure.record`
-    <!-- given -->                  figures are settings, limits in the code, or what others have published
-    <!-- from: lab/NAME.md -->      figures are those of that page below docs/, which says where they come from
+    <!-- measured: NAME, NAME -->   figures are in docs/measured/runs/NAME.txt, made by
+                                    `python -m training.measure.record`
+    <!-- given -->                  figures are settings, limits in the code, or what others have
+                                    published
+    <!-- from: lab/NAME.md -->      figures are those of that page below docs/, which says where
+                                    they come from
 
-A figure is a number with a unit, and any number with a decimal point in a table. Code blocks do not count: other tests
-run them. Sections in `PENDING` have figures from before there were sources. Take a section off the list once it has its
-marks; put none on it.
+A figure is a number with a unit, and any number with a decimal point in a table. Code blocks do not
+count: other tests run them. Sections in `PENDING` have figures from before there were sources. Take
+a section off the list once it has its marks; put none on it.
 """
 
 from __future__ import annotations
@@ -29,14 +34,17 @@ from training.measure.record import NUMBER, RUNS, Run, agrees, is_same, load, ru
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 MARK = re.compile(r"<!-- (?:measured: ([\w, ]+)|(given)|from: ([\w/.]+)) -->")
-UNITS = r"dB|EV|ms|s|%|MiB|GiB|MB|GB|KB|KiB|seconds|minutes|min|hours|samples|times|x(?![\dx])|frames a second"
+UNITS = (
+    r"dB|EV|ms|s|%|MiB|GiB|MB|GB|KB|KiB|seconds|minutes|min|hours|samples|times|x(?![\dx])|frames "
+    r"a second"
+)
 FIGURE = re.compile(rf"({NUMBER.pattern}) ?(?:{UNITS})(?![\w-])")
 CELL = re.compile(r"(?<![\w.])[+-]?\d+\.\d+(?![\w.])")
 
 
 class Part(NamedTuple):
-    """A part of a page with one source: `sources` are names of runs, None where nothing is said; `copied` is the page
-    whose figures it repeats."""
+    """A part of a page with one source: `sources` are names of runs, None where nothing is said;
+    `copied` is the page whose figures it repeats."""
 
     section: str
     sources: tuple[str, ...] | None
@@ -57,7 +65,8 @@ def parts_of(text: str) -> Iterator[Part]:
     for block in filter(None, re.split(r"(?m)^(?=#)", text)):
         title = block.partition("\n")[0].lstrip("# ") if block.startswith("#") else ""
         sources: tuple[str, ...] | None = None
-        is_given, copied, start = False, "", len(block.partition("\n")[0]) if title else 0  # headings claim nothing
+        # headings claim nothing
+        is_given, copied, start = (False, "", len(block.partition("\n")[0]) if title else 0)
         for mark in MARK.finditer(block):
             yield Part(title, sources, is_given, block[start:mark.start()], copied)
             sources, is_given = tuple(re.split(", *", mark[1])) if mark[1] else None, bool(mark[2])
@@ -78,20 +87,24 @@ def sections_without_source() -> dict[str, list[str]]:
 
 
 def test_a_part_s_figures_are_found() -> None:
-    page = ("# One\n1.5 dB of `2 dB`\n<!-- measured: a, b -->\n| 3 | 4.25 |\n\n    5 dB\n\n6 % and 7x8\n"
-            "<!-- given -->\n8 EV\n## Two\n9x, 1.5 of it\n")
-    found = [(*part[:3], part.figures(), part.copied) for part in parts_of(page + "<!-- from: lab/a.md -->\n7 %\n")]
-    assert found == [("One", None, False, ["1.5"], ""), ("One", ("a", "b"), False, ["6", "4.25"], ""),
+    page = ("# One\n1.5 dB of `2 dB`\n<!-- measured: a, b -->\n| 3 | 4.25 |\n\n    5 dB\n\n6 % and "
+            "7x8\n<!-- given -->\n8 EV\n## Two\n9x, 1.5 of it\n")
+    found = [(*part[:3], part.figures(), part.copied)
+             for part in parts_of(page + "<!-- from: lab/a.md -->\n7 %\n")]
+    assert found == [("One", None, False, ["1.5"], ""),
+                     ("One", ("a", "b"), False, ["6", "4.25"], ""),
                      ("One", None, True, ["8"], ""), ("Two", None, False, ["9"], ""),
                      ("Two", None, False, ["7"], "lab/a.md")]
 
 
 def test_figures_are_rounded_numbers_of_a_run() -> None:
     made = Run({"tolerance": "0.1"}, "worth 124.26 samples, 1,234 of them, 3.0e-05, -0.8")
-    assert all(made.has(figure) for figure in ("124.3", "124", "1234", "1,234", "3e-5", "0.8", "-0.8"))
+    assert all(made.has(figure)
+               for figure in ("124.3", "124", "1234", "1,234", "3e-5", "0.8", "-0.8"))
     assert not any(made.has(figure) for figure in ("125", "124.2", "0.9", "26"))
     assert is_same("12.34", "12.3") and not is_same("12.36", "12.3")
-    assert agrees("10.0", "10.1", 0) and not agrees("10.0", "10.3", 0.02) and agrees("10.0", "11.0", 0.1)
+    assert (agrees("10.0", "10.1", 0) and not agrees("10.0", "10.3", 0.02)
+            and agrees("10.0", "11.0", 0.1))
 
 
 def test_new_figures_have_a_source() -> None:
@@ -102,20 +115,24 @@ def test_new_figures_have_a_source() -> None:
     assert not new, "say where these figures come from: see tests/test_figures.py"
     done = {page: sections for page in PENDING
             if (sections := [one for one in PENDING[page] if one not in found.get(page, ())])}
-    assert not done, "these have no figures without a source any more: take them off tests/pending_figures.py"
+    assert not done, ("these have no figures without a source any more: take them off "
+                      "tests/pending_figures.py")
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if "<!-- measured:" in page.read_text(encoding="utf-8")],
+@pytest.mark.parametrize("page", [page for page in PAGES
+                                  if "<!-- measured:" in page.read_text(encoding="utf-8")],
                          ids=lambda page: page.stem)
 def test_figures_are_those_of_their_sources(page: Path) -> None:
     for part in parts_of(page.read_text(encoding="utf-8")):
         if part.sources is not None:
             runs = [load(name) for name in part.sources]
-            lost = [figure for figure in part.figures() if not any(made.has(figure) for made in runs)]
+            lost = [figure
+                    for figure in part.figures() if not any(made.has(figure) for made in runs)]
             assert not lost, f"{page.name}, {part.section}: not in {', '.join(part.sources)}"
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if "<!-- from:" in page.read_text(encoding="utf-8")],
+@pytest.mark.parametrize("page", [page for page in PAGES
+                                  if "<!-- from:" in page.read_text(encoding="utf-8")],
                          ids=lambda page: page.stem)
 def test_figures_that_are_repeated_are_those_of_their_page(page: Path) -> None:
     for part in parts_of(page.read_text(encoding="utf-8")):
@@ -138,11 +155,13 @@ def test_every_source_says_where_it_is_from_and_is_used() -> None:
     assert {path.stem for path in RUNS.glob("*.txt")} == used
     for name in used:
         facts = load(name).facts
-        assert re.fullmatch(r"[0-9a-f]{7,40}", facts["commit"]) and re.fullmatch(r"\d{4}-\d\d-\d\d", facts["date"])
+        assert (re.fullmatch(r"[0-9a-f]{7,40}", facts["commit"])
+                and re.fullmatch(r"\d{4}-\d\d-\d\d", facts["date"]))
         assert facts["command"].startswith("python ") and facts["machine"]
 
 
-@pytest.mark.parametrize("name", [path.stem for path in sorted(RUNS.glob("*.txt")) if load(path.stem).is_repeatable])
+@pytest.mark.parametrize("name", [path.stem for path in sorted(RUNS.glob("*.txt"))
+                                  if load(path.stem).is_repeatable])
 def test_scripts_still_print_what_was_recorded(name: str) -> None:
     """Those that are short enough."""
     recorded = load(name)
@@ -162,6 +181,7 @@ def test_the_figures_of_model_cards_name_their_script() -> None:
         modules = [step.split()[0] for step in steps if step.startswith("training.")]
         scripts += [f"{module.replace('.', '/')}.py" for module in modules]
         for script in scripts:
-            there = (ROOT / script).is_file() or (ROOT / script.removesuffix(".py") / "__main__.py").is_file()
+            there = ((ROOT / script).is_file()
+                     or (ROOT / script.removesuffix(".py") / "__main__.py").is_file())
             assert there, f"{path.name}: {script}"
         assert scripts or not card.get("quality"), f"{path.name}: figures without a script"

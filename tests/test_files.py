@@ -12,7 +12,9 @@ from postfx.errors import ReadError
 from postfx.files import PAUSES, WriteBehind, read_ahead, read_patiently
 
 
-def test_what_cannot_be_read_is_tried_twice_more_after_growing_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_read_is_tried_twice_more_after_growing_pauses(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
     """PAUSES as imported here, before the tests do without them."""
     assert PAUSES == (0.1, 0.4)
     monkeypatch.setattr(files, "PAUSES", PAUSES)

@@ -1,4 +1,5 @@
-"""What a programmer meets first: what objects say of themselves, and slips that are told in one line."""
+"""What a programmer meets first: what objects say of themselves, and slips that are told in one
+line."""
 
 from __future__ import annotations
 
@@ -37,6 +38,8 @@ def test_a_pipeline_of_something_else_is_refused_in_one_line(passes, said):
 
 def test_a_pipeline_is_called_with_a_frame():
     pipeline = postfx.Pipeline([postfx.ToneMap()])
-    with pytest.raises(FrameError, match=r"takes a postfx.Frame, not numpy.ndarray: give Frame\(\{'colour': array\}\)"):
+    with pytest.raises(FrameError,
+                       match=r"takes a postfx.Frame, not numpy.ndarray: give Frame\(\{'colour': "
+                       r"array\}\)"):
         pipeline(PICTURE)
     assert pipeline(postfx.Frame({"color": PICTURE}))["colour"].shape == PICTURE.shape

@@ -28,7 +28,8 @@ def test_spec_of_a_frame():
 
 
 def test_specs_compare_and_hash_by_meaning():
-    by_name, by_pairs = FrameSpec(2, 1, ["depth", "colour"]), FrameSpec(2, 1, ((Role.COLOUR, 3), (Role.DEPTH, 1)))
+    by_name, by_pairs = (FrameSpec(2, 1, ["depth", "colour"]),
+                         FrameSpec(2, 1, ((Role.COLOUR, 3), (Role.DEPTH, 1))))
     assert {by_name: "same"}[by_pairs] == "same"
     assert by_name != FrameSpec(2, 1, ["colour"])
 
@@ -44,11 +45,13 @@ def test_scalar_planes_may_come_without_channel_axis_and_in_other_floats():
     ("planes", "message"),
     [
         ({}, "no planes"),
-        ({"colour": np.zeros((4, 5, 4), np.float32)}, r"shape \(4, 5, 4\): it needs \(height, width, 3\)"),
+        ({"colour": np.zeros((4, 5, 4), np.float32)},
+         r"shape \(4, 5, 4\): it needs \(height, width, 3\)"),
         ({"colour": np.zeros((0, 5, 3), np.float32)}, "shape"),
         ({"colour": np.zeros((4, 5, 3), np.uint8)}, "uint8: give a NumPy array of floats"),
         ({"colour": [[[0.0, 0.0, 0.0]]]}, "list"),
-        ({"colour": plane(Role.COLOUR), "depth": plane(Role.DEPTH, 8, 10)}, "colour 5x4, depth 10x8"),
+        ({"colour": plane(Role.COLOUR), "depth": plane(Role.DEPTH, 8, 10)},
+         "colour 5x4, depth 10x8"),
     ],
 )
 def test_refused_planes(planes, message):
@@ -58,9 +61,12 @@ def test_refused_planes(planes, message):
 
 def test_roles_as_words():
     frame = Frame({"color": plane(Role.COLOUR), "albedo": plane(Role.DIFFUSE_ALBEDO)})
-    assert list(frame.planes) == [Role.COLOUR, Role.DIFFUSE_ALBEDO] and "color" in frame and "depth" not in frame
+    assert (list(frame.planes) == [Role.COLOUR, Role.DIFFUSE_ALBEDO] and "color" in frame
+            and "depth" not in frame)
     assert frame["color"] is frame["colour"] is frame[Role.COLOUR]
-    with pytest.raises(FrameError, match="plane 'colours' of frame 1 has no meaning here: did you mean colour. roles"):
+    with pytest.raises(FrameError,
+                       match="plane 'colours' of frame 1 has no meaning here: did you mean colour. "
+                       "roles"):
         Frame({"colours": plane(Role.COLOUR)})
     with pytest.raises(FrameError, match="name a role twice: color, colour"):
         Frame({"color": plane(Role.COLOUR), "colour": plane(Role.COLOUR)})
@@ -91,25 +97,30 @@ class Foreign:
 
 def test_arrays_of_other_libraries_are_not_copied():
     given = np.random.default_rng(0).random((4, 5, 3), np.float32)
-    frame = Frame({"colour": Foreign(given), "depth": Foreign(given[..., 0])}, parts={"key": Foreign(given)})
+    frame = Frame({"colour": Foreign(given), "depth": Foreign(given[..., 0])},
+                  parts={"key": Foreign(given)})
     assert np.shares_memory(frame["colour"], given) and np.shares_memory(frame.parts["key"], given)
     assert (frame["depth"] == given[..., :1]).all()
 
 
 def test_arrays_that_cannot_be_read_are_told():
-    with pytest.raises(FrameError, match="cannot be read from OnDevice .it lies in the memory of a device"):
+    with pytest.raises(FrameError,
+                       match="cannot be read from OnDevice .it lies in the memory of a device"):
         Frame({"colour": OnDevice()})
     torch = pytest.importorskip("torch")
     assert Frame({"colour": torch.ones(2, 3, 3)})["colour"].sum() == 18
-    for tensor in (torch.ones(2, 3, 3, requires_grad=True), torch.ones(2, 3, 3, dtype=torch.bfloat16)):
-        with pytest.raises(FrameError, match="plane 'colour' of frame 1 cannot be read from Tensor .*detach"):
+    for tensor in (torch.ones(2, 3, 3, requires_grad=True),
+                   torch.ones(2, 3, 3, dtype=torch.bfloat16)):
+        with pytest.raises(FrameError,
+                           match="plane 'colour' of frame 1 cannot be read from Tensor .*detach"):
             Frame({"colour": tensor})
     with pytest.raises(FrameError, match="is int64: give a NumPy array of floats"):
         Frame({"colour": torch.ones(2, 3, 3, dtype=torch.int64)})
 
 
 def test_unknown_encoding():
-    with pytest.raises(FrameError, match="unknown colour encoding 'crt': use scene-linear, display-linear;"):
+    with pytest.raises(FrameError,
+                       match="unknown colour encoding 'crt': use scene-linear, display-linear;"):
         FrameSpec(1, 1, ["colour"], "crt")
 
 
@@ -127,7 +138,8 @@ def test_asking_for_what_is_not_there():
 
 
 def guided(*roles: Role, **kept) -> Frame:
-    return Frame({"colour": plane(Role.COLOUR)}, guides={role: plane(role, 8, 10) for role in roles}, **kept)
+    return Frame({"colour": plane(Role.COLOUR)},
+                 guides={role: plane(role, 8, 10) for role in roles}, **kept)
 
 
 def test_guides_are_planes_of_another_size():
@@ -140,14 +152,17 @@ def test_guides_are_planes_of_another_size():
 
 
 def test_specs_with_guides_compare_and_hash_by_meaning():
-    one, other = GuideSpec(4, 2, ["normal", "depth"], "a.exr"), GuideSpec(4, 2, (Role.DEPTH, Role.NORMAL), "b.exr")
-    specs = {FrameSpec(2, 1, ["colour"], guides=guides) for guides in (one, other, GuideSpec(4, 2, ["depth"]), None)}
+    one, other = (GuideSpec(4, 2, ["normal", "depth"], "a.exr"),
+                  GuideSpec(4, 2, (Role.DEPTH, Role.NORMAL), "b.exr"))
+    specs = {FrameSpec(2, 1, ["colour"], guides=guides)
+             for guides in (one, other, GuideSpec(4, 2, ["depth"]), None)}
     assert len(specs) == 3
 
 
 def test_scalar_guides_may_come_without_channel_axis():
     frame = Frame({"colour": plane(Role.COLOUR)}, guides={"depth": np.ones((8, 10), np.float64)})
-    assert frame.guides[Role.DEPTH].shape == (8, 10, 1) and frame.guides[Role.DEPTH].dtype == np.float32
+    assert (frame.guides[Role.DEPTH].shape == (8, 10, 1)
+            and frame.guides[Role.DEPTH].dtype == np.float32)
 
 
 @pytest.mark.parametrize("role", [role for role in Role if role not in OUTPUT_SIZE_ROLES])
@@ -171,12 +186,15 @@ def test_guides_of_a_wrong_shape_are_refused():
 
 
 def test_frames_compare_by_their_planes():
-    frame = Frame({"colour": np.full((4, 5, 3), np.nan)}, 3, world_to_camera=np.eye(4), metadata={"m": np.arange(3)})
-    same = replace(frame, planes={"colour": frame[Role.COLOUR].copy()}, metadata={"m": np.arange(3)}, source="a.exr")
+    frame = Frame({"colour": np.full((4, 5, 3), np.nan)}, 3, world_to_camera=np.eye(4),
+                  metadata={"m": np.arange(3)})
+    same = replace(frame, planes={"colour": frame[Role.COLOUR].copy()},
+                   metadata={"m": np.arange(3)}, source="a.exr")
     assert frame == same and not frame != same
     for other in (replace(frame, number=4), replace(frame, planes={"colour": plane(Role.COLOUR)}),
-                  replace(frame, planes={**frame.planes, "depth": plane(Role.DEPTH)}), replace(frame, metadata={}),
-                  replace(frame, guides={"depth": plane(Role.DEPTH)}), replace(frame, world_to_camera=None),
+                  replace(frame, planes={**frame.planes, "depth": plane(Role.DEPTH)}),
+                  replace(frame, metadata={}), replace(frame, guides={"depth": plane(Role.DEPTH)}),
+                  replace(frame, world_to_camera=None),
                   replace(frame, metadata={"m": np.arange(4)}), "frame"):
         assert frame != other
 
@@ -195,24 +213,27 @@ def test_a_frame_prints_as_a_table():
     ]
 
 
-@pytest.mark.parametrize(("encoding", "grey"), [("scene-linear", 156), ("display-linear", 188), ("srgb", 128)])
+@pytest.mark.parametrize(("encoding", "grey"),
+                         [("scene-linear", 156), ("display-linear", 188), ("srgb", 128)])
 def test_a_frame_is_a_picture_in_a_notebook(encoding, grey, tmp_path):
     frame = Frame({"colour": np.full((50, 1280, 3), 0.5)}, encoding=encoding, source="<a>.exr")
     (tmp_path / "frame.png").write_bytes(frame._repr_png_())
     pixels = oiio.ImageBuf(str(tmp_path / "frame.png")).get_pixels(oiio.UINT8)
     assert pixels.shape == (25, 640, 3) and (pixels == grey).all()
-    assert "&lt;a&gt;.exr" in frame._repr_html_() and "data:image/png;base64,iVBORw0KGgo" in frame._repr_html_()
+    assert ("&lt;a&gt;.exr" in frame._repr_html_()
+            and "data:image/png;base64,iVBORw0KGgo" in frame._repr_html_())
 
 
 def test_a_frame_without_colour_is_a_table_in_a_notebook():
     frame = Frame({"depth": plane(Role.DEPTH)})
-    assert frame._repr_png_() is None and "<img" not in frame._repr_html_() and "<td>depth</td>" in frame._repr_html_()
+    assert (frame._repr_png_() is None and "<img" not in frame._repr_html_()
+            and "<td>depth</td>" in frame._repr_html_())
 
 
 @pytest.mark.parametrize(("field", "value"), [
-    ("jitter", None), ("jitter", 0.5), ("jitter", (1, 2, 3)), ("jitter", "ab"), ("jitter", ("x", 1)),
-    ("guide_jitter", None), ("world_to_camera", np.eye(3)), ("world_to_camera", "x"), ("exposure", "bright"),
-    ("exposure", (1, 2)),
+    ("jitter", None), ("jitter", 0.5), ("jitter", (1, 2, 3)), ("jitter", "ab"),
+    ("jitter", ("x", 1)), ("guide_jitter", None), ("world_to_camera", np.eye(3)),
+    ("world_to_camera", "x"), ("exposure", "bright"), ("exposure", (1, 2)),
 ])
 def test_fields_that_are_no_numbers_are_refused(field, value):
     with pytest.raises(FrameError, match=f"frame 1 has {field} .*: give "):

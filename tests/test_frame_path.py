@@ -1,8 +1,8 @@
 """How many of postfx's files a frame passes on its way through `postfx run`, once all is prepared.
 
-`python -m tests.test_frame_path` lists them, with the functions in each and the calls. Those that call compiled kernels
-are listed but do not count. Neither do the manifest and checkpoints, which are written every few seconds and not for
-every frame.
+`python -m tests.test_frame_path` lists them, with the functions in each and the calls. Those that
+call compiled kernels are listed but do not count. Neither do the manifest and checkpoints, which
+are written every few seconds and not for every frame.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ MOST = 51
 CALL_KERNELS = ("kernels/", "compiled/", "planes.py", "io/pixel_formats.py")
 """Files and folders that call compiled kernels, which are not counted."""
 FIRST, LAST = 4, 6
-"""Frames that count: what begins between the first one's passes and the last one's, in any thread."""
+"""Frames that count: what begins between the first one's passes and the last one's, in any
+thread."""
 
 
 class Watch:
@@ -61,13 +62,16 @@ class Watch:
         return found
 
     def count_calls(self, start: str = "") -> float:
-        """Calls on a frame's way, of functions in files whose path begins so; comprehensions count as Python counts."""
+        """Calls on a frame's way, of functions in files whose path begins so; comprehensions count
+        as Python counts."""
         counts = (count for (path, _), count in self.calls.items() if path.startswith(start))
         return sum(counts) / (LAST - FIRST)
 
     def count_functions(self, start: str = "") -> int:
-        """Functions that a reader steps into, in files whose path begins so: all but comprehensions."""
-        return sum(path.startswith(start) and not name.endswith(("comp>", "genexpr>")) for path, name in self.calls)
+        """Functions that a reader steps into, in files whose path begins so: all but
+        comprehensions."""
+        return sum(path.startswith(start) and not name.endswith(("comp>", "genexpr>"))
+                   for path, name in self.calls)
 
 
 @contextlib.contextmanager
@@ -85,8 +89,9 @@ def watched() -> Iterator[Watch]:
 
 def watch_run(folder: Path, suffix: str, *options: str) -> Watch:
     """What steady frames of the sample room pass."""
-    command = ["run", str(ROOM / "noisy.####.exr"), "-o", str(folder / f"out.####.{suffix}"), "--frames", f"1-{LAST}",
-               "--model", "s", "--device", "cpu", "--threads", "2", "--run-up", "0", "--checkpoint", "1e9"]
+    command = ["run", str(ROOM / "noisy.####.exr"), "-o", str(folder / f"out.####.{suffix}"),
+               "--frames", f"1-{LAST}", "--model", "s", "--device", "cpu", "--threads", "2",
+               "--run-up", "0", "--checkpoint", "1e9"]
     with pytest.MonkeyPatch.context() as patch, watched() as watch:
         patch.setattr("postfx.runs.folder.LEAST_SECONDS", 1e9)
         assert main([*command, *options]) == 0
@@ -101,7 +106,8 @@ def counted(found: Iterable[str]) -> list[str]:
 @pytest.mark.parametrize("output", OUTPUTS)
 def test_a_steady_frame_passes_few_files(output: str, tmp_path: Path) -> None:
     found = watch_run(tmp_path, *OUTPUTS[output]).found
-    assert {"pipeline.py", "io/frame_reader.py", "io/writer.py", "runtime/commands.py"} <= set(found), "of every thread"
+    assert {"pipeline.py", "io/frame_reader.py", "io/writer.py",
+            "runtime/commands.py"} <= set(found), "of every thread"
     passed = counted(found)
     assert len(passed) <= MOST, "\n".join(passed)
 

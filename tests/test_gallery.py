@@ -23,7 +23,8 @@ def test_there_are_six_scenes_by_renderer():
 @pytest.mark.parametrize(("names", "sources"), BOXES)
 def test_pictures_lie_on_each_other(names, sources):
     left, right = (side.split(",") for side in sources.split("|"))
-    assert names.split(",") == ["As rendered", "Open Image Denoise"] and len(left) == 2 and len(right) == 1
+    assert (names.split(",") == ["As rendered", "Open Image Denoise"] and len(left) == 2
+            and len(right) == 1)
     sizes = {Image.open(DOCS / path).size for path in (*left, *right)}
     assert len(sizes) == 1
     assert len({(DOCS / path).read_bytes() for path in (*left, *right)}) == 3

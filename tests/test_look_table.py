@@ -12,7 +12,14 @@ from postfx.colour.displays import parse_display
 from postfx.colour.views import find_view
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
-from postfx.look_table import MOST_REPLACED_SHARE, LookTable, delta_e_itp, expose_colour, measure_difference, to_itp
+from postfx.look_table import (
+    MOST_REPLACED_SHARE,
+    LookTable,
+    delta_e_itp,
+    expose_colour,
+    measure_difference,
+    to_itp,
+)
 from postfx.passes.display import View
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
@@ -55,7 +62,8 @@ def test_a_global_look_is_its_table(device: Device, picture: Frame, tmp_path: Pa
     assert np.abs(found - wanted)[bright].mean() < 2e-3
 
 
-def test_tables_are_read_back_as_they_were_made(device: Device, picture: Frame, tmp_path: Path) -> None:
+def test_tables_are_read_back_as_they_were_made(device: Device, picture: Frame,
+                                                tmp_path: Path) -> None:
     table = LookTable([View(view="reinhard", display="pq")], [picture], device, SIZE)
     table.write(tmp_path / "new" / "a.cube", [])
     codes = np.stack(np.meshgrid(*[np.linspace(0, 1, SIZE)] * 3, indexing="ij"), -1)
@@ -64,29 +72,36 @@ def test_tables_are_read_back_as_they_were_made(device: Device, picture: Frame, 
     assert view.output == "pq,peak=1000,white=203"
 
 
-def test_a_networks_table_comes_near_it_and_says_how_near(device: Device, picture: Frame, tmp_path: Path) -> None:
+def test_a_networks_table_comes_near_it_and_says_how_near(device: Device, picture: Frame,
+                                                          tmp_path: Path) -> None:
     table = LookTable([ToneMap()], [picture], device, SIZE)
     table.write(tmp_path / "a.cube", [])
     found = table.measure(tmp_path / "a.cube", [picture])
     wanted = Pipeline([ToneMap()], device, exposure=0.0)(picture)[Role.COLOUR]
-    made = Pipeline([View(view=str(tmp_path / "a.cube"))], device, exposure=0.0)(picture)[Role.COLOUR]
+    made = Pipeline([View(view=str(tmp_path / "a.cube"))], device,
+                    exposure=0.0)(picture)[Role.COLOUR]
     assert found == measure_difference([made], [wanted], parse_display("srgb"))
     assert found.psnr > 25
 
 
-def test_colours_among_the_pixels_hardly_change_what_the_network_does(device: Device, picture: Frame) -> None:
+def test_colours_among_the_pixels_hardly_change_what_the_network_does(device: Device,
+                                                                      picture: Frame) -> None:
     large = picture[Role.COLOUR].repeat(8, 0).repeat(8, 1)
-    strange = ocio.convert(np.random.default_rng(1).random((500, 3)), "ACEScct", "Linear Rec.709 (sRGB)")
-    places = np.random.default_rng(0).permutation(large[..., 0].size)[: int(MOST_REPLACED_SHARE * large[..., 0].size)]
+    strange = ocio.convert(np.random.default_rng(1).random((500, 3)), "ACEScct",
+                           "Linear Rec.709 (sRGB)")
+    places = (np.random.default_rng(0)
+              .permutation(large[..., 0].size)[: int(MOST_REPLACED_SHARE * large[..., 0].size)])
     mixed = large.reshape(-1, 3).copy()
     mixed[places] = np.resize(strange, (len(places), 3))
-    alone, beside = (Pipeline([ToneMap()], device, exposure=0.0)(Frame({Role.COLOUR: colour}))[Role.COLOUR]
+    alone, beside = (Pipeline([ToneMap()], device,
+                              exposure=0.0)(Frame({Role.COLOUR: colour}))[Role.COLOUR]
                      for colour in (large, mixed.reshape(large.shape)))
     assert np.delete(np.abs(beside - alone).reshape(-1, 3), places, 0).mean() < 0.01
 
 
 def test_only_exposed_colour_is_used(picture: Frame) -> None:
-    found = expose_colour(Frame({**picture.planes, Role.ALPHA: np.ones((90, 160, 1), np.float32)}, number=3), 2.0)
+    found = expose_colour(Frame({**picture.planes, Role.ALPHA: np.ones((90, 160, 1), np.float32)},
+                                number=3), 2.0)
     assert list(found.planes) == [Role.COLOUR] and found.number == 3
     np.testing.assert_array_equal(found[Role.COLOUR], 2 * picture[Role.COLOUR])
 
@@ -102,7 +117,9 @@ def test_delta_e_itp_is_that_of_colour_science(display: str) -> None:
     a, b = np.random.default_rng(0).random((2, 200, 3))
     target = parse_display(display)
     space = {"srgb": "sRGB", "p3": "Display P3", "pq": "ITU-R BT.2020"}[display]
-    nits = [colour.RGB_to_RGB(target.decode(x) * (target.white or 100), space, "ITU-R BT.2020") for x in (a, b)]
+    nits = [colour.RGB_to_RGB(target.decode(x) * (target.white or 100), space, "ITU-R BT.2020")
+            for x in (a, b)]
     wanted = colour.difference.delta_E_ITP(*(colour.RGB_to_ICtCp(x) for x in nits))
     np.testing.assert_allclose(delta_e_itp(a, b, target), wanted, rtol=5e-3)
-    np.testing.assert_allclose(to_itp(a, target)[:, 0], colour.RGB_to_ICtCp(nits[0])[:, 0], atol=1e-4)
+    np.testing.assert_allclose(to_itp(a, target)[:, 0], colour.RGB_to_ICtCp(nits[0])[:, 0],
+                               atol=1e-4)

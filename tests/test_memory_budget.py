@@ -22,7 +22,8 @@ from postfx.system import Scratch, parse_size
 from tests.passes.denoise_frames import noisy
 
 
-@pytest.mark.parametrize(("text", "size"), [("4G", 4 << 30), ("1.5 GB", 3 << 29), ("512m", 512 << 20), ("2KiB", 2048),
+@pytest.mark.parametrize(("text", "size"), [("4G", 4 << 30), ("1.5 GB", 3 << 29),
+                                            ("512m", 512 << 20), ("2KiB", 2048),
                                             (1 << 20, 1 << 20)])
 def test_sizes_as_people_write_them(text: str | int, size: int) -> None:
     assert parse_size(text) == size
@@ -30,7 +31,8 @@ def test_sizes_as_people_write_them(text: str | int, size: int) -> None:
 
 @pytest.mark.parametrize("text", ["", "lots", "-4G", "0", "4 X", "4GG"])
 def test_other_sizes_are_errors(text: str) -> None:
-    with pytest.raises(MemoryBudgetError, match="is not a size: give bytes, or a number with K, M, G or T"):
+    with pytest.raises(MemoryBudgetError,
+                       match="is not a size: give bytes, or a number with K, M, G or T"):
         parse_size(text)
 
 
@@ -75,14 +77,17 @@ def test_planes_that_a_frame_lacks_take_no_memory() -> None:
     assert resident() - before < 32 << 20
     for role, plane in planes.items():
         assert plane.shape == (*size, ROLES[role].channels)
-        np.testing.assert_array_equal(plane.array[::500, -1], np.float32(ABSENT[role]) + 0 * plane.array[::500, -1])
+        np.testing.assert_array_equal(plane.array[::500, -1],
+                                      np.float32(ABSENT[role]) + 0 * plane.array[::500, -1])
 
 
 def test_a_budget_is_for_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     remote = SimpleNamespace(host_visible=False)
     with monkeypatch.context() as patch:
         patch.setattr(device, "choose", lambda *rest: (None, remote))
-        with pytest.raises(DeviceError, match="a memory budget is for the CPU, not for 'cuda': leave one of them out"):
+        with pytest.raises(DeviceError,
+                           match="a memory budget is for the CPU, not for 'cuda': leave one of "
+                           "them out"):
             Device("cuda", memory="4G")
     assert Device("auto", memory="4G").memory.host_visible
 
@@ -91,7 +96,8 @@ def test_a_budget_is_for_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_frames_in_tiles_have_no_seams(model: str) -> None:
     """Against whole ones, tone-mapped, over frames of motion."""
     whole = Pipeline([DenoiseUpscale(model=model), ToneMap()], Device("cpu", threads=2))
-    tiled = Pipeline([DenoiseUpscale(model=model), ToneMap()], Device("cpu", threads=2, memory="560M"))
+    tiled = Pipeline([DenoiseUpscale(model=model), ToneMap()],
+                     Device("cpu", threads=2, memory="560M"))
     for number in (1, 2):
         frame = noisy(number, 300, 330)
         wanted, found = whole(frame)[Role.COLOUR], tiled(frame)[Role.COLOUR]
@@ -105,24 +111,29 @@ def test_too_many_open_files_are_no_full_disk(monkeypatch: pytest.MonkeyPatch) -
         raise OSError(errno.EMFILE, "Too many open files")
 
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)
-    with pytest.raises(MemoryBudgetError, match="too many open files, .* keep fewer frames, or raise 'ulimit -n'"):
+    with pytest.raises(MemoryBudgetError,
+                       match="too many open files, .* keep fewer frames, or raise 'ulimit -n'"):
         Scratch("1M").map_file(1 << 20)
 
 
 def test_a_budget_that_is_too_small_names_the_smallest_that_would_do() -> None:
     frame = noisy(1, 300, 330)
-    with pytest.raises(MemoryBudgetError, match="330x300 cannot be denoised within 320M: give a memory") as error:
+    with pytest.raises(MemoryBudgetError,
+                       match="330x300 cannot be denoised within 320M: give a memory") as error:
         Pipeline([DenoiseUpscale(model="s")], Device("cpu", memory="320M"))(frame)
     least, sizes = str(error.value).split()[-3], Sizes(300, 330, 600, 660)
     assert len(bands_within(Scratch(least), sizes, seamless(["denoise_upscale.s.int8"]))) > 1
     with pytest.raises(MemoryBudgetError):
-        bands_within(Scratch(parse_size(least) - (2 << 20)), sizes, seamless(["denoise_upscale.s.int8"]))
+        bands_within(Scratch(parse_size(least) - (2 << 20)), sizes,
+                     seamless(["denoise_upscale.s.int8"]))
 
 
-@pytest.mark.parametrize(("side", "budget"), [(1024, "600M"), (4096, "800M"), (4096, "4G"), (8192, "1100M")])
+@pytest.mark.parametrize(("side", "budget"),
+                         [(1024, "600M"), (4096, "800M"), (4096, "4G"), (8192, "1100M")])
 def test_the_commands_of_all_tiles_fit_in(side: int, budget: str) -> None:
     """Each takes some 0.2 MB, whatever the size of its window."""
-    bands = bands_within(Scratch(budget), Sizes(side, side, 2 * side, 2 * side), seamless(["denoise_upscale.m.int8"]))
+    bands = bands_within(Scratch(budget), Sizes(side, side, 2 * side, 2 * side),
+                         seamless(["denoise_upscale.m.int8"]))
     tiles = [tile for band in bands for tile in band.tiles]
     windows = max(tile.window.rows * tile.window.columns for tile in tiles)
     assert 200_000 * len(tiles) + 2400 * windows < parse_size(budget) - (300 << 20)
@@ -133,6 +144,7 @@ def test_a_mask_within_a_budget() -> None:
     plane = np.zeros((300, 330, 1), np.float32)
     plane[200:230, 40:80] = 1
     frame = Frame({**frame.planes, Role.STRENGTH: plane}, jitter=frame.jitter)
-    wanted, found = (Pipeline([DenoiseUpscale(model="s")], Device("cpu", memory=memory))(frame)[Role.COLOUR]
+    wanted, found = (Pipeline([DenoiseUpscale(model="s")],
+                              Device("cpu", memory=memory))(frame)[Role.COLOUR]
                      for memory in (None, "560M"))
     np.testing.assert_allclose(found, wanted, atol=1e-3, rtol=1e-3)

@@ -1,4 +1,5 @@
-"""The faults that are put into postfx have their places, and the tests that should find them are there."""
+"""The faults that are put into postfx have their places, and the tests that should find them are
+there."""
 
 import shlex
 from pathlib import Path

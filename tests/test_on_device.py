@@ -1,7 +1,8 @@
 """Planes that stay where they lie: arrays of other libraries in, tensors for other libraries out.
 
-There may be no GPU here. What only a GPU can do is left to the test with the mark `gpu`; the rest runs on the host's
-memory, once as the CPU's, once as a device's that NumPy does not see, with arrays that say that they are there.
+There may be no GPU here. What only a GPU can do is left to the test with the mark `gpu`; the rest
+runs on the host's memory, once as the CPU's, once as a device's that NumPy does not see, with
+arrays that say that they are there.
 """
 
 import ctypes
@@ -12,7 +13,17 @@ import time
 import numpy as np
 import pytest
 
-from postfx import DenoiseUpscale, Device, Frame, MixPartner, Partner, Pipeline, PostfxError, Role, stills
+from postfx import (
+    DenoiseUpscale,
+    Device,
+    Frame,
+    MixPartner,
+    Partner,
+    Pipeline,
+    PostfxError,
+    Role,
+    stills,
+)
 from postfx.errors import FrameError
 from postfx.passes import Downloads, share_planes
 from postfx.passes.display import View
@@ -25,13 +36,16 @@ from postfx.runtime.tensor import element_type
 gpu = pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
 RNG = np.random.default_rng(0)
 SIZE = (36, 48)
-PLANES = {Role.COLOUR: RNG.random((*SIZE, 3), np.float32), Role.DEPTH: 1 + RNG.random((*SIZE, 1), np.float32),
-          Role.MOTION: 1 + RNG.random((*SIZE, 2), np.float32), Role.NORMAL: RNG.random((*SIZE, 3), np.float32),
+PLANES = {Role.COLOUR: RNG.random((*SIZE, 3), np.float32),
+          Role.DEPTH: 1 + RNG.random((*SIZE, 1), np.float32),
+          Role.MOTION: 1 + RNG.random((*SIZE, 2), np.float32),
+          Role.NORMAL: RNG.random((*SIZE, 3), np.float32),
           Role.DIFFUSE_ALBEDO: RNG.random((*SIZE, 3), np.float32)}
 
 
 class There:
-    """An array in a device's memory as other libraries show it: by DLPack, by CUDA's interface, or by both."""
+    """An array in a device's memory as other libraries show it: by DLPack, by CUDA's interface, or
+    by both."""
 
     def __init__(self, array, place=(2, 0), how=("dlpack", "cuda"), **told):
         self.array, self.streams = array, []
@@ -39,14 +53,18 @@ class There:
             self.__dlpack_device__ = lambda: place
         if "cuda" in how:
             self.__cuda_array_interface__ = {
-                "shape": array.shape, "typestr": array.dtype.str, "data": (memory.address(array), False),
-                "strides": None if array.flags.c_contiguous else array.strides, "version": 3, "stream": None, **told}
+                "shape": array.shape, "typestr": array.dtype.str,
+                "data": (memory.address(array), False),
+                "strides": None if array.flags.c_contiguous else array.strides, "version": 3,
+                "stream": None, **told}
         if "dlpack" in how:
-            self.__class__ = type("There", (There,), {"__dlpack__": There.give, "__dlpack_device__": lambda _: place})
+            self.__class__ = type("There", (There,),
+                                  {"__dlpack__": There.give, "__dlpack_device__": lambda _: place})
 
     def give(self, *, stream=None):
         self.streams.append(stream)
-        return memory.lend(memory.address(self.array), self.array.shape, self.array.dtype.name, (2, 0), self.array)
+        return memory.lend(memory.address(self.array), self.array.shape, self.array.dtype.name,
+                           (2, 0), self.array)
 
 
 @pytest.fixture
@@ -103,10 +121,11 @@ def test_arrays_of_a_device_stay_there(far, how, monkeypatch):
             copied.append((verb, array.nbytes)), original(pointer, array)))
     for number, planes in enumerate(frames(), 1):
         del copied[:], far.memory.followed[:]
-        given = {role: There(plane, how=how, **({"stream": 5} if how == ("cuda",) else {})) for role, plane in
-                 planes.items()}
+        given = {role: There(plane, how=how, **({"stream": 5} if how == ("cuda",) else {}))
+                 for role, plane in planes.items()}
         found = pipeline.on_device(given, exposure=0.0, number=number)
-        assert number == 1 or sum(nbytes for _, nbytes in copied) < 1000, copied  # parameters; first, what is missing
+        # parameters; first, what is missing
+        assert (number == 1 or sum(nbytes for _, nbytes in copied) < 1000), copied
         assert found[Role.COLOUR].__dlpack_device__() == (2, 0)
         assert np.array_equal(found[Role.COLOUR].download(), right[number - 1][Role.COLOUR])
         if how == ("cuda",):
@@ -114,14 +133,16 @@ def test_arrays_of_a_device_stay_there(far, how, monkeypatch):
         else:
             assert all(array.streams == [7] for array in given.values())
     told, start = found[Role.COLOUR].__cuda_array_interface__, found[Role.COLOUR].start
-    assert told["shape"] == (72, 96, 3) and told["typestr"] == "<f4" and told["data"] == (start, False)
+    assert (told["shape"] == (72, 96, 3) and told["typestr"] == "<f4"
+            and told["data"] == (start, False))
 
 
 def test_an_interface_without_a_stream_leaves_the_waiting_to_dlpack(far):
     """Kernels of its producer may still write the array."""
     array = There(PLANES[Role.COLOUR])
     del array.__cuda_array_interface__["stream"]
-    assert np.array_equal(far.wrap("colour", array).download(), array.array) and array.streams == [7]
+    assert (np.array_equal(far.wrap("colour", array).download(), array.array)
+            and array.streams == [7])
     only = There(PLANES[Role.COLOUR], how=("cuda",))
     del only.__cuda_array_interface__["stream"]
     assert np.array_equal(far.wrap("colour", only).download(), only.array)
@@ -137,27 +158,34 @@ def test_tensors_of_pytorch_are_looked_at(far, monkeypatch):
         def __dlpack_device__(self):
             return 2, 0
 
-    monkeypatch.setattr(torch.cuda, "current_stream", lambda index: type("Stream", (), {"cuda_stream": 40 + index}))
+    monkeypatch.setattr(torch.cuda, "current_stream",
+                        lambda index: type("Stream", (), {"cuda_stream": 40 + index}))
     plane = torch.rand(4, 5, 3)
-    planes, last = {role: torch.rand(4, 5, 3).as_subclass(Far) for role in (Role.COLOUR, Role.NORMAL)}, {}
+    planes, last = {role: torch.rand(4, 5, 3).as_subclass(Far)
+                    for role in (Role.COLOUR, Role.NORMAL)}, {}
     for calls in (2, 1, 1):  # for the same tensors once
         del far.memory.followed[:]
         last, before = share_planes(far, "plane", planes, last), last
-        assert far.memory.followed == [40] * calls and all(last[role] is before[role] for role in before)
+        assert (far.memory.followed == [40] * calls
+                and all(last[role] is before[role] for role in before))
     planes[Role.COLOUR].data = torch.rand(4, 5, 3)  # elsewhere, and the other one of another type
     planes[Role.NORMAL].data = torch.rand(4, 5, 3).half()
-    assert share_planes(far, "plane", {Role.COLOUR: planes[Role.COLOUR]}, last)[Role.COLOUR] is not last[Role.COLOUR]
+    assert share_planes(far, "plane", {Role.COLOUR: planes[Role.COLOUR]},
+                        last)[Role.COLOUR] is not last[Role.COLOUR]
     with pytest.raises(FrameError, match="float16"):
         share_planes(far, "plane", planes, last)
-    for given, dtype in ((plane, "float32"), (plane[1:].half(), "float16"), (plane.bfloat16()[:0], "bfloat16")):
+    for given, dtype in ((plane, "float32"), (plane[1:].half(), "float16"),
+                         (plane.bfloat16()[:0], "bfloat16")):
         del far.memory.followed[:]
         tensor = far.wrap("x", given.as_subclass(Far))
-        assert (tensor.shape, tensor.dtype, far.memory.followed) == (tuple(given.shape), dtype, [40])
+        assert (tensor.shape, tensor.dtype, far.memory.followed) == (tuple(given.shape), dtype,
+                                                                     [40])
         assert tensor.start == given.data_ptr()
     tensor = far.wrap("x", plane.clone().as_subclass(Far))  # which nobody else keeps alive
     gc.collect()
     assert np.array_equal(tensor.download(), plane.numpy())
-    for wrong, message in ((plane.transpose(0, 1), "do not lie in order"), (plane.clone().requires_grad_(), "detach"),
+    for wrong, message in ((plane.transpose(0, 1), "do not lie in order"),
+                           (plane.clone().requires_grad_(), "detach"),
                            (torch.rand(3, dtype=torch.complex64), "cannot be of type complex64")):
         with pytest.raises(BindingError, match=message):
             far.wrap("x", wrong.as_subclass(Far))
@@ -173,7 +201,8 @@ def test_exposure_by_the_meter_and_planes_that_no_pass_reads():
 
 def test_guides():
     torch = pytest.importorskip("torch")
-    sharp = {Role.DIFFUSE_ALBEDO: RNG.random((72, 96, 3), np.float32), Role.NORMAL: RNG.random((72, 96, 3), np.float32)}
+    sharp = {Role.DIFFUSE_ALBEDO: RNG.random((72, 96, 3), np.float32),
+             Role.NORMAL: RNG.random((72, 96, 3), np.float32)}
     plain = Pipeline([DenoiseUpscale(model="m", scale=2)], Device("cpu"), exposure=0.0)
     right = plain(Frame(dict(PLANES), guides=dict(sharp)))
     guides = {role: torch.from_numpy(plane) for role, plane in sharp.items()}
@@ -183,14 +212,17 @@ def test_guides():
 
 
 WRONG = [
-    ({"colour": [1.0]}, {}, "array 'colour' is list: give a NumPy array, or one of a library with DLPack"),
-    ({"color": PLANES[Role.COLOUR][..., :2]}, {}, r"plane 'colour' is \(36, 48, 2\) float32: it needs \(height, width"),
+    ({"colour": [1.0]}, {},
+     "array 'colour' is list: give a NumPy array, or one of a library with DLPack"),
+    ({"color": PLANES[Role.COLOUR][..., :2]}, {},
+     r"plane 'colour' is \(36, 48, 2\) float32: it needs \(height, width"),
     ({"colour": PLANES[Role.COLOUR].astype("f8")}, {}, "plane 'colour' is .* float64: it needs"),
     ({"colours": PLANES[Role.COLOUR]}, {}, "plane 'colours' has no meaning here: roles are colour"),
-    ({"colour": There(PLANES[Role.COLOUR])}, {}, "cannot be read from There: it is in the memory of cuda:0, the device "
-     "is the host"),
+    ({"colour": There(PLANES[Role.COLOUR])}, {},
+     "cannot be read from There: it is in the memory of cuda:0, the device is the host"),
     ({}, {}, "a frame needs at least one plane"),
-    (PLANES | {Role.DEPTH: np.ones((2, 2, 1), "f4")}, {}, "planes differ in size: colour 48x36, depth 2x2"),
+    (PLANES | {Role.DEPTH: np.ones((2, 2, 1), "f4")}, {},
+     "planes differ in size: colour 48x36, depth 2x2"),
     (PLANES, {"exposure": 65}, "exposure '65': use auto, lit, metadata or a number of stops"),
     (PLANES, {"exposure": float("nan")}, "exposure 'nan': use auto"),
     (PLANES, {"guides": {Role.MOTION: PLANES[Role.MOTION]}}, "plane 'motion' cannot be a guide"),
@@ -201,8 +233,10 @@ def test_a_stop_more_exposure_is_a_stop_more_light() -> None:
     """As in `Pipeline(exposure=1.0)`."""
     look = View(view="reinhard", exact=False)
     given = {Role.COLOUR: PLANES[Role.COLOUR], Role.NORMAL: PLANES[Role.NORMAL]}
-    found = Pipeline([look], Device("cpu"), cuts="none").on_device(given, exposure=1.0)[Role.COLOUR].download()
-    wanted = Pipeline([View(view="reinhard", exact=False)], Device("cpu"), 1.0, "none")(Frame(dict(given)))
+    found = Pipeline([look], Device("cpu"),
+                     cuts="none").on_device(given, exposure=1.0)[Role.COLOUR].download()
+    wanted = Pipeline([View(view="reinhard", exact=False)], Device("cpu"), 1.0,
+                      "none")(Frame(dict(given)))
     np.testing.assert_array_equal(found, wanted[Role.COLOUR])
 
 
@@ -213,12 +247,17 @@ def test_wrong_use_on_the_host(planes, options, message):
 
 
 @pytest.mark.parametrize("array, message", [
-    (There(PLANES[Role.COLOUR], (2, 1), ("dlpack",)), "it is in the memory of cuda:1, the device is cuda:0"),
-    (There(PLANES[Role.COLOUR], (10, 0), ("dlpack",)), r"DLPack's device \(10, 0\), the device is cuda:0"),
-    (There(PLANES[Role.COLOUR][::2], how=("cuda",)), r"do not lie in order \(strides .* make it contiguous"),
+    (There(PLANES[Role.COLOUR], (2, 1), ("dlpack",)),
+     "it is in the memory of cuda:1, the device is cuda:0"),
+    (There(PLANES[Role.COLOUR], (10, 0), ("dlpack",)),
+     r"DLPack's device \(10, 0\), the device is cuda:0"),
+    (There(PLANES[Role.COLOUR][::2], how=("cuda",)),
+     r"do not lie in order \(strides .* make it contiguous"),
     (There(PLANES[Role.COLOUR].astype(">f4"), how=("cuda",)), "byte order of other machines"),
-    (There(PLANES[Role.COLOUR], how=("cuda",), data=None), "its __cuda_array_interface__ cannot be read"),
-    (There(PLANES[Role.COLOUR].astype("c8"), how=("cuda",)), "cannot be of type complex64: use one of"),
+    (There(PLANES[Role.COLOUR], how=("cuda",), data=None),
+     "its __cuda_array_interface__ cannot be read"),
+    (There(PLANES[Role.COLOUR].astype("c8"), how=("cuda",)),
+     "cannot be of type complex64: use one of"),
 ])
 def test_arrays_that_cannot_be_taken(far, array, message):
     with pytest.raises(BindingError, match=message):
@@ -240,7 +279,8 @@ def test_what_is_lent_lives_as_long_as_it_is_used():
         np.from_dlpack(tensor)
     tensor.fill(3.0)
     view = np.from_dlpack(tensor)
-    assert view.tolist() == [[3.0] * 3] * 2 and ctypes.c_float.from_address(tensor.start).value == 3.0
+    assert (view.tolist() == [[3.0] * 3] * 2
+            and ctypes.c_float.from_address(tensor.start).value == 3.0)
     used = device.heap.used
     del tensor
     gc.collect()
@@ -259,7 +299,8 @@ def test_what_is_lent_lives_as_long_as_it_is_used():
     assert not hasattr(other, "__cuda_array_interface__")
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float16", "bfloat16", "float64", "int64", "int8", "uint16", "bool"])
+@pytest.mark.parametrize("dtype", ["float32", "float16", "bfloat16", "float64", "int64", "int8",
+                                   "uint16", "bool"])
 def test_every_type_is_shared(dtype):
     torch = pytest.importorskip("torch")
     device = Device("cpu")
@@ -268,7 +309,8 @@ def test_every_type_is_shared(dtype):
     shared = torch.from_dlpack(tensor)
     assert str(shared.dtype) == f"torch.{dtype}" and shared.float().tolist() == [0, 1, 1]
     if dtype == "bfloat16":
-        with pytest.raises(BindingError, match="'y' cannot be read from Tensor"):  # as NumPy has no such type
+        # as NumPy has no such type
+        with pytest.raises(BindingError, match="'y' cannot be read from Tensor"):
             device.wrap("y", shared)
     else:
         assert device.wrap("y", shared).array.astype("f4").tolist() == [0, 1, 1]
@@ -308,9 +350,11 @@ class Lent:
 @gpu
 @pytest.mark.parametrize("how", ["cuda", "dlpack"])
 def test_on_a_gpu(how):
-    """The same pictures as from frames; sharing a frame's planes and its result adds at most 0.1 ms."""
+    """The same pictures as from frames; sharing a frame's planes and its result adds at most 0.1
+    ms."""
     device = Device("cuda")
-    pipeline, memory_of = Pipeline([DenoiseUpscale(model="s", scale=2)], device, cuts="none"), Lent.by(how)
+    pipeline, memory_of = (Pipeline([DenoiseUpscale(model="s", scale=2)], device, cuts="none"),
+                           Lent.by(how))
     held = {role: device.heap.tensor(str(role), plane.shape) for role, plane in PLANES.items()}
     for number, (planes, right) in enumerate(zip(frames(), expected(device), strict=True), 1):
         for role, plane in planes.items():
@@ -327,7 +371,8 @@ def test_on_a_gpu(how):
             device.wrap("plane", array)
         device.wrap("result", memory_of(found[Role.COLOUR], how))
         times.append(time.perf_counter() - begin)
-    print(f"sharing {len(given)} planes and a result by {how}: {1e3 * statistics.median(times):.3f} ms")
+    print(f"sharing {len(given)} planes and a result by {how}: "
+          f"{1e3 * statistics.median(times):.3f} ms")
     assert statistics.median(times) < 1e-4
 
 
@@ -339,7 +384,8 @@ def test_tensors_of_pytorch_on_a_gpu():
         pytest.skip("needs PyTorch for CUDA")
     device = Device("cuda")
     planes = {role: torch.from_numpy(plane).cuda() for role, plane in PLANES.items()}
-    found = Pipeline([DenoiseUpscale(model="s", scale=2)], device).on_device(planes, exposure=0.0)[Role.COLOUR]
+    found = Pipeline([DenoiseUpscale(model="s", scale=2)],
+                     device).on_device(planes, exposure=0.0)[Role.COLOUR]
     assert torch.from_dlpack(found).is_cuda
     assert np.array_equal(torch.from_dlpack(found).cpu().numpy(), found.download())
     assert torch.equal(torch.as_tensor(found, device="cuda"), torch.from_dlpack(found))
@@ -350,7 +396,8 @@ def test_tensors_of_pytorch_on_a_gpu():
             device.wrap("plane", plane)
         torch.from_dlpack(found)
         times.append(time.perf_counter() - begin)
-    print(f"sharing {len(planes)} planes of PyTorch and a result: {1e3 * statistics.median(times):.3f} ms")
+    print(f"sharing {len(planes)} planes of PyTorch and a result: "
+          f"{1e3 * statistics.median(times):.3f} ms")
     assert statistics.median(times) < 1e-4
     large = torch.randn(4096, 4096, device="cuda")
     for _ in range(3):  # our stream waits for what PyTorch's still has to do
@@ -388,11 +435,14 @@ def test_a_partner_that_runs_on_the_host_gives_the_same_on_a_device(far):
     pytest.importorskip("pyoidn", reason="Open Image Denoise is not installed")
     passes = [[Partner(), DenoiseUpscale(model="s", scale=2), MixPartner()] for _ in range(2)]
     here, there = (Pipeline(some, device, exposure=0.0, cuts="none")
-                   for some, device in zip(passes, (Device("cpu", 2, compiled_kernels=False), far), strict=True))
+                   for some, device in zip(passes, (Device("cpu", 2, compiled_kernels=False), far),
+                                           strict=True))
     for number, planes in enumerate(frames(), 1):
         right = here(Frame(dict(planes), number))
-        found = there.on_device({role: There(plane) for role, plane in planes.items()}, exposure=0.0, number=number)
-        np.testing.assert_allclose(found[Role.COLOUR].download(), right[Role.COLOUR], rtol=1e-3, atol=1e-3)
+        found = there.on_device({role: There(plane) for role, plane in planes.items()},
+                                exposure=0.0, number=number)
+        np.testing.assert_allclose(found[Role.COLOUR].download(), right[Role.COLOUR], rtol=1e-3,
+                                   atol=1e-3)
 
 
 def test_a_still_on_a_gpu_stays_there(far):
@@ -410,13 +460,15 @@ def test_a_still_on_a_gpu_stays_there(far):
 def test_a_still_on_a_gpu_has_three_channels(far):
     with_alpha = There(np.dstack([PLANES[Role.COLOUR], np.ones((36, 48, 1), "f4")]))
     with_alpha.shape = with_alpha.array.shape
-    with pytest.raises(PostfxError, match=r"color is \(36, 48, 4\) on a GPU.*give color\[..., :3\]"):
+    with pytest.raises(PostfxError,
+                       match=r"color is \(36, 48, 4\) on a GPU.*give color\[..., :3\]"):
         stills.denoise(with_alpha, model="s", device="auto")
 
 
 def test_the_gpu_of_an_array_is_the_device(monkeypatch):
     asked = []
-    monkeypatch.setattr(stills, "_pipeline", lambda *options: asked.append(options[4]) or pytest.skip)
+    monkeypatch.setattr(stills, "_pipeline",
+                        lambda *options: asked.append(options[4]) or pytest.skip)
     for place, wanted in (((2, 1), "cuda:1"), ((1, 0), None), ((3, 0), None)):
         with pytest.raises(AttributeError):
             stills.denoise(There(PLANES[Role.COLOUR], place=place), model="s")

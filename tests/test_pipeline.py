@@ -55,7 +55,8 @@ def test_passes_run_in_order(device, library):
     frames = [make_frame(number) for number in (1, 2)]
     pipeline = Pipeline([double, total], device)
     results = [pipeline(frame) for frame in frames]
-    np.testing.assert_allclose(results[1][Role.COLOUR], 4 * frames[0][Role.COLOUR] + 4 * frames[1][Role.COLOUR])
+    np.testing.assert_allclose(results[1][Role.COLOUR],
+                               4 * frames[0][Role.COLOUR] + 4 * frames[1][Role.COLOUR])
 
 
 def test_results_are_not_overwritten_by_the_next_frame(device):
@@ -83,7 +84,8 @@ def test_commands_for_small_planes_in_new_memory_are_known(device, monkeypatch):
     known, pipeline = (Pipeline([ToneMap()], device) for _ in range(2))
     for number, frame in enumerate(frames):
         if number == 3:
-            monkeypatch.setattr("postfx.runtime.commands.Footprint", None)  # of commands that were just recorded
+            # of commands that were just recorded
+            monkeypatch.setattr("postfx.runtime.commands.Footprint", None)
         place[Role.COLOUR][:] = frame[Role.COLOUR]
         given = frame[Role.COLOUR].copy()
         expected, found = known(place)[Role.COLOUR], pipeline(frame)[Role.COLOUR]
@@ -110,17 +112,20 @@ def test_metadata_reaches_the_passes_and_the_result(device):
     pipeline = Pipeline([probe], device, exposure="metadata")
     result = pipeline(frame)
     seen = probe.seen[0]
-    assert (seen.number, seen.jitter, seen.reset, seen.samples, seen.fov_x) == (12, (0.25, -0.5), True, 4, 40.0)
+    assert (seen.number, seen.jitter, seen.reset, seen.samples, seen.fov_x) == (12, (0.25, -0.5),
+                                                                                True, 4, 40.0)
     assert seen.exposure_factor == pipeline.exposure_factor == 2.0 and pipeline.exposure == 1.0
     assert seen.metadata["owner"] == "me"
     assert np.array_equal(seen.world_to_camera, np.eye(4))
-    assert (result.number, result.jitter, result.reset, result.exposure) == (12, (0.25, -0.5), True, 1.0)
+    assert (result.number, result.jitter, result.reset, result.exposure) == (12, (0.25, -0.5), True,
+                                                                             1.0)
     assert result.metadata == {"owner": "me"} and result.source == "noisy.0012.exr"
 
 
 def test_a_pass_may_take_the_jitter_away(device):
     frame = make_frame(roles=(Role.COLOUR, Role.DEPTH), jitter=(0.25, 0.25))
-    assert Pipeline([toys.Enlarge()], device)(frame).jitter == (0.0, 0.0) and frame.jitter == (0.25, 0.25)
+    assert Pipeline([toys.Enlarge()],
+                    device)(frame).jitter == (0.0, 0.0) and frame.jitter == (0.25, 0.25)
 
 
 def test_exposure_is_metered_frame_by_frame(device):
@@ -132,7 +137,8 @@ def test_exposure_is_metered_frame_by_frame(device):
         pipeline(frame)
     meter = ExposureMeter("auto")
     assert [seen.exposure_factor for seen in probe.seen] == [meter(frame) for frame in frames]
-    assert Pipeline([probe], device, exposure=1.5)(make_frame()) and probe.seen[-1].exposure_factor == 2**1.5
+    assert Pipeline([probe], device,
+                    exposure=1.5)(make_frame()) and probe.seen[-1].exposure_factor == 2**1.5
 
 
 def test_compiles_once_a_spec_and_only_for_planes_that_are_read(device):
@@ -155,22 +161,24 @@ def test_planes_that_nobody_touches_go_through_without_a_copy(device):
 
 
 def test_planes_of_another_size_are_dropped(device):
-    result = Pipeline([toys.Enlarge()], device)(make_frame(roles=(Role.COLOUR, Role.DEPTH, Role.NORMAL)))
+    result = Pipeline([toys.Enlarge()],
+                      device)(make_frame(roles=(Role.COLOUR, Role.DEPTH, Role.NORMAL)))
     assert result.spec == FrameSpec(48, 80, (Role.COLOUR,))
 
 
 def test_guides_reach_the_pass_that_reads_them(device):
     pipeline = Pipeline([toys.AddGuide()], device)
     for number in (1, 2):
-        frame = make_frame(number, (6, 10), guides=toys.make_guides((12, 20)), guide_jitter=(0.25, -0.25),
-                           guide_source="guides.exr")
+        frame = make_frame(number, (6, 10), guides=toys.make_guides((12, 20)),
+                           guide_jitter=(0.25, -0.25), guide_source="guides.exr")
         result = pipeline(frame)
         wanted = frame[Role.COLOUR].repeat(2, 0).repeat(2, 1) + frame.guides[Role.DIFFUSE_ALBEDO]
         np.testing.assert_array_equal(result[Role.COLOUR], wanted)
         assert result.guides == {} and result.guide_size is None
         assert result.guide_jitter == (0, 0) and result.guide_source is None
     bare = make_frame(1, (6, 10))
-    np.testing.assert_array_equal(pipeline(bare)[Role.COLOUR], bare[Role.COLOUR].repeat(2, 0).repeat(2, 1))
+    np.testing.assert_array_equal(pipeline(bare)[Role.COLOUR],
+                                  bare[Role.COLOUR].repeat(2, 0).repeat(2, 1))
 
 
 def test_guides_that_nobody_reads_go_through_and_compile_nothing_anew(device):
@@ -180,7 +188,8 @@ def test_guides_that_nobody_reads_go_through_and_compile_nothing_anew(device):
     result = pipeline(frame)
     assert all(result.guides[role] is guide for role, guide in frame.guides.items())
     pipeline(make_frame(guides=toys.make_guides((48, 80), (Role.DEPTH,))))
-    assert len(probe.compiled) == 1 and probe.seen[0].guides == {} and probe.seen[0].guide_jitter == (0.25, -0.25)
+    assert (len(probe.compiled) == 1 and probe.seen[0].guides == {}
+            and probe.seen[0].guide_jitter == (0.25, -0.25))
 
 
 def test_nothing_to_do(device):
@@ -245,13 +254,17 @@ class Misbehaving(toys.Sum):
     def _read_nothing(self, commands, frame):
         from postfx.runtime import ArgumentTable
 
-        total, nothing = frame[Role.COLOUR], commands.device.heap.tensor("nothing", frame[Role.COLOUR].shape)
+        total, nothing = frame[Role.COLOUR], commands.device.heap.tensor("nothing",
+                                                                         frame[Role.COLOUR].shape)
         with commands.compute_encoder("unwritten") as encoder:
-            encoder.dispatch(self._state, ArgumentTable(self._state, {"a": nothing, "b": nothing, "total": total}))
+            encoder.dispatch(self._state,
+                             ArgumentTable(self._state,
+                                           {"a": nothing, "b": nothing, "total": total}))
 
 
 @pytest.mark.parametrize(("fault", "error", "message"), [
-    ("size", PassContractError, "pass 'misbehaving' did not leave plane 'colour' as its reflection declares"),
+    ("size", PassContractError,
+     "pass 'misbehaving' did not leave plane 'colour' as its reflection declares"),
     ("drop", PassContractError, "did not leave plane 'colour'"),
     ("hazard", HazardError, "'misbehaving/unwritten'"),
     (RuntimeError("out of ideas"), RuntimeError, "out of ideas"),
@@ -283,7 +296,8 @@ def test_a_failed_command_names_the_pass(device):
             kernel = Kernel("add", ("a", "b"), ("total",), fail, ("total", 0))
             self._state = device.compute_state(kernel)
 
-    with pytest.raises(CommandError, match=r"'failing/add' \(kernel 'add'\) of 'frame 1' failed: cannot add"):
+    with pytest.raises(CommandError,
+                       match=r"'failing/add' \(kernel 'add'\) of 'frame 1' failed: cannot add"):
         Pipeline([Failing()], device)(make_frame(1))
 
 
@@ -310,12 +324,14 @@ def test_frame_is_left_alone(device):
     frame = make_frame(3, jitter=(0.1, 0.2))
     colour = frame[Role.COLOUR].copy()
     Pipeline([toys.Sum()], device)(frame)
-    assert np.array_equal(frame[Role.COLOUR], colour) and isinstance(frame, Frame) and frame.number == 3
+    assert (np.array_equal(frame[Role.COLOUR], colour) and isinstance(frame, Frame)
+            and frame.number == 3)
 
 
 @pytest.mark.parametrize("own", [True, False])
 def test_a_pickled_pipeline_begins_anew(own, device, monkeypatch):
-    monkeypatch.setattr("postfx.pipeline.default_device", lambda: device)  # toys have no CUDA kernels
+    # toys have no CUDA kernels
+    monkeypatch.setattr("postfx.pipeline.default_device", lambda: device)
     pipeline = Pipeline([toys.Sum()], device if own else None, cuts="none")
     first = pipeline(make_frame(1))
     pipeline(make_frame(2))
@@ -324,10 +340,12 @@ def test_a_pickled_pipeline_begins_anew(own, device, monkeypatch):
     assert copied.device.threads == pipeline.device.threads
     assert (copied.device is not pipeline.device) == own
     assert copied(make_frame(1)) == first
-    assert copied.exposure_factor == Pipeline([toys.Sum()], device, cuts="none")._meter(make_frame(1))
+    assert copied.exposure_factor == Pipeline([toys.Sum()], device,
+                                              cuts="none")._meter(make_frame(1))
 
 
 def test_a_pickled_pass_has_its_options():
-    for one in (DenoiseUpscale(scale=1.5, model="s"), ToneMap(keep=0.5), Display(display="pq"), Overlay()):
+    for one in (DenoiseUpscale(scale=1.5, model="s"), ToneMap(keep=0.5), Display(display="pq"),
+                Overlay()):
         copied = pickle.loads(pickle.dumps(one))
         assert type(copied) is type(one) and copied.options == one.options

@@ -29,7 +29,8 @@ class Encode(Pass):
     name = "encode"
 
     def reflect(self, spec):
-        return Reflection((Role.COLOUR,), (Role.COLOUR,), FrameSpec(spec.width, spec.height, spec.planes, "srgb"))
+        return Reflection((Role.COLOUR,), (Role.COLOUR,),
+                          FrameSpec(spec.width, spec.height, spec.planes, "srgb"))
 
     def skip(self, spec):
         return "colour is encoded already" if spec.encoding == "srgb" else None
@@ -80,7 +81,8 @@ def test_planes_that_an_earlier_pass_writes_are_not_read():
 def test_skipped_passes_are_left_out_with_their_reason():
     plan = make_plan([Encode(), toys.Double(times=0), Encode()], FrameSpec(6, 10, (Role.COLOUR,)))
     assert [step.name for step in plan.steps] == ["encode"]
-    assert plan.skips == (Skip("double", "times is 0"), Skip("encode 2", "colour is encoded already"))
+    assert plan.skips == (Skip("double", "times is 0"),
+                          Skip("encode 2", "colour is encoded already"))
 
 
 def test_the_same_pass_twice_gets_a_number():
@@ -89,19 +91,24 @@ def test_the_same_pass_twice_gets_a_number():
 
 
 def test_missing_plane_names_pass_plane_and_mend():
-    with pytest.raises(MissingPlaneError, match="pass 'enlarge' needs AOV 'depth', but the frame does not have it: "):
+    with pytest.raises(MissingPlaneError,
+                       match="pass 'enlarge' needs AOV 'depth', but the frame does not have it: "):
         make_plan([toys.Enlarge()], FrameSpec(6, 10, (Role.COLOUR,)))
 
 
 def test_plane_that_an_earlier_pass_dropped():
-    with pytest.raises(MissingPlaneError, match="pass 'enlarge 2' needs AOV 'depth', but an earlier pass dropped it"):
+    with pytest.raises(MissingPlaneError,
+                       match="pass 'enlarge 2' needs AOV 'depth', but an earlier pass dropped it"):
         make_plan([toys.Enlarge(), toys.Enlarge()], SPEC)
 
 
 @pytest.mark.parametrize(("writes", "output", "message"), [
-    ((Role.COLOUR,), FrameSpec(6, 10, (Role.COLOUR, Role.MOTION)), "other planes than it keeps and writes"),
-    ((Role.COLOUR, Role.MOTION), FrameSpec(6, 10, (Role.COLOUR,)), "other planes than it keeps and writes"),
-    ((Role.COLOUR,), FrameSpec(12, 20, (Role.COLOUR, Role.DEPTH)), "keeps plane 'depth' at the old one"),
+    ((Role.COLOUR,), FrameSpec(6, 10, (Role.COLOUR, Role.MOTION)),
+     "other planes than it keeps and writes"),
+    ((Role.COLOUR, Role.MOTION), FrameSpec(6, 10, (Role.COLOUR,)),
+     "other planes than it keeps and writes"),
+    ((Role.COLOUR,), FrameSpec(12, 20, (Role.COLOUR, Role.DEPTH)),
+     "keeps plane 'depth' at the old one"),
 ])
 def test_reflections_that_cannot_be(writes, output, message):
     class Wrong(Pass):
@@ -139,7 +146,8 @@ def test_json():
     assert document["planes"] == ["colour", "alpha", "depth"]
     assert document["passes"] == [{
         "name": "enlarge", "reads": ["colour", "depth"], "guides": [], "writes": ["colour"],
-        "output": {"width": 12, "height": 20, "encoding": "scene-linear", "planes": ["colour"], "guides": None},
+        "output": {"width": 12, "height": 20, "encoding": "scene-linear", "planes": ["colour"],
+                   "guides": None},
         "notes": [],
     }]
     assert document["skipped"][0] == {"what": "double", "why": "times is 0"}
@@ -162,7 +170,8 @@ GUIDED = FrameSpec(6, 10, (Role.COLOUR,), guides=GUIDES)
 
 def test_only_guides_that_a_pass_reads_are_read():
     plan = make_plan([toys.AddGuide()], GUIDED)
-    assert plan.guides == (Role.DIFFUSE_ALBEDO,) == plan.input.guide_roles == plan.steps[0].uses_guides
+    assert (plan.guides == (Role.DIFFUSE_ALBEDO,) == plan.input.guide_roles
+            == plan.steps[0].uses_guides)
     assert plan.skips == (Skip("guide 'normal'", "no pass reads it"),)
     assert plan.output == FrameSpec(12, 20, (Role.COLOUR,))
 
@@ -193,16 +202,20 @@ def test_guides_that_nobody_brought_cannot_be_left():
 @pytest.mark.parametrize(("guides", "line"), [
     (GUIDES, "guides  12x20, used: diffuse_albedo"),
     (GuideSpec(12, 20, (Role.DEPTH,)), "guides  12x20, not used"),
-    (None, "guides  none: albedo, normals and depth at output size would make edges sharper (--guides)"),
+    (None,
+     "guides  none: albedo, normals and depth at output size would make edges sharper (--guides)"),
 ])
 def test_text_says_whether_guides_are_used(guides, line):
-    lines = str(make_plan([toys.AddGuide()], FrameSpec(6, 10, (Role.COLOUR,), guides=guides))).splitlines()
+    lines = str(make_plan([toys.AddGuide()],
+                          FrameSpec(6, 10, (Role.COLOUR,), guides=guides))).splitlines()
     assert line in lines
     assert any("uses the guides" in text for text in lines) == (guides == GUIDES)
-    assert not any(text.startswith("guides") for text in str(make_plan([toys.Sum()], SPEC)).splitlines())
+    assert not any(text.startswith("guides")
+                   for text in str(make_plan([toys.Sum()], SPEC)).splitlines())
 
 
 def test_json_of_guides():
     document = make_plan([toys.AddGuide()], GUIDED).as_dict()
-    assert document["input"]["guides"] == {"width": 12, "height": 20, "planes": ["normal", "diffuse_albedo"]}
+    assert document["input"]["guides"] == {"width": 12, "height": 20,
+                                           "planes": ["normal", "diffuse_albedo"]}
     assert document["guides"] == document["passes"][0]["guides"] == ["diffuse_albedo"]

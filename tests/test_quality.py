@@ -1,6 +1,7 @@
 """The shipped networks against references of scenes that they were not trained on.
 
-The sample sequence is there for everyone. The shared sequences, of other scenes and another renderer, are slow.
+The sample sequence is there for everyone. The shared sequences, of other scenes and another
+renderer, are slow.
 """
 
 from collections.abc import Iterator
@@ -30,15 +31,17 @@ from postfx.runtime import Device, Library  # noqa: E402
 from postfx.sampling import motion_at  # noqa: E402
 
 ROOM = Path(__file__).parent.parent / "samples" / "room"
-OURS = {method.name: method for method in catalogue(Library().names(), "cpu", guides=True, motion=True).methods
+OURS = {method.name: method
+        for method in catalogue(Library().names(), "cpu", guides=True, motion=True).methods
         if method.model}
 SHIPPED = [method for method in OURS.values() if not (method.alone or method.run_up or method.both)]
-SHIPPED += [Method("s-fp16", "s fp16", "ours", "s.fp16", "fp16")]  # one is enough: it has the weights of s
+# one is enough: it has the weights of s
+SHIPPED += [Method("s-fp16", "s fp16", "ours", "s.fp16", "fp16")]
 BASELINES = {method.name: method for method in OTHERS}
 PLAIN = [method for method in OTHERS if method.family == "plain"]
 
-# PSNR in dB of frames 5 to 8 of the sample, of the networks in models/: what `postfx bench` calls psnr_late, and what a
-# failing test prints. Whoever ships other networks writes theirs here.
+# PSNR in dB of frames 5 to 8 of the sample, of the networks in models/: what `postfx bench` calls
+# psnr_late, and what a failing test prints. Whoever ships other networks writes theirs here.
 MEASURED = {
     "s": 26.89, "s-int8": 26.94, "s-fp16": 26.89, "l": 27.31, "l-int8": 27.30,
     "m": 27.33, "m-int8": 27.34, "m-guides": 27.00, "m-int8-guides": 27.00,
@@ -46,14 +49,15 @@ MEASURED = {
 SLACK = 0.4
 ABOVE_PLAIN = 4.0
 SLACK_AT_1X = 0.2
-FOR_1X = [exact(split_ending(name)[0].removeprefix("denoise_upscale.")) for name in Library().names()
-          if name.endswith(UNSCALED) and "fp16" not in name]
+FOR_1X = [exact(split_ending(name)[0].removeprefix("denoise_upscale."))
+          for name in Library().names() if name.endswith(UNSCALED) and "fp16" not in name]
 """Tags of networks that have one of their own for 1x."""
 
 
 class Bar(NamedTuple):
-    """The best of Open Image Denoise 2.5.1 (high, albedo and normal, a frame alone or accumulated at output size),
-    accumulation before it and cubic enlargement, over the second half of the frames; the best for each figure."""
+    """The best of Open Image Denoise 2.5.1 (high, albedo and normal, a frame alone or accumulated
+    at output size), accumulation before it and cubic enlargement, over the second half of the
+    frames; the best for each figure."""
 
     psnr: float
     ssim: float
@@ -69,7 +73,8 @@ BARS = {
 
 
 def with_guides(frame: Frame) -> Frame:
-    """The frame with its own planes as guides, every pixel four times: enough to see whether a network works."""
+    """The frame with its own planes as guides, every pixel four times: enough to see whether a
+    network works."""
     guides = {role: frame[role].repeat(2, 0).repeat(2, 1) for role in GUIDE_ROLES}
     return replace(frame, guides=guides, guide_jitter=(2 * frame.jitter[0], 2 * frame.jitter[1]))
 
@@ -91,7 +96,8 @@ def material(folder: Path) -> Material:
 @cache
 def target(folder: Path, number: int) -> tuple[np.ndarray, float]:
     """Code values of a reference, and the exposure that they were made with."""
-    reference, first = (material(folder).reference(at) for at in (number, material(folder).noisy.numbers[0]))
+    reference, first = (material(folder).reference(at)
+                        for at in (number, material(folder).noisy.numbers[0]))
     exposure = reference.exposure_factor or grey_factor(first[Role.COLOUR])
     return to_codes(reference[Role.COLOUR], exposure), exposure
 
@@ -107,7 +113,8 @@ def score(folder: Path, method: Method) -> np.ndarray:
 
 @cache
 def psnrs(folder: Path, name: str) -> np.ndarray:
-    """PSNR in dB of each frame, by a method's name. `m` is scored by all figures on the sequences anyway."""
+    """PSNR in dB of each frame, by a method's name. `m` is scored by all figures on the sequences
+    anyway."""
     if name == "m" and folder.name in BARS:
         return figures(folder, name).psnr
     return score(folder, OURS.get(name) or BASELINES[name])
@@ -121,7 +128,8 @@ def mean_of_late(figures: np.ndarray) -> float:
 def check_room(found: float, name: str) -> None:
     """Fails, with the figure for MEASURED, where a network lost quality on the sample."""
     assert name in MEASURED, f"{name} is new: write down its {found:.2f} dB in MEASURED"
-    assert found >= MEASURED[name] - SLACK, f"{name} scores {found:.2f} dB, was {MEASURED[name]:.2f} dB"
+    assert found >= MEASURED[name] - SLACK, (f"{name} scores {found:.2f} dB, was "
+                                             f"{MEASURED[name]:.2f} dB")
 
 
 @pytest.mark.parametrize("method", SHIPPED, ids=lambda method: method.name)
@@ -131,15 +139,18 @@ def test_room_is_as_good_as_measured(method):
 
 
 def room_at_1x(tag: str) -> float:
-    """PSNR in dB over the second half of the sample, not enlarged, against the mean of every 2x2 reference pixels."""
+    """PSNR in dB over the second half of the sample, not enlarged, against the mean of every 2x2
+    reference pixels."""
     sample, found = material(ROOM), []
     chain = make(Method(tag, tag, "ours", tag), Device("cpu"), 1, sample.size, sample.noisy)
     for frame in sample.noisy:
         result = chain(frame)
         if frame.number > len(sample.noisy.numbers) // 2:
             reference = sample.reference(frame.number)
-            wanted = reference[Role.COLOUR].reshape(*result.shape[:1], 2, result.shape[1], 2, 3).mean((1, 3))
-            found.append(psnr(*(to_codes(colour, reference.exposure_factor) for colour in (result, wanted))))
+            wanted = reference[Role.COLOUR].reshape(*result.shape[:1], 2, result.shape[1], 2,
+                                                    3).mean((1, 3))
+            found.append(psnr(*(to_codes(colour, reference.exposure_factor)
+                                for colour in (result, wanted))))
     return float(np.mean(found))
 
 
@@ -151,25 +162,30 @@ class WithoutThoseFor1x(Library):
 
 
 @pytest.mark.parametrize("tag", [
-    pytest.param(tag, marks=[] if tag in ("m.fp32", "s.int8") else pytest.mark.soak) for tag in FOR_1X])
+    pytest.param(tag, marks=[] if tag in ("m.fp32", "s.int8") else pytest.mark.soak)
+    for tag in FOR_1X])
 def test_at_1x_a_network_for_it_is_not_worse_than_the_plain_one(tag, monkeypatch):
     found = room_at_1x(tag)
     monkeypatch.setattr(models, "Library", WithoutThoseFor1x)
     plain = room_at_1x(tag)
-    assert found >= plain - SLACK_AT_1X, f"{tag} scores {found:.2f} dB at 1x, the plain network {plain:.2f} dB"
+    assert found >= plain - SLACK_AT_1X, (f"{tag} scores {found:.2f} dB at 1x, the plain network "
+                                          f"{plain:.2f} dB")
 
 
 @pytest.mark.parametrize("plain", PLAIN, ids=lambda method: method.name)
 def test_room_is_better_than_without_a_denoiser(plain):
     baseline = mean_of_late(psnrs(ROOM, plain.name))
-    assert min(MEASURED.values()) - SLACK >= baseline + ABOVE_PLAIN, f"{plain.title} scores {baseline:.2f} dB"
+    assert min(MEASURED.values()) - SLACK >= baseline + ABOVE_PLAIN, (f"{plain.title} scores "
+                                                                      f"{baseline:.2f} dB")
 
 
 def test_wrong_weights_are_noticed(tmp_path, monkeypatch):
-    """All taps of the finest level's filter equally strong: what a faulty conversion could make of a network."""
+    """All taps of the finest level's filter equally strong: what a faulty conversion could make of
+    a network."""
     onnx = pytest.importorskip("onnx")
     model = onnx.load(Library().path("denoise_upscale.s"))
-    head = [item for item in model.graph.initializer if item.name.startswith(("fine.weight", "fine.bias"))]
+    head = [item for item in model.graph.initializer
+            if item.name.startswith(("fine.weight", "fine.bias"))]
     assert len(head) == 2
     for weights in head:
         values = onnx.numpy_helper.to_array(weights).copy()
@@ -190,7 +206,8 @@ class Figures(NamedTuple):
 
 @cache
 def figures(folder: Path, name: str) -> Figures:
-    """All figures of a network. FLIP takes longer than the network, so earlier frames go without."""
+    """All figures of a network. FLIP takes longer than the network, so earlier frames go
+    without."""
     psnrs, rows, before = [], [], None
     half = len(material(folder).noisy.numbers) // 2
     for frame, result in results(material(folder), OURS[name]):
@@ -200,7 +217,8 @@ def figures(folder: Path, name: str) -> Figures:
         if len(psnrs) > half:
             assert before is not None and not frame.reset
             height, width = wanted.shape[:2]
-            motion = motion_at(frame[Role.MOTION], np.arange(height), np.arange(width), height, width)
+            motion = motion_at(frame[Role.MOTION], np.arange(height), np.arange(width), height,
+                               width)
             steps = flicker(before, now, motion)
             rows.append((psnrs[-1], ssim(now.result, wanted), flip(now.result, wanted), steps))
         before = now
@@ -223,7 +241,8 @@ def test_better_and_steadier_than_the_best_baseline(shared_dir, name):
 
 @pytest.mark.soak
 def test_better_in_the_mean_over_the_sequences(shared_dir):
-    gains = [figures(shared_dir / "sequences" / name, "m").late.psnr - bar.psnr for name, bar in BARS.items()]
+    gains = [figures(shared_dir / "sequences" / name, "m").late.psnr - bar.psnr
+             for name, bar in BARS.items()]
     assert np.mean(gains) >= 1.5
 
 
@@ -271,5 +290,6 @@ def test_both_ways_better_in_the_mean_over_the_sequences(shared_dir):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BY_ONE)
 def test_small_network_is_not_far_behind(shared_dir, name):
-    small, middle = (mean_of_late(psnrs(shared_dir / "sequences" / name, tag)) for tag in ("s", "m"))
+    small, middle = (mean_of_late(psnrs(shared_dir / "sequences" / name, tag))
+                     for tag in ("s", "m"))
     assert small >= middle - 0.7

@@ -38,7 +38,8 @@ def needed(extra: str) -> set[str]:
     found = set()
     for one in PROJECT["optional-dependencies"][extra]:
         inner = re.fullmatch(r"postfx-render\[(.+)\]", one)
-        found |= set().union(*map(needed, inner[1].split(","))) if inner else {re.split(r"[\[<>=;]", one)[0]}
+        found |= (set().union(*map(needed, inner[1].split(","))) if inner
+                  else {re.split(r"[\[<>=;]", one)[0]})
     return found
 
 
@@ -55,7 +56,8 @@ def test_tests_run_on_every_system_that_has_wheels() -> None:
     tried = {row["system"] for row in rows}
     assert {SYSTEMS[system.split("-")[0]] for system in tried} == set(SYSTEMS.values())
     assert {"ubuntu-24.04-arm", "macos-15", "macos-15-intel"} <= tried
-    assert tried == {row["system"] for row in jobs("release.yml")["install"]["strategy"]["matrix"]["include"]}
+    assert tried == {row["system"]
+                     for row in jobs("release.yml")["install"]["strategy"]["matrix"]["include"]}
 
 
 def test_trials_are_the_systems_that_are_not_supported_yet() -> None:
@@ -64,7 +66,8 @@ def test_trials_are_the_systems_that_are_not_supported_yet() -> None:
     unsupported = set(re.findall(r"^\| (\w+)[^|]*\| not supported yet", page, re.M))
     for name, job in (("tests.yml", "systems"), ("release.yml", "install")):
         for row in jobs(name)[job]["strategy"]["matrix"]["include"]:
-            is_tried = row["system"].endswith("-arm") or SYSTEMS[row["system"].split("-")[0]] in unsupported
+            is_tried = (row["system"].endswith("-arm")
+                        or SYSTEMS[row["system"].split("-")[0]] in unsupported)
             assert row.get("trial", False) == is_tried, f"{name}: {row}"
 
 
@@ -92,8 +95,8 @@ def test_only_a_release_that_was_installed_is_published() -> None:
     there = jobs("release.yml")
     assert there["publish"]["needs"] == "install" and there["install"]["needs"] == "build"
     assert there["publish"]["permissions"] == {"id-token": "write"}
-    uploaded = {step["with"]["name"]: step["with"]["path"] for job in there.values() for step in job["steps"]
-                if "upload-artifact" in step.get("uses", "")}
+    uploaded = {step["with"]["name"]: step["with"]["path"] for job in there.values()
+                for step in job["steps"] if "upload-artifact" in step.get("uses", "")}
     assert uploaded == {"dist": "dist/postfx_render-*", "conda-recipe": "build/recipe.yaml"}
 
 
@@ -101,7 +104,8 @@ def test_the_tag_is_compared_with_the_version() -> None:
     steps = {step.get("name"): step for step in jobs("release.yml")["build"]["steps"]}
     line = steps["the tag is the version"]["run"].replace("python3.11", "python3")
     for tag, code in ((f"v{__version__}", 0), (f"v{__version__}1", 1), (__version__, 1)):
-        run = subprocess.run(["sh", "-c", line], cwd=ROOT, env={"PATH": "/usr/bin:/bin", "GITHUB_REF_NAME": tag})
+        run = subprocess.run(["sh", "-c", line], cwd=ROOT,
+                             env={"PATH": "/usr/bin:/bin", "GITHUB_REF_NAME": tag})
         assert run.returncode == code, tag
 
 
@@ -119,7 +123,8 @@ def test_the_recipe_of_conda_forge_has_what_the_package_needs() -> None:
     assert recipe["context"]["version"] == __version__
     assert recipe["source"]["sha256"] == hashlib.sha256(b"sdist").hexdigest()
     run = recipe["requirements"]["run"]
-    assert run[0] == f"python {PROJECT['requires-python']}" and len(run) == 1 + len(PROJECT["dependencies"])
+    assert (run[0] == f"python {PROJECT['requires-python']}"
+            and len(run) == 1 + len(PROJECT["dependencies"]))
     assert {"numpy >=2.0", "py-openimageio >=3.1", "python-isal >=1.7"} <= set(run)
     assert set(run[1:]) <= set(recipe["requirements"]["host"])
     assert recipe["build"]["python"]["entry_points"] == ["postfx = postfx.cli.main:main"]
@@ -131,7 +136,8 @@ def test_the_container_has_what_a_wheel_is_built_of() -> None:
     """What is ignored is not what a build reads."""
     ignored = (ROOT / ".dockerignore").read_text("utf-8").split()
     assert {".git", ".venv", "dist"} <= set(ignored)
-    for name in ("pyproject.toml", "hatch_build.py", "README.md", "models", "postfx", "LICENSE", "NOTICE"):
+    for name in ("pyproject.toml", "hatch_build.py", "README.md", "models", "postfx", "LICENSE",
+                 "NOTICE"):
         assert (ROOT / name).exists() and name not in ignored
     said = (ROOT / "Containerfile").read_text("utf-8")
     wheel = PROJECT["name"].replace("-", "_")

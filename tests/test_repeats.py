@@ -1,4 +1,5 @@
-"""Noise that repeats is noticed, and no history is made of it; other noise, and pictures without, are left alone."""
+"""Noise that repeats is noticed, and no history is made of it; other noise, and pictures without,
+are left alone."""
 
 import logging
 from dataclasses import replace
@@ -22,8 +23,8 @@ def clean(at: float = 0.0, lamp: float = 1.0) -> np.ndarray:
     return (lamp * light * texture)[..., None] * (0.9, 0.7, 0.5)
 
 
-def frame(number: int, samples: int | None = 4, seed: int | None = None, speed: float = 0.0, lamp: float = 1.0,
-          still_rows: int = 0, **kept) -> Frame:
+def frame(number: int, samples: int | None = 4, seed: int | None = None, speed: float = 0.0,
+          lamp: float = 1.0, still_rows: int = 0, **kept) -> Frame:
     """Of so many samples, or without noise; the upper rows may stand still."""
     picture = clean(speed * number, lamp)
     picture[:still_rows] = clean(0, lamp)[:still_rows]
@@ -31,7 +32,8 @@ def frame(number: int, samples: int | None = 4, seed: int | None = None, speed: 
     noise = random.gamma(samples, 1 / samples, (HEIGHT, WIDTH, 1)) if samples else 1.0
     motion = np.full((HEIGHT, WIDTH, 2), (speed, 0), np.float32)
     motion[:still_rows] = 0
-    return Frame({Role.COLOUR: (picture * noise).astype(np.float32), Role.MOTION: motion}, number=number, **kept)
+    return Frame({Role.COLOUR: (picture * noise).astype(np.float32), Role.MOTION: motion},
+                 number=number, **kept)
 
 
 def found(*frames: Frame) -> list[bool]:
@@ -49,11 +51,13 @@ SAME = {
 
 @pytest.mark.parametrize("kind", SAME)
 def test_the_same_noise_is_found(kind):
-    assert found(*(frame(number, seed=7, **SAME[kind]) for number in (1, 2, 3))) == [False, True, True]
+    assert found(*(frame(number, seed=7, **SAME[kind]) for number in (1, 2, 3))) == [False, True,
+                                                                                     True]
 
 
 def test_the_same_noise_in_other_light_is_found():
-    assert found(*(frame(number, seed=7, lamp=1 + 0.3 * number) for number in (1, 2))) == [False, True]
+    assert found(*(frame(number, seed=7, lamp=1 + 0.3 * number) for number in (1, 2))) == [False,
+                                                                                           True]
 
 
 OTHER = {
@@ -126,7 +130,8 @@ def test_what_was_left_out_is_explained():
     passes = Pipeline([DenoiseUpscale(model="s")], Device("cpu"))
     for number in range(1, 4):
         passes(frame(number, seed=7))
-    assert "history for 2 frames in denoise_upscale: noise is that of the frame before" in str(passes.explain())
+    assert ("history for 2 frames in denoise_upscale: noise is that of the frame "
+            "before" in str(passes.explain()))
 
 
 def test_the_command_warns_once_with_the_fix(write_exr, tmp_path, capsys):
@@ -135,8 +140,11 @@ def test_the_command_warns_once_with_the_fix(write_exr, tmp_path, capsys):
         names = dict(zip("RGB", np.moveaxis(planes[Role.COLOUR], -1, 0), strict=True))
         write_exr(f"in/shot.{number:04d}.exr", names | {"motion.X": np.zeros((HEIGHT, WIDTH)),
                                                         "motion.Y": np.zeros((HEIGHT, WIDTH))})
-    assert main(["run", str(tmp_path / "in"), "-o", str(tmp_path / "out/"), "--model", "s", "--device", "cpu"]) == 0
+    assert main(["run", str(tmp_path / "in"), "-o", str(tmp_path / "out/"), "--model", "s",
+                 "--device", "cpu"]) == 0
     said = capsys.readouterr()
-    lines = [line for line in said.err.splitlines() if "the same random seed in every frame" in line]
+    lines = [line
+             for line in said.err.splitlines() if "the same random seed in every frame" in line]
     assert len(lines) == 2 and len({*lines}) == 1, said.err  # at once, and in the summary
-    assert lines[0].startswith("warning  frame 1: ") and "change the seed with the frame number" in lines[0]
+    assert (lines[0].startswith("warning  frame 1: ") and "change the seed with the frame "
+            "number" in lines[0])

@@ -13,7 +13,8 @@ def test_what_is_linear_is_met_everywhere_inside():
     plane = np.stack([2 * x - 3 * y + 1, x * y], -1)
     at_x, at_y = np.array([0, 0.25, 3.5, 5]), np.array([0, 1.75, 3.999, 4])
     values = bilinear(plane, at_x, at_y)
-    np.testing.assert_allclose(values, np.stack([2 * at_x - 3 * at_y + 1, at_x * at_y], -1), rtol=1e-5)
+    np.testing.assert_allclose(values, np.stack([2 * at_x - 3 * at_y + 1, at_x * at_y], -1),
+                               rtol=1e-5)
 
 
 def test_edges_are_repeated_and_known_to_be_outside():
@@ -37,5 +38,6 @@ def test_planes_of_a_single_row_or_column(shape):
 
 def test_motion_is_that_of_the_nearest_pixel():
     motion = np.random.default_rng(1).random((3, 4, 2)).astype(np.float32)
-    assert np.array_equal(motion_at(motion, np.arange(6), np.arange(8), 6, 8), 2 * motion.repeat(2, 0).repeat(2, 1))
+    assert np.array_equal(motion_at(motion, np.arange(6), np.arange(8), 6, 8),
+                          2 * motion.repeat(2, 0).repeat(2, 1))
     assert motion_at(motion, np.arange(0, 5, 2), np.arange(6), 5, 6).shape == (3, 6, 2)

@@ -1,7 +1,7 @@
 """What people type into the site's search leads to the page that answers, among the first three.
 
-The search is the site's own: its worker and its index, run by Node. Needs mkdocs with its theme, which the extra docs
-has, and node.
+The search is the site's own: its worker and its index, run by Node. Needs mkdocs with its theme,
+which the extra docs has, and node.
 """
 
 from __future__ import annotations
@@ -61,11 +61,12 @@ def hits(tmp_path_factory) -> dict[str, list[str]]:
     if shutil.which("node") is None:
         pytest.skip("there is no node")
     site = tmp_path_factory.mktemp("site")
-    subprocess.run([sys.executable, "-m", "mkdocs", "build", "--quiet", "-d", str(site)], cwd=ROOT, check=True,
-                   env={**os.environ, "NO_MKDOCS_2_WARNING": "1"})
+    subprocess.run([sys.executable, "-m", "mkdocs", "build", "--quiet", "-d", str(site)], cwd=ROOT,
+                   check=True, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"})
     (worker,) = (site / "assets/javascripts/workers").glob("search.*.min.js")
     done = subprocess.run(["node", str(Path(__file__).with_name("site_search.mjs")), str(worker),
-                           str(site / "search/search_index.json")], input=json.dumps([*QUESTIONS]), text=True,
+                           str(site / "search/search_index.json")],
+                          input=json.dumps([*QUESTIONS]), text=True,
                           capture_output=True, check=True)
     return json.loads(done.stdout)
 

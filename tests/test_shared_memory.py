@@ -1,4 +1,5 @@
-"""The passes on one arena: the same pictures as on memory of their own, and nothing new from frame to frame."""
+"""The passes on one arena: the same pictures as on memory of their own, and nothing new from frame
+to frame."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ from postfx.runtime.heap import Heap
 from postfx.runtime.session import Placement
 from tests import toys
 
-PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
+PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO,
+          Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
 WARM, FRAMES = 3, 12
 CHAINS = {
     "upscale, tone map": ({}, ()),
@@ -30,27 +32,32 @@ CHAINS = {
 }
 
 
-def make_frame(number: int = 0, size: tuple[int, int] = (70, 50), more: tuple[Role, ...] = (), **kept) -> Frame:
+def make_frame(number: int = 0, size: tuple[int, int] = (70, 50), more: tuple[Role, ...] = (),
+               **kept) -> Frame:
     random = np.random.default_rng(number % 4)
-    planes = {role: random.random((*size[::-1], ROLES[role].channels), np.float32) for role in (*PLANES, *more)}
+    planes = {role: random.random((*size[::-1], ROLES[role].channels), np.float32)
+              for role in (*PLANES, *more)}
     return Frame(planes, number=number, **kept)
 
 
 def make_chain(device: Device, **options) -> postfx.Pipeline:
-    return postfx.Pipeline([postfx.DenoiseUpscale(model="s.fp32", **options), postfx.ToneMap()], device, exposure=0.0)
+    return postfx.Pipeline([postfx.DenoiseUpscale(model="s.fp32", **options), postfx.ToneMap()],
+                           device, exposure=0.0)
 
 
 @pytest.fixture
 def remote(monkeypatch) -> Device:
     """A device whose memory the host cannot look at."""
     placement = Placement("CPUExecutionProvider", "cpu", 0, 2)
-    monkeypatch.setattr(device_module, "choose", lambda *rest: (placement, ProviderMemory(placement)))
+    monkeypatch.setattr(device_module, "choose",
+                        lambda *rest: (placement, ProviderMemory(placement)))
     return Device("auto")
 
 
 @pytest.fixture(params=["host", "remote"])
 def device(request) -> Device:
-    return Device("cpu", threads=2) if request.param == "host" else request.getfixturevalue("remote")
+    return (Device("cpu", threads=2) if request.param == "host"
+            else request.getfixturevalue("remote"))
 
 
 def state_of(heap: Heap) -> tuple[int, ...]:
@@ -109,14 +116,16 @@ def test_a_size_that_comes_back_finds_its_plan():
 def test_frames_that_need_other_commands_leave_addresses_alone():
     device = Device("cpu", threads=2)
     chain = make_chain(device, scale=1)
-    clean, noisy = {"samples": 64}, {"samples": 4}  # the first are given detail back, the second are not
+    # the first are given detail back, the second are not
+    clean, noisy = {"samples": 64}, {"samples": 4}
     for number, kept in enumerate((clean, noisy)):
         chain(make_frame(number, **kept))
     states = set()
     for number in range(8):
         chain(make_frame(number, **(clean, noisy)[number % 2]))
         states.add(state_of(device.heap))
-    assert len(states) == 1 and device.heap.arena.plans <= 3  # of the two kinds, and of the first frame
+    # of the two kinds, and of the first frame
+    assert (len(states) == 1 and device.heap.arena.plans <= 3)
 
 
 def test_objects_and_bytes_on_the_host_stay_as_many():
@@ -138,7 +147,8 @@ def test_objects_and_bytes_on_the_host_stay_as_many():
 def test_two_threads_on_one_device_get_their_own_pictures():
     device = Device("cpu", threads=2)
     chains = [make_chain(device, scale=2), make_chain(device, scale=1)]
-    alone = [[make_chain(Device("cpu", threads=2), scale=scale)(make_frame(0))[Role.COLOUR]] for scale in (2, 1)]
+    alone = [[make_chain(Device("cpu", threads=2), scale=scale)(make_frame(0))[Role.COLOUR]]
+             for scale in (2, 1)]
     results: list[list[np.ndarray]] = [[], []]
 
     def run(which: int) -> None:

@@ -15,7 +15,8 @@ from postfx.frame import ROLES, Frame, Role
 from postfx.runtime import CommandBuffer, Device
 from postfx.runtime.hazards import Footprint
 
-PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
+PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO,
+          Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
 WARM = 10
 TAGS = "aces2", "local"
 
@@ -41,11 +42,13 @@ def timed(chain: postfx.Pipeline, picture: Frame) -> float:
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize(("count", "threads"), [(150, 2), *(
     pytest.param(*values, marks=pytest.mark.soak) for values in ((150, 1), (1000, 1), (1000, 2)))])
-def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int, threads: int) -> None:
-    """Memory within 1 % and a MiB. Processor time of the fastest frames is that of a new chain, in turn with the old
-    one: a machine that grows slower meanwhile slows both."""
+def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int,
+                                                                   threads: int) -> None:
+    """Memory within 1 % and a MiB. Processor time of the fastest frames is that of a new chain, in
+    turn with the old one: a machine that grows slower meanwhile slows both."""
     device, new = (Device("cpu", threads=threads) for _ in range(2))
-    chain, fresh = (postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap()], one) for one in (device, new))
+    chain, fresh = (postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap()], one)
+                    for one in (device, new))
     frames, heaps, process = [frame(number) for number in range(4)], set(), []
     for number in range(count):
         chain(frames[number % 4])
@@ -58,17 +61,20 @@ def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int, t
     before, after = (np.quantile(part, 0.1) for part in zip(*turns[WARM:], strict=True))
     assert after < 1.25 * before
     print(f"{count} frames, {threads} threads: {process[0] / 1e6:.1f} MB at frame {WARM + 1}, "
-          f"{max(process) / 1e6:.1f} MB at most; processor time a frame {1e3 * before:.1f} and {1e3 * after:.1f} ms")
+          f"{max(process) / 1e6:.1f} MB at most; processor time a frame {1e3 * before:.1f} and "
+          f"{1e3 * after:.1f} ms")
 
 
 @pytest.mark.parametrize("small", [False, True])
-def test_planes_in_the_same_memory_are_known_again(small: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands are searched for hazards once, and results are those of planes that lie elsewhere in each frame, which
-    nothing keeps in memory. Small ones are copied from the second frame on."""
+def test_planes_in_the_same_memory_are_known_again(small: bool,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands are searched for hazards once, and results are those of planes that lie elsewhere in
+    each frame, which nothing keeps in memory. Small ones are copied from the second frame on."""
     monkeypatch.setattr("postfx.runtime.heap.CHUNK_BYTES", 1)
     monkeypatch.setattr("postfx.pipeline.SMALL_COPY_BYTES", 1 << 20 if small else 0)
     made: list[int] = []
-    same, other = (postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap()], Device("cpu", threads=1))
+    same, other = (postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap()],
+                                   Device("cpu", threads=1))
                    for _ in range(2))
     lasting, gone = frame(0), []
     for number in range(8):
@@ -77,10 +83,12 @@ def test_planes_in_the_same_memory_are_known_again(small: bool, monkeypatch: pyt
             plane[...] = new[role]
         before = len(made)
         with monkeypatch.context() as patch:
-            patch.setattr("postfx.runtime.commands.Footprint", lambda records: made.append(1) or Footprint(records))
+            patch.setattr("postfx.runtime.commands.Footprint",
+                          lambda records: made.append(1) or Footprint(records))
             found = same(lasting)
         assert len(made) == before + (number < 1)
-        assert same.device.heap.size < 1.2 * same.device.heap.used  # the first frame's memory went when the second came
+        # the first frame's memory went when the second came
+        assert same.device.heap.size < 1.2 * same.device.heap.used
         np.testing.assert_array_equal(found[Role.COLOUR], other(new)[Role.COLOUR])
         gone.append(weakref.ref(new[Role.COLOUR]))
         del new
@@ -92,14 +100,15 @@ def test_planes_in_the_same_memory_are_known_again(small: bool, monkeypatch: pyt
 def test_commands_of_a_steady_frame_are_recorded_once(
     masked: bool, away: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From then on no pass begins an encoder, and results are those of a pipeline that records every frame: also where
-    two masks come in turn, whose rows lie in the same transient memory."""
+    """From then on no pass begins an encoder, and results are those of a pipeline that records
+    every frame: also where two masks come in turn, whose rows lie in the same transient memory."""
     begun: list[str] = []
     start = CommandBuffer._start
     monkeypatch.setattr(CommandBuffer, "_start", lambda self, encoder: begun.append(encoder.label)
                         or start(self, encoder))
     device = Device("cpu", threads=1)
-    again, anew = (postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model="s"), postfx.ToneMap(look=TAGS[masked])],
+    again, anew = (postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model="s"),
+                                    postfx.ToneMap(look=TAGS[masked])],
                                    device, 0.5, cuts="none") for _ in range(2))
     for what in ("passage", "find"):
         monkeypatch.setattr(anew._flow._recordings, what, lambda key: None)

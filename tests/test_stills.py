@@ -17,12 +17,14 @@ NORMAL = np.dstack([np.zeros((24, 32, 2), np.float32), np.ones((24, 32, 1), np.f
 
 @pytest.mark.parametrize("scale", [1, 2])
 def test_it_is_a_pipeline_of_one_frame(scale):
-    found = postfx.denoise(COLOUR, albedo=ALBEDO, normal=NORMAL, scale=scale, model="s", device="cpu")
+    found = postfx.denoise(COLOUR, albedo=ALBEDO, normal=NORMAL, scale=scale, model="s",
+                           device="cpu")
     frame = Frame({Role.COLOUR: COLOUR, Role.DIFFUSE_ALBEDO: ALBEDO, Role.NORMAL: NORMAL})
     whole = Pipeline([DenoiseUpscale(scale=scale, model="s")], Device("cpu"))(frame)
     np.testing.assert_array_equal(found, whole[Role.COLOUR])
     assert found.shape == (24 * scale, 32 * scale, 3) and found.dtype == np.float32
-    again = postfx.denoise(COLOUR, albedo=ALBEDO, normal=NORMAL, scale=scale, model="s", device="cpu")
+    again = postfx.denoise(COLOUR, albedo=ALBEDO, normal=NORMAL, scale=scale, model="s",
+                           device="cpu")
     np.testing.assert_array_equal(again, found)  # the call before is no history
 
 
@@ -35,7 +37,8 @@ def test_alpha_stays_with_the_colour():
 
 def test_both_spellings_are_taken_and_one_is_needed():
     by_name = postfx.denoise(colour=COLOUR, albedo=ALBEDO, model="s", device="cpu")
-    np.testing.assert_array_equal(by_name, postfx.denoise(COLOUR, albedo=ALBEDO, model="s", device="cpu"))
+    np.testing.assert_array_equal(by_name,
+                                  postfx.denoise(COLOUR, albedo=ALBEDO, model="s", device="cpu"))
     frame = {"color": COLOUR, "albedo": ALBEDO}
     assert list(Frame(frame).planes) == [Role.COLOUR, Role.DIFFUSE_ALBEDO]
     for given in ((), (COLOUR,)):
@@ -51,7 +54,8 @@ def test_the_former_name_of_an_option_works_and_warns():
 
 def test_tensors_in_and_out():
     torch = pytest.importorskip("torch")
-    found = postfx.denoise(torch.from_numpy(COLOUR), albedo=torch.from_numpy(ALBEDO), model="s", device="cpu")
+    found = postfx.denoise(torch.from_numpy(COLOUR), albedo=torch.from_numpy(ALBEDO), model="s",
+                           device="cpu")
     assert torch.equal(torch.from_dlpack(found), torch.from_numpy(
         postfx.denoise(COLOUR, albedo=ALBEDO, model="s", device="cpu")))
 
@@ -66,7 +70,8 @@ def test_networks_are_loaded_once():
 @pytest.mark.parametrize(("color", "options", "message"), [
     ([[0.0]], {}, "color is list: give a NumPy array of floats"),
     (COLOUR[..., :2], {}, r"plane 'colour' of frame 1 has shape .24, 32, 2.: it needs"),
-    (COLOUR, {"albedo": ALBEDO[:12]}, "planes of frame 1 differ in size: colour 32x24, diffuse_albedo 32x12"),
+    (COLOUR, {"albedo": ALBEDO[:12]},
+     "planes of frame 1 differ in size: colour 32x24, diffuse_albedo 32x12"),
     (COLOUR, {"normal": NORMAL.astype(int)}, "plane 'normal' of frame 1 is int64"),
     (COLOUR, {"scale": 9}, "scale"),
     (COLOUR, {"model": "none.onnx"}, "no such file"),
@@ -84,10 +89,13 @@ def test_the_log_tells_what_happens(caplog):
     broken[3, 4] = np.nan
     pipeline = Pipeline([DenoiseUpscale(model="s")], Device("cpu"))
     pipeline(Frame({Role.COLOUR: broken}, number=7))
-    told = [(record.levelname, record.getMessage()) for record in caplog.records if record.name == "postfx"]
+    told = [(record.levelname, record.getMessage())
+            for record in caplog.records if record.name == "postfx"]
     assert ("INFO", "ready for frames of 32x24: denoise_upscale") in told
-    assert ("WARNING", "frame 7: 1 pixels of AOV 'colour' were no finite numbers and were repaired") in told
-    assert "frame 7: milliseconds by pass: {'denoise_upscale': " in "".join(text for _, text in told)
+    assert ("WARNING",
+            "frame 7: 1 pixels of AOV 'colour' were no finite numbers and were repaired") in told
+    assert "frame 7: milliseconds by pass: {'denoise_upscale': " in "".join(text
+                                                                            for _, text in told)
 
 
 def test_a_program_without_logging_sees_nothing(capfd):

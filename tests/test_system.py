@@ -1,4 +1,5 @@
-"""Threads are as many as cores that can be used, by affinity and the quota of control groups; memory likewise."""
+"""Threads are as many as cores that can be used, by affinity and the quota of control groups;
+memory likewise."""
 
 import os
 from pathlib import Path
@@ -26,16 +27,19 @@ def within(own: str | None, files: dict[str, str], folder: Path, monkeypatch) ->
     ("0::/\n", {"cpu.max": "250000 100000\n"}, 3),
     ("0::/\n", {"cpu.max": "max 100000\n"}, 64),
     ("0::/\n", {"cpu.max": "10000 100000\n"}, 1),
-    ("0::/farm/job\n", {"farm/cpu.max": "200000 100000\n", "farm/job/cpu.max": "800000 100000\n"}, 2),
+    ("0::/farm/job\n", {"farm/cpu.max": "200000 100000\n", "farm/job/cpu.max": "800000 100000\n"},
+     2),
     ("0::/of/the/host\n", {"cpu.max": "400000 100000\n"}, 4),
     ("4:memory:/a\n3:cpu,cpuacct:/a\n0::/\n",
      {"cpu/a/cpu.cfs_quota_us": "150000\n", "cpu/a/cpu.cfs_period_us": "50000\n"}, 3),
-    ("3:cpu,cpuacct:/\n", {"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, 64),
+    ("3:cpu,cpuacct:/\n", {"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"},
+     64),
     ("3:cpuset:/\n", {"cpu/cpu.cfs_quota_us": "100000\n", "cpu/cpu.cfs_period_us": "100000\n"}, 64),
     ("0::/\n", {"cpu.max": "nonsense\n"}, 64),
     (None, {}, 64),
 ])
-def test_quotas(own: str | None, files: dict[str, str], expected: int, tmp_path: Path, monkeypatch) -> None:
+def test_quotas(own: str | None, files: dict[str, str], expected: int, tmp_path: Path,
+                monkeypatch) -> None:
     within(own, files, tmp_path, monkeypatch)
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(64)))
     assert system.usable_cores() == expected
@@ -44,12 +48,14 @@ def test_quotas(own: str | None, files: dict[str, str], expected: int, tmp_path:
 @pytest.mark.parametrize(("own", "files", "expected"), [
     ("0::/\n", {"memory.max": "2000000000\n"}, 2_000_000_000),
     ("0::/\n", {"memory.max": "max\n"}, 0),
-    ("0::/farm/job\n", {"farm/memory.max": "max\n", "farm/job/memory.max": "1000000000\n"}, 1_000_000_000),
+    ("0::/farm/job\n", {"farm/memory.max": "max\n", "farm/job/memory.max": "1000000000\n"},
+     1_000_000_000),
     ("4:memory:/a\n0::/\n", {"memory/a/memory.limit_in_bytes": "3000000000\n"}, 3_000_000_000),
     ("4:memory:/\n", {"memory/memory.limit_in_bytes": "9223372036854771712\n"}, 0),
     (None, {}, 0),
 ])
-def test_memory(own: str | None, files: dict[str, str], expected: int, tmp_path: Path, monkeypatch) -> None:
+def test_memory(own: str | None, files: dict[str, str], expected: int, tmp_path: Path,
+                monkeypatch) -> None:
     within(own, files, tmp_path, monkeypatch)
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     assert system.usable_memory() == (expected or machine)
@@ -60,7 +66,8 @@ def test_no_more_than_by_affinity() -> None:
 
 
 def test_files_are_read_and_written_by_as_many_threads(tmp_path: Path) -> None:
-    wanted = "run", "samples/room/noisy.0001.exr", "-o", str(tmp_path / "a.exr"), "--no-denoise", "--threads"
+    wanted = ("run", "samples/room/noisy.0001.exr", "-o", str(tmp_path / "a.exr"), "--no-denoise",
+              "--threads")
     assert main([*wanted, "3"]) == 0 and oiio.get_int_attribute("threads") == 3
     assert main(["models"]) == 0 and oiio.get_int_attribute("threads") == system.usable_cores()
 

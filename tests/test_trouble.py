@@ -54,9 +54,12 @@ def test_an_interrupted_frame_is_waited_for(device, monkeypatch):
 
 
 @pytest.mark.parametrize(("role", "plane", "message"), [
-    (Role.ALPHA, np.ones((8, 16, 1), np.float32), "planes of frame 1 differ in size: colour 6x4, alpha 16x8"),
-    (Role.STRENGTH, np.ones((2, 3), np.float32), "planes of frame 1 differ in size: colour 6x4, strength 3x2"),
-    (Role.DEPTH, np.ones((4, 6, 1), np.int32), "plane 'depth' of frame 1 is int32: give a NumPy array of floats"),
+    (Role.ALPHA, np.ones((8, 16, 1), np.float32),
+     "planes of frame 1 differ in size: colour 6x4, alpha 16x8"),
+    (Role.STRENGTH, np.ones((2, 3), np.float32),
+     "planes of frame 1 differ in size: colour 6x4, strength 3x2"),
+    (Role.DEPTH, np.ones((4, 6, 1), np.int32),
+     "plane 'depth' of frame 1 is int32: give a NumPy array of floats"),
 ])
 def test_planes_put_into_a_frame_are_looked_at(device, role, plane, message):
     frame = make_frame(1, (6, 4))
@@ -122,7 +125,8 @@ def test_a_forked_process_has_a_device_of_its_own(monkeypatch):
             before(make_frame(2))
         except DeviceError as error:
             results.put(error)
-        results.put(Pipeline([ToneMap()], None if shared else Device("cpu"))(make_frame(2))[Role.COLOUR])
+        results.put(Pipeline([ToneMap()],
+                             None if shared else Device("cpu"))(make_frame(2))[Role.COLOUR])
 
     context = multiprocessing.get_context("fork")
     results = context.Queue()
@@ -158,7 +162,8 @@ time.sleep(0.2)
 @pytest.mark.parametrize(("thread", "code"), [("main", -signal.SIGINT), ("other", 0)])
 def test_a_process_ends_while_a_frame_is_computed(thread, code):
     """Not by an abort, which its thread inside of a library would cause."""
-    found = subprocess.run([sys.executable, "-c", LEAVES, thread], capture_output=True, text=True, timeout=120)
+    found = subprocess.run([sys.executable, "-c", LEAVES, thread], capture_output=True, text=True,
+                           timeout=120)
     assert found.returncode == code, found.stderr
     assert "terminate called" not in found.stderr
 
@@ -194,9 +199,10 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
 def test_a_forked_process_reads_and_writes_files(tmp_path):
     """OpenEXR's threads do not come along, and it would wait for them for ever."""
-    subprocess.run([sys.executable, "-c", FORKED], cwd=tmp_path, env=with_sources(), check=True, timeout=60)
-    assert {path.name for path in tmp_path.iterdir()} == {"parent.exr", "parent2.exr", "a.exr", "b.exr", "c.exr",
-                                                          "d.png", "e.jpg"}
+    subprocess.run([sys.executable, "-c", FORKED], cwd=tmp_path, env=with_sources(), check=True,
+                   timeout=60)
+    assert {path.name for path in tmp_path.iterdir()} == {"parent.exr", "parent2.exr", "a.exr",
+                                                          "b.exr", "c.exr", "d.png", "e.jpg"}
 
 
 AFTER_MAIN = """
@@ -210,7 +216,8 @@ def work():
     for name in ("a.exr", "b.png", "c.jpg"):
         postfx.write_frame(name, frame)
     read, = postfx.read_sequence("a.exr")
-    postfx.write_frame("d.exr", postfx.Pipeline([postfx.DenoiseUpscale(model="s")], postfx.Device("cpu"))(read))
+    pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model="s")], postfx.Device("cpu"))
+    postfx.write_frame("d.exr", pipeline(read))
     other = postfx.Frame({"colour": np.roll(frame["colour"], 2, 1)})
     postfx.write_frame("e.exr", postfx.Between(frame, other).frame(0.5))
 threading.Thread(target=work).start()
@@ -219,10 +226,11 @@ threading.Thread(target=work).start()
 
 def test_threads_of_the_program_go_on_after_its_main_thread(tmp_path):
     """Python's pools refuse work from then on; frames would be lost, and the exit status 0."""
-    done = subprocess.run([sys.executable, "-c", AFTER_MAIN], cwd=tmp_path, env=with_sources(), capture_output=True,
-                          text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", AFTER_MAIN], cwd=tmp_path, env=with_sources(),
+                          capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stderr) == (0, "")
-    assert {path.name for path in tmp_path.iterdir()} >= {"a.exr", "b.png", "c.jpg", "d.exr", "e.exr"}
+    assert {path.name for path in tmp_path.iterdir()} >= {"a.exr", "b.png", "c.jpg", "d.exr",
+                                                          "e.exr"}
 
 
 SILENT = """
@@ -237,7 +245,8 @@ print(ort.__version__)
 
 
 def test_nothing_of_others_is_stored_in_the_home(tmp_path):
-    """ONNX Runtime keeps a device id there, and looks for its maker's host, unless it is told not to."""
+    """ONNX Runtime keeps a device id there, and looks for its maker's host, unless it is told not
+    to."""
     environment = {**with_sources(), "HOME": str(tmp_path), "XDG_CACHE_HOME": ""}
     environment.pop("ORT_DISABLE_TELEMETRY", None)
     subprocess.run([sys.executable, "-c", SILENT], env=environment, check=True, timeout=300)

@@ -23,9 +23,11 @@ def value(name: str, shape: tuple, kind: int = TensorProto.FLOAT) -> onnx.ValueI
     return helper.make_tensor_value_info(name, kind, shape)
 
 
-def save_model(path: Path, nodes: list, inputs: list, outputs: list, constants: dict | None = None) -> None:
+def save_model(path: Path, nodes: list, inputs: list, outputs: list,
+               constants: dict | None = None) -> None:
     """Write an ONNX file of a few nodes."""
-    initializers = [numpy_helper.from_array(array, name) for name, array in (constants or {}).items()]
+    initializers = [numpy_helper.from_array(array, name)
+                    for name, array in (constants or {}).items()]
     graph = helper.make_graph(nodes, path.stem, inputs, outputs, initializers)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     onnx.checker.check_model(model, full_check=True)
@@ -33,14 +35,17 @@ def save_model(path: Path, nodes: list, inputs: list, outputs: list, constants: 
 
 
 def make_library(folder: Path) -> Library:
-    """Networks 'double' (y = 2 x, with a card), 'pair' (total = a + b) and 'pick', which fails on an index over 2."""
+    """Networks 'double' (y = 2 x, with a card), 'pair' (total = a + b) and 'pick', which fails on
+    an index over 2."""
     rows = (1, "height", "width")
     x, y = value("x", rows), value("y", rows)
     save_model(folder / "double.onnx", [helper.make_node("Add", ["x", "x"], ["y"])], [x], [y])
-    card = {"name": "double", "sha256": hashlib.sha256((folder / "double.onnx").read_bytes()).hexdigest()}
+    card = {"name": "double",
+            "sha256": hashlib.sha256((folder / "double.onnx").read_bytes()).hexdigest()}
     (folder / "double.json").write_text(json.dumps(card))
     a, b, total = value("a", rows), value("b", rows), value("total", rows)
-    save_model(folder / "pair.onnx", [helper.make_node("Add", ["a", "b"], ["total"])], [a, b], [total])
+    save_model(folder / "pair.onnx", [helper.make_node("Add", ["a", "b"], ["total"])], [a, b],
+               [total])
     index, picked = value("index", (1,), TensorProto.INT64), value("picked", (1,))
     table = {"table": np.array([10, 20, 30], np.float32)}
     gather = helper.make_node("Gather", ["table", "index"], ["picked"])
@@ -49,7 +54,8 @@ def make_library(folder: Path) -> Library:
 
 
 def make_deep(folder: Path, depth: int = 40) -> Library:
-    """The networks of `make_library`, and 'deep', which takes long for its few pixels: x and y (1, 512, 256)."""
+    """The networks of `make_library`, and 'deep', which takes long for its few pixels: x and y (1,
+    512, 256)."""
     weights = np.random.default_rng(0).normal(0, 0.06, (32, 32, 3, 3)).astype(np.float32)
     nodes = [helper.make_node("Reshape", ["x", "image"], ["at 0"])]
     for i in range(depth):
@@ -58,8 +64,8 @@ def make_deep(folder: Path, depth: int = 40) -> Library:
     nodes.append(helper.make_node("Reshape", [f"at {depth}", "plane"], ["y"]))
     shapes = {"image": np.array([1, 32, 64, 64]), "plane": np.array([1, 512, 256])}
     library = make_library(folder)
-    save_model(folder / "deep.onnx", nodes, [value("x", (1, 512, 256))], [value("y", (1, 512, 256))],
-               {"weights": weights, **shapes})
+    save_model(folder / "deep.onnx", nodes, [value("x", (1, 512, 256))],
+               [value("y", (1, 512, 256))], {"weights": weights, **shapes})
     return library
 
 
@@ -87,7 +93,8 @@ def large_rows(y0, y1, coarse, fine):
     fine[y0:y1] = coarse[np.arange(y0, y1)[:, None] // 2, np.arange(fine.shape[1]) // 2]
 
 
-ADD = Kernel("add", ("a", "b"), ("total",), add_rows, ("total", 0), {"a": IMAGE, "b": IMAGE, "total": IMAGE})
+ADD = Kernel("add", ("a", "b"), ("total",), add_rows, ("total", 0),
+             {"a": IMAGE, "b": IMAGE, "total": IMAGE})
 TWICE_AS_LARGE = Kernel(
     "twice_as_large", ("coarse",), ("fine",), large_rows, ("fine", 0),
     {"coarse": IMAGE, "fine": ("2*height", "2*width", "channels")},
@@ -111,7 +118,8 @@ class Double(Pass):
         dims = {"height": spec.height, "width": 3 * spec.width}
         self._state = device.pipeline_state(self.options["library"], "double", dims)
         shape = (spec.height, spec.width, 3)
-        self._results = [device.heap.tensor(f"doubled {i}", shape) for i in range(self.options["times"])]
+        self._results = [device.heap.tensor(f"doubled {i}", shape)
+                         for i in range(self.options["times"])]
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
@@ -131,7 +139,8 @@ class Sum(Pass):
     name = "sum"
 
     def reflect(self, spec: FrameSpec) -> Reflection:
-        return Reflection(reads=(Role.COLOUR,), writes=(Role.COLOUR,), output=spec, may_read=(Role.REACTIVE,))
+        return Reflection(reads=(Role.COLOUR,), writes=(Role.COLOUR,), output=spec,
+                          may_read=(Role.REACTIVE,))
 
     def reset(self) -> None:
         self._fresh = True
@@ -139,7 +148,8 @@ class Sum(Pass):
     def compile(self, device: Device, spec: FrameSpec) -> None:
         super().compile(device, spec)
         self._state = device.compute_state(ADD)
-        self._sums = [device.heap.tensor(f"sum {i}", (spec.height, spec.width, 3)) for i in range(2)]
+        self._sums = [device.heap.tensor(f"sum {i}", (spec.height, spec.width, 3))
+                      for i in range(2)]
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
@@ -186,7 +196,8 @@ class AddGuide(Enlarge):
     def reflect(self, spec: FrameSpec) -> Reflection:
         output = FrameSpec(2 * spec.width, 2 * spec.height, (Role.COLOUR,), spec.encoding)
         guides = (Role.DIFFUSE_ALBEDO,)
-        return Reflection(reads=(Role.COLOUR,), writes=(Role.COLOUR,), output=output, may_read_guides=guides)
+        return Reflection(reads=(Role.COLOUR,), writes=(Role.COLOUR,), output=output,
+                          may_read_guides=guides)
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         super().compile(device, spec)
@@ -203,12 +214,14 @@ class AddGuide(Enlarge):
             frame.set(Role.COLOUR, self._sum)
 
 
-def make_frame(number: int = 1, size: tuple[int, int] = (24, 40), roles: tuple = (Role.COLOUR,), **kept) -> Frame:
+def make_frame(number: int = 1, size: tuple[int, int] = (24, 40), roles: tuple = (Role.COLOUR,),
+               **kept) -> Frame:
     """A frame of random planes; size is (width, height)."""
     width, height = size
     spec = FrameSpec(width, height, roles)
     random = np.random.default_rng(number)
-    planes = {role: random.random((height, width, channels), np.float32) for role, channels in spec.planes}
+    planes = {role: random.random((height, width, channels), np.float32)
+              for role, channels in spec.planes}
     return Frame(planes, number=number, **kept)
 
 

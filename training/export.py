@@ -1,4 +1,5 @@
-"""Shared parts of all exports to ONNX: one clean file a model, a card beside it, and a check against torch."""
+"""Shared parts of all exports to ONNX: one clean file a model, a card beside it, and a check
+against torch."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ from postfx.kernels import Kernel
 from postfx.runtime.session import CONSTANTS
 from postfx.runtime.states import parse
 
-logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of optional packages at every export
+# it warns of optional packages at every export
+logging.getLogger("torch.onnx").setLevel(logging.ERROR)
 
 OPSET = 20  # the first with 5-D GridSample
 MODELS = Path(__file__).resolve().parent.parent / "models"
@@ -47,8 +49,8 @@ def export(
 
     Args:
         free: for each example its axes of free size, as in `torch.export`'s `dynamic_shapes`.
-        names: input or output -> shape to declare, if the exporter's own names of free sizes do not suit; shape
-            inference finds a size of '?'.
+        names: input or output -> shape to declare, if the exporter's own names of free sizes do not
+            suit; shape inference finds a size of '?'.
     """
     program = torch.onnx.export(
         module.eval(),
@@ -72,7 +74,8 @@ def export(
     return model
 
 
-def export_kernel(kernel: Kernel, module: nn.Module, sizes: Mapping[str, int], folder: Path) -> None:
+def export_kernel(kernel: Kernel, module: nn.Module, sizes: Mapping[str, int],
+                  folder: Path) -> None:
     """Write a kernel's portable definition, free in every size that the kernel names by a symbol.
 
     Args:
@@ -84,10 +87,12 @@ def export_kernel(kernel: Kernel, module: nn.Module, sizes: Mapping[str, int], f
     examples = [torch.rand(*[d.factor * sizes.get(d.symbol, 1) for d in dims], generator=random)
                 .to(getattr(torch, kernel.types.get(name, "float32")))
                 for name, dims in zip(kernel.reads, shapes, strict=True)]
-    free = [{axis: Dim.DYNAMIC for axis, d in enumerate(dims) if d.symbol is not None} for dims in shapes]
+    free = [{axis: Dim.DYNAMIC for axis, d in enumerate(dims) if d.symbol is not None}
+            for dims in shapes]
     names = {name: tuple(size if isinstance(size, int) else "?" for size in kernel.shapes[name])
              for name in kernel.reads + kernel.writes}
-    export(module, examples, kernel.reads, kernel.writes, folder / f"{kernel.name}.onnx", free, names)
+    export(module, examples, kernel.reads, kernel.writes, folder / f"{kernel.name}.onnx", free,
+           names)
 
 
 def strip(model: onnx.ModelProto) -> None:
@@ -95,13 +100,15 @@ def strip(model: onnx.ModelProto) -> None:
     del model.metadata_props[:]
     del model.graph.metadata_props[:]
     del model.graph.value_info[:]
-    for item in [*model.graph.node, *model.graph.input, *model.graph.output, *model.graph.initializer]:
+    for item in [*model.graph.node, *model.graph.input, *model.graph.output,
+                 *model.graph.initializer]:
         del item.metadata_props[:]
         item.doc_string = ""
 
 
 def store_half(graph: onnx.GraphProto) -> None:
-    """Store weights in half precision if it holds them exactly: half the file. A session casts them on loading."""
+    """Store weights in half precision if it holds them exactly: half the file. A session casts them
+    on loading."""
     casts = []
     for weight in graph.initializer:
         values = onnx.numpy_helper.to_array(weight)
@@ -111,21 +118,25 @@ def store_half(graph: onnx.GraphProto) -> None:
         if np.array_equal(half.astype(np.float32), values):
             name = weight.name
             weight.CopyFrom(onnx.numpy_helper.from_array(half, f"{name}_half"))
-            casts.append(onnx.helper.make_node("Cast", [f"{name}_half"], [name], to=onnx.TensorProto.FLOAT))
+            casts.append(onnx.helper.make_node("Cast", [f"{name}_half"], [name],
+                                               to=onnx.TensorProto.FLOAT))
     nodes = [*casts, *graph.node]
     del graph.node[:]
     graph.node.extend(nodes)
 
 
 def lift_constants(model: onnx.ModelProto) -> None:
-    """Move outputs that no node makes into the metadata, from which `postfx.runtime.session` reads them: some execution
-    providers do not support such outputs."""
+    """Move outputs that no node makes into the metadata, from which `postfx.runtime.session` reads
+    them: some execution providers do not support such outputs."""
     graph = model.graph
-    weights, used = {one.name: one for one in graph.initializer}, {name for node in graph.node for name in node.input}
-    lifted = {one.name: onnx.numpy_helper.to_array(weights[one.name]) for one in graph.output if one.name in weights}
+    weights, used = {one.name: one for one in graph.initializer}, {name for node in graph.node
+                                                                   for name in node.input}
+    lifted = {one.name: onnx.numpy_helper.to_array(weights[one.name])
+              for one in graph.output if one.name in weights}
     if not lifted:
         return
-    text = json.dumps({name: {"shape": array.shape, "float32": base64.b64encode(array.astype("<f4").tobytes()).decode()}
+    text = json.dumps({name: {"shape": array.shape,
+                              "float32": base64.b64encode(array.astype("<f4").tobytes()).decode()}
                        for name, array in lifted.items()})
     onnx.helper.set_model_props(model, {CONSTANTS: text})
     for name in lifted:
@@ -141,7 +152,9 @@ def lower_constants(model: onnx.ModelProto) -> onnx.ModelProto:
             array = np.frombuffer(base64.b64decode(told["float32"]), "<f4").reshape(told["shape"])
             if name not in {one.name for one in model.graph.initializer}:
                 model.graph.initializer.append(onnx.numpy_helper.from_array(array, name))
-            model.graph.output.append(onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, told["shape"]))
+            model.graph.output.append(onnx.helper.make_tensor_value_info(
+                name, onnx.TensorProto.FLOAT, told["shape"]
+            ))
     del model.metadata_props[:]
     return model
 
@@ -163,9 +176,11 @@ def declare(value: onnx.ValueInfoProto, shape: tuple[int | str, ...] | None) -> 
 
 
 def parity(
-    module: nn.Module, path: Path, examples: Sequence[torch.Tensor], dims: Mapping[str, int] | None = None
+    module: nn.Module, path: Path, examples: Sequence[torch.Tensor],
+    dims: Mapping[str, int] | None = None
 ) -> float:
-    """Largest difference of an exported model to torch, relative to the largest value of the same output.
+    """Largest difference of an exported model to torch, relative to the largest value of the same
+    output.
 
     `dims` fixes free sizes by name, as the run-time does. Raises ParityError above `PARITY`.
     """
@@ -181,7 +196,8 @@ def parity(
     wanted = wanted if isinstance(wanted, tuple) else (wanted,)
     worst = max(relative_error(a, b.numpy()) for a, b in zip(found, wanted, strict=True))
     if not worst <= PARITY:
-        raise ParityError(f"{path} differs from torch by {worst:.2g} of the largest value: the limit is {PARITY:g}")
+        raise ParityError(f"{path} differs from torch by {worst:.2g} of the largest value: the "
+                          f"limit is {PARITY:g}")
     return worst
 
 
@@ -211,9 +227,11 @@ def check_recipe(recipe: object) -> str | None:
         if not isinstance(value, RECIPE.get(key, ())):
             return f"recipe: '{key}' is not one of {', '.join(RECIPE)}, or has a wrong type"
     steps = recipe.get("steps") or []
-    if not steps or not all(isinstance(s, dict) and isinstance(s.get("run"), str) and s["run"].strip() and
-                            set(s) <= {"run", "processes"} and isinstance(s.get("processes", 1), int) for s in steps):
-        return "recipe: 'steps' is a list of objects with 'run', a module and its arguments, and perhaps 'processes'"
+    if (not steps or not all(isinstance(s, dict) and isinstance(s.get("run"), str)
+                             and s["run"].strip() and set(s) <= {"run", "processes"}
+                             and isinstance(s.get("processes", 1), int) for s in steps)):
+        return ("recipe: 'steps' is a list of objects with 'run', a module and its arguments, and "
+                "perhaps 'processes'")
     return None
 
 
@@ -230,18 +248,22 @@ def read_quality(path: str | None) -> dict[str, Any]:
 
 def parser(doc: str | None, tag: str) -> argparse.ArgumentParser:
     """Command line shared by all exports."""
-    made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("checkpoint", type=Path, nargs="?", help="without one, only the kernels are exported")
-    made.add_argument("--tag", default=tag, help=f"name of the model among its kind; default: {tag}")
+    made = argparse.ArgumentParser(description=doc,
+                                   formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("checkpoint", type=Path, nargs="?",
+                      help="without one, only the kernels are exported")
+    made.add_argument("--tag", default=tag,
+                      help=f"name of the model among its kind; default: {tag}")
     made.add_argument("--quality", help="JSON of measured quality, kept in the card")
     made.add_argument("--models", type=Path, default=MODELS, help="folder to write to")
     made.add_argument("--network-only", action="store_true", help="leave the kernels as they are")
     return made
 
 
-# Steps that rewrite a graph -----------------------------------------------------------------------------------------
+# Steps that rewrite a graph -----------------------------------------------------------------------
 
-def append_node(made: list[onnx.NodeProto], kind: str, inputs: list[str], output: str, **attributes: object) -> str:
+def append_node(made: list[onnx.NodeProto], kind: str, inputs: list[str], output: str,
+                **attributes: object) -> str:
     """Append a node with one output, whose name is returned."""
     made.append(onnx.helper.make_node(kind, inputs, [output], name=f"node_{output}", **attributes))
     return output
@@ -255,9 +277,11 @@ def add_constant(graph: onnx.GraphProto, name: str, array: np.ndarray) -> None:
 
 def constant_value(graph: onnx.GraphProto, name: str) -> np.ndarray:
     """Values of a constant, which may be stored in half precision with a cast."""
-    cast = next((node for node in graph.node if node.op_type == "Cast" and node.output[0] == name), None)
+    cast = next((node for node in graph.node if node.op_type == "Cast" and node.output[0] == name),
+                None)
     stored = cast.input[0] if cast else name
-    return onnx.numpy_helper.to_array(next(weight for weight in graph.initializer if weight.name == stored))
+    return onnx.numpy_helper.to_array(next(weight for weight in graph.initializer
+                                           if weight.name == stored))
 
 
 def drop_unused(graph: onnx.GraphProto) -> None:

@@ -1,10 +1,12 @@
-"""Irradiance of one scene by the direction of the normal: a small network for the pass `irradiance`.
+"""Irradiance of one scene by the direction of the normal: a small network for the pass
+`irradiance`.
 
     python -m training.irradiance REFERENCE MODEL.onnx [--steps 1000] [--hidden 16 16]
 
-Reads a sequence with diffuse albedo and normals and little noise, and learns the logarithm of the irradiance of diffuse
-surfaces: colour / albedo * pi. The fused kernels of `postfx.neural` train it on the CPU; it needs no PyTorch. One frame
-in four is held out, and the error there is printed beside that of the mean irradiance of the others.
+Reads a sequence with diffuse albedo and normals and little noise, and learns the logarithm of the
+irradiance of diffuse surfaces: colour / albedo * pi. The fused kernels of `postfx.neural` train it
+on the CPU; it needs no PyTorch. One frame in four is held out, and the error there is printed
+beside that of the mean irradiance of the others.
 
     postfx run FRAMES OUT --pass irradiance,model=MODEL.onnx,before=tonemap
 """
@@ -38,10 +40,12 @@ def examples(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
     """
     lacking = [str(role) for role in NEEDED if role not in frame.planes]
     if lacking:
-        raise FrameError(f"frame {frame.number} has no {', '.join(lacking)}: render these planes, too")
+        raise FrameError(f"frame {frame.number} has no {', '.join(lacking)}: render these planes, "
+                         "too")
     albedo, normal = frame[Role.DIFFUSE_ALBEDO], frame[Role.NORMAL]
     length = np.linalg.norm(normal, axis=-1)
-    known = (length > 0.1) & (albedo.min(-1) > LEAST_ALBEDO) & np.isfinite(frame[Role.COLOUR]).all(-1)
+    known = ((length > 0.1) & (albedo.min(-1) > LEAST_ALBEDO) & np.isfinite(frame[Role.COLOUR])
+             .all(-1))
     if Role.SPECULAR_ALBEDO in frame.planes:
         known &= frame[Role.SPECULAR_ALBEDO].max(-1) < MIRRORS * albedo.max(-1)
     light = frame[Role.COLOUR][known] / albedo[known] * np.pi
@@ -51,9 +55,11 @@ def examples(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
 
 def train(frames: list[Frame], hidden: tuple[int, ...], steps: int) -> tuple[Network, np.ndarray]:
     """The network and its parameters. Raises FrameError if no frame has diffuse surfaces."""
-    points, targets = (np.concatenate(arrays) for arrays in zip(*map(examples, frames), strict=True))
+    points, targets = (np.concatenate(arrays)
+                       for arrays in zip(*map(examples, frames), strict=True))
     if not len(points):
-        raise FrameError("no frame has diffuse surfaces to learn from: check normals and diffuse albedo")
+        raise FrameError("no frame has diffuse surfaces to learn from: check normals and diffuse "
+                         "albedo")
     device, network = Device("cpu"), Network(3, hidden, 3, "gelu")
     learner = Learner(device, network, seed=1)
     learner.fit(points, targets, steps, 1e-2)
@@ -62,7 +68,8 @@ def train(frames: list[Frame], hidden: tuple[int, ...], steps: int) -> tuple[Net
 
 def error(network: Network, parameters: np.ndarray, frames: list[Frame]) -> float:
     """Mean squared error of the logarithm over the surfaces of frames."""
-    points, targets = (np.concatenate(arrays) for arrays in zip(*map(examples, frames), strict=True))
+    points, targets = (np.concatenate(arrays)
+                       for arrays in zip(*map(examples, frames), strict=True))
     device = Device("cpu")
     learner, values = Learner(device, network, seed=1), device.heap.tensor("values", targets.shape)
     learner.parameters.upload(parameters)
@@ -88,8 +95,9 @@ def main(words: list[str] | None = None) -> None:
     network, parameters = train(seen, tuple(given.hidden), given.steps)
     targets = np.concatenate([examples(frame)[1] for frame in held])
     usual = np.concatenate([examples(frame)[1] for frame in seen]).mean(0)
-    print(f"{len(seen)} frames, {network.count} parameters; squared error of log light in {len(held)} held out: "
-          f"{error(network, parameters, held):.4f}, of the mean irradiance {np.mean((targets - usual) ** 2):.4f}")
+    print(f"{len(seen)} frames, {network.count} parameters; squared error of log light in "
+          f"{len(held)} held out: {error(network, parameters, held):.4f}, of the mean irradiance "
+          f"{np.mean((targets - usual) ** 2):.4f}")
     network.save_onnx(given.model, parameters)
 
 

@@ -1,23 +1,27 @@
 """Make a shipped model again from the recipe in its card.
 
-    python -m training.remake models/denoise_upscale.m.json --dry-run                     show the steps
-    python -m training.remake models/denoise_upscale.m.json --scenes real --gpus 0,1      render, train, export
+    python -m training.remake models/denoise_upscale.m.json --dry-run                 show the steps
+    python -m training.remake models/denoise_upscale.m.json --scenes real --gpus 0,1  do them
     python -m training.remake models/tonemap.auto.json --photos 'hdr/*.exr' --panoramas 'env/*.hdr'
-    python -m training.remake models/denoise_upscale.s.json --scale 0.01 --clips CLIPS    a trial on your own clips
+    python -m training.remake models/denoise_upscale.s.json --scale 0.01 --clips CLIPS    a trial
 
-Results go to WORK/models and are not compared with anything: copy the ones that you want to ship. An interrupted
-command continues at its step. A recipe may also be a file of its own, for a model that does not exist yet.
+Results go to WORK/models and are not compared with anything: copy the ones that you want to ship.
+An interrupted command continues at its step. A recipe may also be a file of its own, for a model
+that does not exist yet.
 
 The recipe is the object `recipe` of a card:
 
     base          name of the model that this one is made from; its recipe runs first. Optional.
-    steps         a list of objects: `run`, a module of `training` and its arguments; `processes`, if torchrun shares
+    steps         a list of objects: `run`, a module of `training` and its arguments; `processes`,
+                  if torchrun shares
                   the step between GPUs.
     differs       how the shipped weights were made differently. Optional.
-    not recorded  facts of the shipped weights that nobody wrote down; the steps make a choice instead.
+    not recorded  facts of the shipped weights that nobody wrote down; the steps make a choice
+                  instead.
 
-Arguments may hold {models}, the folder of results; {work} and {base}, folders of this model's and the base's runs;
-{clips.NAME}, folders of clips; and arguments of the command line: {scenes}, {blender}, {library}, {photos},
+Arguments may hold {models}, the folder of results; {work} and {base}, folders of this model's and
+the base's runs; {clips.NAME}, folders of clips; and arguments of the command line: {scenes},
+{blender}, {library}, {photos},
     {panoramas}, {gpus}, {variant}.
 """
 
@@ -41,7 +45,8 @@ ROOT = Path(__file__).resolve().parents[1]
 GIVEN = {name: f"--{name}" for name in ("scenes", "blender", "library", "photos", "panoramas")}
 # Amounts that --scale changes, by module: option -> the least of it.
 AMOUNTS: Mapping[str, Mapping[str, float]] = {
-    "training.datagen.render": {"--clips": 10, "--reference-spp": 16, "--even-spp": 4, "--half-samples": 16},
+    "training.datagen.render": {"--clips": 10, "--reference-spp": 16, "--even-spp": 4,
+                                "--half-samples": 16},
     "training.datagen.formula": {"--clips": 4},
     "training.denoise.train": {"--minutes": 0.02, "--batch": 1},
     "training.tonemap.train": {"--minutes": 0.02, "--batch": 1, "--scale": 0.1, "--views": 16},
@@ -67,14 +72,15 @@ class Step:
         """Words behind `python -m`."""
         if self.processes == 1:
             return [self.module, *self.words]
-        torchrun = ["torch.distributed.run", "--standalone", "--nproc-per-node", str(self.processes), "-m"]
+        torchrun = ["torch.distributed.run", "--standalone", "--nproc-per-node",
+                    str(self.processes), "-m"]
         return [*torchrun, self.module, *self.words]
 
     def __str__(self) -> str:
         return f"python -m {shlex.join(self.command)}"
 
 
-# Recipes ------------------------------------------------------------------------------------------------------------
+# Recipes ------------------------------------------------------------------------------------------
 
 def read_recipe(path: Path) -> dict[str, Any]:
     """The recipe of a card, or of a file of its own. Raises RecipeError."""
@@ -103,16 +109,20 @@ def chain(path: Path, library: Path) -> list[tuple[str, dict[str, Any]]]:
     return found
 
 
-def steps_of(name: str, recipe: Mapping[str, Any], places: Mapping[str, str], clips: Path | None = None) -> list[Step]:
-    """The steps of a recipe with all folders filled in; with your own ``clips`` nothing is rendered."""
-    own = dict(places) | {"work": f"{places['work']}/{name}", "base": f"{places['work']}/{recipe.get('base')}"}
+def steps_of(name: str, recipe: Mapping[str, Any], places: Mapping[str, str],
+             clips: Path | None = None) -> list[Step]:
+    """The steps of a recipe with all folders filled in; with your own ``clips`` nothing is
+    rendered."""
+    own = dict(places) | {"work": f"{places['work']}/{name}",
+                          "base": f"{places['work']}/{recipe.get('base')}"}
 
     def fill(match: re.Match[str]) -> str:
         key = match[1]
         if key.startswith("clips."):
             return str(clips or Path(places["work"]) / key)
         if key not in own:
-            raise RecipeError(f"{name}: its recipe needs {{{key}}}: give {GIVEN[key]}" if key in GIVEN else
+            raise RecipeError(f"{name}: its recipe needs {{{key}}}: give {GIVEN[key]}"
+                              if key in GIVEN else
                               f"{name}: nothing is known as {{{key}}}: see training.remake --help")
         return own[key]
 
@@ -146,7 +156,8 @@ def options_of(module: str) -> argparse.ArgumentParser:
 
 
 def check(step: Step) -> None:
-    """Check a step against its module's current parser. Raises RecipeError if it does not take these arguments."""
+    """Check a step against its module's current parser. Raises RecipeError if it does not take
+    these arguments."""
     try:
         made = options_of(step.module)
     except (ImportError, AttributeError) as fault:
@@ -162,17 +173,19 @@ def check(step: Step) -> None:
 
 def parsers(made: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
     """A parser and those of its commands."""
-    commands = [action for action in made._actions if isinstance(action, argparse._SubParsersAction)]
+    commands = [action
+                for action in made._actions if isinstance(action, argparse._SubParsersAction)]
     return [made, *(one for action in commands for one in action.choices.values())]
 
 
-# Running them -------------------------------------------------------------------------------------------------------
+# Running them -------------------------------------------------------------------------------------
 
 def run_step(step: Step) -> None:
     """Run a step in its own process; ends the program with its status if it fails."""
     done = subprocess.run([sys.executable, "-m", *step.command], cwd=ROOT, check=False)
     if done.returncode:
-        raise SystemExit(f"training.remake: {step} ended with status {done.returncode}: start the same command again")
+        raise SystemExit(f"training.remake: {step} ended with status {done.returncode}: start the "
+                         "same command again")
 
 
 def follow(steps: Sequence[Step], record: Path, run: Callable[[Step], None] = run_step) -> None:
@@ -195,21 +208,33 @@ def add_recipe(card: Path, recipe: Mapping[str, Any], scale: float) -> None:
 
 
 def options() -> argparse.ArgumentParser:
-    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made = argparse.ArgumentParser(description=__doc__,
+                                   formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("card", type=Path, help="card of a model, or a JSON file of a recipe alone")
-    made.add_argument("--dry-run", action="store_true", help="only show the steps, and what is not recorded")
-    made.add_argument("--work", type=Path, default=Path("runs/remake"), help="folder of all results (%(default)s)")
-    made.add_argument("--scale", type=float, default=1.0, help="factor on clips, samples, minutes: 0.01 for a trial")
+    made.add_argument("--dry-run", action="store_true",
+                      help="only show the steps, and what is not recorded")
+    made.add_argument("--work", type=Path, default=Path("runs/remake"),
+                      help="folder of all results (%(default)s)")
+    made.add_argument("--scale", type=float, default=1.0,
+                      help="factor on clips, samples, minutes: 0.01 for a trial")
     made.add_argument("--clips", type=Path, help="train on these clips; nothing is rendered")
-    made.add_argument("--scenes", help="folder of real scenes and environments, from training/datagen/pack_scenes.sh")
+    made.add_argument("--scenes",
+                      help="folder of real scenes and environments, from "
+                      "training/datagen/pack_scenes.sh")
     made.add_argument("--blender", help="a Python with the module bpy, which renders with Cycles")
-    made.add_argument("--library", help="folder of scenes and environments for Cycles, see docs/lab/training_data.md")
+    made.add_argument("--library",
+                      help="folder of scenes and environments for Cycles, see "
+                      "docs/lab/training_data.md")
     made.add_argument("--photos", help="HDR photographs (a pattern)")
     made.add_argument("--panoramas", help="equirectangular HDR environments (a pattern)")
-    made.add_argument("--gpus", default="0", help="numbers of the GPUs that render, separated by commas")
-    made.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant; llvm_ad_rgb renders on the CPU")
-    made.add_argument("--with", nargs=2, action="append", default=[], dest="more", metavar=("MODULE", "OPTIONS"),
-                      help="further options of all steps of a module, as --with training.denoise.train '--seed 2'")
+    made.add_argument("--gpus", default="0",
+                      help="numbers of the GPUs that render, separated by commas")
+    made.add_argument("--variant", default="cuda_ad_rgb",
+                      help="Mitsuba variant; llvm_ad_rgb renders on the CPU")
+    made.add_argument("--with", nargs=2, action="append", default=[], dest="more",
+                      metavar=("MODULE", "OPTIONS"),
+                      help="further options of all steps of a module, as --with "
+                      "training.denoise.train '--seed 2'")
     return made
 
 
@@ -217,12 +242,15 @@ def main(argv: Sequence[str] | None = None, run: Callable[[Step], None] = run_st
     made = options()
     args = made.parse_args(argv)
     work = args.work.resolve()
-    places = {"work": str(work), "models": str(work / "models"), "gpus": args.gpus, "variant": args.variant}
-    given = {name: getattr(args, name) or (name.upper() if args.dry_run else None) for name in GIVEN}
+    places = {"work": str(work), "models": str(work / "models"), "gpus": args.gpus,
+              "variant": args.variant}
+    given = {name: getattr(args, name) or (name.upper() if args.dry_run else None)
+             for name in GIVEN}
     places |= {name: str(value) for name, value in given.items() if value}
     try:
         recipes = chain(args.card, MODELS)
-        steps = [(name, recipe, [complete(step, args) for step in steps_of(name, recipe, places, args.clips)])
+        steps = [(name, recipe,
+                  [complete(step, args) for step in steps_of(name, recipe, places, args.clips)])
                  for name, recipe in recipes]
         for _, _, some in steps:
             for step in some:
@@ -247,7 +275,8 @@ def main(argv: Sequence[str] | None = None, run: Callable[[Step], None] = run_st
 
 def complete(step: Step, args: argparse.Namespace) -> Step:
     """A step with the options of --with, scaled by --scale."""
-    more = [word for module, words in args.more if module == step.module for word in shlex.split(words)]
+    more = [word for module, words in args.more if module == step.module
+            for word in shlex.split(words)]
     return shrink(Step(step.module, (*step.words, *more), step.processes), args.scale)
 
 

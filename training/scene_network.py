@@ -1,18 +1,20 @@
-"""Networks that know one scene: a U-Net from planes to shaded frames, with and without history or one noisy sample.
+"""Networks that know one scene: a U-Net from planes to shaded frames, with and without history or
+one noisy sample.
 
     python -m training.datagen.make_sample views VIEWS
     python -m training.scene_network VIEWS MODELS
 
-Trains three networks of the same shape, and writes their weights in half precision, as PyTorch's (KIND.pt) and as ONNX:
-shading.onnx from planes alone; temporal.onnx from planes and its own previous state; amplifier.onnx from planes and
-colour of one sample a pixel. These two begin with the weights of MODELS/shading.pt, if it is there.
-`samples/scene_network.py` runs and measures them.
+Trains three networks of the same shape, and writes their weights in half precision, as PyTorch's
+(KIND.pt) and as ONNX: shading.onnx from planes alone; temporal.onnx from planes and its own
+previous state; amplifier.onnx from planes and colour of one sample a pixel. These two begin with
+the weights of MODELS/shading.pt, if it is there. `samples/scene_network.py` runs and measures them.
 
-The networks read first-hit planes of one sample a pixel, and the camera: from them, the graph finds each pixel's place
-in the room, and where the mirrored view ray leaves the room's box (Lagarde and Zanuttini 2012), both with Fourier
-features (Tancik 2020). What they give is the logarithm of light without reflectance, which the albedos put back. Codes
-near white say little about light, so it is bounded by the most that training saw. Where a lamp or a miss is near white,
-the amplifier gives the colour that it is given.
+The networks read first-hit planes of one sample a pixel, and the camera: from them, the graph finds
+each pixel's place in the room, and where the mirrored view ray leaves the room's box (Lagarde and
+Zanuttini 2012), both with Fourier features (Tancik 2020). What they give is the logarithm of light
+without reflectance, which the albedos put back. Codes near white say little about light, so it is
+bounded by the most that training saw. Where a lamp or a miss is near white, the amplifier gives the
+colour that it is given.
 """
 
 from __future__ import annotations
@@ -37,16 +39,19 @@ INPUTS = ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "
 KINDS = {"shading": (), "temporal": ("motion", "before"), "amplifier": ("colour",)}
 """What each network reads beyond INPUTS."""
 STATE = 10
-"""Numbers of a pixel that `temporal` hands to the next frame: light, place, 1, and codes of the picture."""
+"""Numbers of a pixel that `temporal` hands to the next frame: light, place, 1, and codes of the
+picture."""
 KEPT = 0.6
-"""Share of the picture before in a picture: planes of one sample show one side of an edge, another in each frame."""
+"""Share of the picture before in a picture: planes of one sample show one side of an edge, another
+in each frame."""
 WHITEST = 0.99999
 """Code value that counts as the brightest, of a light of 4e4."""
 NEAR = 0.01
-"""Distance of a place from the plane of the surface it is history of, in metres and in shares of the depth, at most."""
+"""Distance of a place from the plane of the surface it is history of, in metres and in shares of
+the depth, at most."""
 
 
-# The network --------------------------------------------------------------------------------------------------------
+# The network --------------------------------------------------------------------------------------
 
 def to_codes(light: torch.Tensor) -> torch.Tensor:
     """Light as codes 0..1: x/(1+x) and the sRGB curve."""
@@ -75,7 +80,8 @@ def reflectance(diffuse: torch.Tensor, specular: torch.Tensor) -> torch.Tensor:
     """What light is divided by: both albedos with a floor, 1 for lamps and misses."""
     total = diffuse + specular
     peak = total.amax(1, keepdim=True)
-    return torch.where(is_emitter(diffuse, specular), torch.ones_like(total), torch.maximum(total, 0.15 * peak) + 0.01)
+    return torch.where(is_emitter(diffuse, specular), torch.ones_like(total),
+                       torch.maximum(total, 0.15 * peak) + 0.01)
 
 
 def is_emitter(diffuse: torch.Tensor, specular: torch.Tensor) -> torch.Tensor:
@@ -97,7 +103,8 @@ class Block(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.one, self.two = nn.Conv2d(width, width, 3, padding=1), nn.Conv2d(width, width, 3, padding=1)
+        self.one, self.two = (nn.Conv2d(width, width, 3, padding=1),
+                              nn.Conv2d(width, width, 3, padding=1))
         nn.init.zeros_(self.two.weight)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
@@ -105,7 +112,8 @@ class Block(nn.Module):
 
 
 class SceneNetwork(nn.Module):
-    """Features of pixels -> light. `low` and `high` are the corners of the scene's box, `most` its brightest light."""
+    """Features of pixels -> light. `low` and `high` are the corners of the scene's box, `most` its
+    brightest light."""
 
     def __init__(self, kind: str, low: torch.Tensor, high: torch.Tensor, most: float = 6e4) -> None:
         super().__init__()
@@ -117,18 +125,23 @@ class SceneNetwork(nn.Module):
         features = 6 * (BANDS + BOX_BANDS + WAY_BANDS) + 23 + extra
         self.stem = nn.Conv2d(features, WIDTHS[0], 1)
         self.first = nn.Conv2d(WIDTHS[0], WIDTHS[0], 3, padding=1)
-        self.downs = nn.ModuleList(nn.Conv2d(a, b, 3, 2, 1) for a, b in zip(WIDTHS, WIDTHS[1:], strict=False))
-        self.encoders = nn.ModuleList([nn.Conv2d(WIDTHS[1], WIDTHS[1], 3, padding=1), Block(WIDTHS[2]),
-                                       Block(WIDTHS[3])])
-        self.ups = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in zip(WIDTHS, WIDTHS[1:], strict=False))
-        self.decoders = nn.ModuleList([Block(WIDTHS[0]), nn.Conv2d(WIDTHS[1], WIDTHS[1], 3, padding=1),
+        self.downs = nn.ModuleList(nn.Conv2d(a, b, 3, 2, 1)
+                                   for a, b in zip(WIDTHS, WIDTHS[1:], strict=False))
+        self.encoders = nn.ModuleList([nn.Conv2d(WIDTHS[1], WIDTHS[1], 3, padding=1),
+                                       Block(WIDTHS[2]), Block(WIDTHS[3])])
+        self.ups = nn.ModuleList(nn.Conv2d(b, a, 1)
+                                 for a, b in zip(WIDTHS, WIDTHS[1:], strict=False))
+        self.decoders = nn.ModuleList([Block(WIDTHS[0]),
+                                       nn.Conv2d(WIDTHS[1], WIDTHS[1], 3, padding=1),
                                        Block(WIDTHS[2])])
         self.last = nn.Conv2d(WIDTHS[0], 4 if kind == "temporal" else 3, 1)
         nn.init.constant_(self.last.bias, 0.5)
 
-    def features(self, x: dict[str, torch.Tensor], ray: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def features(self, x: dict[str, torch.Tensor],
+                 ray: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """What the stem reads of planes (N, C, H, W) and rays, and the places in the box, -1..1."""
-        middle, half = (self.low + self.high)[None, :, None, None] / 2, (self.high - self.low)[None, :, None, None] / 2
+        middle, half = ((self.low + self.high)[None, :, None, None] / 2,
+                        (self.high - self.low)[None, :, None, None] / 2)
         hit = (x["depth"] < 1e6).float()
         eye = (x["camera"][:, 9:12, None, None] - middle) / half
         place = (eye + hit * x["depth"].clamp(max=1e6) * ray / half).clamp(-1.5, 1.5)
@@ -141,12 +154,14 @@ class SceneNetwork(nn.Module):
         leaves = (place + reach * slope).clamp(-1.5, 1.5)
         roughness = x["roughness"]
         albedo = torch.cat([x["diffuse_albedo"], x["specular_albedo"]], 1)
-        parts = [place, waves(place, BANDS), waves(leaves, BOX_BANDS), waves(mirrored, WAY_BANDS), leaves, normal,
+        parts = [place, waves(place, BANDS), waves(leaves, BOX_BANDS), waves(mirrored, WAY_BANDS),
+                 leaves, normal,
                  mirrored, albedo, roughness, hit, torch.log1p(x["depth"].clamp(max=1e3)) / 3,
                  x["camera"][:, 14:16, None, None].expand(-1, -1, *ray.shape[2:])]
         return torch.cat(parts, 1), place
 
-    def same_surface(self, before: torch.Tensor, place: torch.Tensor, x: dict[str, torch.Tensor]) -> torch.Tensor:
+    def same_surface(self, before: torch.Tensor, place: torch.Tensor,
+                     x: dict[str, torch.Tensor]) -> torch.Tensor:
         """Where a warped state (N, STATE, H, W) is of the surface at these places (N, 1, H, W)."""
         shift = (before[:, 3:6] - place) * (self.high - self.low)[None, :, None, None] / 2
         off = (shift * x["normal"]).sum(1, keepdim=True).abs()
@@ -154,8 +169,8 @@ class SceneNetwork(nn.Module):
 
     def body(self, features: torch.Tensor) -> torch.Tensor:
         """The U-Net: features -> logarithm of light, and for `temporal` the share of history."""
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=features.is_cuda and self.training,
-                            cache_enabled=False):
+        with torch.autocast(features.device.type, torch.bfloat16,
+                            enabled=features.is_cuda and self.training, cache_enabled=False):
             x, kept = F.relu(self.first(F.relu(self.stem(features)))), []
             for down, encode in zip(self.downs, self.encoders, strict=True):
                 kept.append(x)
@@ -165,7 +180,8 @@ class SceneNetwork(nn.Module):
                 x = F.relu(self.decoders[level](x + kept[level]))
         return self.last(x.float())
 
-    def forward(self, x: dict[str, torch.Tensor], ray: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
+    def forward(self, x: dict[str, torch.Tensor],
+                ray: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
         """Colour, and for `temporal` the next state; all (N, C, H, W)."""
         features, place = self.features(x, ray)
         shine = reflectance(x["diffuse_albedo"], x["specular_albedo"])
@@ -175,7 +191,8 @@ class SceneNetwork(nn.Module):
             noisy = torch.log1p(x["colour"].clamp(0.0, 6e4) / shine) / 3
             found = self.shaded(F.softplus(self.body(torch.cat([features, noisy], 1))), shine)
             is_lamp = is_emitter(x["diffuse_albedo"], x["specular_albedo"]) & (found > BRIGHT)
-            return torch.where(is_lamp, torch.minimum(x["colour"].clamp(min=BRIGHT), self.most), found), None
+            return torch.where(is_lamp, torch.minimum(x["colour"].clamp(min=BRIGHT), self.most),
+                               found), None
         before = warp(x["before"], x["motion"])
         same = self.same_surface(before, place, x)
         past = torch.where(same, before[:, :3], torch.zeros_like(before[:, :3]))
@@ -185,7 +202,8 @@ class SceneNetwork(nn.Module):
         colour, codes = self.steadied(self.shaded(light, shine), x)
         return colour, torch.cat([light, place, torch.ones_like(share), codes], 1)
 
-    def steadied(self, colour: torch.Tensor, x: dict[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
+    def steadied(self, colour: torch.Tensor,
+                 x: dict[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
         """A picture (N, 3, H, W) averaged with the one before, and its codes.
 
         The one before is moved as the nearest of each pixel's neighbours does, and held within what
@@ -218,7 +236,8 @@ def nearest_motion(motion: torch.Tensor, depth: torch.Tensor) -> torch.Tensor:
     for down in range(3):
         for right in range(3):
             other = depths[:, :, down:down + height, right:right + width]
-            motion = torch.where(other < depth, motions[:, :, down:down + height, right:right + width], motion)
+            motion = torch.where(other < depth,
+                                 motions[:, :, down:down + height, right:right + width], motion)
             depth = torch.minimum(depth, other)
     return motion
 
@@ -233,7 +252,8 @@ def warp(image: torch.Tensor, motion: torch.Tensor, mode: str = "bilinear") -> t
 
 
 class Exported(nn.Module):
-    """A network as it is run: planes (H, W, C) -> colour (H, W, 3), and for `temporal` the next state (H, W, STATE)."""
+    """A network as it is run: planes (H, W, C) -> colour (H, W, 3), and for `temporal` the next
+    state (H, W, STATE)."""
 
     def __init__(self, network: SceneNetwork) -> None:
         super().__init__()
@@ -253,7 +273,8 @@ class Exported(nn.Module):
 def load(kind: str, path: Path) -> SceneNetwork:
     """The network of a file KIND.pt, on the CPU."""
     weights = torch.load(path, map_location="cpu")
-    network = SceneNetwork(kind, weights["low"].float(), weights["high"].float(), float(weights["most"]))
+    network = SceneNetwork(kind, weights["low"].float(), weights["high"].float(),
+                           float(weights["most"]))
     network.load_state_dict(weights)
     return network
 
@@ -267,15 +288,17 @@ def export_network(network: SceneNetwork, path: Path) -> None:
     module, random = Exported(network.eval()), torch.Generator().manual_seed(0)
     channels = {"roughness": 1, "depth": 1, "motion": 2, "before": STATE}
     examples = [torch.rand(16, generator=random) if name == "camera" else
-                torch.rand(24, 40, channels.get(name, 3), generator=random) for name in module.reads]
+                torch.rand(24, 40, channels.get(name, 3), generator=random)
+                for name in module.reads]
     free = [None if name == "camera" else {0: Dim.DYNAMIC, 1: Dim.DYNAMIC} for name in module.reads]
-    names = {name: (16,) if name == "camera" else ("height", "width", channels.get(name, 3)) for name in module.reads}
+    names = {name: (16,) if name == "camera" else ("height", "width", channels.get(name, 3))
+             for name in module.reads}
     names |= {"shaded": ("height", "width", 3), "after": ("height", "width", STATE)}
     export(module, examples, module.reads, module.writes, path, [tuple(free)], names)
     parity(module, path, examples, {"height": 24, "width": 40})
 
 
-# Training -----------------------------------------------------------------------------------------------------------
+# Training -----------------------------------------------------------------------------------------
 
 HALVES = ("reference_a", "reference_b")
 
@@ -283,7 +306,8 @@ HALVES = ("reference_a", "reference_b")
 def codes_of(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     """Codes of light that two independent noisy renders have in the mean.
 
-    Codes of a mean are too dark, as their curve bends; halves are so twice as much, which tells it (Quenouille 1956).
+    Codes of a mean are too dark, as their curve bends; halves are so twice as much, which tells it
+    (Quenouille 1956).
     """
     return 2 * to_codes((first + second) / 2) - (to_codes(first) + to_codes(second)) / 2
 
@@ -301,8 +325,8 @@ class Views:
 
         with ThreadPoolExecutor(8) as pool:
             every = list(pool.map(load, paths))
-        self.tensors = {name: torch.from_numpy(np.stack([one[name] for one in every])).to(device).float()
-                        for name in every[0]}
+        self.tensors = {name: torch.from_numpy(np.stack([one[name] for one in every])).to(device)
+                              .float() for name in every[0]}
         self.count, self.frames, self.height, self.width, _ = self.tensors["depth"].shape
         self.colours = self.tensors["colour"].shape[1]
         self.device = device
@@ -310,21 +334,26 @@ class Views:
         self.most = float(((halves[0] + halves[1]) / 2).max())
         self.tensors["wanted"] = codes_of(*halves)
         cameras = self.tensors["camera"]
-        flat = [rays(cameras[:, k], self.height, self.width).permute(0, 2, 3, 1) for k in range(self.frames)]
+        flat = [rays(cameras[:, k], self.height, self.width).permute(0, 2, 3, 1)
+                for k in range(self.frames)]
         self.tensors["ray"] = torch.stack(flat, 1).contiguous()
 
     def box(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Corners of the box that holds almost all first hits."""
         eye, depth = self.tensors["camera"][:, -1, None, None, 9:12], self.tensors["depth"][:, -1]
         places = (eye + depth * self.tensors["ray"][:, -1])[depth[..., 0] < 1e6][::37]
-        ends = [places.kthvalue(max(1, round(share * (len(places) - 1))), 0).values for share in (0.001, 0.999)]
+        ends = [places.kthvalue(max(1, round(share * (len(places) - 1))), 0).values
+                for share in (0.001, 0.999)]
         return ends[0].cpu().half().float(), ends[1].cpu().half().float()
 
-    def crops(self, picked: torch.Tensor, size: tuple[int, int], last: int) -> list[dict[str, torch.Tensor]]:
-        """The last frames of crops: `picked` (B, 4) holds their views, rows, columns and which one-sample render."""
+    def crops(self, picked: torch.Tensor, size: tuple[int, int],
+              last: int) -> list[dict[str, torch.Tensor]]:
+        """The last frames of crops: `picked` (B, 4) holds their views, rows, columns and which
+        one-sample render."""
         view, colour = picked[:, 0, None, None], picked[:, 3, None, None]
         rows = picked[:, 1, None, None] + torch.arange(size[0], device=self.device)[None, :, None]
-        columns = picked[:, 2, None, None] + torch.arange(size[1], device=self.device)[None, None, :]
+        columns = picked[:, 2, None, None] + torch.arange(size[1],
+                                                          device=self.device)[None, None, :]
         made = []
         for frame in range(self.frames - last, self.frames):
             planes = {name: self.tensors[name][view, frame, rows, columns].permute(0, 3, 1, 2)
@@ -335,8 +364,10 @@ class Views:
         return made
 
 
-def loss_of(network: SceneNetwork, frames: list[dict[str, torch.Tensor]], begins: torch.Tensor) -> torch.Tensor:
-    """Mean squared error of the last frame's codes and, with history, of their change along the motion.
+def loss_of(network: SceneNetwork, frames: list[dict[str, torch.Tensor]],
+            begins: torch.Tensor) -> torch.Tensor:
+    """Mean squared error of the last frame's codes and, with history, of their change along the
+    motion.
 
     `begins` (B,) is the frame of each crop before which there is no history.
     """
@@ -353,7 +384,8 @@ def loss_of(network: SceneNetwork, frames: list[dict[str, torch.Tensor]], begins
         if codes is not None:
             before = warp(frame["before"], frame["motion"])
             same = network.same_surface(before, state[:, 3:6], frame)
-            change = change + ((shown - warp(codes, frame["motion"])) * same).square().mean() / len(frames)
+            change = (change + ((shown - warp(codes, frame["motion"])) * same).square()
+                      .mean() / len(frames))
         codes = shown
     return F.mse_loss(codes, frames[-1]["wanted"]) + CHANGE * change
 
@@ -372,8 +404,10 @@ def steps_of(seconds: float, most: int) -> Iterator[tuple[int, float]]:
             torch.cuda.synchronize()
 
 
-def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: float, rate: float) -> SceneNetwork:
-    """Train with Adam at a rate that falls by half a cosine; returns the network with averaged weights."""
+def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: float,
+        rate: float) -> SceneNetwork:
+    """Train with Adam at a rate that falls by half a cosine; returns the network with averaged
+    weights."""
     device, cuda = views.device, views.device == "cuda"
     network.to(device, memory_format=torch.channels_last).train()
     if args.compile:
@@ -382,16 +416,18 @@ def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: 
     last = views.frames if network.kind == "temporal" else 1
     batch = max(1, args.batch // (2 if last > 1 else 1))
     step_size = torch.tensor(rate, device=device)
-    adam = torch.optim.AdamW(network.parameters(), lr=step_size, betas=(0.9, 0.99), weight_decay=1e-4,
-                             capturable=cuda, fused=True)
+    adam = torch.optim.AdamW(network.parameters(), lr=step_size, betas=(0.9, 0.99),
+                             weight_decay=1e-4, capturable=cuda, fused=True)
     random = torch.Generator().manual_seed(0)
     limits = (views.count, views.height - size[0] + 1, views.width - size[1] + 1, views.colours)
-    picked, begins = torch.zeros(batch, 4, dtype=torch.int64, device=device), torch.zeros(batch, device=device)
+    picked, begins = (torch.zeros(batch, 4, dtype=torch.int64, device=device),
+                      torch.zeros(batch, device=device))
     mean = {name: value.detach().clone() for name, value in network.named_parameters()}
     newest = torch.ones((), device=device)
 
     def draw() -> None:
-        chosen = torch.stack([torch.randint(most, (batch,), generator=random) for most in limits], 1)
+        chosen = torch.stack([torch.randint(most, (batch,), generator=random) for most in limits],
+                             1)
         picked.copy_(chosen, non_blocking=True)
         begins.copy_(torch.randint(0, views.frames, (batch,), generator=random), non_blocking=True)
 
@@ -407,7 +443,8 @@ def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: 
 
     graph, loss, done, began = None, torch.zeros(()), 0, time.monotonic()
     for done, passed in steps_of(seconds, args.steps):
-        step_size.fill_(rate * min(1, (done + 1) / 100) * (0.5 + 0.5 * math.cos(math.pi * passed)) + 1e-6)
+        step_size.fill_(rate * min(1, (done + 1) / 100) * (0.5 + 0.5 * math.cos(math.pi * passed))
+                        + 1e-6)
         newest.fill_(max(0.002, 10 / (done + 10)))
         draw()
         if graph:
@@ -424,9 +461,11 @@ def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: 
                 loss = step()
             began = time.monotonic()
         if done % args.report == 0:
-            print(f"{network.kind} step {done}: {-10 * math.log10(float(loss)):.2f} dB, {passed:.0%}", flush=True)
-    print(f"{network.kind}: {done + 1} steps of {batch} crops, {1e3 * (time.monotonic() - began) / (done + 1):.2f} ms "
-          f"each, {sum(p.numel() for p in network.parameters())} parameters", flush=True)
+            print(f"{network.kind} step {done}: {-10 * math.log10(float(loss)):.2f} dB, "
+                  f"{passed:.0%}", flush=True)
+    print(f"{network.kind}: {done + 1} steps of {batch} crops, "
+          f"{1e3 * (time.monotonic() - began) / (done + 1):.2f} ms each, "
+          f"{sum(p.numel() for p in network.parameters())} parameters", flush=True)
     with torch.no_grad():
         for name, value in network.named_parameters():
             value.copy_(mean[name])
@@ -434,9 +473,11 @@ def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: 
 
 
 def begun_with(network: SceneNetwork, other: SceneNetwork) -> SceneNetwork:
-    """The network with the weights of `shading`; what it reads or gives beyond that begins with 0."""
+    """The network with the weights of `shading`; what it reads or gives beyond that begins
+    with 0."""
     with torch.no_grad():
-        for (_, mine), (_, given) in zip(network.named_parameters(), other.named_parameters(), strict=True):
+        for (_, mine), (_, given) in zip(network.named_parameters(), other.named_parameters(),
+                                         strict=True):
             mine.zero_()[tuple(slice(0, n) for n in given.shape)] = given.to(mine.device)
     return network
 
@@ -448,12 +489,13 @@ SHARES = {"shading": (1.0, 2e-3), "temporal": (0.65, 1e-3), "amplifier": (0.6, 1
 def train(args: argparse.Namespace) -> None:
     """Write the networks' weights."""
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = torch.backends.cudnn.benchmark = True
+    torch.backends.cudnn.benchmark = torch.backends.cudnn.allow_tf32 = True
+    torch.backends.cuda.matmul.allow_tf32 = True
     torch.manual_seed(0)
     began = time.monotonic()
     views = Views(sorted(args.views.glob("view.[0-9]*[0-9].npz")), device)
-    print(f"{views.count} views of {views.width}x{views.height}, loaded in {time.monotonic() - began:.0f} s",
-          flush=True)
+    print(f"{views.count} views of {views.width}x{views.height}, loaded in "
+          f"{time.monotonic() - began:.0f} s", flush=True)
     args.models.mkdir(parents=True, exist_ok=True)
     for kind in args.kinds:
         base = args.models / "shading.pt"
@@ -467,24 +509,30 @@ def train(args: argparse.Namespace) -> None:
         began, (share, rate) = time.monotonic(), SHARES[kind]
         network = fit(network, views, args, args.seconds * share, rate)
         print(f"{kind}: {time.monotonic() - began:.0f} s", flush=True)
-        weights, path = {name: value.half().cpu() for name, value in network.state_dict().items()}, args.models
+        weights, path = ({name: value.half().cpu() for name, value in network.state_dict().items()},
+                         args.models)
         torch.save(weights, path / f"{kind}.partial")
         (path / f"{kind}.partial").replace(path / f"{kind}.pt")
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("views", type=Path, help="folder of view.NNNN.npz")
     parser.add_argument("models", type=Path, help="folder to write to")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--start", type=Path, help="folder of KIND.pt to go on from")
-    parser.add_argument("--seconds", type=float, default=180, help="of the first network; the others take 2/3 of that")
+    parser.add_argument("--seconds", type=float, default=180,
+                        help="of the first network; the others take 2/3 of that")
     parser.add_argument("--steps", type=int, default=10**9, help="at most")
     parser.add_argument("--batch", type=int, default=16)
     parser.add_argument("--crop", type=int, default=128)
-    parser.add_argument("--report", type=int, default=500, help="steps between two lines of progress")
-    parser.add_argument("--compile", action="store_true", help="compile the network; takes a minute at first")
-    parser.add_argument("--only", choices=("weights", "onnx"), help="leave ONNX out, or only export MODELS/KIND.pt")
+    parser.add_argument("--report", type=int, default=500,
+                        help="steps between two lines of progress")
+    parser.add_argument("--compile", action="store_true",
+                        help="compile the network; takes a minute at first")
+    parser.add_argument("--only", choices=("weights", "onnx"),
+                        help="leave ONNX out, or only export MODELS/KIND.pt")
     args = parser.parse_args(argv)
     if args.only != "onnx":
         train(args)

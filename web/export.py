@@ -1,10 +1,12 @@
-"""The page's models: everything that a first frame goes through, as one ONNX file for each size and look.
+"""The page's models: everything that a first frame goes through, as one ONNX file for each size and
+look.
 
 python web/export.py FOLDER
 
-`denoise.s.1x.onnx`, `denoise.m.2x.onnx` and so on hold a network and the portable kernels around it, in the order of
-`postfx.passes.denoise.network`. They read the planes of a frame without a history and give its clean colour; any ONNX
-Runtime runs them, for frames of any size. `look.NAME.onnx` is a look that depends on colour alone.
+`denoise.s.1x.onnx`, `denoise.m.2x.onnx` and so on hold a network and the portable kernels around
+it, in the order of `postfx.passes.denoise.network`. They read the planes of a frame without a
+history and give its clean colour; any ONNX Runtime runs them, for frames of any size.
+`look.NAME.onnx` is a look that depends on colour alone.
 """
 
 from __future__ import annotations
@@ -19,7 +21,14 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from postfx.kernels.denoise import FEATURES, HIDDEN
-from postfx.passes.denoise.models import UNSCALED, doubts_planes, exact, grid_of, load_network, model_of
+from postfx.passes.denoise.models import (
+    UNSCALED,
+    doubts_planes,
+    exact,
+    grid_of,
+    load_network,
+    model_of,
+)
 from postfx.passes.denoise.network import FEATURE_PARTS, alike_heads, free_dimensions
 from postfx.passes.denoise.tiling import LEVELS
 from postfx.passes.tonemap import find_model as find_look
@@ -27,8 +36,8 @@ from postfx.passes.tonemap import shaper
 from postfx.runtime import Device
 from postfx.system import models_dir
 
-PLANES = {"colour": 3, "diffuse_albedo": 3, "specular_albedo": 3, "normal": 3, "roughness": 1, "depth": 1,
-          "motion": 2}
+PLANES = {"colour": 3, "diffuse_albedo": 3, "specular_albedo": 3, "normal": 3, "roughness": 1,
+          "depth": 1, "motion": 2}
 """Inputs of a denoiser, (h, w, channels)."""
 LOOKS = ("aces2", "agx", "pbr_neutral")
 NETWORKS = ("s", "m")
@@ -37,7 +46,8 @@ OPSET = 20
 
 
 class Graph:
-    """An ONNX graph that is put together from operators and from whole models, by the names of their tensors."""
+    """An ONNX graph that is put together from operators and from whole models, by the names of
+    their tensors."""
 
     def __init__(self) -> None:
         self._nodes: list[onnx.NodeProto] = []
@@ -59,11 +69,13 @@ class Graph:
         return name
 
     def call(self, path: Path, **inputs: str) -> dict[str, str]:
-        """Add a model, its inputs bound by name; returns its outputs by name. Inputs that it does not have are left."""
+        """Add a model, its inputs bound by name; returns its outputs by name. Inputs that it does
+        not have are left."""
         model = onnx.load(path)
         assert not model.functions
         self._count += 1
-        rename = {value.name: inputs[value.name] for value in model.graph.input if value.name in inputs}
+        rename = {value.name: inputs[value.name]
+                  for value in model.graph.input if value.name in inputs}
 
         def name_of(name: str) -> str:
             return rename.setdefault(name, f"{path.stem}_{self._count}/{name}") if name else ""
@@ -76,26 +88,32 @@ class Graph:
         for node in model.graph.node:
             copy = onnx.NodeProto()
             copy.CopyFrom(node)
-            for graph in (attribute for attribute in copy.attribute if attribute.type == onnx.AttributeProto.GRAPH):
+            for graph in (attribute for attribute in copy.attribute
+                          if attribute.type == onnx.AttributeProto.GRAPH):
                 raise ValueError(f"{path}: {graph.name}: graphs in attributes are not handled")
             copy.name = ""
             copy.input[:], copy.output[:] = map(name_of, node.input), map(name_of, node.output)
             self._nodes.append(copy)
         return {value.name: rename[value.name] for value in model.graph.output}
 
-    def save(self, path: Path, inputs: Mapping[str, list[int | str]], output: str, shape: list[int | str]) -> None:
+    def save(self, path: Path, inputs: Mapping[str, list[int | str]], output: str,
+             shape: list[int | str]) -> None:
         """Write the model; its output is called 'output'."""
         self._nodes.append(helper.make_node("Identity", [output], ["output"]))
-        values = [helper.make_tensor_value_info(name, TensorProto.FLOAT, size) for name, size in inputs.items()]
+        values = [helper.make_tensor_value_info(name, TensorProto.FLOAT, size)
+                  for name, size in inputs.items()]
         result = helper.make_tensor_value_info("output", TensorProto.FLOAT, shape)
-        graph = helper.make_graph(self._nodes, path.stem, values, [result], [*self._constants.values()])
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=10)
+        graph = helper.make_graph(self._nodes, path.stem, values, [result],
+                                  [*self._constants.values()])
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)],
+                                  ir_version=10)
         onnx.checker.check_model(model)
         onnx.save(model, path)
 
 
 class Places:
-    """What the kernels read beside the planes: sizes, and which pixels a row or column means, made in the graph."""
+    """What the kernels read beside the planes: sizes, and which pixels a row or column means, made
+    in the graph."""
 
     def __init__(self, graph: Graph, colour: str, scale: int, grid: int) -> None:
         self._graph = graph
@@ -103,13 +121,15 @@ class Places:
         sides = [graph.op("Gather", size, graph.constant(axis)) for axis in (0, 1)]
         self.sides = sides
         self.outputs = [graph.op("Mul", side, graph.constant(scale)) for side in sides]
-        self.padded = [graph.op("Mul", self._divided(side, grid), graph.constant(grid)) for side in sides]
+        self.padded = [graph.op("Mul", self._divided(side, grid), graph.constant(grid))
+                       for side in sides]
 
     def counted(self, side: str, times: int = 1, over: int = 1) -> str:
         """0, 1, ... before `side`, in floats, times a number or divided by one and rounded down."""
         graph = self._graph
         numbers = graph.op("Range", graph.constant(0), side, graph.constant(1))
-        numbers = graph.op("Div", graph.op("Mul", numbers, graph.constant(times)), graph.constant(over))
+        numbers = graph.op("Div", graph.op("Mul", numbers, graph.constant(times)),
+                           graph.constant(over))
         return graph.op("Cast", numbers, to=TensorProto.FLOAT)
 
     def mirrored(self, axis: int) -> str:
@@ -128,7 +148,8 @@ class Places:
         return self.floats(self._divided(side, 2**i) for side in self.sides)
 
     def alike(self, values: np.ndarray, i: int) -> str:
-        """A head of one value for all pixels, (1, channels, 1, 1), at each pixel of a pyramid level."""
+        """A head of one value for all pixels, (1, channels, 1, 1), at each pixel of a pyramid
+        level."""
         graph, axis = self._graph, self._graph.constant([0])
         sides = [graph.op("Unsqueeze", self.level(axis_of, i), axis) for axis_of in (0, 1)]
         shape = graph.op("Concat", graph.constant(values.shape[:2]), *sides, axis=0)
@@ -155,7 +176,8 @@ class Places:
         graph, axis = self._graph, self._graph.constant([0])
         shape = [graph.op("Unsqueeze", side, axis) for side in sides]
         shape = graph.op("Concat", *shape, graph.constant([channels]), axis=0)
-        return graph.op("ConstantOfShape", shape, value=helper.make_tensor("", TensorProto.FLOAT, [1], [0.0]))
+        return graph.op("ConstantOfShape", shape,
+                        value=helper.make_tensor("", TensorProto.FLOAT, [1], [0.0]))
 
 
 def save_denoiser(path: Path, tag: str, scale: int) -> None:
@@ -166,17 +188,19 @@ def save_denoiser(path: Path, tag: str, scale: int) -> None:
     places = Places(graph, "colour", scale, grid)
     rows, columns = (places.counted(side) for side in places.sides)
     common = {name: name for name in (*PLANES, "params")} | {
-        "window": places.window(), "part_rows": rows, "part_columns": columns, "seen_rows": places.mirrored(0),
+        "window": places.window(), "part_rows": rows, "part_columns": columns,
+        "seen_rows": places.mirrored(0),
         "seen_columns": places.mirrored(1), "keep": places.zeros([graph.constant(1)] * 2, 1),
         "means": places.zeros([graph.constant(1)] * 2, 3),
-        "state": places.zeros(places.sides, 4 + HIDDEN), "last_depth": places.zeros(places.sides, 1),
-        "warped": places.zeros(places.outputs, 3)}
+        "state": places.zeros(places.sides, 4 + HIDDEN),
+        "last_depth": places.zeros(places.sides, 1), "warped": places.zeros(places.outputs, 3)}
 
     def kernel(name: str, **inputs: str) -> dict[str, str]:
         return graph.call(models / "kernels" / f"denoise_{name}.onnx", **{**common, **inputs})
 
     def channels(tensor: str, first: int, end: int, axis: int) -> str:
-        return graph.op("Slice", tensor, graph.constant([first]), graph.constant([end]), graph.constant([axis]))
+        return graph.op("Slice", tensor, graph.constant([first]), graph.constant([end]),
+                        graph.constant([axis]))
 
     common |= kernel("scale")
     common |= kernel("dilate")
@@ -207,24 +231,28 @@ def save_denoiser(path: Path, tag: str, scale: int) -> None:
         mixed = levels[i]
         if i < LEVELS:
             coarse = [places.counted(places.level(axis, i), over=2) for axis in (0, 1)]
-            mixed = kernel("mix", coarse=filtered, level=levels[i], heads=head, coarse_rows=coarse[0],
-                           coarse_columns=coarse[1])["mixed"]
+            mixed = kernel("mix", coarse=filtered, level=levels[i], heads=head,
+                           coarse_rows=coarse[0], coarse_columns=coarse[1])["mixed"]
         filtered = kernel("filter", mixed=mixed, heads=head, area=places.area(i))["filtered"]
-    last = ("remodulate_both", "upsample_unscaled") if doubts and scale == 1 else ("remodulate", "upsample")
+    last = (("remodulate_both", "upsample_unscaled") if doubts and scale == 1
+            else ("remodulate", "upsample"))
     output = kernel(last[1], **kernel(last[0], filtered=filtered))["output"]
-    inputs: dict[str, list[int | str]] = {name: ["height", "width", count] for name, count in PLANES.items()}
+    inputs: dict[str, list[int | str]] = {name: ["height", "width", count]
+                                          for name, count in PLANES.items()}
     graph.save(path, inputs | {"params": [4]}, output, ["output_height", "output_width", 3])
 
 
 def save_look(path: Path, tag: str) -> None:
-    """Write a look: scene-linear colour (h, w, 3) and an exposure (1,) in, sRGB code values from 0 to 1 out."""
+    """Write a look: scene-linear colour (h, w, 3) and an exposure (1,) in, sRGB code values from 0
+    to 1 out."""
     graph, (library, model) = Graph(), find_look(tag)
     cube = graph.call(models_dir() / f"{model}.onnx")["cube"]
     shape = shaper(library, model)
-    params = graph.op("Concat", "exposure", graph.constant([shape.toe, shape.scale], np.float32), axis=0)
+    params = graph.op("Concat", "exposure", graph.constant([shape.toe, shape.scale], np.float32),
+                      axis=0)
     matrix = graph.constant(shape.matrix, np.float32)
-    shown = graph.call(models_dir() / "kernels" / "apply_cube.onnx", colour="colour", params=params, matrix=matrix,
-                       cube=cube)["output"]
+    shown = graph.call(models_dir() / "kernels" / "apply_cube.onnx", colour="colour", params=params,
+                       matrix=matrix, cube=cube)["output"]
     size: list[int | str] = ["height", "width", 3]
     graph.save(path, {"colour": size, "exposure": [1]}, shown, size)
 

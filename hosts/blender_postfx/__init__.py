@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Denoise what Cycles rendered, from Blender's render properties.
 
-The work is done by the command `postfx` in a process of its own: nothing is installed into Blender, and Blender
-stays usable meanwhile. Results stand beside the render, as `<name>denoised_####.exr`.
+The work is done by the command `postfx` in a process of its own: nothing is installed into Blender,
+and Blender stays usable meanwhile. Results stand beside the render, as `<name>denoised_####.exr`.
 """
 
 from __future__ import annotations
@@ -34,14 +34,16 @@ class Job:
         output: the pattern of its files, with #### for the number.
     """
 
-    def __init__(self, command: list[str], source: str, output: str, frames: str, options: list[str]) -> None:
+    def __init__(self, command: list[str], source: str, output: str, frames: str,
+                 options: list[str]) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="postfx-")
         self._log, errors = Path(self._folder.name, "log"), Path(self._folder.name, "errors")
         self.output, self.total, self.stopped, self._errors = output, 0, False, errors
-        words = [*command, "run", source, "-o", output, "--frames", frames, "--overwrite", "--log", str(self._log)]
+        words = [*command, "run", source, "-o", output, "--frames", frames, "--overwrite", "--log",
+                 str(self._log)]
         with errors.open("w") as file:
-            self._process = subprocess.Popen([*words, *options], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                                             stderr=file)
+            self._process = subprocess.Popen([*words, *options], stdin=subprocess.DEVNULL,
+                                             stdout=subprocess.DEVNULL, stderr=file)
 
     @property
     def running(self) -> bool:
@@ -68,25 +70,29 @@ class Job:
         """What went wrong; empty if nothing did."""
         if self._process.returncode == 0:
             return ""
-        lines = [line for line in self._errors.read_text(errors="replace").splitlines() if line.strip()]
+        lines = [line
+                 for line in self._errors.read_text(errors="replace").splitlines() if line.strip()]
         told = [line for line in lines if line.startswith("error")] or lines[-1:]
         return told[0] if told else f"postfx ended with code {self._process.returncode}"
 
     def warnings(self) -> list[str]:
         """What the command said of the frames, such as motion of the wrong sign, each once."""
         lines = self._errors.read_text(errors="replace").splitlines()
-        told = [line.removeprefix("warning").strip() for line in lines if line.startswith("warning ")]
+        told = [line.removeprefix("warning").strip()
+                for line in lines if line.startswith("warning ")]
         return list(dict.fromkeys(told))
 
     def doing(self) -> str:
         """The command's last line, such as that it compiles kernels the first time."""
-        lines = [line.strip() for line in self._errors.read_text(errors="replace").splitlines() if line.strip()]
+        lines = [line.strip()
+                 for line in self._errors.read_text(errors="replace").splitlines() if line.strip()]
         return lines[-1] if lines else "starting"
 
 
 PRESETS = [("NONE", "Standard", "Every frame uses the frames before it"),
            ("preview", "Preview", "The fastest: the small network, alone"),
-           ("final", "Final", "The cleanest: the largest network in both directions, many times the time"),
+           ("final", "Final",
+            "The cleanest: the largest network in both directions, many times the time"),
            ("animation", "Animation", "As Final, and steady in brightness")]
 
 LOOKS = [("NONE", "None (EXR)", "Scene-linear EXR for the compositor"),
@@ -105,14 +111,16 @@ class Settings(bpy.types.PropertyGroup):
         description="Denoise them with the picture, so that they still add up to it")
     fireflies: bpy.props.FloatProperty(
         name="Clamp fireflies", default=0.0, min=0.0, max=100.0,
-        description="Darken pixels that are more than this many times as bright as those around them; 0 for none")
+        description="Darken pixels that are more than this many times as bright as those around "
+        "them; 0 for none")
     findings: bpy.props.StringProperty(description="What postfx said of the passes, a line each")
     both_ways: bpy.props.BoolProperty(
         name="Both directions", default=False,
-        description="Also denoise the sequence in reverse order and mix the results: cleaner, takes two to three times "
-        "as long")
+        description="Also denoise the sequence in reverse order and mix the results: cleaner, "
+        "takes two to three times as long")
     look: bpy.props.EnumProperty(name="Look", default="NONE", items=LOOKS)
-    scale: bpy.props.FloatProperty(name="Scale", default=1.0, min=1.0, max=3.0, description="Output over render size")
+    scale: bpy.props.FloatProperty(name="Scale", default=1.0, min=1.0, max=3.0,
+                                   description="Output over render size")
     model: bpy.props.EnumProperty(name="Network", default="m", items=[
         ("s", "Small", "Fastest"), ("m", "Medium", "Recommended"), ("l", "Large", "Best")])
     strength: bpy.props.FloatProperty(name="Strength", default=1.0, min=0.0, max=1.0)
@@ -122,8 +130,9 @@ class Preferences(bpy.types.AddonPreferences):
     bl_idname = __package__
 
     command: bpy.props.StringProperty(
-        name="Command", subtype="FILE_PATH", description="The command postfx, such as /opt/venv/bin/postfx; empty: as "
-        "the system finds it. Install it in a checkout of postfx by: python3 -m pip install .")
+        name="Command", subtype="FILE_PATH",
+        description="The command postfx, such as /opt/venv/bin/postfx; empty: as the system finds "
+        "it. Install it in a checkout of postfx by: python3 -m pip install .")
 
     def draw(self, context):
         self.layout.prop(self, "command")
@@ -137,8 +146,8 @@ def find_command(context) -> list[str]:
     if not text and shutil.which("postfx") is None:
         words = next(([str(place)] for place in PLACES if place.is_file()), words)
     if shutil.which(words[0]) is None:
-        raise LookupError(f"there is no command '{words[0]}': install it (python3 -m pip install . in a checkout of "
-                          "postfx) and name it in the add-on's preferences")
+        raise LookupError(f"there is no command '{words[0]}': install it (python3 -m pip install . "
+                          "in a checkout of postfx) and name it in the add-on's preferences")
     return words
 
 
@@ -148,7 +157,8 @@ def patterns(scene) -> tuple[str, str]:
     number = re.search(r"\d+(?=\D*$)", path.stem)
     if number is None:
         raise LookupError(f"the render's files have no frame number: {path}")
-    before, hashes, after = path.stem[:number.start()], "#" * len(number[0]), path.stem[number.end():]
+    before, hashes, after = (path.stem[:number.start()], "#" * len(number[0]),
+                             path.stem[number.end():])
     return (str(path.with_name(f"{before}{hashes}{after}.exr")),
             str(path.with_name(f"{before}{MARK}{hashes}{after}.exr")))
 
@@ -160,8 +170,8 @@ def file_of(pattern: str, frame: int) -> Path:
 
 
 class SetUp(bpy.types.Operator):
-    """Render the passes that postfx reads, into multilayer EXR files, with a seed for each frame and without Blender's
-    own denoiser"""
+    """Render the passes that postfx reads, into multilayer EXR files, with a seed for each frame
+    and without Blender's own denoiser"""
 
     bl_idname, bl_label, bl_options = "postfx.set_up", "Set up passes", {"REGISTER", "UNDO"}
 
@@ -178,9 +188,12 @@ class SetUp(bpy.types.Operator):
         image = scene.render.image_settings
         if "media_type" in image.bl_rna.properties:  # since Blender 5
             image.media_type = "MULTI_LAYER_IMAGE"
-        image.file_format, image.color_depth = "OPEN_EXR_MULTILAYER", "32"  # half floats are too coarse for depth
+        # half floats are too coarse for depth
+        image.file_format, image.color_depth = "OPEN_EXR_MULTILAYER", "32"
         if scene.render.use_motion_blur:
-            self.report({"WARNING"}, "with motion blur Cycles writes no vectors: frames are then denoised one by one")
+            self.report({"WARNING"},
+                        "with motion blur Cycles writes no vectors: frames are then denoised one "
+                        "by one")
         return {"FINISHED"}
 
 
@@ -196,15 +209,17 @@ class Check(bpy.types.Operator):
         except LookupError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        done = subprocess.run([*command, "inspect", source, "--json"], capture_output=True, text=True,
-                              stdin=subprocess.DEVNULL)
+        done = subprocess.run([*command, "inspect", source, "--json"], capture_output=True,
+                              text=True, stdin=subprocess.DEVNULL)
         if not done.stdout.strip():
-            self.report({"ERROR"}, (done.stderr.strip().splitlines() or ["postfx said nothing"])[-1])
+            self.report({"ERROR"},
+                        (done.stderr.strip().splitlines() or ["postfx said nothing"])[-1])
             return {"CANCELLED"}
         found = [one for one in json.loads(done.stdout)["findings"] if one["level"] != "info"]
-        context.scene.postfx.findings = "\n".join(f"{one['role']}: {one['cause']}; {one['fix']}" for one in found)
-        self.report({"WARNING"} if found else {"INFO"}, f"postfx: {len(found)} findings" if found else
-                    "postfx found no mistake in the passes")
+        context.scene.postfx.findings = "\n".join(f"{one['role']}: {one['cause']}; {one['fix']}"
+                                                  for one in found)
+        self.report({"WARNING"} if found else {"INFO"}, f"postfx: {len(found)} findings" if found
+                    else "postfx found no mistake in the passes")
         return {"FINISHED"}
 
 
@@ -213,7 +228,8 @@ class Denoise(bpy.types.Operator):
 
     bl_idname, bl_label = "postfx.denoise", "Denoise"
 
-    whole: bpy.props.BoolProperty(name="Whole sequence", default=True, description="Else the current frame alone")
+    whole: bpy.props.BoolProperty(name="Whole sequence", default=True,
+                                  description="Else the current frame alone")
 
     def invoke(self, context, event):
         if not self._begin(context):
@@ -263,16 +279,19 @@ class Denoise(bpy.types.Operator):
             there = [frame for frame in wanted if file_of(source, frame).is_file()]
             if len(there) < len(wanted):
                 missing = next(frame for frame in wanted if frame not in there)
-                raise LookupError(f"frame {missing} is not rendered: there is no {file_of(source, missing)}")
+                raise LookupError(f"frame {missing} is not rendered: there is no "
+                                  f"{file_of(source, missing)}")
             command = find_command(context)
         except LookupError as error:
             self.report({"ERROR"}, str(error))
             return False
-        options = ["--scale", str(round(settings.scale, 3)), "--strength", str(round(settings.strength, 3))]
+        options = ["--scale", str(round(settings.scale, 3)), "--strength",
+                   str(round(settings.strength, 3))]
         options += ["--model", settings.model] if settings.preset != "preview" else []
         options += ["--preset", settings.preset] if settings.preset != "NONE" else []
         options += ["--aov", "auto"] if settings.parts else []
-        options += ["--clamp-fireflies", str(round(settings.fireflies, 3))] if settings.fireflies else []
+        options += (["--clamp-fireflies", str(round(settings.fireflies, 3))] if settings.fireflies
+                    else [])
         options += ["--both-ways"] if settings.both_ways and self.whole else []
         if settings.look != "NONE":
             options += ["--tonemap", settings.look]
@@ -284,7 +303,8 @@ class Denoise(bpy.types.Operator):
     def _end(self, context):
         fault, done = self._job.fault(), self._job.done()
         if self._job.stopped:
-            self.report({"INFO"}, f"postfx was stopped: {done} of {len(self._frames)} frames are done")
+            self.report({"INFO"},
+                        f"postfx was stopped: {done} of {len(self._frames)} frames are done")
             return {"CANCELLED"}
         if fault:
             self.report({"ERROR"}, f"{fault} ({done} of {len(self._frames)} frames are done)")
@@ -308,7 +328,8 @@ def show(context, pattern: str, frames: list[int]) -> None:
             if area.type == "IMAGE_EDITOR":
                 space = area.spaces.active
                 space.image, user = image, space.image_user
-                user.frame_start, user.frame_duration, user.use_auto_refresh = frames[0], len(frames), True
+                user.frame_start, user.frame_duration, user.use_auto_refresh = (frames[0],
+                                                                                len(frames), True)
                 user.frame_offset = frames[0] - 1
 
 
@@ -321,7 +342,8 @@ class Panel(bpy.types.Panel):
         layout.use_property_split = True
         layout.operator(SetUp.bl_idname)
         layout.operator(Check.bl_idname)
-        for name in ("preset", "model", "both_ways", "scale", "strength", "fireflies", "parts", "look"):
+        for name in ("preset", "model", "both_ways", "scale", "strength", "fireflies", "parts",
+                     "look"):
             layout.prop(settings, name)
         row = layout.row(align=True)
         row.operator(Denoise.bl_idname, text="Denoise sequence").whole = True

@@ -1,8 +1,9 @@
 """postfx as nodes of ComfyUI: a rendered sequence in, denoise, upscale, look, files or images out.
 
-Put this folder into ComfyUI's `custom_nodes`, or a link to it, and install postfx where ComfyUI runs. The type
-POSTFX_FRAMES is a shot and what is to be done with it; the work is done frame by frame where files or images are made,
-so that a long shot never lies in memory. Paths are in ComfyUI's input and output folders.
+Put this folder into ComfyUI's `custom_nodes`, or a link to it, and install postfx where ComfyUI
+runs. The type POSTFX_FRAMES is a shot and what is to be done with it; the work is done frame by
+frame where files or images are made, so that a long shot never lies in memory. Paths are in
+ComfyUI's input and output folders.
 """
 
 from __future__ import annotations
@@ -58,16 +59,19 @@ def _progress(count: int) -> Callable[[], None]:
 
 
 def _path(kind: str, path: str) -> str:
-    """A path in ComfyUI's "input" or "output" folder, which no path may leave: workflows come from other people."""
+    """A path in ComfyUI's "input" or "output" folder, which no path may leave: workflows come from
+    other people."""
     try:
         import folder_paths
     except ImportError:  # the nodes are used without ComfyUI
         return os.path.expanduser(path)
-    folder = folder_paths.get_input_directory() if kind == "input" else folder_paths.get_output_directory()
-    found, folder = os.path.abspath(os.path.join(folder, os.path.expanduser(path))), os.path.abspath(folder)
+    folder = (folder_paths.get_input_directory() if kind == "input"
+              else folder_paths.get_output_directory())
+    found, folder = (os.path.abspath(os.path.join(folder, os.path.expanduser(path))),
+                     os.path.abspath(folder))
     if found != folder and not found.startswith(os.path.join(folder, "")):
-        raise OptionError(f"'{make_printable(path)}' is outside of ComfyUI's {kind} folder: give one inside "
-                          f"{folder}")
+        raise OptionError(f"'{make_printable(path)}' is outside of ComfyUI's {kind} folder: give "
+                          f"one inside {folder}")
     return found
 
 
@@ -79,8 +83,8 @@ class LoadSequence:
     @classmethod
     def INPUT_TYPES(cls) -> dict[str, Any]:
         return {"required": {
-            "pattern": ("STRING", {"default": "shot/noisy.####.exr",
-                                   "tooltip": "####, %04d, a folder or one file; relative to ComfyUI's input folder"}),
+            "pattern": ("STRING", {"default": "shot/noisy.####.exr", "tooltip": "####, %04d, a "
+                                   "folder or one file; relative to ComfyUI's input folder"}),
             "frames": ("STRING", {"default": "", "tooltip": "such as 1-100x2; empty for all"})}}
 
     @classmethod
@@ -89,7 +93,8 @@ class LoadSequence:
         if pattern is None:  # another node will give it
             return float("nan")
         files = postfx.read_sequence(_path("input", pattern), frames=frames or None).all_files()
-        stamps = [(str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in sorted(files)]
+        stamps = [(str(file), file.stat().st_mtime_ns, file.stat().st_size)
+                  for file in sorted(files)]
         return hashlib.sha256(repr(stamps).encode()).hexdigest()
 
     def load(self, pattern: str, frames: str) -> tuple[Shot]:
@@ -109,10 +114,12 @@ class ImagesToFrames:
                 "optional": {"albedo": ("IMAGE", {"tooltip": "reflectance, 0 to 1, linear"}),
                              "normals": ("IMAGE", {"tooltip": "0 to 1, for -1 to 1"})}}
 
-    def convert(self, images: Any, encoding: str, albedo: Any = None, normals: Any = None) -> tuple[Shot]:
+    def convert(self, images: Any, encoding: str, albedo: Any = None,
+                normals: Any = None) -> tuple[Shot]:
         for name, other in (("albedo", albedo), ("normals", normals)):
             if other is not None and len(other) != len(images):
-                raise OptionError(f"there are {len(images)} images and {len(other)} of {name}: give one for each")
+                raise OptionError(f"there are {len(images)} images and {len(other)} of {name}: "
+                                  "give one for each")
 
         def frames() -> Iterator[Frame]:
             for index in range(len(images)):
@@ -155,7 +162,8 @@ class Look:
 
     @classmethod
     def INPUT_TYPES(cls) -> dict[str, Any]:
-        looks = [name.partition(".")[2] for name in postfx.Library().names() if name.startswith("tonemap.")]
+        looks = [name.partition(".")[2]
+                 for name in postfx.Library().names() if name.startswith("tonemap.")]
         return {"required": {"frames": (FRAMES,), "look": (looks, {"default": "aces2"})}}
 
     def add(self, frames: Shot, look: str) -> tuple[Shot]:
@@ -176,13 +184,15 @@ class SaveFrames:
     def save(self, frames: Shot, output: str) -> dict[str, Any]:
         pattern = parse_pattern(_path("output", output))
         if frames.count > 1 and not pattern.is_numbered:
-            raise OptionError(f"output '{output}' has no place for the number of {frames.count} frames: write ####")
+            raise OptionError(f"output '{output}' has no place for the number of {frames.count} "
+                              "frames: write ####")
         files = [str(postfx.write_frame(pattern.path(frame.number), frame)) for frame in frames]
         return {"ui": {"text": files}, "result": (str(pattern),)}
 
 
 class FramesToImages:
-    """A batch of images of all frames, for ComfyUI's other nodes; light is shown in sRGB, clipped at 1."""
+    """A batch of images of all frames, for ComfyUI's other nodes; light is shown in sRGB, clipped
+    at 1."""
 
     CATEGORY, FUNCTION, RETURN_TYPES = "postfx", "convert", ("IMAGE",)
 
@@ -196,7 +206,8 @@ class FramesToImages:
         pictures = []
         for frame in frames:
             colour = frame[Role.COLOUR]
-            pictures.append(srgb_encode(np.clip(colour, 0, 1)) if frame.encoding in LINEAR else colour)
+            pictures.append(srgb_encode(np.clip(colour, 0, 1)) if frame.encoding in LINEAR
+                            else colour)
         return (torch.from_numpy(np.stack(pictures).astype(np.float32)),)
 
 

@@ -1,12 +1,12 @@
 """Renders the pictures and regions that 'postfx loop' lists, in Blender with Cycles:
 
     postfx loop ... --render 'blender -b shot.blend -P render_blender.py -- {jobs}'
-    postfx loop ... --render 'python render_blender.py shot.blend {jobs}'           # with the module bpy
+    postfx loop ... --render 'python render_blender.py shot.blend {jobs}'      # with the module bpy
 
-Regions are border renders at full size, so each file says by its plane of sample counts what it holds. Blender's own
-denoiser, adaptive sampling and the compositor are off, since postfx denoises, chooses samples and merges what comes
-from the renderer itself. Blender 5.0.1 crashes now and then when it keeps a scene between renders; the loop
-then starts it again for what is left.
+Regions are border renders at full size, so each file says by its plane of sample counts what it
+holds. Blender's own denoiser, adaptive sampling and the compositor are off, since postfx denoises,
+chooses samples and merges what comes from the renderer itself. Blender 5.0.1 crashes now and then
+when it keeps a scene between renders; the loop then starts it again for what is left.
 """
 
 import json
@@ -22,7 +22,8 @@ def set_up(scene):
     scene.cycles.use_denoising = scene.cycles.use_adaptive_sampling = False
     scene.cycles.use_animated_seed = False
     scene.render.use_compositing = scene.render.use_sequencer = False
-    scene.render.use_persistent_data = True  # else each region costs as much as a scene takes to load
+    # else each region costs as much as a scene takes to load
+    scene.render.use_persistent_data = True
     image = scene.render.image_settings
     if "media_type" in image.bl_rna.properties:  # since Blender 5
         image.media_type = "MULTI_LAYER_IMAGE"
@@ -35,7 +36,8 @@ def set_up(scene):
 
 
 def use_samples(cycles, job):
-    """The next samples of the sequence that the first round began, which spread better than those of a new one."""
+    """The next samples of the sequence that the first round began, which spread better than those
+    of a new one."""
     cycles.samples, cycles.seed = job["samples"], job["seed"]
     cycles.use_sample_subset = "first_sample" in job
     if cycles.use_sample_subset:
@@ -52,7 +54,8 @@ def render(scene, job):
     settings.use_border, settings.use_crop_to_border = region is not None, False
     if region:
         scale = settings.resolution_percentage / 100
-        width, height = (int(side * scale) for side in (settings.resolution_x, settings.resolution_y))
+        width, height = (int(side * scale)
+                         for side in (settings.resolution_x, settings.resolution_y))
         settings.border_min_x = region["x"] / width
         settings.border_max_x = (region["x"] + region["width"]) / width
         settings.border_min_y = 1 - (region["y"] + region["height"]) / height

@@ -1,10 +1,11 @@
 """Renders the pictures and regions that 'postfx loop' lists, in Mitsuba 3:
 
     postfx loop ... --render 'python render_mitsuba.py scene.xml {jobs}'
-    postfx loop ... --render 'python render_mitsuba.py shot.py {jobs}'      # shot.py has build(frame) -> scene or dict
+    postfx loop ... --render 'python render_mitsuba.py shot.py {jobs}'  # it has build(frame)
 
-The scene's integrator renders the light, an 'aov' integrator around it albedo, normals and depth. Regions are crop
-windows. They are written at full size, with a plane of sample counts that says what a file holds.
+The scene's integrator renders the light, an 'aov' integrator around it albedo, normals and depth.
+Regions are crop windows. They are written at full size, with a plane of sample counts that says
+what a file holds.
 """
 
 import json
@@ -40,13 +41,15 @@ def render(scene, job):
     film = mi.traverse(scene.sensors()[0])
     size = [int(side) for side in film["film.size"]]
     box = job["region"] or {"x": 0, "y": 0, "width": size[0], "height": size[1]}
-    film["film.crop_offset"], film["film.crop_size"] = [box["x"], box["y"]], [box["width"], box["height"]]
+    film["film.crop_offset"], film["film.crop_size"] = [box["x"], box["y"]], [box["width"],
+                                                                              box["height"]]
     film.update()
     integrator = mi.load_dict({"type": "aov", "aovs": AOVS, "image": scene.integrator()})
     pixels = np.array(mi.render(scene, integrator=integrator, spp=job["samples"], seed=job["seed"]))
     aovs = [name for name in integrator.aov_names() if not name.startswith("image.")]
     names = ["R", "G", "B", "A"][: pixels.shape[2] - len(aovs)] + aovs
-    rows, columns = slice(box["y"], box["y"] + box["height"]), slice(box["x"], box["x"] + box["width"])
+    rows, columns = slice(box["y"], box["y"] + box["height"]), slice(box["x"],
+                                                                     box["x"] + box["width"])
     whole = np.zeros((size[1], size[0], pixels.shape[2] + 1), np.float32)
     whole[rows, columns, :-1] = pixels
     whole[rows, columns, -1] = job["samples"]

@@ -1,4 +1,5 @@
-"""One benchmark: the request, the loop over the methods, its progress, and the files that it writes."""
+"""One benchmark: the request, the loop over the methods, its progress, and the files that it
+writes."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ from postfx.runtime import Device, Library
 from postfx.streams import styled
 from postfx.version import __version__
 
-MEASURING_LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"), ("matplotlib", "matplotlib"))
+MEASURING_LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"),
+                       ("matplotlib", "matplotlib"))
 
 
 @dataclass(frozen=True)
@@ -55,15 +57,18 @@ class Bench:
         device = Device(wish.device, wish.threads)
         self._device, self._threads, self._wish = device.name, device.threads, wish
         kind, motion = device.name.split(":")[0], self.material.spec.has(Role.MOTION)
-        lost = [str(role) for role in ABSENT if self.material.spec.has(role)] if wish.ablations else []
+        lost = ([str(role) for role in ABSENT if self.material.spec.has(role)] if wish.ablations
+                else [])
         found = catalogue(Library().names(), kind, bool(self.material.spec.guides), motion, lost)
         self.methods, self.omissions = select(found, wish.methods, wish.models)
         if any(method.quality for method in self.methods):
-            require("pyoidn", "pyoidn", "runs Open Image Denoise (--methods ours,plain leaves it out)")
+            require("pyoidn", "pyoidn",
+                    "runs Open Image Denoise (--methods ours,plain leaves it out)")
         try:
             wish.output.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise WriteError(f"{wish.output}: cannot be made: {error.strerror}; choose another folder") from error
+            raise WriteError(f"{wish.output}: cannot be made: {error.strerror}; choose another "
+                             "folder") from error
 
     def run(self) -> dict[str, Any]:
         """Measure and score all methods; returns all results and facts, in plain types."""
@@ -76,7 +81,8 @@ class Bench:
                     self.omissions = (*self.omissions, Omission(method.title, str(error)))
                     progress.skip(method.name, str(error))
         if not rows:
-            raise BenchError(f"no method could be measured; the last error: {self.omissions[-1].why}")
+            raise BenchError("no method could be measured; the last error: "
+                             f"{self.omissions[-1].why}")
         facts = self._facts(rows)
         self._write(facts)
         return facts
@@ -97,7 +103,8 @@ class Bench:
             draw_crops(self.material, choices(facts["methods"]), folder / "crops.png")
             draw_worst(self.material, choices(facts["methods"]), folder / "crops_worst.png")
         except OSError as error:
-            raise WriteError(f"{folder}: cannot be written: {error.strerror}; check rights and free space") from error
+            raise WriteError(f"{folder}: cannot be written: {error.strerror}; check rights and "
+                             "free space") from error
 
     def _row(self, method: Method, progress: BenchProgress) -> dict[str, Any]:
         progress.begin(method.name)
@@ -107,19 +114,22 @@ class Bench:
         scores = score(self.material, task.output)
         summary = scores.summary()
         progress.finish(time, summary)
-        return {**asdict(method), "time": time, "scores": summary, "frames": scores.frames, "output": task.output}
+        return {**asdict(method), "time": time, "scores": summary, "frames": scores.frames,
+                "output": task.output}
 
     def _task(self, method: Method) -> Task:
         sources = self.material.sources
-        return Task(method, sources.noisy, sources.guides if method.guides else None, sources.profile,
-                    self.material.noisy.numbers, self.material.scale, self.material.size, self._device, self._threads,
+        return Task(method, sources.noisy, sources.guides if method.guides else None,
+                    sources.profile, self.material.noisy.numbers, self.material.scale,
+                    self.material.size, self._device, self._threads,
                     self._wish.runs, output_pattern(self._wish.output, method.name))
 
     def _facts(self, rows: list[dict[str, Any]]) -> dict[str, Any]:
         spec, size = self.material.spec, self.material.size
         time = "wall_ms" if self._device == "cpu" else "gpu_ms"
         return {
-            "sequence": {**asdict(self.material.sources), "frames": list(self.material.noisy.numbers)},
+            "sequence": {**asdict(self.material.sources),
+                         "frames": list(self.material.noisy.numbers)},
             "render_size": [spec.width, spec.height],
             "output_size": [size[1], size[0]],
             "scale": self.material.scale,
@@ -131,7 +141,8 @@ class Bench:
             "machine": machine(),
             "versions": versions(),
             "methods": rows,
-            "fronts": {figure: front(choices(rows), figure, time) for figure in ("psnr_late", "flicker_late")},
+            "fronts": {figure: front(choices(rows), figure, time)
+                       for figure in ("psnr_late", "flicker_late")},
             "against_best_baseline": compare(choices(rows)),
             "ablations": ablations(rows),
             "left_out": [item._asdict() for item in self.omissions],
@@ -139,11 +150,13 @@ class Bench:
 
 
 def with_planes(method: Method, rows: list[dict[str, Any]]) -> Method:
-    """A method whose planes are 'best', with those of the OIDN high that measured best; prefiltered where none did."""
+    """A method whose planes are 'best', with those of the OIDN high that measured best; prefiltered
+    where none did."""
     if method.planes != "best":
         return method
     others = [row for row in rows if row["quality"] == method.quality and not row["accumulated"]]
-    best = max(others, key=lambda row: row["scores"]["psnr_late"], default={"planes": "prefiltered"})
+    best = max(others, key=lambda row: row["scores"]["psnr_late"],
+               default={"planes": "prefiltered"})
     return replace(method, planes=best["planes"])
 
 
@@ -174,7 +187,8 @@ class BenchProgress:
         self._console = Console(file=styled(sys.stderr))
         self._methods, self._runs, self._count = methods, runs, 0
         self._bar = Progress(
-            TextColumn("{task.fields[doing]}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+            TextColumn("{task.fields[doing]}"), BarColumn(), MofNCompleteColumn(),
+            TimeElapsedColumn(),
             console=self._console, transient=True, disable=not self._console.is_terminal,
         )
         self._task = self._bar.add_task("methods", total=len(methods) * (runs + 1), doing="")
@@ -189,7 +203,8 @@ class BenchProgress:
     def begin(self, method: str) -> None:
         """Show that a method is about to be measured."""
         self._count += 1
-        self._bar.update(self._task, doing=f"{method}: warming up", completed=(self._count - 1) * (self._runs + 1))
+        self._bar.update(self._task, doing=f"{method}: warming up",
+                         completed=(self._count - 1) * (self._runs + 1))
 
     def note_runs(self, runs: int) -> None:
         """Show how many of its runs are done."""

@@ -1,8 +1,9 @@
-"""The frames of a benchmark, and how one method is measured on them: its time, its memory and the scores of its output.
+"""The frames of a benchmark, and how one method is measured on them: its time, its memory and the
+scores of its output.
 
-Each method runs in its own process, so that peak memory counts this method only. `run_task` starts the process,
-python -m postfx.bench.measure, which reads a task as JSON from standard input and writes progress, and at the end the
-times, as lines of JSON to standard output.
+Each method runs in its own process, so that peak memory counts this method only. `run_task` starts
+the process, python -m postfx.bench.measure, which reads a task as JSON from standard input and
+writes progress, and at the end the times, as lines of JSON to standard output.
 """
 
 from __future__ import annotations
@@ -52,16 +53,19 @@ class Material:
         size: height and width of the references and the output.
         scale: output size over render size, 1 to 3.
 
-    Raises BenchError if sizes do not fit, MissingFrameError if a frame has no reference, and errors of reading.
+    Raises BenchError if sizes do not fit, MissingFrameError if a frame has no reference, and errors
+    of reading.
     """
 
     def __init__(self, sources: Sources) -> None:
         self.sources = sources
-        self.noisy = read_sequence(sources.noisy, sources.frames, sources.profile, guides=sources.guides).first_view()
+        self.noisy = read_sequence(sources.noisy, sources.frames, sources.profile,
+                                   guides=sources.guides).first_view()
         self._references = Sequence(sources.reference)
         self._lone = len(self.noisy) == 1 and len(self._references) == 1
         self.spec = _one_spec(self.noisy, self.noisy.numbers)
-        target = _one_spec(self._references, [self._reference_number(number) for number in self.noisy.numbers])
+        target = _one_spec(self._references,
+                           [self._reference_number(number) for number in self.noisy.numbers])
         self.size = (target.height, target.width)
         self.scale = _scale(self.spec, target, self._references)
         _check_guides(self.spec, target)
@@ -77,16 +81,19 @@ class Material:
 
     def result(self, pattern: str, number: int) -> Frame:
         """A method's result, from the file that it wrote."""
-        return next(iter(read_sequence(pattern.replace("{number}", f"{number:04d}"), planes=[Role.COLOUR])))
+        return next(iter(read_sequence(pattern.replace("{number}", f"{number:04d}"),
+                                       planes=[Role.COLOUR])))
 
     def _reference_number(self, number: int) -> int:
-        """Number of a frame's reference: the frame's own, unless there is one frame and one reference."""
+        """Number of a frame's reference: the frame's own, unless there is one frame and one
+        reference."""
         if self._lone:
             return self._references.numbers[0]
         if number not in self._references.present():
             path = self._references.pattern.path(number)
             raise MissingFrameError(
-                f"{path}: frame {number} has no reference: render it, or choose frames that have one by --frames"
+                f"{path}: frame {number} has no reference: render it, or choose frames that have "
+                "one by --frames"
             )
         return number
 
@@ -100,8 +107,8 @@ def _one_spec(sequence: Sequence, numbers: list[int] | tuple[int, ...]) -> Frame
         first = first or spec
         if (spec.width, spec.height) != (first.width, first.height):
             raise BenchError(
-                f"{path}: is {spec.width}x{spec.height}, the first frame {first.width}x{first.height}: "
-                f"measure frames of one size, chosen by --frames"
+                f"{path}: is {spec.width}x{spec.height}, the first frame "
+                f"{first.width}x{first.height}: measure frames of one size, chosen by --frames"
             )
     assert first is not None, "a sequence has frames"
     return first
@@ -117,8 +124,9 @@ def _scale(spec: FrameSpec, target: FrameSpec, references: Sequence) -> float:
         if LEAST_RUN_SECONDS <= scale <= MOST_RUN_SECONDS and all(fits):
             return scale
     raise BenchError(
-        f"{references.pattern}: references are {target.width}x{target.height}, frames {spec.width}x{spec.height}: "
-        f"references must be 1 to 3 times as large, by the same factor both ways"
+        f"{references.pattern}: references are {target.width}x{target.height}, frames "
+        f"{spec.width}x{spec.height}: references must be 1 to 3 times as large, by the same factor "
+        "both ways"
     )
 
 
@@ -126,8 +134,8 @@ def _check_guides(spec: FrameSpec, target: FrameSpec) -> None:
     guides = spec.guides
     if guides and (guides.width, guides.height) != (target.width, target.height):
         raise BenchError(
-            f"{guides.source}: guides are {guides.width}x{guides.height}, references {target.width}x{target.height}: "
-            f"render both at one size, the output's"
+            f"{guides.source}: guides are {guides.width}x{guides.height}, references "
+            f"{target.width}x{target.height}: render both at one size, the output's"
         )
 
 
@@ -140,7 +148,8 @@ if TYPE_CHECKING:
     from postfx.bench.metrics import SequenceScore
 
 ATTEMPTS = 4
-"""The first process may have to compile kernels, and so may other processes on the machine at the same time."""
+"""The first process may have to compile kernels, and so may other processes on the machine at the
+same time."""
 
 
 def run_task(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
@@ -155,7 +164,8 @@ def run_task(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
             return times
         if "error" in last:
             break
-    raise BenchError(f"method '{task.method.name}': {last.get('error', 'kernels keep being compiled: try again')}")
+    raise BenchError(f"method '{task.method.name}': "
+                     f"{last.get('error', 'kernels keep being compiled: try again')}")
 
 
 def _run_process(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
@@ -168,8 +178,8 @@ def _run_process(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
         words.write(task.to_json() + "\n")
         words.seek(0)
         environment = {**os.environ, "PYTHONPATH": path}
-        with subprocess.Popen(command, stdin=words, stdout=subprocess.PIPE, stderr=complaints, text=True,
-                              env=environment) as process:
+        with subprocess.Popen(command, stdin=words, stdout=subprocess.PIPE, stderr=complaints,
+                              text=True, env=environment) as process:
             for line in process.stdout or ():
                 last = _message(line) or last
                 if "run" in last:
@@ -184,8 +194,9 @@ def _run_process(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
 def timing(times: dict[str, Any], device: str) -> dict[str, Any]:
     """The figures to report; gpu_ms is None on the CPU.
 
-    A run's milliseconds are the median over its frames, because other work slows single frames; the figures are the
-    median, least and greatest of all runs. cpu_s is the mean over frames, and the median over the runs.
+    A run's milliseconds are the median over its frames, because other work slows single frames; the
+    figures are the median, least and greatest of all runs. cpu_s is the mean over frames, and the
+    median over the runs.
     """
     wall = [median(run) for run in times["wall_ms"]]
     gpu = [median(run) for run in times["device_ms"]]
@@ -224,7 +235,8 @@ def _message(line: str) -> dict[str, Any] | None:
 
 @dataclass(frozen=True)
 class Task:
-    """A measurement to make: a method on a sequence, `runs` times; `output` holds '{number}' for the frame number."""
+    """A measurement to make: a method on a sequence, `runs` times; `output` holds '{number}' for
+    the frame number."""
 
     method: Method
     noisy: str
@@ -248,7 +260,8 @@ class Task:
         values = json.loads(text)
         facts = values.pop("method")
         method = Method(**facts | {"without": tuple(facts["without"])})
-        return cls(method, **values | {"frames": tuple(values["frames"]), "size": tuple(values["size"])})
+        return cls(method,
+                   **values | {"frames": tuple(values["frames"]), "size": tuple(values["size"])})
 
 
 def main() -> int:
@@ -264,14 +277,17 @@ def main() -> int:
 
 
 def measure(task: Task) -> dict[str, Any] | None:
-    """Milliseconds (wall, device) and CPU seconds of every frame of every run, and the peak of memory in MB.
+    """Milliseconds (wall, device) and CPU seconds of every frame of every run, and the peak of
+    memory in MB.
 
-    A frame before the runs, `first_ms`, prepares everything. Reading and writing files is not timed. None if kernels
-    had to be compiled, which happens once per machine: measure again, because the first frame waits for them.
+    A frame before the runs, `first_ms`, prepares everything. Reading and writing files is not
+    timed. None if kernels had to be compiled, which happens once per machine: measure again,
+    because the first frame waits for them.
     """
     with CompileWatch() as compiling:
         device = Device(task.device, task.threads)
-        sequence = read_sequence(task.noisy, task.frames, task.profile, guides=task.guides).first_view()
+        sequence = read_sequence(task.noisy, task.frames, task.profile,
+                                 guides=task.guides).first_view()
         method = make(task.method, device, task.scale, task.size, sequence)
         first = _time(method, next(iter(sequence)))
     if compiling.count:
@@ -282,7 +298,8 @@ def measure(task: Task) -> dict[str, Any] | None:
         rows = [_frame(task, method, frame, index == task.runs - 1) for frame in sequence]
         runs.append(_even_out(rows) if task.method.both or task.method.run_up else rows)
         _say(run=index + 1)
-    columns = {key: [[row[key] for row in run] for run in runs] for key in ("wall_ms", "cpu_s", "device_ms")}
+    columns = {key: [[row[key] for row in run] for run in runs]
+               for key in ("wall_ms", "cpu_s", "device_ms")}
     return {**columns, "first_ms": first["wall_ms"], "peak_mb": peak_memory()}
 
 
@@ -312,12 +329,14 @@ def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> di
     result = row.pop("result")
     if write:
         path = task.output.replace("{number}", f"{frame.number:04d}")
-        write_frame(path, replace(frame, planes={Role.COLOUR: result}, guides={}, jitter=(0.0, 0.0)))
+        write_frame(path,
+                    replace(frame, planes={Role.COLOUR: result}, guides={}, jitter=(0.0, 0.0)))
     return row
 
 
 def _even_out(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Spread the time evenly over the frames: the first one of a part waits until others have run in reverse."""
+    """Spread the time evenly over the frames: the first one of a part waits until others have run
+    in reverse."""
     return [{key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}] * len(rows)
 
 
@@ -325,7 +344,8 @@ def _time(method: Network | Chain, frame: Frame) -> dict[str, Any]:
     device, cpu, wall = method.device_ms, time.process_time(), time.perf_counter()
     result = method(frame)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    return {"wall_ms": 1e3 * wall, "cpu_s": cpu, "device_ms": method.device_ms - device, "result": result}
+    return {"wall_ms": 1e3 * wall, "cpu_s": cpu, "device_ms": method.device_ms - device,
+            "result": result}
 
 
 def _say(**values: object) -> None:

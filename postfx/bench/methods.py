@@ -40,7 +40,8 @@ class Method:
         both: whether it uses later frames as well.
         run_up: whether the first frame of a shot gets a run-up.
         quality: quality of OIDN; '' if not used.
-        planes: how OIDN takes albedo and normal (see `Oidn`); 'best': like the best that was measured.
+        planes: how OIDN takes albedo and normal (see `Oidn`); 'best': like the best that was
+            measured.
         accumulated: whether it accumulates frames at output size along the motion.
         without: names of planes that the network does not get; only in ablations.
     """
@@ -82,15 +83,17 @@ OTHERS = (
            planes="prefiltered"),
     Method("oidn-high-raw", "OIDN high, planes as noisy", "oidn", quality="high", planes="raw"),
     Method("oidn-high-colour", "OIDN high, colour alone", "oidn", quality="high", planes="none"),
-    Method("oidn-high-accumulated", "OIDN high + accumulation", "oidn", quality="high", planes="best",
-           accumulated=True),
+    Method("oidn-high-accumulated", "OIDN high + accumulation", "oidn", quality="high",
+           planes="best", accumulated=True),
     Method("accumulation", "accumulation", "plain", accumulated=True),
     Method("bicubic", "bicubic", "plain"),
 )
 
 
-def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool, lost: Collection[str] = ()) -> Catalogue:
-    """All methods for models of a library, a device 'cpu' or 'cuda', and frames with or without guides and motion.
+def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool,
+              lost: Collection[str] = ()) -> Catalogue:
+    """All methods for models of a library, a device 'cpu' or 'cuda', and frames with or without
+    guides and motion.
 
     `lost`: planes that ablations leave out, each alone and all together.
     """
@@ -112,7 +115,8 @@ def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool, lo
 
 
 def select(found: Catalogue, names: str | None, models: str | None) -> Catalogue:
-    """The methods named by `names` (names or families) and, of ours, of the model tags `models`; comma-separated lists.
+    """The methods named by `names` (names or families) and, of ours, of the model tags `models`;
+    comma-separated lists.
 
     Raises BenchError if a name matches nothing.
     """
@@ -127,46 +131,55 @@ def select(found: Catalogue, names: str | None, models: str | None) -> Catalogue
         and (not method.model or method.model.split(".")[0] in chosen_tags)
     )
     if not methods:
-        raise BenchError(f"--methods {names} --models {models} leaves nothing to measure: leave one of them out")
-    kept = tuple(item for item in found.omissions if item.what.split(" ")[0] in chosen_tags or not models)
+        raise BenchError(f"--methods {names} --models {models} leaves nothing to measure: leave "
+                         "one of them out")
+    kept = tuple(item for item in found.omissions
+                 if item.what.split(" ")[0] in chosen_tags or not models)
     return Catalogue(methods, kept)
 
 
 def _of_model(name: str, motion: bool) -> list[Method]:
-    """A network with its history and, where frames have motion, without, with a run-up, and in both directions."""
+    """A network with its history and, where frames have motion, without, with a run-up, and in both
+    directions."""
     parts = name.split(".")
     guides, kept = GUIDES_METHOD in parts, [part for part in parts if part != GUIDES_METHOD]
     precision = next((part for part in kept if part in PRECISIONS), "fp32")
     words = [*kept, *([GUIDES_METHOD] if guides else [])]
     plain = Method("-".join(words), " ".join([kept[0], precision, *words[len(kept) :]]), "ours",
                    ".".join(kept), precision, guides)
-    alone = replace(plain, name=f"{plain.name}-alone", title=f"{plain.title}, no history", alone=True)
-    run_up = replace(plain, name=f"{plain.name}-run-up", title=f"{plain.title}, run-up", run_up=True)
-    both = replace(plain, name=f"{plain.name}-both-ways", title=f"{plain.title}, both ways", both=True)
+    alone = replace(plain, name=f"{plain.name}-alone", title=f"{plain.title}, no history",
+                    alone=True)
+    run_up = replace(plain, name=f"{plain.name}-run-up", title=f"{plain.title}, run-up",
+                     run_up=True)
+    both = replace(plain, name=f"{plain.name}-both-ways", title=f"{plain.title}, both ways",
+                   both=True)
     return [plain, alone, run_up, both] if motion else [plain]
 
 
 def _ablations(method: Method, lost: Collection[str]) -> list[Method]:
-    """A network without each of some planes, and without all: only in full precision, which does not matter here, and
-    without guides, which would replace the planes."""
+    """A network without each of some planes, and without all: only in full precision, which does
+    not matter here, and without guides, which would replace the planes."""
     if method.guides or method.precision != "fp32":
         return []
     chosen = {name: (name,) for name in lost} | ({"all": tuple(lost)} if len(lost) > 1 else {})
     titles = {name: f"no {name.replace('_', ' ')}" for name in lost} | {"all": "colour only"}
-    return [replace(method, name=f"{method.name}-without-{name}", title=f"{method.title}, {titles[name]}",
-                    without=planes) for name, planes in chosen.items()]
+    return [replace(method, name=f"{method.name}-without-{name}",
+                    title=f"{method.title}, {titles[name]}", without=planes)
+            for name, planes in chosen.items()]
 
 
 def _unfit(method: Method, device: str, guides: bool) -> str | None:
     if method.guides and not guides:
         return "the frames have no AOVs at output size"
     if device not in PRECISIONS[method.precision]:
-        return f"{method.precision} is for {' and '.join(PRECISIONS[method.precision])}, not for {device}"
+        return (f"{method.precision} is for {' and '.join(PRECISIONS[method.precision])}, not for "
+                f"{device}")
     return None
 
 
 def _absent(names: list[str], guides: bool) -> list[Omission]:
-    """Precisions that networks lack and, for frames with guides, networks that do not read guides."""
+    """Precisions that networks lack and, for frames with guides, networks that do not read
+    guides."""
     tags = dict.fromkeys(name.split(".")[0] for name in names)
     wanted = [(tag, precision) for tag in tags for precision in PRECISIONS if precision != "fp32"]
     wanted += [(tag, GUIDES_METHOD) for tag in tags if guides]
@@ -185,14 +198,16 @@ def _words(text: str, known: set[str], option: str) -> set[str]:
     words = {word.strip() for word in text.split(",") if word.strip()}
     unknown = sorted(words - known)
     if unknown:
-        raise BenchError(f"{option} {text}: there is no '{unknown[0]}' here: choose among {', '.join(sorted(known))}")
+        raise BenchError(f"{option} {text}: there is no '{unknown[0]}' here: choose among "
+                         f"{', '.join(sorted(known))}")
     return words
 
 
 class Network:
     """The project's denoised upscaler."""
 
-    def __init__(self, method: Method, device: Device, scale: float, sequence: Sequence | None) -> None:
+    def __init__(self, method: Method, device: Device, scale: float,
+                 sequence: Sequence | None) -> None:
         self._method = method
         self._lost = frozenset(map(Role, method.without))
         model = exact(method.model)
@@ -201,9 +216,10 @@ class Network:
             assert sequence is not None, "frames are run ahead"
             run_up = RunUp(sequence, prepare=self._select_planes) if method.run_up else None
             if method.both:
-                self._backwards = Backwards(sequence, device, prepare=self._select_planes, model=model, scale=scale)
-        self._pipeline = Pipeline([DenoiseUpscale(model=model, scale=scale), BothWays()], device, run_up=run_up,
-                                  checks=False)
+                self._backwards = Backwards(sequence, device, prepare=self._select_planes,
+                                            model=model, scale=scale)
+        self._pipeline = Pipeline([DenoiseUpscale(model=model, scale=scale), BothWays()], device,
+                                  run_up=run_up, checks=False)
         self.device_ms = 0.0
 
     def reset(self) -> None:
@@ -238,7 +254,8 @@ class Chain:
         self._kernels = HostKernels(device)
         self._oidn = None
         if method.quality:
-            self._oidn = Oidn(method.quality, device.name.split(":")[0], device.threads, method.planes)
+            self._oidn = Oidn(method.quality, device.name.split(":")[0], device.threads,
+                              method.planes)
         host = HostKernels(device if device.name == "cpu" else Device("cpu", device.threads))
         self._accumulator = Accumulator(host) if method.accumulated else None
 
@@ -261,6 +278,6 @@ class Chain:
 
 def make(method: Method, device: Device, scale: float, size: tuple[int, int],
          sequence: Sequence | None = None) -> Network | Chain:
-    """The object that carries out a method, for outputs of `size` (height, width). A run-up and both ways also need the
-    `sequence`, as they run frames ahead."""
+    """The object that carries out a method, for outputs of `size` (height, width). A run-up and
+    both ways also need the `sequence`, as they run frames ahead."""
     return Network(method, device, scale, sequence) if method.model else Chain(method, device, size)

@@ -1,7 +1,7 @@
 """Errors of a picture and of a sequence against a reference.
 
-Pictures are compared as people see them: exposed, brought to 0..1 by x / (1 + x), and sRGB-encoded. relMSE compares
-linear light. Colours are (height, width, 3), scene-linear Rec.709, float32.
+Pictures are compared as people see them: exposed, brought to 0..1 by x / (1 + x), and sRGB-encoded.
+relMSE compares linear light. Colours are (height, width, 3), scene-linear Rec.709, float32.
 """
 
 from __future__ import annotations
@@ -22,11 +22,13 @@ LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
 TRIMMED = 0.999
 FOLLOWED_DIFFERENCE = 0.1
 FIGURES = ("psnr", "ssim", "flip", "relmse", "flicker")
-"""Names of the figures. More is better for psnr (dB) and ssim (up to 1), less for flip (0..1), relmse and flicker."""
+"""Names of the figures. More is better for psnr (dB) and ssim (up to 1), less for flip (0..1),
+relmse and flicker."""
 
 
 def grey_factor(colour: np.ndarray) -> float:
-    """Multiplier that brings the log-average luminance to 0.18 (Reinhard 2002, with a floor of 0.1 % of the mean)."""
+    """Multiplier that brings the log-average luminance to 0.18 (Reinhard 2002, with a floor of 0.1
+    % of the mean)."""
     luminance = colour @ LUMINANCE_WEIGHTS
     return float(KEY / np.exp(np.mean(np.log(luminance + 1e-3 * luminance.mean()))))
 
@@ -47,13 +49,15 @@ def flip(picture: np.ndarray, reference: np.ndarray) -> float:
 
 
 def flip_map(picture: np.ndarray, reference: np.ndarray) -> tuple[float, np.ndarray]:
-    """The same, and each pixel's error as a colour (height, width, 3) 0..1, from black (none) through red to white."""
+    """The same, and each pixel's error as a colour (height, width, 3) 0..1, from black (none)
+    through red to white."""
     colours, mean, _ = flip_evaluator.evaluate(reference, picture, "LDR")
     return float(mean), colours
 
 
 def relmse(colour: np.ndarray, reference: np.ndarray, exposure_factor: float) -> float:
-    """Mean of (colour - reference)^2 / (reference^2 + 0.01 / exposure_factor^2), without the worst 0.1 % of pixels."""
+    """Mean of (colour - reference)^2 / (reference^2 + 0.01 / exposure_factor^2), without the worst
+    0.1 % of pixels."""
     result, wanted = np.nan_to_num(colour).astype(np.float64), reference.astype(np.float64)
     error = np.square(result - wanted) / (np.square(wanted) + 1e-2 / exposure_factor**2)
     pixels = np.sort(error.mean(-1).ravel())
@@ -61,9 +65,11 @@ def relmse(colour: np.ndarray, reference: np.ndarray, exposure_factor: float) ->
 
 
 def warp(image: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """`image` (H, W, C) sampled where `motion` (H, W, 2), x and y in pixels, points to; bilinear, edges repeated."""
+    """`image` (H, W, C) sampled where `motion` (H, W, 2), x and y in pixels, points to; bilinear,
+    edges repeated."""
     y, x = np.indices(image.shape[:2], np.float32)
-    return bilinear(image, (x + motion[..., 0]).ravel(), (y + motion[..., 1]).ravel()).reshape(image.shape)
+    return bilinear(image, (x + motion[..., 0]).ravel(),
+                    (y + motion[..., 1]).ravel()).reshape(image.shape)
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,8 @@ class Pictures:
 
 
 def flicker(before: Pictures, now: Pictures, motion: np.ndarray) -> float | None:
-    """1000 times the mean absolute error of the change since the frame before, along `motion` (H, W, 2).
+    """1000 times the mean absolute error of the change since the frame before, along `motion` (H,
+    W, 2).
 
     Counts pixels where the motion explains the reference (within 0.1); None if there are none.
     """
@@ -83,7 +90,8 @@ def flicker(before: Pictures, now: Pictures, motion: np.ndarray) -> float | None
     followed = np.abs(reference - now.reference).max(-1) < FOLLOWED_DIFFERENCE
     if not followed.any():
         return None
-    return float(1000 * np.abs((now.result - result) - (now.reference - reference)).mean(-1)[followed].mean())
+    return float(1000 * np.abs((now.result - result) - (now.reference - reference))
+                 .mean(-1)[followed].mean())
 
 
 class SequenceScore:
@@ -95,7 +103,8 @@ class SequenceScore:
         self._before: Pictures | None = None
 
     def add(self, result: np.ndarray, reference: Frame, noisy: Frame) -> None:
-        """Score a result (H, W, 3) against the reference's colour; `noisy` gives motion, cuts and the frame number.
+        """Score a result (H, W, 3) against the reference's colour; `noisy` gives motion, cuts and
+        the frame number.
 
         The exposure is the reference's, or else the one that makes the first reference mid grey.
         """
@@ -115,7 +124,8 @@ class SequenceScore:
         self._before = now
 
     def summary(self) -> dict[str, float | int | None]:
-        """Means over all frames and, with the suffix _late, over the second half; the worst frame; broken values."""
+        """Means over all frames and, with the suffix _late, over the second half; the worst frame;
+        broken values."""
         late = self.frames[len(self.frames) // 2 :]
         found: dict[str, float | int | None] = {name: _mean(self.frames, name) for name in FIGURES}
         found |= {f"{name}_late": _mean(late, name) for name in FIGURES}

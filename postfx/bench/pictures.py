@@ -1,4 +1,5 @@
-"""Pictures of a benchmark: run time against error as plots, and details side by side where methods differ most."""
+"""Pictures of a benchmark: run time against error as plots, and details side by side where methods
+differ most."""
 
 from __future__ import annotations
 
@@ -39,7 +40,8 @@ class Column(NamedTuple):
 def draw_crops(material: Material, rows: list[dict[str, Any]], path: Path) -> None:
     """Crops of the last frame: noisy, OIDN, ours, reference, with the PSNR of each crop; a PNG.
 
-    Crops are where OIDN's picture and ours differ most; without OIDN, where the result and the reference do.
+    Crops are where OIDN's picture and ours differ most; without OIDN, where the result and the
+    reference do.
     """
     columns = _columns(material, rows, material.noisy.numbers[-1])
     one, other = _choose_pair(columns)
@@ -48,11 +50,12 @@ def draw_crops(material: Material, rows: list[dict[str, Any]], path: Path) -> No
 
 
 def draw_worst(material: Material, rows: list[dict[str, Any]], path: Path) -> None:
-    """The same for our failures: the places of one frame where we are furthest behind OIDN's methods; a PNG.
+    """The same for our failures: the places of one frame where we are furthest behind OIDN's
+    methods; a PNG.
 
-    Ours is the largest network without guides, which has the same input as OIDN. The frame is the one whose PSNR leads
-    the best OIDN method's least, or lags furthest. Removes the picture if there is nothing to compare or if ours is
-    nowhere behind.
+    Ours is the largest network without guides, which has the same input as OIDN. The frame is the
+    one whose PSNR leads the best OIDN method's least, or lags furthest. Removes the picture if
+    there is nothing to compare or if ours is nowhere behind.
     """
     path.unlink(missing_ok=True)
     wanted = _choose_methods(rows)
@@ -64,20 +67,24 @@ def draw_worst(material: Material, rows: list[dict[str, Any]], path: Path) -> No
             for index, own in enumerate(ours["frames"])]
     number = material.noisy.numbers[int(np.argmin(gaps))]
     columns = _columns(material, wanted, number)
-    errors = {column.title: np.square(column.picture - columns[-1].picture).mean(-1) for column in columns}
-    places = pick_deficits(errors[ours["title"]], [errors[row["title"]] for row in theirs], CROP_COUNT)
+    errors = {column.title: np.square(column.picture - columns[-1].picture).mean(-1)
+              for column in columns}
+    places = pick_deficits(errors[ours["title"]], [errors[row["title"]] for row in theirs],
+                           CROP_COUNT)
     if places:
-        _draw(columns, places, f"frame {number}", f"where {ours['title']} is behind OIDN most", path)
+        _draw(columns, places, f"frame {number}", f"where {ours['title']} is behind OIDN most",
+              path)
 
 
 def pick(difference: np.ndarray, count: int) -> list[tuple[int, int]]:
-    """Upper left corners (y, x) of up to `count` squares with the greatest mean `difference` (H, W), which do not
-    overlap."""
+    """Upper left corners (y, x) of up to `count` squares with the greatest mean `difference` (H,
+    W), which do not overlap."""
     return _greatest(_means(difference), count, _side(difference.shape))
 
 
 def pick_deficits(ours: np.ndarray, others: list[np.ndarray], count: int) -> list[tuple[int, int]]:
-    """Corners as from `pick`, of the squares where our mean error (H, W) exceeds the others' least mean error most.
+    """Corners as from `pick`, of the squares where our mean error (H, W) exceeds the others' least
+    mean error most.
 
     Squares where it does not exceed that are left out.
     """
@@ -88,12 +95,14 @@ def pick_deficits(ours: np.ndarray, others: list[np.ndarray], count: int) -> lis
 def _means(values: np.ndarray) -> np.ndarray:
     """Means of all squares in the picture, by their upper left corners."""
     side = _side(values.shape)
-    means: np.ndarray = uniform_filter(values.astype(np.float64), side, mode="nearest", origin=-(side // 2))
+    means: np.ndarray = uniform_filter(values.astype(np.float64), side, mode="nearest",
+                                       origin=-(side // 2))
     return means[: values.shape[0] - side + 1, : values.shape[1] - side + 1]
 
 
 def _greatest(means: np.ndarray, count: int, side: int) -> list[tuple[int, int]]:
-    """Corners of the squares with the greatest means, which do not overlap; minus infinity is never taken."""
+    """Corners of the squares with the greatest means, which do not overlap; minus infinity is never
+    taken."""
     open_ = means.copy()
     found: list[tuple[int, int]] = []
     while len(found) < count and np.isfinite(open_).any():
@@ -103,11 +112,13 @@ def _greatest(means: np.ndarray, count: int, side: int) -> list[tuple[int, int]]
     return found
 
 
-def _draw(columns: list[Column], places: list[tuple[int, int]], frame: str, why: str, path: Path) -> None:
+def _draw(columns: list[Column], places: list[tuple[int, int]], frame: str, why: str,
+          path: Path) -> None:
     """A line of crops for each place, the PSNR of each below it."""
     reference = columns[-1].picture
     side = _side(reference.shape[:2])
-    figure = Figure(figsize=(len(columns) * 2.9, len(places) * 3.1 + 0.5), dpi=100, layout="constrained")
+    figure = Figure(figsize=(len(columns) * 2.9, len(places) * 3.1 + 0.5), dpi=100,
+                    layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(places), len(columns), squeeze=False)
     for line, (y, x) in zip(grid, places, strict=True):
@@ -144,13 +155,14 @@ def _columns(material: Material, rows: list[dict[str, Any]], number: int) -> lis
 
 
 def _choose_methods(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """OIDN high, OIDN high with accumulation, and our largest model that uses no later frames, without and with guides;
-    if these are missing, the first methods."""
+    """OIDN high, OIDN high with accumulation, and our largest model that uses no later frames,
+    without and with guides; if these are missing, the first methods."""
     by_name = {row["name"]: row for row in rows}
-    ours = [row for row in rows if row["family"] == "ours" and not (row["alone"] or row["run_up"] or row["both"])
-            and row["precision"] == "fp32"]
+    ours = [row for row in rows if row["family"] == "ours"
+            and not (row["alone"] or row["run_up"] or row["both"]) and row["precision"] == "fp32"]
     chosen = [by_name.get("oidn-high"), by_name.get("oidn-high-accumulated")]
-    chosen += [next((row for row in reversed(ours) if row["guides"] is guides), None) for guides in (False, True)]
+    chosen += [next((row for row in reversed(ours) if row["guides"] is guides), None)
+               for guides in (False, True)]
     return [row for row in chosen if row] or rows[:4]
 
 
@@ -163,16 +175,17 @@ def _choose_pair(columns: list[Column]) -> tuple[np.ndarray, np.ndarray]:
 def _repeat(image: np.ndarray, height: int, width: int) -> np.ndarray:
     """Enlarge by nearest pixels, which shows the input unchanged."""
     h, w = image.shape[:2]
-    repeated: np.ndarray = image[(np.arange(height) * h // height)[:, None], np.arange(width) * w // width]
+    repeated: np.ndarray = image[(np.arange(height) * h
+                                  // height)[:, None], np.arange(width) * w // width]
     return repeated
 
 
 METHOD_COLOURS = {"ours": "#0b62b8", "oidn": "#c8500a", "plain": "#666666"}
 LABELS = {"psnr_late": "PSNR, dB (up is better)", "flicker_late": "flicker, x1000 (down is better)"}
-SPOTS = [(8, 5), (8, -13), (-8, 5), (-8, -13), (0, 10), (0, -18), (14, -4), (-14, -4), (10, 18), (10, -26), (-10, 18),
-         (-10, -26), (0, 26), (0, -34), (24, 30), (24, -38)]
-"""Places for a label, in points from its dot; the first free one is used, with a line to the dot unless
-it is one of the first `NEAR_SPOTS`."""
+SPOTS = [(8, 5), (8, -13), (-8, 5), (-8, -13), (0, 10), (0, -18), (14, -4), (-14, -4), (10, 18),
+         (10, -26), (-10, 18), (-10, -26), (0, 26), (0, -34), (24, 30), (24, -38)]
+"""Places for a label, in points from its dot; the first free one is used, with a line to the dot
+unless it is one of the first `NEAR_SPOTS`."""
 NEAR_SPOTS = 8
 Point = tuple[float, float, dict[str, Any]]
 """Position of a method's dot, and its row."""
@@ -199,7 +212,8 @@ def pareto(facts: dict[str, Any], figure: str, path: Path) -> None:
     _draw_front(axes, points, facts["fronts"][figure], figure)
     for x, y, row in points:
         _dot(axes, x, y, row, figure)
-    _dress(axes, facts, rows, figure, "GPU milliseconds a frame" if gpu else "milliseconds a frame (wall clock)")
+    _dress(axes, facts, rows, figure,
+           "GPU milliseconds a frame" if gpu else "milliseconds a frame (wall clock)")
     picture.canvas.draw()
     renderer = canvas.get_renderer()  # type: ignore[no-untyped-call]  # matplotlib leaves it untyped
     _label(axes, points, figure, renderer)
@@ -224,17 +238,19 @@ def _limits(axes: Axes, times: list[float], low: float, high: float) -> None:
 
 def _draw_front(axes: Axes, points: list[Point], names: list[str], figure: str) -> None:
     """Steps through the methods: each is the best choice until the next one is affordable."""
-    ordered = sorted((x, y) for x, y, row in points if row["name"] in names and row["scores"][figure] == y)
-    axes.step(*zip(*ordered, strict=True), where="post", color="#222222", linewidth=1.2, alpha=0.5, zorder=1,
-              label="Pareto front")
-    axes.plot([ordered[-1][0], axes.get_xlim()[1]], [ordered[-1][1]] * 2, color="#222222", linewidth=1.2, alpha=0.5,
-              zorder=1)
+    ordered = sorted((x, y)
+                     for x, y, row in points if row["name"] in names and row["scores"][figure] == y)
+    axes.step(*zip(*ordered, strict=True), where="post", color="#222222", linewidth=1.2, alpha=0.5,
+              zorder=1, label="Pareto front")
+    axes.plot([ordered[-1][0], axes.get_xlim()[1]], [ordered[-1][1]] * 2, color="#222222",
+              linewidth=1.2, alpha=0.5, zorder=1)
 
 
 def _dot(axes: Axes, x: float, y: float, row: dict[str, Any], figure: str) -> None:
     value, colour = row["scores"][figure], METHOD_COLOURS[row["family"]]
     marker = "v" if value < y else "^" if value > y else "D" if row["guides"] else "o"
-    axes.plot([x], [y], marker, markersize=8, color=colour, markerfacecolor="white" if row["alone"] else colour,
+    axes.plot([x], [y], marker, markersize=8, color=colour,
+              markerfacecolor="white" if row["alone"] else colour,
               markerfacecoloralt="white", fillstyle=_fill(row), markeredgewidth=1.8, zorder=3)
     spread = [[max(x - row["time"]["wall_ms_min"], 0)], [max(row["time"]["wall_ms_max"] - x, 0)]]
     if row["time"]["gpu_ms"] is None:
@@ -246,10 +262,11 @@ def _fill(row: dict[str, Any]) -> str:
     return "left" if row["both"] else "bottom" if row["run_up"] else "full"
 
 
-def _dress(axes: Axes, facts: dict[str, Any], rows: list[dict[str, Any]], figure: str, time: str) -> None:
+def _dress(axes: Axes, facts: dict[str, Any], rows: list[dict[str, Any]], figure: str,
+           time: str) -> None:
     sizes = ["x".join(map(str, facts[key])) for key in ("render_size", "output_size")]
-    axes.set_title(f"{sizes[0]} to {sizes[1]}, second half of {len(facts['sequence']['frames'])} frames, "
-                   f"{facts['device']}, {facts['threads']} CPU threads")
+    axes.set_title(f"{sizes[0]} to {sizes[1]}, second half of {len(facts['sequence']['frames'])} "
+                   f"frames, {facts['device']}, {facts['threads']} CPU threads")
     axes.set_xlabel(f"{time}, logarithmic")
     axes.set_ylabel(LABELS[figure])
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -260,11 +277,12 @@ def _dress(axes: Axes, facts: dict[str, Any], rows: list[dict[str, Any]], figure
     for family in dict.fromkeys(row["family"] for row in rows):
         axes.plot([], [], "o", color=METHOD_COLOURS[family], label=FAMILIES[family])
     if any(row["alone"] for row in rows):
-        axes.plot([], [], "o", color=METHOD_COLOURS["ours"], markerfacecolor="white", label="history reset every frame")
+        axes.plot([], [], "o", color=METHOD_COLOURS["ours"], markerfacecolor="white",
+                  label="history reset every frame")
     for kind, label in (("run_up", "with a run-up"), ("both", "both ways")):
         if shown := next((row for row in rows if row[kind]), None):
-            axes.plot([], [], "o", color=METHOD_COLOURS["ours"], markerfacecoloralt="white", fillstyle=_fill(shown),
-                      label=label)
+            axes.plot([], [], "o", color=METHOD_COLOURS["ours"], markerfacecoloralt="white",
+                      fillstyle=_fill(shown), label=label)
     if any(row["guides"] for row in rows):
         axes.plot([], [], "D", color=METHOD_COLOURS["ours"], label="with guides at output size")
     axes.figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
@@ -278,23 +296,27 @@ def _label(axes: Axes, points: list[Point], figure: str, renderer: RendererAgg) 
     for x, y, row in points:
         value, text = row["scores"][figure], _name(row)
         text += f" {value:.3g}" if value != y else ""
-        taken.append(_place(axes, renderer, (x, y), text, METHOD_COLOURS[row["family"]], taken, frame))
+        taken.append(_place(axes, renderer, (x, y), text, METHOD_COLOURS[row["family"]], taken,
+                            frame))
 
 
 def _name(row: dict[str, Any]) -> str:
     """Short name; the marker shows what it leaves out."""
     if row["family"] != "ours":
         return str(row["title"])
-    return str(row["model"]).split(".")[0] + ("" if row["precision"] == "fp32" else f" {row['precision']}")
+    return str(row["model"]).split(".")[0] + ("" if row["precision"] == "fp32"
+                                              else f" {row['precision']}")
 
 
 def _place(
-    axes: Axes, renderer: RendererAgg, dot: tuple[float, float], text: str, colour: str, taken: list[Bbox], frame: Bbox
+    axes: Axes, renderer: RendererAgg, dot: tuple[float, float], text: str, colour: str,
+    taken: list[Bbox], frame: Bbox
 ) -> Bbox:
     """Write a label at the first free place, or where it covers least; returns the place."""
-    label = axes.annotate(text, dot, (0, 0), textcoords="offset points", fontsize=10.5, color=colour, zorder=4,
-                          fontweight="bold" if len(text) <= 2 else "normal",
-                          arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkB": 4})
+    label = axes.annotate(text, dot, (0, 0), textcoords="offset points", fontsize=10.5,
+                          color=colour, zorder=4, fontweight="bold" if len(text) <= 2 else "normal",
+                          arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7,
+                                      "shrinkB": 4})
     found: list[tuple[float, int, Bbox]] = []
     for index, (dx, dy) in enumerate(SPOTS):
         _stand(label, dx, dy)

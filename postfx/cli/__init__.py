@@ -7,8 +7,8 @@ from postfx.version import DISTRIBUTION, pip_install
 
 
 def find_namesake(site: str) -> str | None:
-    """The other package 'postfx' of the index, name and version, where a folder of packages holds it: it has the same
-    import name and command, and its files and ours replace each other."""
+    """The other package 'postfx' of the index, name and version, where a folder of packages holds
+    it: it has the same import name and command, and its files and ours replace each other."""
     for name in os.listdir(site):
         files = os.path.join(site, name, "RECORD")
         if name.startswith("postfx-") and name.endswith(".dist-info") and os.path.isfile(files):
@@ -20,6 +20,7 @@ def find_namesake(site: str) -> str | None:
 
 _SITE = os.path.abspath(os.path.join(__file__, "../../.."))
 if _namesake := find_namesake(_SITE):  # whichever was installed last: ours is not whole any more
-    print(f"error: {_namesake}, another package of that name, shares the folder {os.path.join(_SITE, 'postfx')} with "
-          f"{DISTRIBUTION}: pip uninstall postfx {DISTRIBUTION}, then {pip_install()}", file=sys.stderr)
+    print(f"error: {_namesake}, another package of that name, shares the folder "
+          f"{os.path.join(_SITE, 'postfx')} with {DISTRIBUTION}: pip uninstall postfx "
+          f"{DISTRIBUTION}, then {pip_install()}", file=sys.stderr)
     sys.exit(2)

@@ -12,18 +12,21 @@ if TYPE_CHECKING:
     from postfx.report.capture_data import Comparison
 
 DESCRIPTION = """\
-Compare two captures of the same passes, options and frame, command by command: the first tensor whose largest relative
-error exceeds the tolerance, and a table of all. Both have to be made with --capture-tensors all; where both also have
---capture-network, the first node inside a network is found. B is the reference: an element's error is |a - b| over |b|
-or, if that is larger, over the mean of |b|.
+Compare two captures of the same passes, options and frame, command by command: the first tensor
+whose largest relative error exceeds the tolerance, and a table of all. Both have to be made with
+--capture-tensors all; where both also have --capture-network, the first node inside a network is
+found. B is the reference: an element's error is |a - b| over |b| or, if that is larger, over the
+mean of |b|.
 """
 EXAMPLES = """\
 examples:
   postfx capture-compare after/ before/ --tolerance 1e-4
 
 where the captures come from:
-  postfx run shot/noisy.####.exr -o out/a.####.exr --frames 1-2 --capture before/ --capture-tensors all
-  postfx run shot/noisy.####.exr -o out/b.####.exr --frames 1-2 --capture after/ --capture-tensors all --device cuda
+  postfx run shot/noisy.####.exr -o out/a.####.exr --frames 1-2 --capture before/ \\
+    --capture-tensors all
+  postfx run shot/noisy.####.exr -o out/b.####.exr --frames 1-2 --capture after/ \\
+    --capture-tensors all --device cuda
 
 exit codes: 0 equal within the tolerance; 1 not; 2 an error whose message says how to fix it
 """
@@ -43,7 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Compare; returns the exit code."""
-    from postfx.report.capture_data import compare  # loads the runtime, which --help must not wait for
+    # loads the runtime, which --help must not wait for
+    from postfx.report.capture_data import compare
 
     found = compare(arguments.a, arguments.b, arguments.tolerance)
     print(json.dumps(found.as_dict()) if arguments.json else text_of(found))
@@ -67,4 +71,5 @@ def _verdict(found: Comparison) -> str:
     what = "read from outside by" if first.access == "input" else "written by"
     what += f" {first.node} of" if first.node else ""
     where = f"{what} command {first.index} '{first.label}' ({first.command})"
-    return f"first difference over {found.tolerance:g}: '{first.tensor}' {where}, {first.error:.3g} at {first.place}"
+    return (f"first difference over {found.tolerance:g}: '{first.tensor}' {where}, "
+            f"{first.error:.3g} at {first.place}")

@@ -1,4 +1,5 @@
-"""A sequence in chunks for the machines of a farm: `postfx chunks` prints them, `postfx run --ray` has Ray run them."""
+"""A sequence in chunks for the machines of a farm: `postfx chunks` prints them, `postfx run --ray`
+has Ray run them."""
 
 from __future__ import annotations
 
@@ -27,9 +28,9 @@ if TYPE_CHECKING:
     from postfx.runs.schedule import Chunk
 
 DESCRIPTION = """\
-Cut a sequence into chunks that machines process side by side, and print for each the frames that it reads and its
-command. Frames before a chunk run first, without being written, so that no seam is seen (docs/howto/farm.md). Nothing
-is processed here. Options of 'postfx run' go after --.
+Cut a sequence into chunks that machines process side by side, and print for each the frames that it
+reads and its command. Frames before a chunk run first, without being written, so that no seam is
+seen (docs/howto/farm.md). Nothing is processed here. Options of 'postfx run' go after --.
 """
 EXAMPLES = """\
 examples:
@@ -41,10 +42,12 @@ examples:
   postfx verify out/ --frames 1-200
 """
 _UNEVEN = {
-    "both_ways": "--both-ways works in parts of 32 frames that begin with each chunk: seams may be seen; leave it out",
-    "smooth": "--exposure smooth meters each chunk by itself: brightness may jump at seams; give --exposure EV",
-    "metered": "pictures are exposed as their chunk is metered, which follows slowly: brightness may differ at seams; "
-               "give --exposure EV, lit or metadata",
+    "both_ways": "--both-ways works in parts of 32 frames that begin with each chunk: seams may be "
+    "seen; leave it out",
+    "smooth": "--exposure smooth meters each chunk by itself: brightness may jump at seams; give "
+    "--exposure EV",
+    "metered": "pictures are exposed as their chunk is metered, which follows slowly: brightness "
+    "may differ at seams; give --exposure EV, lit or metadata",
 }
 
 
@@ -54,14 +57,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="frames to read: a pattern, a folder, wildcards or files")
     parser.add_argument("-o", "--output", metavar="OUTPUT", default="out/", type=parse_path,
                         help="files to write: a pattern or a folder (default: out/)")
-    parser.add_argument("--frames", metavar="RANGE", help="frames to process, e.g. 1-100 or 1-100x2 (default: all)")
+    parser.add_argument("--frames", metavar="RANGE",
+                        help="frames to process, e.g. 1-100 or 1-100x2 (default: all)")
     parser.add_argument("--size", metavar="N", type=parse_positive, default=CHUNK_FRAMES,
                         help=f"frames of a chunk (default: {CHUNK_FRAMES})")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--openjd", metavar="FILE", type=parse_path,
                         help="also write the job as an Open Job Description template, as JSON")
-    parser.usage = f"{parser.prog} INPUT... [-o OUTPUT] [--size N] [--frames RANGE] [--json] [--openjd FILE] " \
-                   "[-- RUN OPTIONS]"
+    parser.usage = (f"{parser.prog} INPUT... [-o OUTPUT] [--size N] [--frames RANGE] [--json] "
+                   "[--openjd FILE] [-- RUN OPTIONS]")
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -74,10 +78,11 @@ def execute(arguments: argparse.Namespace) -> int:
     cut = cut_up(words, make_parser(["run"]).parse_args(words), arguments.size, arguments.frames)
     if arguments.openjd:
         if Path(arguments.openjd).resolve().parent != Path.cwd():
-            raise OptionError(f"--openjd {arguments.openjd}: write it into this folder, {Path.cwd()}: names of files "
-                              "in it are relative to where it lies")
+            raise OptionError(f"--openjd {arguments.openjd}: write it into this folder, "
+                              f"{Path.cwd()}: names of files in it are relative to where it lies")
         name = f"postfx {Path(str(cut.sequence.pattern)).name}"
-        job = json.dumps(describe_job(name, cut.chunks, arguments.size, cut.run, cut.verify), indent=2)
+        job = json.dumps(describe_job(name, cut.chunks, arguments.size, cut.run, cut.verify),
+                         indent=2)
         write_atomically(Path(arguments.openjd), lambda file: file.write(f"{job}\n".encode()))
     facts: dict[str, Any] = {
         "input": str(cut.sequence.pattern), "output": arguments.output, "frames": cut.frames,
@@ -108,7 +113,8 @@ class Cut(NamedTuple):
         return [*self.run, f"--frames={chunk.as_dict()['frames']}"]
 
 
-def cut_up(words: Words[str], given: argparse.Namespace, size: int, frames: str | None = None) -> Cut:
+def cut_up(words: Words[str], given: argparse.Namespace, size: int,
+           frames: str | None = None) -> Cut:
     """Cut what a `postfx run` would process.
 
     Args:
@@ -127,17 +133,20 @@ def cut_up(words: Words[str], given: argparse.Namespace, size: int, frames: str 
 
     RUN.refuse_conflicts(given)
     if not given.no_denoise:
-        create("denoise_upscale", **RUN.values_for("denoiser", given))  # whose errors belong here, not on a farm
+        # whose errors belong here, not on a farm
+        create("denoise_upscale", **RUN.values_for("denoiser", given))
     sequence = _open(given, frames or given.frames)
     chunks = list(make_chunks(sequence, size, _frames_ahead(given, sequence)))
     own = [] if given.preroll is not None else ["--preroll", "auto"]
     own += [] if given.overwrite or given.skip_existing else ["--skip-existing"]
-    folder = Path(given.output) if with_slashes(given.output).endswith("/") else Path(given.output).parent
+    folder = (Path(given.output) if with_slashes(given.output).endswith("/")
+              else Path(given.output).parent)
     whole = format_frames(sequence.numbers)
     notes = _notes(given, given.output)
     before = sum(len(chunk.preroll) for chunk in chunks) if given.preroll is None else 0
-    notes += [f"{before} frames run twice, for the history of chunks: larger chunks need fewer, and --preroll 32 is "
-              "enough for most shots"] if before > len(sequence) // 2 else []
+    notes += ([f"{before} frames run twice, for the history of chunks: larger chunks need fewer, "
+               "and --preroll 32 is enough for most shots"]
+              if before > len(sequence) // 2 else [])
     verify = ["postfx", "verify", str(folder), f"--frames={whole}"]
     return Cut(sequence, chunks, whole, ["postfx", *words, *given.defaults, *own], verify, notes)
 
@@ -171,14 +180,16 @@ def _notes(given: argparse.Namespace, output: str) -> list[str]:
     is_picture = bool(Path(output).suffix) and is_display_format(output)
     shown = is_shown(is_picture, **RUN.values_for("look", given))
     found = ["both_ways"] if given.both_ways else []
-    found += ["smooth"] if given.exposure == "smooth" else ["metered"] if given.exposure == "auto" and shown else []
+    found += (["smooth"] if given.exposure == "smooth" else ["metered"]
+              if given.exposure == "auto" and shown else [])
     return [_UNEVEN[name] for name in found]
 
 
 def _lines(facts: dict[str, Any]) -> list[str]:
     join = subprocess.list2cmdline if os.name == "nt" else shlex.join
     lines = [f"{join(chunk['command'])}  # reads {chunk['reads']}" for chunk in facts["chunks"]]
-    return [*lines, f"{join(facts['verify'])}  # after all of them", *(f"# {note}" for note in facts["notes"])]
+    return [*lines, f"{join(facts['verify'])}  # after all of them",
+            *(f"# {note}" for note in facts["notes"])]
 
 
 # Names of the task's and of the job's parameter of an Open Job Description.
@@ -186,12 +197,14 @@ FRAMES_PARAMETER = "Frames"
 FOLDER_PARAMETER = "Folder"
 
 
-def describe_job(name: str, chunks: Words[Chunk], size: int, run: Words[str], verify: Words[str]) -> dict[str, Any]:
-    """The job as an Open Job Description template (2023-09): a step that processes the chunks, and one that checks all
-    of them together afterwards. They run in the template's folder, which the scheduler maps to each machine.
+def describe_job(name: str, chunks: Words[Chunk], size: int, run: Words[str],
+                 verify: Words[str]) -> dict[str, Any]:
+    """The job as an Open Job Description template (2023-09): a step that processes the chunks, and
+    one that checks all of them together afterwards. They run in the template's folder, which the
+    scheduler maps to each machine.
 
-    Where all frames follow each other, the scheduler makes the chunks (extension TASK_CHUNKING, contiguous); else each
-    chunk is a task.
+    Where all frames follow each other, the scheduler makes the chunks (extension TASK_CHUNKING,
+    contiguous); else each chunk is a task.
 
     Args:
         run: command and arguments of a chunk, without its frames.
@@ -201,7 +214,8 @@ def describe_job(name: str, chunks: Words[Chunk], size: int, run: Words[str], ve
 
     numbers = [number for chunk in chunks for number in chunk.frames]
     is_contiguous = numbers == list(range(numbers[0], numbers[-1] + 1))
-    parameter = {"name": FRAMES_PARAMETER, "type": "CHUNK[INT]", "range": f"{numbers[0]}-{numbers[-1]}",
+    parameter = {"name": FRAMES_PARAMETER, "type": "CHUNK[INT]",
+                 "range": f"{numbers[0]}-{numbers[-1]}",
                  "chunks": {"defaultTaskCount": size, "rangeConstraint": "CONTIGUOUS"}}
     if not is_contiguous:
         parameter = {"name": FRAMES_PARAMETER, "type": "STRING",
@@ -210,18 +224,20 @@ def describe_job(name: str, chunks: Words[Chunk], size: int, run: Words[str], ve
         "specificationVersion": "jobtemplate-2023-09",
         **({"extensions": ["TASK_CHUNKING"]} if is_contiguous else {}),
         "name": name,
-        "parameterDefinitions": [{"name": FOLDER_PARAMETER, "type": "PATH", "objectType": "DIRECTORY",
-                                  "dataFlow": "INOUT", "default": "."}],
+        "parameterDefinitions": [{"name": FOLDER_PARAMETER, "type": "PATH",
+                                  "objectType": "DIRECTORY", "dataFlow": "INOUT", "default": "."}],
         "steps": [
             {"name": "Process", "parameterSpace": {"taskParameterDefinitions": [parameter]},
              "script": _script([*run, f"--frames={{{{Task.Param.{FRAMES_PARAMETER}}}}}"])},
-            {"name": "Verify", "dependencies": [{"dependsOn": "Process"}], "script": _script(verify)},
+            {"name": "Verify", "dependencies": [{"dependsOn": "Process"}],
+             "script": _script(verify)},
         ],
     }
 
 
 def _script(words: Words[str]) -> dict[str, Any]:
-    """A script that runs a command in the job's folder: schedulers start each in a folder of its own."""
+    """A script that runs a command in the job's folder: schedulers start each in a folder of its
+    own."""
     args = ["-c", 'cd "$0" && exec "$@"', f"{{{{Param.{FOLDER_PARAMETER}}}}}", *words]
     return {"actions": {"onRun": {"command": "sh", "args": args}}}
 
@@ -229,22 +245,27 @@ def _script(words: Words[str]) -> dict[str, Any]:
 # Ray
 
 RESTARTS = 3
-"""How often a chunk goes to another machine because its own one died; a chunk may also be what kills them."""
+"""How often a chunk goes to another machine because its own one died; a chunk may also be what
+kills them."""
 RAY_TIMEOUT_SECONDS = 5.0
-"""Seconds to wait for Ray's port. Without looking there first, Ray itself tries for a minute and ends the process."""
+"""Seconds to wait for Ray's port. Without looking there first, Ray itself tries for a minute and
+ends the process."""
 CLAIM_PAUSE_SECONDS = 2.0
 """Seconds between two tries to take over files that another run has claimed."""
 
 
 class ChunkActor:
-    """Runs a chunk in a process on a machine that Ray chooses, and keeps the chunk's history from frame to frame."""
+    """Runs a chunk in a process on a machine that Ray chooses, and keeps the chunk's history from
+    frame to frame."""
 
-    def run(self, folder: str, version: str, command: list[str]) -> tuple[str, list[str], list[str]]:
-        """Run a chunk's command as `postfx run` does, in `folder`; the machine's name, warnings, and which frames
-        failed and were let pass.
+    def run(self, folder: str, version: str,
+            command: list[str]) -> tuple[str, list[str], list[str]]:
+        """Run a chunk's command as `postfx run` does, in `folder`; the machine's name, warnings,
+        and which frames failed and were let pass.
 
-        If the machine dies, Ray calls it again on another one: finished frames are kept, and the history comes from
-        the last checkpoint. Until the claim of the dead process counts as ended, its files are waited for.
+        If the machine dies, Ray calls it again on another one: finished frames are kept, and the
+        history comes from the last checkpoint. Until the claim of the dead process counts as ended,
+        its files are waited for.
         """
         from postfx.cli.job import Job
         from postfx.cli.main import make_parser, read_and_write_by
@@ -254,9 +275,11 @@ class ChunkActor:
 
         machine = socket.gethostname()
         if version != __version__:
-            raise FarmError(f"{machine} has postfx {__version__}, not {version}: install the same everywhere")
+            raise FarmError(f"{machine} has postfx {__version__}, not {version}: install the same "
+                            "everywhere")
         if not Path(folder).is_dir():
-            raise FarmError(f"{machine} has no folder {folder}: frames must be at the same place on all machines")
+            raise FarmError(f"{machine} has no folder {folder}: frames must be at the same place "
+                            "on all machines")
         os.chdir(folder)
         sys.argv = command  # the manifest records it
         given = make_parser(["run"]).parse_args(command[1:])
@@ -278,9 +301,11 @@ class ChunkActor:
 
 
 def run_on_ray(arguments: argparse.Namespace) -> int:
-    """`postfx run --ray`: let Ray run the chunks, then check all of them together; returns the exit code.
+    """`postfx run --ray`: let Ray run the chunks, then check all of them together; returns the exit
+    code.
 
-    Ray alone decides which chunk runs where and when. Raises FarmError if Ray cannot be reached or a chunk failed.
+    Ray alone decides which chunk runs where and when. Raises FarmError if Ray cannot be reached or
+    a chunk failed.
     """
     from postfx.cli.interruptions import EXIT_FAULTS
     from postfx.cli.job import NOWHERE
@@ -312,20 +337,24 @@ def _connect(address: str) -> Any:
     try:
         ray = import_module("ray")
     except ImportError:
-        raise FarmError(f"--ray needs Ray, which is not installed here: {pip_install('ray')}") from None
-    remedy = "give the address that 'ray start --head' printed, auto for the cluster of this machine, or local"
+        raise FarmError("--ray needs Ray, which is not installed here: "
+                        f"{pip_install('ray')}") from None
+    remedy = ("give the address that 'ray start --head' printed, auto for the cluster of this "
+              "machine, or local")
     host, _, port = address.removeprefix("ray://").rpartition(":")
     try:
         if port.isdigit():
             socket.create_connection((host, int(port)), RAY_TIMEOUT_SECONDS).close()
         ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
     except Exception as error:  # of many kinds, by Ray's version and the address
-        raise FarmError(f"--ray {address}: cannot be reached: {_first_line(error)}: {remedy}") from None
+        raise FarmError(f"--ray {address}: cannot be reached: {_first_line(error)}: "
+                        f"{remedy}") from None
     return ray
 
 
 def _share_of_machine(ray: Any, address: str, given: argparse.Namespace) -> dict[str, int]:
-    """What Ray reserves for a chunk: a GPU if there are any, and the cores of the smallest machine, or of its GPU."""
+    """What Ray reserves for a chunk: a GPU if there are any, and the cores of the smallest machine,
+    or of its GPU."""
     from postfx.errors import FarmError
 
     machines = [node["Resources"] for node in ray.nodes() if node["Alive"]]
@@ -333,18 +362,21 @@ def _share_of_machine(ray: Any, address: str, given: argparse.Namespace) -> dict
     cores = [each["CPU"] / (each["GPU"] if gpus else 1) for each in machines
              if each.get("CPU") and (each.get("GPU") or not gpus)]
     if not cores:
-        raise FarmError(f"--ray {address}: Ray has no machine with cores: start one with 'ray start --address'")
+        raise FarmError(f"--ray {address}: Ray has no machine with cores: start one with 'ray "
+                        "start --address'")
     _tell(f"Ray at {address}, machines: {len(cores)}")
     return {"num_cpus": max(1, int(min(cores))), "num_gpus": gpus}
 
 
 def _hand_out(ray: Any, cut: Cut, share: dict[str, int]) -> bool:
-    """Have all chunks run; whether frames failed and were skipped. FarmError at the end if a chunk failed."""
+    """Have all chunks run; whether frames failed and were skipped. FarmError at the end if a chunk
+    failed."""
     from postfx.errors import FarmError, Interrupted
     from postfx.version import __version__
 
     asked: list[int] = []
-    if threading.current_thread() is threading.main_thread():  # Ray's own handler prints a trace and exits with 1
+    # Ray's own handler prints a trace and exits with 1
+    if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, lambda number, _: asked.append(number))
     # with its source, so that a machine without postfx can say so
     ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
@@ -366,7 +398,8 @@ def _hand_out(ray: Any, cut: Cut, share: dict[str, int]) -> bool:
         if not found:
             continue
         ready = found[0]
-        chunk = pending.pop(ready)[0]  # without its handle the actor ends, and makes room for the next one
+        # without its handle the actor ends, and makes room for the next one
+        chunk = pending.pop(ready)[0]
         frames = chunk.as_dict()["frames"]
         try:
             machine, texts, lost = ray.get(ready)
@@ -376,12 +409,13 @@ def _hand_out(ray: Any, cut: Cut, share: dict[str, int]) -> bool:
             continue
         warnings |= dict.fromkeys(texts)
         faults += [f"failed: {line}" for line in lost]
-        _tell(f"frames {frames}: done on {machine}, {len(pending)} of {len(cut.chunks)} chunks left")
+        _tell(f"frames {frames}: done on {machine}, {len(pending)} of {len(cut.chunks)} chunks "
+              "left")
     for line in [*(f"warning: {text}" for text in warnings), *faults]:
         _tell(line)
     if failed:
-        raise FarmError(f"{len(failed)} of {len(cut.chunks)} chunks failed, {failed[0]}; the same command goes on from "
-                        "here")
+        raise FarmError(f"{len(failed)} of {len(cut.chunks)} chunks failed, {failed[0]}; the same "
+                        "command goes on from here")
     return bool(faults)
 
 
@@ -394,8 +428,8 @@ def _explain(error: Exception) -> str:
         return str(cause)
     if missing := re.search(r"No module named '([^']*)'", str(error)):
         place = re.search(r"\bip=([^,)\s]+)", str(error))
-        return f"machine {place[1] if place else '?'} has no Python package '{missing[1]}': install postfx into the " \
-               "Python that runs Ray there"
+        return (f"machine {place[1] if place else '?'} has no Python package '{missing[1]}': "
+               "install postfx into the Python that runs Ray there")
     return _first_line(cause or error)
 
 

@@ -1,4 +1,5 @@
-"""Defaults of a studio: what postfx.toml and --preset say for `postfx run`, and `postfx config`, which shows it."""
+"""Defaults of a studio: what postfx.toml and --preset say for `postfx run`, and `postfx config`,
+which shows it."""
 
 from __future__ import annotations
 
@@ -15,9 +16,10 @@ if TYPE_CHECKING:
     from pathlib import Path  # which --help does without
 
 DESCRIPTION = """\
-Show the defaults of 'postfx run' that files named postfx.toml set, and where each comes from. The nearest such file
-counts, in this folder or above. Below it count the user's and the machine's own; 'postfx config' names their places.
-The variable POSTFX_CONFIG names one file to read in place of all these. If it is empty, none is read.
+Show the defaults of 'postfx run' that files named postfx.toml set, and where each comes from. The
+nearest such file counts, in this folder or above. Below it count the user's and the machine's own;
+'postfx config' names their places. The variable POSTFX_CONFIG names one file to read in place of
+all these. If it is empty, none is read.
 
 A file holds options of 'postfx run' without their dashes:
 
@@ -26,9 +28,9 @@ A file holds options of 'postfx run' without their dashes:
   compression = "dwaa:45"
   overwrite = true
 
-Options on the command line come first, then its --preset, then the files. A default that conflicts with an option that
-you give is left out. Options that belong to one command, such as --output or --frames, cannot be set here; nor can
---provider, which may load a library.
+Options on the command line come first, then its --preset, then the files. A default that conflicts
+with an option that you give is left out. Options that belong to one command, such as --output or
+--frames, cannot be set here; nor can --provider, which may load a library.
 """
 EXAMPLES = """\
 examples:
@@ -55,7 +57,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
     found = read_defaults(RUN)
     facts = {"files": [str(path) for path in find_files()],
-             "run": {name: {"value": default.text, "file": str(default.path)} for name, default in found.items()},
+             "run": {name: {"value": default.text, "file": str(default.path)}
+                     for name, default in found.items()},
              "presets": PRESETS}
     if arguments.json:
         print(json.dumps(facts))
@@ -64,10 +67,12 @@ def execute(arguments: argparse.Namespace) -> int:
     lines += [f"default  {default.option.flag} {default.text_shown}    from {default.path}"
               for default in found.values()]
     if not lines:
-        places = [] if DEFAULTS_VARIABLE in os.environ else [Path.cwd() / DEFAULTS_FILE, *_own_places()[::-1]]
+        places = ([] if DEFAULTS_VARIABLE in os.environ
+                  else [Path.cwd() / DEFAULTS_FILE, *_own_places()[::-1]])
         lines = [f"no {DEFAULTS_FILE}; it may be {' or '.join(map(str, places))}" if places
                  else f"{DEFAULTS_VARIABLE} asks for no file"]
-    lines += [f"preset   {name}: {' '.join(_words(RUN, values))}" for name, values in PRESETS.items()]
+    lines += [f"preset   {name}: {' '.join(_words(RUN, values))}"
+              for name, values in PRESETS.items()]
     print("\n".join(lines))
     return 0
 
@@ -88,25 +93,29 @@ class Default(NamedTuple):
     @property
     def text_shown(self) -> str:
         """The text as people read it."""
-        return "" if self.text is True else ", ".join(self.text) if isinstance(self.text, list) else str(self.text)
+        return ("" if self.text is True else ", ".join(self.text) if isinstance(self.text, list)
+                else str(self.text))
 
     @property
     def words(self) -> list[str]:
         """The same on a command line."""
         if self.option.is_switch:
             return [self.option.flag] if self.value else []
-        texts = self.text if isinstance(self.text, list) else ["" if self.text is True else self.text]
+        texts = (self.text if isinstance(self.text, list)
+                 else ["" if self.text is True else self.text])
         return [f"{self.option.flag}={text}" for text in texts]
 
 
 def complete(options: Options, presets: Mapping[str, Mapping[str, Any]]) -> Any:
-    """What fills in arguments that are not given, for `Parser.complete`. The arguments then have `filled`, the names of
-    those that files set, `defaults`, the same as words of a command line, and `default_files`."""
+    """What fills in arguments that are not given, for `Parser.complete`. The arguments then have
+    `filled`, the names of those that files set, `defaults`, the same as words of a command line,
+    and `default_files`."""
 
     def fill_in(arguments: argparse.Namespace, given: set[str]) -> None:
         found = read_defaults(options)
         given |= {*options.fill(arguments, given, presets.get(arguments.preset, {}))}
-        filled = options.fill(arguments, given, {name: default.value for name, default in found.items()})
+        filled = options.fill(arguments, given,
+                              {name: default.value for name, default in found.items()})
         arguments.defaults = [word for name in filled for word in found[name].words]
         arguments.default_files = list(dict.fromkeys(str(found[name].path) for name in filled))
         if "preset" in filled:
@@ -117,18 +126,20 @@ def complete(options: Options, presets: Mapping[str, Mapping[str, Any]]) -> Any:
 
 
 def find_files() -> list[Path]:
-    """Files of defaults that exist, the weakest first. OptionError if POSTFX_CONFIG names one that is not."""
+    """Files of defaults that exist, the weakest first. OptionError if POSTFX_CONFIG names one that
+    is not."""
     from pathlib import Path
 
     named = os.environ.get(DEFAULTS_VARIABLE)
     if named is not None:
         path = Path(os.path.expanduser(named))
         if named and not os.path.isfile(path):
-            raise OptionError(f"{path}: {DEFAULTS_VARIABLE} names this file, which is not there: correct or unset the "
-                              "variable")
+            raise OptionError(f"{path}: {DEFAULTS_VARIABLE} names this file, which is not there: "
+                              "correct or unset the variable")
         return [path] if named else []
     here = Path.cwd()
-    near = next((folder / DEFAULTS_FILE for folder in (here, *here.parents) if (folder / DEFAULTS_FILE).is_file()),
+    near = next((folder / DEFAULTS_FILE
+                 for folder in (here, *here.parents) if (folder / DEFAULTS_FILE).is_file()),
                 None)
     return [path for path in (*_own_places(), near) if path and path.is_file()]
 
@@ -155,19 +166,25 @@ def _read(path: Path, options: Options) -> list[Default]:
     try:
         content = parse_toml(read_text(path))
     except (OSError, ValueError) as error:
-        raise OptionError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise OptionError(f"{path}: cannot be read: "
+                          f"{getattr(error, 'strerror', None) or error}") from None
     for name in content:
         if name != RUN_TABLE or not isinstance(content[name], dict):
-            raise OptionError(f"{path}: no table '{name}': options of 'postfx run' stand below [{RUN_TABLE}]")
-    return [_default(path, options, key, value) for key, value in content.get(RUN_TABLE, {}).items()]
+            raise OptionError(f"{path}: no table '{name}': options of 'postfx run' stand below "
+                              f"[{RUN_TABLE}]")
+    return [_default(path, options, key, value)
+            for key, value in content.get(RUN_TABLE, {}).items()]
 
 
 def _default(path: Path, options: Options, key: str, value: Any) -> Default:
-    known = {option.name.replace("_", "-"): option for option in options if not (option.once or option.shows)}
+    known = {option.name.replace("_", "-"): option
+             for option in options if not (option.once or option.shows)}
     option = known.get(key.replace("_", "-"))
     if option is None:
-        why = "belongs on the command line" if key in {each.flag.lstrip("-") for each in options} else "is no option"
-        raise OptionError(f"{path}: {key} {why}{suggest(key, known) if why == 'is no option' else ''}")
+        why = ("belongs on the command line" if key in {each.flag.lstrip("-") for each in options}
+               else "is no option")
+        raise OptionError(f"{path}: {key} "
+                          f"{why}{suggest(key, known) if why == 'is no option' else ''}")
     try:
         return Default(option, _parse(option, value), value, path)
     except ValueError as error:

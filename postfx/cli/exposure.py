@@ -20,18 +20,21 @@ if TYPE_CHECKING:  # what measuring needs is loaded by then: --help must not wai
     from postfx.passes import Pass
 
 DESCRIPTION = """\
-Measure the exposure of a sequence at the end of the chain: a grey checkerboard, divided by the right exposure, goes
-through the tone mapper with the exposure that the run uses. If the exposure is right, the board comes out as a steady
-mid grey. Its level shows by how many stops the exposure is off, frame by frame and shot by shot (from cut to cut). It
-also shows whether the exposure drifts, which one is right, and which mistake fits: exposure already in the colour, not
-passed on, inverted, in stops, late or feeding back.
+Measure the exposure of a sequence at the end of the chain: a grey checkerboard, divided by the
+right exposure, goes through the tone mapper with the exposure that the run uses. If the exposure is
+right, the board comes out as a steady mid grey. Its level shows by how many stops the exposure is
+off, frame by frame and shot by shot (from cut to cut). It also shows whether the exposure drifts,
+which one is right, and which mistake fits: exposure already in the colour, not passed on, inverted,
+in stops, late or feeding back.
 
-The board covers the picture, so the denoiser does not run: a frame takes the time to read its colour.
+The board covers the picture, so the denoiser does not run: a frame takes the time to read its
+colour.
 
-For a tone mapper or a grade outside postfx, 'POSTFX_EXPOSURE_TOOL=1 postfx run ...' writes frames that hold the
-checkerboard, divided by each frame's exposure, which is in the headers (postfx:exposureUsedEV). Take them through your
-chain and give the results to --graded. A chart (--chart) that goes through your tone mapper at 0 EV shows its curve
-(--response); without it, levels are compared with the curve of --tonemap.
+For a tone mapper or a grade outside postfx, 'POSTFX_EXPOSURE_TOOL=1 postfx run ...' writes frames
+that hold the checkerboard, divided by each frame's exposure, which is in the headers
+(postfx:exposureUsedEV). Take them through your chain and give the results to --graded. A chart
+(--chart) that goes through your tone mapper at 0 EV shows its curve (--response); without it,
+levels are compared with the curve of --tonemap.
 """
 EXAMPLES = """\
 examples:
@@ -76,23 +79,27 @@ EXPOSURE_OPTIONS = Options(Section("", (
     Option(flag="--exposure", metavar=MODE_METAVAR, default="auto",
            help="exposure to test, as for 'postfx run' (default: auto)"),
     Option(flag="--reference", metavar=MODE_METAVAR, default="smooth",
-           help="the right exposure (default: smooth, metered on the pictures); give an EV or metadata if the exposure "
-           "is an artist's choice"),
-    Option(flag="--tonemap", metavar="TAG", either="look", help="look of the tone mapper (default: as 'postfx run')"),
+           help="the right exposure (default: smooth, metered on the pictures); give an EV or "
+           "metadata if the exposure is an artist's choice"),
+    Option(flag="--tonemap", metavar="TAG", either="look",
+           help="look of the tone mapper (default: as 'postfx run')"),
     Option(flag="--no-tonemap", either="look", help="only expose, clip and encode"),
     Option(flag="--graded", metavar="FRAMES",
-           help="the boards of 'POSTFX_EXPOSURE_TOOL=1 postfx run' on INPUT with the same --exposure, after your "
-           "chain, numbered alike: PNG, TIFF, JPEG or EXR"),
-    Option(flag="--response", metavar="FILE", help="the chart after your tone mapper; needs --graded",
+           help="the boards of 'POSTFX_EXPOSURE_TOOL=1 postfx run' on INPUT with the same "
+           "--exposure, after your chain, numbered alike: PNG, TIFF, JPEG or EXR"),
+    Option(flag="--response", metavar="FILE",
+           help="the chart after your tone mapper; needs --graded",
            needs={"--graded": "--response tells how --graded frames are read: give both"}),
     Option(flag="--chart", metavar="EXR",
-           help="write a chart of greys, from 8 stops below mid grey to 8 above, for your tone mapper at 0 EV, and "
-           "stop"),
+           help="write a chart of greys, from 8 stops below mid grey to 8 above, for your tone "
+           "mapper at 0 EV, and stop"),
     Option(flag="--curve", metavar="PNG", help="write a picture of the exposure over the sequence"),
     Option(flag="--views", metavar="DIR",
-           help="write curve.png, and of each frame ARRI false colour of the Log C signal (log_c) and of the display's "
-           "(display), and zebra at 95 %%. Frames are denoised and exposed first, which takes the time of a run"),
-    Option(flag="--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)"),
+           help="write curve.png, and of each frame ARRI false colour of the Log C signal (log_c) "
+           "and of the display's (display), and zebra at 95 %%. Frames are denoised and exposed "
+           "first, which takes the time of a run"),
+    Option(flag="--profile", metavar="NAME|FILE",
+           help="renderer profile (default: found from the file)"),
     *FILES,
     Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to run"),
     Option(flag="--json", help="print one JSON object"),
@@ -100,7 +107,8 @@ EXPOSURE_OPTIONS = Options(Section("", (
 
 
 class ExposureCheck:
-    """The measured exposure of a sequence, as the arguments of `postfx exposure` ask for it. Raises PostfxError."""
+    """The measured exposure of a sequence, as the arguments of `postfx exposure` ask for it. Raises
+    PostfxError."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         from postfx.io.sequence import read_sequence
@@ -108,7 +116,8 @@ class ExposureCheck:
 
         self._arguments = arguments
         values = FILES.values_for("sequence", arguments)
-        self._sequence = read_sequence(arguments.input, arguments.frames, arguments.profile, **values).first_view()
+        self._sequence = read_sequence(arguments.input, arguments.frames, arguments.profile,
+                                       **values).first_view()
         self._device = Device(arguments.device)
         self._report = self._measure()
 
@@ -122,7 +131,8 @@ class ExposureCheck:
         if not given.graded:
             return debug(frames, self._view(), given.exposure, given.reference, device=self._device)
         boards = GradedBoards(given.graded)
-        judged = read_response(given.response) if given.response else judge_view(self._view(), self._device)
+        judged = (read_response(given.response) if given.response
+                  else judge_view(self._view(), self._device))
         return debug_graded(frames, boards.level, judged, given.exposure, given.reference)
 
     @property
@@ -155,8 +165,8 @@ class ExposureCheck:
         """The same for people."""
         report = self._report
         lines = [
-            f"{self._sequence.pattern}: {len(report.readings)} frames, exposure {self._arguments.exposure}, "
-            f"right is {self._arguments.reference}",
+            f"{self._sequence.pattern}: {len(report.readings)} frames, exposure "
+            f"{self._arguments.exposure}, right is {self._arguments.reference}",
             f"verdict  {report.verdict}; mid grey is right at {report.grey:.1%} of the signal",
             *self._read_by(),
             f"{'frames':<12}{'level':>8}{'mismatch':>17}{'drift':>10}  right exposure",
@@ -172,10 +182,11 @@ class ExposureCheck:
         if not given.graded:
             return []
         if not given.response:
-            return [f"read by  the curve of --tonemap {given.tonemap or 'aces2'}: if your chain has another one, give "
-                    "--response (--chart writes what it needs)"]
+            return [f"read by  the curve of --tonemap {given.tonemap or 'aces2'}: if your chain "
+                    "has another one, give --response (--chart writes what it needs)"]
         remark = self._report.remark
-        return [f"read by  the curve in {given.response}", *([f"remark   {remark}"] if remark else [])]
+        return [f"read by  the curve in {given.response}",
+                *([f"remark   {remark}"] if remark else [])]
 
     def write_pictures(self) -> Iterator[Path]:
         """Write what --curve and --views ask for; each path when it is there."""
@@ -185,7 +196,9 @@ class ExposureCheck:
         curves = [self._arguments.curve, views and views / "curve.png"]
         name = Path(str(self._sequence.pattern)).name
         for path in map(Path, filter(None, curves)):
-            draw_exposure(self._report, f"{name}: exposure {self._arguments.exposure}, {self._report.verdict}", path)
+            draw_exposure(self._report,
+                          f"{name}: exposure {self._arguments.exposure}, {self._report.verdict}",
+                          path)
             yield path
         if views:
             yield from self._write_views(views)
@@ -222,7 +235,8 @@ class ExposureCheck:
         return [create("tonemap", **({"tag": tag} if tag else {}))]
 
 
-def _views(clean: Frame, display: np.ndarray, exposure_factor: float) -> Iterator[tuple[str, np.ndarray]]:
+def _views(clean: Frame, display: np.ndarray,
+           exposure_factor: float) -> Iterator[tuple[str, np.ndarray]]:
     from postfx.colour.views import false_colour, log_c, luma, zebra
     from postfx.frame import Role
     from postfx.report.charts import add_key
@@ -241,9 +255,11 @@ def _row(shot: Shot, report: Report) -> str:
     bound = "over " if shot.mismatch_ev <= low else "under " if shot.mismatch_ev >= high else ""
     mismatch = f"{'beyond ' * bool(bound)}{shot.mismatch_ev:+.2f} EV"
     right = f"{bound}{shot.right_ev:+.2f} EV (x {2**shot.right_ev:.3g})"
-    row = f"{frames:<12}{shot.level:>8.1%}{mismatch:>17}{shot.drift_ev:>7.2f} EV  {right:<24}{shot.verdict}"
+    row = (f"{frames:<12}{shot.level:>8.1%}{mismatch:>17}{shot.drift_ev:>7.2f} EV  "
+           f"{right:<24}{shot.verdict}")
     return row + (f" by {shot.drift_ev:.2f} EV" if shot.verdict == DRIFTING_VERDICT else "")
 
 
 def _round(values: dict[str, Any]) -> dict[str, Any]:
-    return {name: round(value, 5) if isinstance(value, float) else value for name, value in values.items()}
+    return {name: round(value, 5) if isinstance(value, float) else value
+            for name, value in values.items()}

@@ -24,13 +24,14 @@ if TYPE_CHECKING:
     from postfx.io.writer import OutputFiles
 
 DESCRIPTION = """\
-Make new frames between those of a sequence: twice as many, or for another frame rate. Motion vectors and depth lead
-each pixel from both frames to the new time; without vectors, motion is estimated from the pictures. Light stays
-scene-linear: interpolate renders or denoised frames, before tone mapping.
+Make new frames between those of a sequence: twice as many, or for another frame rate. Motion
+vectors and depth lead each pixel from both frames to the new time; without vectors, motion is
+estimated from the pictures. Light stays scene-linear: interpolate renders or denoised frames,
+before tone mapping.
 
-The new sequence is numbered from the first frame's number on. Frame rate and time code in the headers are adapted.
-Across a cut, and where nothing changes, the nearer frame is repeated. No frames are made beside a missing one. Both
-cases are reported with the reason.
+The new sequence is numbered from the first frame's number on. Frame rate and time code in the
+headers are adapted. Across a cut, and where nothing changes, the nearer frame is repeated. No
+frames are made beside a missing one. Both cases are reported with the reason.
 """
 EXAMPLES = """\
 examples:
@@ -76,39 +77,49 @@ def _parse_shutter(text: str) -> float:
 
 INTERPOLATE = Options(Section("", (
     INPUT,
-    Option(flag="--output", short="-o", metavar="OUTPUT", help="EXR files to write: a pattern or a folder"),
+    Option(flag="--output", short="-o", metavar="OUTPUT",
+           help="EXR files to write: a pattern or a folder"),
     Option(flag="--times", metavar="N|T,...",
-           help="how many times as many frames, or times between two frames, e.g. 0.25,0.5 (default: 2)"),
+           help="how many times as many frames, or times between two frames, e.g. 0.25,0.5 "
+           "(default: 2)"),
     Option(flag="--fps", metavar="OLD[:NEW]",
            help="frame rates, e.g. 24:60; the old one alone if the headers lack it"),
     Option(flag="--frames", metavar="RANGE", help="frames to use, e.g. 1-100"),
     Option(flag="--shutter", metavar="DEGREES", type=_parse_shutter, default=0.0,
-           help="add motion blur to renders that have none: how long the shutter is open, where 360 is all of a new "
-           f"frame; the mean of {SHUTTER_SAMPLES} times (default: 0, none)"),
+           help="add motion blur to renders that have none: how long the shutter is open, where "
+           f"360 is all of a new frame; the mean of {SHUTTER_SAMPLES} times (default: 0, none)"),
     Option(flag="--planes",
-           help="write depth, motion, normals, reflectances and Cryptomattes of all frames, too, so that passes after "
-           "this one can use them; the files hold floats"),
+           help="write depth, motion, normals, reflectances and Cryptomattes of all frames, too, "
+           "so that passes after this one can use them; the files hold floats"),
     Option(flag="--no-flow",
-           help="do not estimate motion if there are motion vectors: faster, but shadows and reflections are only "
-           "cross-faded"),
+           help="do not estimate motion if there are motion vectors: faster, but shadows and "
+           "reflections are only cross-faded"),
     Option(flag="--overlay", choices=("mix", "hold"), default="mix",
-           help="between frames, mix the overlay's layer, or keep that of the frame before (default: mix)"),
+           help="between frames, mix the overlay's layer, or keep that of the frame before "
+           "(default: mix)"),
     Option(flag="--composited",
-           help="the picture already includes the overlay's layer: remove it first, and composite it over the result"),
+           help="the picture already includes the overlay's layer: remove it first, and composite "
+           "it over the result"),
     Option(flag="--overlays", metavar="FRAMES", is_file=True,
-           excludes={"--composited": "--overlays are composited over pictures without one: leave --composited out"},
-           help="overlays for all frames of OUTPUT, numbered like it, to composite over the pictures"),
+           excludes={"--composited": "--overlays are composited over pictures without one: leave "
+                     "--composited out"},
+           help="overlays for all frames of OUTPUT, numbered like it, to composite over the "
+           "pictures"),
     Option(flag="--reference", metavar="FRAMES", is_file=True,
-           help="rendered frames, numbered like OUTPUT: print the PSNR of each new frame that was also rendered"),
+           help="rendered frames, numbered like OUTPUT: print the PSNR of each new frame that was "
+           "also rendered"),
     Option(flag="--overwrite", help="replace output files that are there"),
     Option(flag="--bits", metavar="N", type=parse_positive, sets="writer.bits",
-           help="bits of a channel: 16 (half floats, default) or 32 (floats, default with --planes)"),
+           help="bits of a channel: 16 (half floats, default) or 32 (floats, default with "
+           "--planes)"),
     RUN["--compression"],
     RUN["--profile"],
     DEPTH_OPTION,
     *FILES,
-    Option(flag="--cuts", metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts", convert=parse_cuts,
-           help="where shots begin: by headers and pictures, nowhere, or at these frames (default: auto)"),
+    Option(flag="--cuts", metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts",
+           convert=parse_cuts,
+           help="where shots begin: by headers and pictures, nowhere, or at these frames (default: "
+           "auto)"),
     Option(flag="--json", help="print one JSON object"),
 )))
 
@@ -119,8 +130,9 @@ CRYPTOMATTE = "cryptomatte/"
 
 @dataclass
 class Summary:
-    """What became of a sequence: reasons by the numbers of new frames, PSNR in dB by number, and how often what time
-    passes in the picture from one new frame to the next, in frames of the input: none passes in a repeated one."""
+    """What became of a sequence: reasons by the numbers of new frames, PSNR in dB by number, and
+    how often what time passes in the picture from one new frame to the next, in frames of the
+    input: none passes in a repeated one."""
 
     kept: int = 0
     made: int = 0
@@ -151,13 +163,17 @@ class Interpolation:
         existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
         self._outputs: OutputFiles = OutputFiles(arguments.output, self._sequence, existing)
         if self._outputs.display:
-            raise WriteError(f"{arguments.output}: is for a display: write EXR and tone-map it afterwards")
+            raise WriteError(f"{arguments.output}: is for a display: write EXR and tone-map it "
+                             "afterwards")
         if len(self._sequence) < 2:
-            raise OptionError(f"{self._sequence.pattern}: one frame is not enough: give two or more")
+            raise OptionError(f"{self._sequence.pattern}: one frame is not enough: give two or "
+                              "more")
         self._moments: list[Moment] = list(self._times.moments(self._sequence.numbers))
         self._outputs.check(tuple(moment.number for moment in self._moments))
-        self._overlays = read_sequence(arguments.overlays, planes=[Role.OVERLAY]) if arguments.overlays else None
-        self._reference = read_sequence(arguments.reference, planes=[Role.COLOUR]) if arguments.reference else None
+        self._overlays = (read_sequence(arguments.overlays, planes=[Role.OVERLAY])
+                          if arguments.overlays else None)
+        self._reference = (read_sequence(arguments.reference, planes=[Role.COLOUR])
+                           if arguments.reference else None)
         self._detector = CutDetector() if arguments.cuts == "auto" else None
         self._frames: dict[int, Frame | None] = {}
         self._cuts: set[int] = set()
@@ -171,15 +187,16 @@ class Interpolation:
         return len(self._moments)
 
     def run(self, tell: Callable[[str], None]) -> Iterator[tuple[int, str]]:
-        """Write all frames; yields number and reason of those that are repeated or left out. tell: is called with the
-        file of each that is written."""
+        """Write all frames; yields number and reason of those that are repeated or left out. tell:
+        is called with the file of each that is written."""
         begin, last = time.perf_counter(), None
         for count, moment in enumerate(self._moments):
             frame, reason = self._make(moment)
             if frame is None:
                 self.summary.skipped[moment.number] = reason
             else:
-                frame = self._blur(frame, moment) if self._arguments.shutter and not reason else frame
+                frame = (self._blur(frame, moment) if self._arguments.shutter and not reason
+                         else frame)
                 tell(str(self._write(frame, count)))
                 shown = moment.start + (moment.t >= 0.5 if reason else moment.t)
                 if last is not None:
@@ -199,28 +216,35 @@ class Interpolation:
 
     def as_dict(self) -> dict[str, Any]:
         """The summary for programs."""
-        return {"frames": len(self._sequence), "outputs": str(self._outputs.pattern), **vars(self.summary)}
+        return {"frames": len(self._sequence), "outputs": str(self._outputs.pattern),
+                **vars(self.summary)}
 
     def text(self) -> str:
         """The summary for people."""
         found = self.summary
         kept = f"{found.kept} frames of {self._sequence.pattern}"
         lines = [f"wrote    {self._arguments.output}: {kept}, {found.made} new",
-                 f"time     {found.seconds:.1f} s, {found.seconds / max(found.made, 1):.2f} s a new frame"]
+                 f"time     {found.seconds:.1f} s, {found.seconds / max(found.made, 1):.2f} s a "
+                 "new frame"]
         lines += [f"repeated {len(found.repeated)} frames"] * bool(found.repeated)
         lines += [f"left out {len(found.skipped)} frames"] * bool(found.skipped)
-        passed = ", ".join(f"{interval:g} ({count} times)" for interval, count in sorted(found.intervals.items()))
-        lines.append(f"motion   from one new frame to the next, in frames of {self._sequence.pattern}: {passed}")
+        passed = ", ".join(f"{interval:g} ({count} times)"
+                           for interval, count in sorted(found.intervals.items()))
+        lines.append("motion   from one new frame to the next, in frames of "
+                     f"{self._sequence.pattern}: {passed}")
         if found.psnr:
             mean = sum(found.psnr.values()) / len(found.psnr)
-            lines.append(f"PSNR     {mean:.2f} dB, mean of {len(found.psnr)} new frames against the reference")
+            lines.append(f"PSNR     {mean:.2f} dB, mean of {len(found.psnr)} new frames against "
+                         "the reference")
         return "\n".join(lines)
 
     def _make(self, moment: Moment) -> tuple[Frame | None, str]:
-        """The frame of a moment, with the reason if it is a repeated one; None with the reason if there is none."""
+        """The frame of a moment, with the reason if it is a repeated one; None with the reason if
+        there is none."""
         frame = self._read(moment.start)
         following = self._read(moment.start + 1) if moment.t else frame
-        missing = next((index for index, one in ((moment.start, frame), (moment.start + 1, following)) if one is None),
+        missing = next((index for index, one
+                        in ((moment.start, frame), (moment.start + 1, following)) if one is None),
                        None)
         if missing is not None or frame is None:
             return None, f"frame {self._sequence.numbers[missing or moment.start]} is missing"
@@ -254,7 +278,8 @@ class Interpolation:
                 self._first = self._first or frame.metadata
                 if self._detector is not None and self._detector(frame):
                     self._cuts.add(index)
-            self._frames = {other: one for other, one in self._frames.items() if other >= index - 3} | {index: frame}
+            self._frames = {other: one for other, one in self._frames.items()
+                            if other >= index - 3} | {index: frame}
         return self._frames.get(index)
 
     def _between_at(self, index: int) -> Between:
@@ -265,10 +290,12 @@ class Interpolation:
             before, after, later = self._read(index), self._read(index + 1), self._read(index + 2)
             assert before is not None and after is not None, "the caller has read both"
             later = None if index + 2 in self._cuts else later
-            made = Between(before, after, later, flow=not self._arguments.no_flow, overlay=self._arguments.overlay,
+            made = Between(before, after, later, flow=not self._arguments.no_flow,
+                           overlay=self._arguments.overlay,
                            composited=self._arguments.composited, is_cut=index + 1 in self._cuts,
                            last=self._between.get(index - 1))
-            self._between = {other: one for other, one in self._between.items() if other == index - 1} | {index: made}
+            self._between = {other: one for other, one in self._between.items()
+                             if other == index - 1} | {index: made}
         return self._between[index]
 
     def _blur(self, frame: Frame, moment: Moment) -> Frame:
@@ -285,7 +312,8 @@ class Interpolation:
             start = min(int(at), last - 1)
             if self._read(start) is not None and self._read(start + 1) is not None:
                 shown.append(self._between_at(start).frame(at - start))
-        planes = {role: np.mean([one[role] for one in shown], 0) for role in (Role.COLOUR, Role.ALPHA)
+        planes = {role: np.mean([one[role] for one in shown], 0)
+                  for role in (Role.COLOUR, Role.ALPHA)
                   if shown and all(role in one for one in shown)}
         return replace(frame, planes={**frame.planes, **planes})
 
@@ -302,7 +330,8 @@ class Interpolation:
         return files[0][0]
 
     def _prepare(self, frame: Frame, count: int) -> Frame:
-        """A frame, or one of its views, as it is written: its header, its overlay and the planes beside it."""
+        """A frame, or one of its views, as it is written: its header, its overlay and the planes
+        beside it."""
         frame = replace(frame, metadata=self._times.header(frame.metadata, count, self._first))
         frame = frame if self._overlays is None else self._with_overlay(frame)
         return with_parts(frame) if self._arguments.planes else frame
@@ -316,8 +345,10 @@ class Interpolation:
         overlay = self._overlays.read(frame.number)[Role.OVERLAY]
         colour = frame[Role.COLOUR]
         if overlay.shape[:2] != colour.shape[:2]:
-            raise FrameError(f"overlay of frame {frame.number} is {overlay.shape[1]}x{overlay.shape[0]}, the picture "
-                             f"{colour.shape[1]}x{colour.shape[0]}: render it at the picture's size")
+            raise FrameError(f"overlay of frame {frame.number} is "
+                             f"{overlay.shape[1]}x{overlay.shape[0]}, the picture "
+                             f"{colour.shape[1]}x{colour.shape[0]}: render it at the picture's "
+                             "size")
         clear = 1 - overlay[..., 3:]
         planes = dict(frame.planes)
         planes.pop(Role.OVERLAY, None)
@@ -348,7 +379,8 @@ _CHANNELS = {"depth": ("depth.Z",), "normal": ("normal.X", "normal.Y", "normal.Z
 
 
 def with_parts(frame: Frame) -> Frame:
-    """The frame with its planes as parts, which the writer writes by their generic names, in floats."""
+    """The frame with its planes as parts, which the writer writes by their generic names, in
+    floats."""
     from postfx.frame import PartSource, Role
 
     planes: dict[str, tuple[np.ndarray, tuple[str, ...]]] = {
@@ -357,13 +389,14 @@ def with_parts(frame: Frame) -> Frame:
         planes |= {f"motion {axis}": (frame[Role.MOTION][..., k:k + 1], (f"motion.{axis}",))
                    for k, axis in enumerate("XY")}
     sources = {name: PartSource(channels, exact=True) for name, (_, channels) in planes.items()}
-    return replace(frame, parts={**frame.parts, **{name: plane for name, (plane, _) in planes.items()}},
+    return replace(frame,
+                   parts={**frame.parts, **{name: plane for name, (plane, _) in planes.items()}},
                    part_sources={**frame.part_sources, **sources})
 
 
 def with_cryptomattes(frame: Frame) -> Frame:
-    """The frame with the Cryptomattes of its file as parts that are copied bit for bit. Those of another size are left
-    out. Raises StrengthError for a broken one."""
+    """The frame with the Cryptomattes of its file as parts that are copied bit for bit. Those of
+    another size are left out. Raises StrengthError for a broken one."""
     from pathlib import Path
 
     from postfx.frame import PartSource

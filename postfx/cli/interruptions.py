@@ -43,10 +43,12 @@ class OnError(StrEnum):
 
 
 class Standin:
-    """Makes the output of a frame from its picture alone: enlarged, not denoised, and shown like all others."""
+    """Makes the output of a frame from its picture alone: enlarged, not denoised, and shown like
+    all others."""
 
     def __init__(
-        self, sequence: Sequence, passes: list[Pass], device: Device, exposure: ExposureMeter | SmoothExposure
+        self, sequence: Sequence, passes: list[Pass], device: Device,
+        exposure: ExposureMeter | SmoothExposure
     ) -> None:
         self._sequence = sequence.pictures()
         self._pipeline = Pipeline(passes, device, exposure, "none")
@@ -58,15 +60,17 @@ class Standin:
         except MissingPlaneError:
             frame = self._sequence.read(number, (Role.COLOUR,))
         result = self._pipeline(frame)
-        return FrameResult(frame, result, self._pipeline.exposure_factor, bad_pixels=self._pipeline.bad_pixels)
+        return FrameResult(frame, result, self._pipeline.exposure_factor,
+                           bad_pixels=self._pipeline.bad_pixels)
 
 
 class Faults:
     """Goes on after frames that fail, as far as the policy allows, and keeps a list of them.
 
-    With SKIP such a frame has no output. With COPY a stand-in makes it; where the picture itself cannot be read, there
-    is none either. The frame after it begins without a history, as its motion leads to one that the passes have not
-    seen. An output that cannot be written stops the run whatever the policy: the next ones would fail as well.
+    With SKIP such a frame has no output. With COPY a stand-in makes it; where the picture itself
+    cannot be read, there is none either. The frame after it begins without a history, as its motion
+    leads to one that the passes have not seen. An output that cannot be written stops the run
+    whatever the policy: the next ones would fail as well.
 
     Attributes:
         found: what failed so far.
@@ -78,7 +82,8 @@ class Faults:
         self.found: list[Fault] = []
 
     def read(self, number: int, wanted: bool, read: Callable[[], Frame]) -> Frame | None:
-        """A frame; None when it cannot be read and the run goes on. Those that are not `wanted` do not count."""
+        """A frame; None when it cannot be read and the run goes on. Those that are not `wanted` do
+        not count."""
         frame = self.attempt(number, wanted, read)
         if frame is not None and self._is_after_fault:
             frame.reset = True
@@ -110,12 +115,14 @@ class Faults:
         return done
 
     def _note(self, fault: Fault) -> None:
-        """Keep a fault; one of the same frame is replaced, as the output of its stand-in has failed as well."""
+        """Keep a fault; one of the same frame is replaced, as the output of its stand-in has failed
+        as well."""
         self.found = [one for one in self.found if one.frame != fault.frame] + [fault]
 
 
 def first_readable(sequence: Sequence, policy: OnError) -> int:
-    """Number of the first frame, or of the first one that can be read, where the policy allows to skip others.
+    """Number of the first frame, or of the first one that can be read, where the policy allows to
+    skip others.
 
     Where none can be, raises the error of the last one that is there.
     """
@@ -129,37 +136,44 @@ def first_readable(sequence: Sequence, policy: OnError) -> int:
             errors.append(error)
             if policy is OnError.STOP:
                 break
-    raise next((error for error in reversed(errors) if not isinstance(error, MissingFrameError)), errors[0])
+    raise next((error for error in reversed(errors) if not isinstance(error, MissingFrameError)),
+               errors[0])
 
 
 def check_sizes(frame: Frame, first: FrameSpec, sized: bool) -> None:
-    """FrameError for a frame of another size than the first one's, GuideError for its guides: the output's size may
-    follow from them, unless it is given (`sized`)."""
+    """FrameError for a frame of another size than the first one's, GuideError for its guides: the
+    output's size may follow from them, unless it is given (`sized`)."""
     spec, guides = frame.spec, frame.spec.guides
     if not sized and (spec.width, spec.height) != (first.width, first.height):
-        raise FrameError(f"{frame.source}: frame {frame.number} is {spec.width}x{spec.height}, the first one "
-                         f"{first.width}x{first.height}: render it at one size, or give the output's with --size")
+        raise FrameError(f"{frame.source}: frame {frame.number} is {spec.width}x{spec.height}, the "
+                         f"first one {first.width}x{first.height}: render it at one size, or give "
+                         "the output's with --size")
     for view in frame.views.values():
         if (view.spec.width, view.spec.height) != (spec.width, spec.height):
-            raise FrameError(f"{view.source}: is {view.spec.width}x{view.spec.height}, the first view "
-                             f"{spec.width}x{spec.height}: render all views at one size")
-    if guides and first.guides and (guides.width, guides.height) != (first.guides.width, first.guides.height):
-        raise GuideError(f"{guides.source}: guides are {guides.width}x{guides.height}, those of the first frame "
-                         f"{first.guides.width}x{first.guides.height}: render them at one size")
+            raise FrameError(f"{view.source}: is {view.spec.width}x{view.spec.height}, the first "
+                             f"view {spec.width}x{spec.height}: render all views at one size")
+    if (guides and first.guides
+        and (guides.width, guides.height) != (first.guides.width, first.guides.height)):
+        raise GuideError(f"{guides.source}: guides are {guides.width}x{guides.height}, those of "
+                         f"the first frame {first.guides.width}x{first.guides.height}: render them "
+                         "at one size")
 
 
 NETWORK_PIXEL_BYTES = 900
-"""Least memory that a network takes for each pixel of a render: 970 to 1100 measured at 1x, 840 at 2x, on a CPU."""
+"""Least memory that a network takes for each pixel of a render: 970 to 1100 measured at 1x, 840 at
+2x, on a CPU."""
 
 
 def check_memory(plan: Plan, sequence: Sequence) -> None:
-    """OptionError where a network's memory for a frame exceeds the machine's: the system would kill the run later."""
+    """OptionError where a network's memory for a frame exceeds the machine's: the system would kill
+    the run later."""
     size, there = plan.input, usable_memory()
     needs, is_masked = NETWORK_PIXEL_BYTES * size.width * size.height, Role.STRENGTH in plan.planes
-    if needs > there and not is_masked and any(step.name == "denoise_upscale" for step in plan.steps):
-        raise OptionError(f"{sequence.pattern}: to denoise {size.width}x{size.height} takes {needs >> 30} GB and more, "
-                          f"this machine has {there >> 30} GB: give --memory {max(1, there * 6 // 10 >> 30)}G, which "
-                          "works in tiles")
+    if needs > there and not is_masked and any(step.name == "denoise_upscale"
+                                               for step in plan.steps):
+        raise OptionError(f"{sequence.pattern}: to denoise {size.width}x{size.height} takes "
+                          f"{needs >> 30} GB and more, this machine has {there >> 30} GB: give "
+                          f"--memory {max(1, there * 6 // 10 >> 30)}G, which works in tiles")
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -167,10 +181,11 @@ Handler = Callable[[int, FrameType | None], Any] | int | signal.Handlers | None
 
 
 class Stop:
-    """Turns SIGINT (Ctrl-C) and SIGTERM into a request to stop. Use as a context manager in the main thread; in another
-    thread it changes nothing.
+    """Turns SIGINT (Ctrl-C) and SIGTERM into a request to stop. Use as a context manager in the
+    main thread; in another thread it changes nothing.
 
-    The first signal calls `tell` with a line for the user; a second one raises Interrupted at once, wherever that is.
+    The first signal calls `tell` with a line for the user; a second one raises Interrupted at once,
+    wherever that is.
     """
 
     def __init__(self, tell: Callable[[str], None]) -> None:

@@ -106,7 +106,8 @@ class Job:
         self._arguments = arguments
         device = Device(**self._values("device"))
         values = self._values("sequence")
-        self.sequence = read_sequence(arguments.input, arguments.frames, scratch=device.scratch, **values)
+        self.sequence = read_sequence(arguments.input, arguments.frames, scratch=device.scratch,
+                                      **values)
         self._relax = device.memory.relax
         self.outputs = _outputs(arguments, self.sequence)
         refuse_layer(arguments, self.outputs)
@@ -115,33 +116,39 @@ class Job:
         policy = OnError(arguments.on_error)
         if policy is OnError.STOP and not (arguments.explain or arguments.skip_existing):
             self.sequence.refuse_holes(self.sequence.numbers)
-        exposure = SmoothExposure(colours_of(self.sequence, policy is not OnError.STOP)) if self._smooth \
-            else ExposureMeter(arguments.exposure)
+        exposure = (SmoothExposure(colours_of(self.sequence, policy is not OnError.STOP))
+            if self._smooth else ExposureMeter(arguments.exposure))
         cuts = "auto" if arguments.cuts == "auto" else "none"
         denoising = None if arguments.no_denoise else self._values("denoiser")
         covered = asked_form() == "whole"  # by a checkerboard, under which nothing is denoised
         is_picture = self.outputs is not None and self.outputs.display
         if is_picture and denoising and denoising.get("error"):
-            raise OptionError(f"{arguments.output}: pictures for a display hold no AOV 'error': write EXR, or leave "
-                              "error out of --aov")
-        native = not is_shown(is_picture, **self._values("look"))  # before any file is opened, which tells of it
+            raise OptionError(f"{arguments.output}: pictures for a display hold no AOV 'error': "
+                              "write EXR, or leave error out of --aov")
+        # before any file is opened, which tells of it
+        native = not is_shown(is_picture, **self._values("look"))
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
         if arguments.both_ways and self._has_flat_albedo():
             arguments.both_ways = False
-            self.skips.append(Skip("both_ways", "albedo has one value everywhere, so that more history in one order "
-                                                "shows more of the textures"))
+            self.skips.append(Skip("both_ways",
+                                                "albedo has one value everywhere, so that more "
+                                                "history in one order shows more of the textures"))
         both_ways = arguments.both_ways and arguments.strength != 0 and not covered
         backwards = {**self._values("denoiser"), "error": False}  # which that of the last run tells
         wrap = self._find_wrap()
-        self._backwards = Backwards(self.sequence, device, exposure if self._smooth else arguments.exposure, cuts,
-                                    wrap=wrap, **backwards) if both_ways else None
+        self._backwards = (Backwards(self.sequence, device,
+                                     exposure if self._smooth else arguments.exposure, cuts,
+                                     wrap=wrap, **backwards)
+                           if both_ways else None)
         self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
         self._parts = self._find_parts()
-        self._partner = None if covered or arguments.strength == 0 else find_partner(getattr(arguments, "with"))
+        self._partner = (None if covered or arguments.strength == 0
+                         else find_partner(getattr(arguments, "with")))
         passes, skips = self._passes(denoising, self._backwards is not None, self._partner)
         self.skips += skips
-        self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False,  # it has its own
+        # it has its own
+        self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False,
                                  wrap=wrap)
         refuse_views(self.sequence, self.outputs)
         if self.outputs and not arguments.explain:  # after all options, whose mistakes matter more
@@ -152,17 +159,22 @@ class Job:
             self._channels = {role: match.names for role, match in files.layout.planes.items()}
             self._enable = files.layout.hints()
             spec = files.spec()
-            self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards else spec)
-            others = [stack.enter_context(self.sequence.reader(view).open(self.first)) for view in self.sequence.views]
+            self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards
+                                              else spec)
+            others = [stack.enter_context(self.sequence.reader(view).open(self.first))
+                      for view in self.sequence.views]
             size = self.plan.output.width, self.plan.output.height
             self.kept, skips = explain_kept(arguments, files, size, others)
             self.skips += skips
-        if not arguments.explain and arguments.model != "classic" and device.memory.host_visible and not device.scratch:
+        if (not arguments.explain and arguments.model != "classic" and device.memory.host_visible
+            and not device.scratch):
             check_memory(self.plan, self.sequence)
-        self._noticed, self._has_compared = self._planes_of_later_frames(self._later_frames()), False
+        self._noticed, self._has_compared = (self._planes_of_later_frames(self._later_frames()),
+                                             False)
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
         if self.outputs:
-            self.outputs.check_storage(self.plan.output.encoding, arguments.bits, arguments.compression)
+            self.outputs.check_storage(self.plan.output.encoding, arguments.bits,
+                                       arguments.compression)
         standin = None
         if policy is OnError.COPY:
             plain, _ = self._passes(None if denoising is None else self._resample_options())
@@ -187,15 +199,18 @@ class Job:
         return RUN.values_for(part, self._arguments)
 
     def _has_flat_albedo(self) -> bool:
-        """Whether the first frame's diffuse albedo is one grey or colour: a default, or an override material."""
+        """Whether the first frame's diffuse albedo is one grey or colour: a default, or an override
+        material."""
         with self.sequence.open(self.first) as files:
             if not files.spec().has(Role.DIFFUSE_ALBEDO):
                 return False
-            albedo = files.read(self.first, [Role.DIFFUSE_ALBEDO], []).planes.get(Role.DIFFUSE_ALBEDO)
+            albedo = files.read(self.first, [Role.DIFFUSE_ALBEDO],
+                                []).planes.get(Role.DIFFUSE_ALBEDO)
         return albedo is not None and bool(albedo[0, 0].any() and (albedo == albedo[0, 0]).all())
 
     def _find_wrap(self) -> str:
-        """Whether frames are panoramas, by the option or the first frame's header, as the pipeline names it."""
+        """Whether frames are panoramas, by the option or the first frame's header, as the pipeline
+        names it."""
         if self._arguments.wrap != WRAP_AUTO:
             return str(self._arguments.wrap)
         with self.sequence.open(self.first) as files:
@@ -219,15 +234,17 @@ class Job:
         # It loads the doctor and charts, which other runs need not wait for.
         from postfx.cli.report import RunReport
 
-        return RunReport(self.sequence, self.pipeline, self.plan, self._inspect, check=not self._arguments.explain,
-                         **self._values("page"))
+        return RunReport(self.sequence, self.pipeline, self.plan, self._inspect,
+                         check=not self._arguments.explain, **self._values("page"))
 
     def explain(self) -> Explanation:
         """What would run."""
         exposure = self._exposure if self._exposure.multipliers else self._exposure_of_first()
         preroll = Options(**self._values("run")).preroll
-        before = find_preroll(self.sequence, self.first, preroll) if self.pipeline.remembers(self.plan) else []
-        return Explanation(self.plan, self.sequence, self.first, self.skips, self._run_up, exposure, before)
+        before = (find_preroll(self.sequence, self.first, preroll)
+                  if self.pipeline.remembers(self.plan) else [])
+        return Explanation(self.plan, self.sequence, self.first, self.skips, self._run_up, exposure,
+                           before)
 
     def _exposure_of_first(self) -> ExposureUsed:
         """What --exposure says of the first frame, by its colour alone."""
@@ -251,14 +268,17 @@ class Job:
 
     def headline(self) -> str:
         """Input, output and sizes, in a line."""
-        to = f" to {self.outputs.path(self.first).with_name(self.outputs.pattern)}" if self.outputs else ""
+        to = (f" to {self.outputs.path(self.first).with_name(self.outputs.pattern)}" if self.outputs
+              else "")
         sizes, views = describe_sizes(self.plan, self.sequence), describe_views(self.sequence)
         partner = "".join(f", with {step.instance.described()}" for step in self.plan.steps
                           if isinstance(step.instance, Partner))
-        return f"{self.sequence.pattern}{to}: {describe_frames(self.sequence)}, {sizes}{views}{partner}"
+        return (f"{self.sequence.pattern}{to}: {describe_frames(self.sequence)}, "
+                f"{sizes}{views}{partner}")
 
     def run(self) -> None:
-        """Process all frames; the next is read and the last written meanwhile, and stays when a later one fails."""
+        """Process all frames; the next is read and the last written meanwhile, and stays when a
+        later one fails."""
         begin = None
         progress = FrameProgress(len(self.sequence), self._arguments.quiet)
         self._watch = CompileWatch(progress.note_compilation)
@@ -278,11 +298,13 @@ class Job:
                 self._tell(filter(None, [self._viewer.notice()]), progress.note)
             later = self._watch.seconds - self._preparation.compile_seconds
             self._seconds = time.perf_counter() - begin - later if begin else 0.0
-            self._preparation = Preparation(self._preparation.seconds + later, self._watch.seconds, self._watch.count)
+            self._preparation = Preparation(self._preparation.seconds + later, self._watch.seconds,
+                                            self._watch.count)
 
     def preview(self, number: int, step: int, tell: Callable[[str], None]) -> Path:
-        """Read, process and write one frame without an entry in the manifest; returns the file. The frame has the
-        history of those that were previewed before. step: from one frame to the next. Raises PostfxError."""
+        """Read, process and write one frame without an entry in the manifest; returns the file. The
+        frame has the history of those that were previewed before. step: from one frame to the next.
+        Raises PostfxError."""
         self.sequence.look_again(step)
         if number == self.first:
             self._tell([*self.plan.remarks, *self.sequence.warnings], tell)
@@ -334,14 +356,17 @@ class Job:
         return self._page.write(report, str(self.explain())) if self._page else report
 
     def _open_run(self) -> Run:
-        frames = sorted(self.sequence.numbers) if self._smooth else None  # that exposure looks ahead
+        # that exposure looks ahead
+        frames = (sorted(self.sequence.numbers) if self._smooth else None)
         settings = RUN.settings(self._arguments)
         if not isinstance(self._arguments.input, str):  # files one by one
             settings["input"] = str(self.sequence.pattern)
         provenance = provenance_of(
             settings, self.plan, self.pipeline.device,
-            [frames, *RUN.settings(self._arguments, "rounding").values()], [one.name for one in RUN if one.is_file])
-        return Run(self._files(), self.sequence, self.pipeline, self.plan, provenance, Options(**self._values("run")))
+            [frames, *RUN.settings(self._arguments, "rounding").values()],
+            [one.name for one in RUN if one.is_file])
+        return Run(self._files(), self.sequence, self.pipeline, self.plan, provenance,
+                   Options(**self._values("run")))
 
     def _files(self) -> OutputFiles:
         if self.outputs is None:
@@ -360,8 +385,8 @@ class Job:
         wanted = [work.number for work in run.works if work.write]
         before = [work.number for work in run.works if work.number not in self.sequence.numbers]
         if before:
-            progress.note(f"{describe_preroll(before)} for the history of frame {self.sequence.numbers[0]} "
-                          "(--preroll 0 leaves it out)")
+            progress.note(f"{describe_preroll(before)} for the history of frame "
+                          f"{self.sequence.numbers[0]} (--preroll 0 leaves it out)")
         if self._arguments.on_error == OnError.STOP:
             self.sequence.refuse_holes(wanted)
         elif missing := [number for number in wanted if not self.sequence.holds(number)]:
@@ -374,24 +399,28 @@ class Job:
             progress.note("metering all frames first, for --exposure smooth")
 
     def _prepare(self) -> None:
-        """Load networks and compile kernels before the clock starts. It pauses for the few that are known only once a
-        frame runs."""
+        """Load networks and compile kernels before the clock starts. It pauses for the few that are
+        known only once a frame runs."""
         begin = time.perf_counter()
         if self.plan.steps:
             self.pipeline.compile(self.plan.input, self.sequence.views)
         if self._watch.count:
             self._warm_up()
-        self._preparation = Preparation(time.perf_counter() - begin, self._watch.seconds, self._watch.count)
+        self._preparation = Preparation(time.perf_counter() - begin, self._watch.seconds,
+                                        self._watch.count)
 
     def _warm_up(self) -> None:
-        """Compile what no pass compiles ahead: metering, the search for cuts, the files' encoding."""
-        frame = Frame({Role.COLOUR: np.ones((32, 32, 3), np.float32), Role.MOTION: np.zeros((32, 32, 2), np.float32)})
+        """Compile what no pass compiles ahead: metering, the search for cuts, the files'
+        encoding."""
+        frame = Frame({Role.COLOUR: np.ones((32, 32, 3), np.float32),
+                       Role.MOTION: np.zeros((32, 32, 2), np.float32)})
         measure(frame[Role.COLOUR])
         detector = CutDetector()
         for _ in range(2):
             detector(frame)
         with tempfile.TemporaryDirectory(prefix="postfx-") as folder:
-            write_frame(Path(folder) / f"any{self._files().path(self.first).suffix}", frame, **self._format)
+            write_frame(Path(folder) / f"any{self._files().path(self.first).suffix}", frame,
+                        **self._format)
 
     def _process_all(self, run: Run, stop: Stop, progress: FrameProgress) -> None:
         if self._run_up:
@@ -401,7 +430,8 @@ class Job:
         if self._page:
             self._page.choose([work.number for work in run.works if work.write])
         capturing = self._capture.around if self._capture else nullcontext
-        is_unseen = False  # whether the passes have not seen the frame before, as looking ahead of it failed
+        # whether the passes have not seen the frame before, as looking ahead of it failed
+        is_unseen = False
         with WriteBehind() as behind:
             for work, frame in read_ahead(run.works, partial(self._read, run)):
                 if work.checkpoint:
@@ -432,22 +462,26 @@ class Job:
 
     def _later_frames(self) -> list[int]:
         """The second, the middle and the last frame."""
-        others = [number for number in self.sequence.numbers if number > self.first and self.sequence.holds(number)]
+        others = [number for number in self.sequence.numbers
+                  if number > self.first and self.sequence.holds(number)]
         return list(dict.fromkeys([*others[:1], *others[len(others) // 2 :][:1], *others[-1:]]))
 
     def _planes_of_later_frames(self, numbers: list[int]) -> list[str]:
-        """A warning for planes that the first frame lacks and these have: the plan is made for the first."""
+        """A warning for planes that the first frame lacks and these have: the plan is made for the
+        first."""
         for number in numbers:
             try:
                 with self.sequence.reader().open(number) as files:
-                    more = {*self.pipeline.explain(files.spec()).planes} - {*self.plan.planes, Role.MOTION}
+                    more = {*self.pipeline.explain(files.spec()).planes} - {*self.plan.planes,
+                                                                            Role.MOTION}
                     more |= {*files.layout.planes} & {Role.MOTION} - {*self._channels}
             except PostfxError:  # which is told where the frame's turn comes
                 continue
             if more:
                 names = " and ".join(sorted(map(str, more)))
-                return [f"frame {self.first} has no {names}, frame {number} does: no frame is denoised with it; render "
-                        f"it for all frames, or choose frames that have it (--frames)"]
+                return [f"frame {self.first} has no {names}, frame {number} does: no frame is "
+                        "denoised with it; render it for all frames, or choose frames that have "
+                        "it (--frames)"]
         return []
 
     @cached_property
@@ -455,11 +489,13 @@ class Job:
         # It loads the doctor, which other verbs need not wait for.
         from postfx.doctor.first_frames import FirstFrames
 
-        return FirstFrames(self._channels, self._enable, not self.pipeline.device.memory.host_visible)
+        return FirstFrames(self._channels, self._enable,
+                           not self.pipeline.device.memory.host_visible)
 
     def _look(self, frame: Frame, tell: Callable[[str], None]) -> None:
         """Tell what is plainly wrong with the first frames at once, not after a night."""
-        if self._arguments.no_denoise or self._arguments.strength == 0 or self.pipeline.device.scratch:
+        if (self._arguments.no_denoise or self._arguments.strength == 0
+            or self.pipeline.device.scratch):
             return  # where AOVs are not read, so that none is missing
         self._tell(self._looker.look(frame), tell)
 
@@ -510,8 +546,8 @@ class Job:
         milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0
-        done = FrameResult(frame, result, passes.exposure_factor, passes.cut, milliseconds, passes.timings,
-                           passes.bad_pixels)
+        done = FrameResult(frame, result, passes.exposure_factor, passes.cut, milliseconds,
+                           passes.timings, passes.bad_pixels)
         if work.write:
             self._note(done, milliseconds)
         return done
@@ -520,7 +556,8 @@ class Job:
         """Keep what a frame took and what was chosen for it."""
         self._frame_ms.append(milliseconds)
         backwards = self._backwards.milliseconds if self._backwards else None
-        for name, elapsed in {**({} if backwards is None else {BACKWARDS: backwards}), **done.passes}.items():
+        for name, elapsed in {**({} if backwards is None else {BACKWARDS: backwards}),
+                              **done.passes}.items():
             self._pass_ms.setdefault(name, []).append(elapsed)
         for role, pixels in done.bad_pixels.items():
             found = self._bad_pixels.setdefault(str(role), {"pixels": 0, "frames": 0})
@@ -531,11 +568,12 @@ class Job:
 
     def _write(self, run: Run, done: FrameResult, progress: FrameProgress) -> None:
         number, result, used = done.source.number, done.result, done.exposure_factor
-        told = {} if used is None else {APPLIED if self._is_exposed else USED_EXPOSURE_ATTRIBUTE: log2(used)}
+        told = ({} if used is None
+                else {APPLIED if self._is_exposed else USED_EXPOSURE_ATTRIBUTE: log2(used)})
         facts, paths = done.facts(), []
         for path, picture in self._files().split(result):
-            write = partial(write_frame, path, picture, relax=self._relax, provenance={**run.header(), **told},
-                            **self._format)
+            write = partial(write_frame, path, picture, relax=self._relax,
+                            provenance={**run.header(), **told}, **self._format)
             if self._faults.attempt(number, True, write) is None:
                 return
             run.note_output(number, path, picture, **facts)
@@ -545,17 +583,20 @@ class Job:
             facts = {}  # those of a frame are told once
             paths.append(str(path))
         if used is not None:
-            self._exposure.multipliers[number], self._exposure.lit[number] = used, done.header_factor
+            self._exposure.multipliers[number], self._exposure.lit[number] = (used,
+                                                                              done.header_factor)
         self._written, self._frames = self._written + paths, self._frames + 1
         progress.advance(" ".join(paths), self._watch.seconds - self._preparation.compile_seconds)
         if self._arguments.verbose:
             spent = [f"{name} {elapsed:.1f} ms" for name, elapsed in done.passes.items()]
             stops = [] if used is None else [f"exposure {log2(used):+.2f} EV"]
-            progress.note(f"frame {number}: {', '.join([*spent, *stops]) or 'only its picture, enlarged'}")
+            progress.note(f"frame {number}: "
+                          f"{', '.join([*spent, *stops]) or 'only its picture, enlarged'}")
 
     def _passes(self, denoising: dict[str, Any] | None, both_ways: bool = False,
                 partner: str | None = None) -> tuple[list[Pass], list[Skip]]:
-        """The passes, the denoiser with these options, or without one if they are None; and what is left out."""
+        """The passes, the denoiser with these options, or without one if they are None; and what is
+        left out."""
         passes, skips, parts = [], [], {"parts": self._parts} if self._parts else {}
         if denoising is None:
             skips.append(Skip("denoise_upscale", "--no-denoise"))
@@ -573,8 +614,9 @@ class Job:
         asked = map(parse_pass, getattr(self._arguments, "pass") or ())
         chain = insert_passes([*passes, *shown], tuple(asked), len(passes))
         if both_ways and chain[0].name not in ("denoise_upscale", "partner"):
-            raise OptionError(f"--both-ways denoises frames as they are in their files, before pass '{chain[0].name}': "
-                              "let the pass run after=denoise_upscale, or leave --both-ways out")
+            raise OptionError("--both-ways denoises frames as they are in their files, before "
+                              f"pass '{chain[0].name}': let the pass run after=denoise_upscale, or "
+                              "leave --both-ways out")
         return chain, skips + not_shown
 
     def _enlargement(self, denoising: Mapping[str, Any]) -> float:
@@ -584,11 +626,14 @@ class Job:
         return output_size(spec, denoising.get("scale"), denoising.get("size")).width / spec.width
 
     def _find_parts(self) -> tuple[Part, ...]:
-        """Parts of the picture that --aov and --aov-denoise ask for; none where the output cannot hold them."""
+        """Parts of the picture that --aov and --aov-denoise ask for; none where the output cannot
+        hold them."""
         if self.sequence.options.parts is None:
             return ()
-        if (self.outputs is not None and self.outputs.display) or any(self._values("look").values()):
-            self.skips.append(Skip("light groups and passes", "they are scene-linear, the output is not"))
+        if ((self.outputs is not None and self.outputs.display)
+            or any(self._values("look").values())):
+            self.skips.append(Skip("light groups and passes",
+                                   "they are scene-linear, the output is not"))
             self.sequence.options = self.sequence.options.without_parts()
             return ()
         with self.sequence.open(self.first) as files:
@@ -604,12 +649,12 @@ class Job:
     def _resample_options(self) -> dict[str, Any]:
         """Options of a denoiser that only resamples, to the plan's size."""
         size = self._arguments.size
-        return {"strength": 0.0,
-                **({"size": size} if size else {"scale": self.plan.output.width / self.plan.input.width})}
+        return {"strength": 0.0, **({"size": size} if size
+                                    else {"scale": self.plan.output.width / self.plan.input.width})}
 
     def _inspect(self, numbers: list[int], view: str | None) -> Inspection:
-        """What `postfx inspect` finds in a view of the input; from the first of these frames on that can be read whole,
-        if the sequence's own first one cannot."""
+        """What `postfx inspect` finds in a view of the input; from the first of these frames on
+        that can be read whole, if the sequence's own first one cannot."""
         from postfx.doctor.inspection import Inspection
 
         given, listed = self._arguments, self.sequence.numbers
@@ -624,10 +669,13 @@ class Job:
         raise AssertionError("a page has a frame")
 
 
-def announce_run_up(check: Callable[[], None], tell: Callable[[str], None]) -> Callable[[int, int], None]:
-    """What is called before each frame of a run-up, with the number of the frame that it leads to and its own.
+def announce_run_up(check: Callable[[], None],
+                    tell: Callable[[str], None]) -> Callable[[int, int], None]:
+    """What is called before each frame of a run-up, with the number of the frame that it leads to
+    and its own.
 
-    `check` may raise to end the run; `tell` gets a line before the first frame, as a run-up may take long.
+    `check` may raise to end the run; `tell` gets a line before the first frame, as a run-up may
+    take long.
     """
     told: int | None = None
 

@@ -1,4 +1,5 @@
-"""`postfx loop`: renders, denoises, and renders again where that pays, until a shot is good enough."""
+"""`postfx loop`: renders, denoises, and renders again where that pays, until a shot is good
+enough."""
 
 from __future__ import annotations
 
@@ -17,16 +18,19 @@ from postfx.cli.options import Option, Options, Section, parse_from_zero, parse_
 from postfx.cli.samples import SAMPLE_OPTIONS
 
 DESCRIPTION = """\
-Render a shot with few samples, denoise it, render again the tiles that need more, merge, and so on until all tiles have
-the quality, the budget is used up, or all rounds are done. Any renderer takes part: --render is a command that renders
-the pictures and regions of a JSON file, whose name replaces {jobs}. Scripts for Blender and Mitsuba come with postfx;
-docs/howto/render_more.md describes the file for others.
+Render a shot with few samples, denoise it, render again the tiles that need more, merge, and so on
+until all tiles have the quality, the budget is used up, or all rounds are done. Any renderer takes
+part: --render is a command that renders the pictures and regions of a JSON file, whose name
+replaces {jobs}. Scripts for Blender and Mitsuba come with postfx; docs/howto/render_more.md
+describes the file for others.
 
-Everything is rendered in two halves with different seeds. Each half, denoised, is compared with the other: that
-measures the error. With --budget a round renders at most as many samples as there are, the last one what is left.
+Everything is rendered in two halves with different seeds. Each half, denoised, is compared with the
+other: that measures the error. With --budget a round renders at most as many samples as there are,
+the last one what is left.
 
-OUTPUT always holds the denoised frames of the last round. The merged renders and a log are in --work. A loop that was
-stopped goes on from there, and further with a larger budget or more rounds. Options of 'postfx run' may follow --.
+OUTPUT always holds the denoised frames of the last round. The merged renders and a log are in
+--work. A loop that was stopped goes on from there, and further with a larger budget or more rounds.
+Options of 'postfx run' may follow --.
 """
 EXAMPLES = """\
 examples:
@@ -34,27 +38,31 @@ examples:
     --render 'blender -b shot.blend -P hosts/loop/render_blender.py -- {jobs}'
   postfx loop --frames 1 --samples 16 --budget 64 --rounds 4 -o 'clean/####.exr' \\
     --render 'python hosts/loop/render_mitsuba.py scene.xml {jobs}'
-  postfx loop --frames 1-8 --samples 16 -o 'clean/####.exr' --render 'my_farm.sh {jobs}' -- --model l
+  postfx loop --frames 1-8 --samples 16 -o 'clean/####.exr' \\
+    --render 'my_farm.sh {jobs}' -- --model l
 """
 JOBS = "{jobs}"
 HALVES = ("half1", "half2")
 SEEDS = 1009
-"""Seeds between two halves of a round, so that no frame has the seed of another one of an earlier half, in shots that
-are not longer."""
+"""Seeds between two halves of a round, so that no frame has the seed of another one of an earlier
+half, in shots that are not longer."""
 
 LOOP = Options(Section("", (
     Option(flag="--render", metavar="COMMAND", help="renders what the JSON file {jobs} lists"),
-    Option(flag="--output", short="-o", metavar="OUTPUT", help="denoised EXR files: a pattern like clean/####.exr"),
+    Option(flag="--output", short="-o", metavar="OUTPUT",
+           help="denoised EXR files: a pattern like clean/####.exr"),
     Option(flag="--frames", metavar="RANGE", default="1", help="frames of the shot (default: 1)"),
     Option(flag="--samples", metavar="N", type=parse_positive, default=16,
            help="samples a pixel of the first round (default: 16)"),
     SAMPLE_OPTIONS["--quality"],
     Option(flag="--budget", metavar="N", type=parse_from_zero,
-           help="samples a pixel of all later rounds together, in the mean of the shot (default: no limit)"),
+           help="samples a pixel of all later rounds together, in the mean of the shot (default: "
+           "no limit)"),
     Option(flag="--rounds", metavar="N", type=parse_positive, default=4,
            help="rounds at most after the first one (default: 4)"),
     SAMPLE_OPTIONS["--tile"],
-    Option(flag="--work", metavar="DIR", help="folder of the renders (default: a folder loop beside OUTPUT)"),
+    Option(flag="--work", metavar="DIR",
+           help="folder of the renders (default: a folder loop beside OUTPUT)"),
     Option(flag="--overwrite", help="replace output files that are there"),
     Option(flag="--json", help="print one JSON object"),
 )))
@@ -75,7 +83,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 class Loop:
-    """A shot that is rendered in rounds. Raises PostfxError where something does not fit together or fails."""
+    """A shot that is rendered in rounds. Raises PostfxError where something does not fit together
+    or fails."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         from postfx.errors import OptionError, WriteError
@@ -83,19 +92,23 @@ class Loop:
         from postfx.io.writer import check_folder, is_display_format
 
         if not arguments.render or JOBS not in arguments.render:
-            raise OptionError("--render: give a command with {jobs} in it, such as --render 'my_render {jobs}'")
+            raise OptionError("--render: give a command with {jobs} in it, such as --render "
+                              "'my_render {jobs}'")
         if arguments.samples < len(HALVES):
-            raise OptionError(f"--samples {arguments.samples}: two halves need 2 or more, such as 16")
+            raise OptionError(f"--samples {arguments.samples}: two halves need 2 or more, such as "
+                              "16")
         if not arguments.output:
             raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o 'clean/####.exr'")
         pattern = parse_pattern(arguments.output)
         if not pattern.is_numbered or is_display_format(str(pattern)):
-            raise WriteError(f"{arguments.output}: give EXR files with a frame number, such as clean/####.exr")
+            raise WriteError(f"{arguments.output}: give EXR files with a frame number, such as "
+                             "clean/####.exr")
         self._arguments, self._numbers = arguments, parse_frames(arguments.frames)
         self._work = Path(arguments.work or pattern.path(1).parent / "loop")
         check_folder(self._work, "work")
         self._state = self._work / "loop.json"
-        self.rounds: list[dict[str, Any]] = json.loads(self._state.read_text()) if self._state.exists() else []
+        self.rounds: list[dict[str, Any]] = (json.loads(self._state.read_text())
+                                             if self._state.exists() else [])
         taken = [path for number in self._numbers if (path := pattern.path(number)).exists()]
         if taken and not (arguments.overwrite or self.rounds):
             raise WriteError(f"{taken[0]}: is already there: give --overwrite")
@@ -117,11 +130,13 @@ class Loop:
         while not (self.done or self._is_done()):
             plan = self.rounds[-1]["plan"]
             jobs = [job for frame in plan["frames"] for index, region in enumerate(frame["regions"])
-                    for job in self._jobs(frame["frame"], region, region["samples"], f".region{index}")]
+                    for job in self._jobs(frame["frame"], region, region["samples"],
+                                          f".region{index}")]
             seconds = self._render(jobs)
             for number in self._numbers:
                 for half in HALVES:
-                    self._add(number, half, [job for job in jobs if (job["frame"], job["half"]) == (number, half)])
+                    self._add(number, half, [job for job in jobs
+                                             if (job["frame"], job["half"]) == (number, half)])
                 self._merge(number)
             most = max(region["samples"] for frame in plan["frames"] for region in frame["regions"])
             self._finish_round(seconds, plan["more_samples"], most)
@@ -129,34 +144,40 @@ class Loop:
 
     def as_dict(self) -> dict[str, Any]:
         """The loop for programs."""
-        rounds = [{key: value for key, value in one.items() if key not in ("plan", "asked")} for one in self.rounds]
-        return {"output": self._arguments.output, "renders": str(self._work / "merged"), "done": self.done,
-                "rounds": rounds}
+        rounds = [{key: value for key, value in one.items() if key not in ("plan", "asked")}
+                  for one in self.rounds]
+        return {"output": self._arguments.output, "renders": str(self._work / "merged"),
+                "done": self.done, "rounds": rounds}
 
     def text(self) -> str:
         """The loop for people."""
         last = self.rounds[-1]
-        return (f"wrote    {self._arguments.output}: {last['samples']:.1f} samples a pixel in the mean, about "
-                f"{last['psnr']:.1f} dB; {self.done}")
+        return (f"wrote    {self._arguments.output}: {last['samples']:.1f} samples a pixel in the "
+                f"mean, about {last['psnr']:.1f} dB; {self.done}")
 
     def _is_done(self) -> bool:
         """Whether nothing is left to render, and why."""
         plan = self.rounds[-1]["plan"]
         if not any(frame["regions"] for frame in plan["frames"]):
-            self.done = "all tiles have the quality" if plan["tiles_done"] >= 1 else "the budget is used up"
+            self.done = ("all tiles have the quality" if plan["tiles_done"] >= 1
+                         else "the budget is used up")
         elif len(self.rounds) > self._arguments.rounds:
-            self.done = f"all rounds are done, and {plan['tiles_done']:.0%} of the tiles would be after another"
+            self.done = (f"all rounds are done, and {plan['tiles_done']:.0%} of the tiles would be "
+                         "after another")
         return bool(self.done)
 
     def _line(self) -> str:
         last = self.rounds[-1]
-        return (f"round {len(self.rounds) - 1}: {last['samples']:.1f} samples a pixel, about {last['psnr']:.1f} dB, "
-                f"{last['render_seconds']:.0f} s of rendering, {last['denoise_seconds']:.0f} s of denoising")
+        return (f"round {len(self.rounds) - 1}: {last['samples']:.1f} samples a pixel, about "
+                f"{last['psnr']:.1f} dB, {last['render_seconds']:.0f} s of rendering, "
+                f"{last['denoise_seconds']:.0f} s of denoising")
 
-    def _jobs(self, number: int, region: dict[str, int] | None, samples: int, more: str = "") -> list[dict[str, Any]]:
+    def _jobs(self, number: int, region: dict[str, int] | None, samples: int,
+              more: str = "") -> list[dict[str, Any]]:
         """One picture or region to render: a job for each half."""
         count = len(self.rounds)
-        box = None if region is None else {key: region[key] for key in ("x", "y", "width", "height")}
+        box = None if region is None else {key: region[key]
+                                           for key in ("x", "y", "width", "height")}
         shares = (samples + 1) // 2, samples // 2
         drawn = (sum(one["most_samples"] for one in self.rounds) + 1) // 2
         return [{"frame": number, "half": half, "region": box, "samples": share,
@@ -166,7 +187,8 @@ class Loop:
                 for index, (half, share) in enumerate(zip(HALVES, shares, strict=True))]
 
     def _render(self, jobs: list[dict[str, Any]]) -> float:
-        """Let the renderer work, again where it ended early but got on; returns the seconds that it took."""
+        """Let the renderer work, again where it ended early but got on; returns the seconds that it
+        took."""
         from postfx.errors import MissingFrameError, RunError
 
         begin = time.perf_counter()
@@ -181,7 +203,8 @@ class Loop:
             if code and len(left) == before:
                 raise RunError(f"--render: the renderer ended with {code}: {log} says why")
         if left:
-            raise MissingFrameError(f"{left[0]['output']}: the renderer did not write it: {log} may say why")
+            raise MissingFrameError(f"{left[0]['output']}: the renderer did not write it: {log} "
+                                    "may say why")
         return time.perf_counter() - begin
 
     def _call(self, jobs: list[dict[str, Any]]) -> tuple[int, Path]:
@@ -192,13 +215,16 @@ class Loop:
         count = len(self.rounds)
         path, log = self._work / f"round{count}.json", self._work / f"round{count}.log"
         write_text(path, json.dumps({"jobs": jobs}, indent=1))
-        words = [word.replace(JOBS, str(path.absolute())) for word in shlex.split(self._arguments.render)]
+        words = [word.replace(JOBS, str(path.absolute()))
+                 for word in shlex.split(self._arguments.render)]
         try:
             with log.open("wb") as output:
-                return subprocess.run(words, stdout=output, stderr=subprocess.STDOUT, check=False).returncode, log
+                return subprocess.run(words, stdout=output, stderr=subprocess.STDOUT,
+                                      check=False).returncode, log
         except OSError as error:
             reason = error.strerror or error
-            raise RunError(f"--render: {words[0]} cannot be started: {reason}; check its name") from error
+            raise RunError(f"--render: {words[0]} cannot be started: {reason}; check its "
+                           "name") from error
 
     def _add(self, number: int, half: str, jobs: list[dict[str, Any]]) -> None:
         """Merge regions into a half of a frame."""
@@ -215,8 +241,8 @@ class Loop:
         merge_renders([self._merged(number, half) for half in HALVES], self._merged(number))
 
     def _finish_round(self, seconds: float, more: float, most: int) -> None:
-        """Denoise what was rendered, plan the next round, and write down where the loop stands; more, most: samples of
-        the round, in the mean and of any region."""
+        """Denoise what was rendered, plan the next round, and write down where the loop stands;
+        more, most: samples of the round, in the mean and of any region."""
         begin = time.perf_counter()
         self._denoise("merged", self._arguments.output)
         for half in HALVES:
@@ -230,7 +256,8 @@ class Loop:
         """Denoise all frames of a folder of renders."""
         from postfx.cli.main import make_parser
 
-        words = ["run", str(self._work / renders / "####.exr"), "-o", output, f"--frames={self._arguments.frames}",
+        words = ["run", str(self._work / renders / "####.exr"), "-o", output,
+                 f"--frames={self._arguments.frames}",
                  "--overwrite", "--scale", "1", "--quiet", *self._arguments.forwarded]
         given = make_parser(["run"]).parse_args(words)
         given.words = words
@@ -240,7 +267,8 @@ class Loop:
     def _asked(self) -> dict[str, Any]:
         """What a plan depends on, beside the renders."""
         given = self._arguments
-        return {"quality": given.quality, "budget": given.budget, "tile": given.tile, "rounds": given.rounds}
+        return {"quality": given.quality, "budget": given.budget, "tile": given.tile,
+                "rounds": given.rounds}
 
     def _plan(self) -> dict[str, Any]:
         """Plan the next round."""
@@ -250,8 +278,8 @@ class Loop:
         given = self._arguments
         one, other = (str(self._work / half / "####.exr") for half in HALVES)
         words = ["samples", one, "--halves", other, "--denoised", *map(self._clean, HALVES),
-                 given.output, f"--frames={given.frames}", "--quality", given.quality, "--tile", str(given.tile),
-                 "--json"]
+                 given.output, f"--frames={given.frames}", "--quality", given.quality, "--tile",
+                 str(given.tile), "--json"]
         used = sum(one["more_samples"] for one in self.rounds)
         if given.budget is not None:
             left = max(given.budget - used, 0)
@@ -261,8 +289,8 @@ class Loop:
         job.measure()
         plan = job.as_dict()
         frames = plan["frames"]
-        return {"samples": sum(frame["samples"] for frame in frames) / len(frames), "psnr": plan["psnr"], "plan": plan,
-                "asked": self._asked()}
+        return {"samples": sum(frame["samples"] for frame in frames) / len(frames),
+                "psnr": plan["psnr"], "plan": plan, "asked": self._asked()}
 
     def _write(self) -> None:
         from postfx.files import write_text

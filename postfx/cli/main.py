@@ -32,7 +32,8 @@ VERBS = {
     "lut": "write a look as a .cube look-up table",
     "capture-compare": "find the first tensor in which two captures differ",
 }
-"""Verb -> what it does, as in `postfx --help`. The module of its name is loaded when it is called."""
+"""Verb -> what it does, as in `postfx --help`. The module of its name is loaded when it is
+called."""
 FORWARDING = ("watch", "loop", "chunks")
 """Verbs that hand options of `postfx run` on, which stand behind --."""
 SHELLS = ("bash", "zsh", "fish", "powershell")
@@ -41,21 +42,24 @@ EXIT_INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command line; returns the exit code: 0 done, 1 a check found something wrong, 2 something the user can fix,
-    130 interrupted by Ctrl-C, 143 ended by SIGTERM."""
+    """Run a command line; returns the exit code: 0 done, 1 a check found something wrong, 2
+    something the user can fix, 130 interrupted by Ctrl-C, 143 ended by SIGTERM."""
     if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions
         import argcomplete
 
         argcomplete.autocomplete(make_parser())
-    warnings.filterwarnings("ignore", "the package onnxruntime is missing")  # the summary says so, once
+    # the summary says so, once
+    warnings.filterwarnings("ignore", "the package onnxruntime is missing")
     with safe_streams():
         return _run(list(sys.argv[1:] if argv is None else argv))
 
 
 def _run(words: list[str]) -> int:
-    own = words.index("--") if words[:1] and words[0] in FORWARDING and "--" in words else len(words)
+    own = (words.index("--") if words[:1] and words[0] in FORWARDING and "--" in words
+           else len(words))
     try:
-        arguments = make_parser([word for word in words if not word.startswith("-")][:1]).parse_args(words[:own])
+        arguments = make_parser([word for word in words
+                                 if not word.startswith("-")][:1]).parse_args(words[:own])
         arguments.words, arguments.forwarded = words, words[own + 1:]
         read_and_write_by(getattr(arguments, "threads", None))
         code: int = arguments.execute(arguments)
@@ -65,7 +69,8 @@ def _run(words: list[str]) -> int:
         return EXIT_ERROR
     except OSError as error:
         name = f"{error.filename}: " if error.filename else ""
-        print(f"error: {name}{error.strerror or error}: check the path and its rights", file=sys.stderr)
+        print(f"error: {name}{error.strerror or error}: check the path and its rights",
+              file=sys.stderr)
         return EXIT_ERROR
     except MemoryError:
         print("error: out of memory: give postfx run --memory, e.g. --memory 4G", file=sys.stderr)
@@ -76,10 +81,11 @@ def _run(words: list[str]) -> int:
 
 
 class _Completion(argparse.Action):
-    """Prints what a shell has to run once, as by eval "$(postfx --completion bash)", and ends the process."""
+    """Prints what a shell has to run once, as by eval "$(postfx --completion bash)", and ends the
+    process."""
 
-    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: object,
-                 option_string: str | None = None) -> None:
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
+                 values: object, option_string: str | None = None) -> None:
         from argcomplete.shell_integration import shellcode
 
         print(shellcode(["postfx"], shell=str(values)))
@@ -87,7 +93,8 @@ class _Completion(argparse.Action):
 
 
 def read_and_write_by(threads: int | None) -> None:
-    """Set the number of threads that read and write files, all with one heap; None: all that this process may use."""
+    """Set the number of threads that read and write files, all with one heap; None: all that this
+    process may use."""
     import OpenImageIO as oiio  # here, as --help does without
 
     from postfx.system import share_one_heap, usable_cores
@@ -102,13 +109,15 @@ def _place_of_run_options(parser: argparse.ArgumentParser, word: str) -> str:
     from postfx.cli.run_options import RUN
 
     verb, flag = parser.prog.split()[-1], word.partition("=")[0]
-    if verb not in FORWARDING or flag not in {name for option in RUN for name in (option.flag, option.short)}:
+    if verb not in FORWARDING or flag not in {name for option in RUN
+                                              for name in (option.flag, option.short)}:
         return ""
     return f": options of 'postfx run' go after --, as in: postfx {verb} ... -- {word}"
 
 
 def make_parser(used: Collection[str] = tuple(VERBS)) -> argparse.ArgumentParser:
-    """Parser that lists all verbs and knows the arguments of those in `used`, whose modules it loads."""
+    """Parser that lists all verbs and knows the arguments of those in `used`, whose modules it
+    loads."""
     parser = Parser(
         prog="postfx",
         description="Post-processing of rendered image sequences: denoise, upscale, tone-map.",
@@ -116,11 +125,13 @@ def make_parser(used: Collection[str] = tuple(VERBS)) -> argparse.ArgumentParser
     )
     parser.add_argument("--version", action="version", version=f"postfx {__version__}")
     parser.add_argument("--completion", metavar="SHELL", choices=SHELLS, action=_Completion,
-                        help=f"print a script that completes commands in {', '.join(SHELLS[:-1])} or {SHELLS[-1]}")
+                        help=f"print a script that completes commands in {', '.join(SHELLS[:-1])} "
+                        f"or {SHELLS[-1]}")
     parser.hint = _place_of_run_options
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
     for name, summary in VERBS.items():
-        added = verbs.add_parser(name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter)
+        added = verbs.add_parser(name, help=summary,
+                                 formatter_class=argparse.RawDescriptionHelpFormatter)
         if name in used:
             verb = import_module(f"postfx.cli.{name.replace('-', '_')}")
             added.description, added.epilog = verb.DESCRIPTION, verb.EXAMPLES

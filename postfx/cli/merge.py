@@ -16,14 +16,15 @@ if TYPE_CHECKING:
     from postfx.io.sequence import Sequence
 
 DESCRIPTION = """\
-Merge renders of the same frames that differ in their seed, as one render with the samples of all. Each pixel is
-weighted by its samples, which headers tell (Cycles, pbrt, postfx:spp), an AOV of sample counts, or --samples.
+Merge renders of the same frames that differ in their seed, as one render with the samples of all.
+Each pixel is weighted by its samples, which headers tell (Cycles, pbrt, postfx:spp), an AOV of
+sample counts, or --samples.
 
-Colours, alpha, reflectances, light groups and noise estimates are averaged; normals of unit length keep it. Ids and
-Cryptomattes, depth, positions and motion come from the first render that has the pixel. Samples and render times in
-the headers are added up. A render of a region counts only there: by its data window, its sample counts, or the
-rectangle that holds its light. Where samples then differ, an AOV of counts is written, by which the result can be
-merged again.
+Colours, alpha, reflectances, light groups and noise estimates are averaged; normals of unit length
+keep it. Ids and Cryptomattes, depth, positions and motion come from the first render that has the
+pixel. Samples and render times in the headers are added up. A render of a region counts only there:
+by its data window, its sample counts, or the rectangle that holds its light. Where samples then
+differ, an AOV of counts is written, by which the result can be merged again.
 """
 EXAMPLES = """\
 examples:
@@ -32,8 +33,8 @@ examples:
   postfx merge 'first/shot.####.exr' 'second/shot.####.exr' -o 'merged/shot.####.exr'
   postfx merge frame.exr tile_3_7.exr tile_4_7.exr -o better.exr
 
-Put patterns in quotes: each argument is one render of all frames. Frames that a later render lacks are merged of the
-others.
+Put patterns in quotes: each argument is one render of all frames. Frames that a later render lacks
+are merged of the others.
 """
 
 
@@ -48,7 +49,8 @@ MERGE_OPTIONS = Options(Section("", (
            help="EXR files to write: a pattern like merged/shot.####.exr, a folder or one file"),
     Option(flag="--samples", metavar="N,N,...", type=_parse_samples,
            help="samples a pixel of each render, in their order (default: what the headers say)"),
-    Option(flag="--frames", metavar="RANGE", help="frames to merge (default: those of the first render)"),
+    Option(flag="--frames", metavar="RANGE",
+           help="frames to merge (default: those of the first render)"),
     Option(flag="--overwrite", either="existing", help="replace output files that are there"),
     Option(flag="--skip-existing", either="existing", help="keep output files that are there"),
     RUN["--profile"],
@@ -78,7 +80,8 @@ def execute(arguments: argparse.Namespace) -> int:
             progress.advance(str(done[-1].path))
     seconds = time.perf_counter() - begin
     facts = {"renders": job.names, "outputs": [str(one.path) for one in done],
-             "samples": [one.samples for one in done], "notes": [one.notes for one in done], "seconds": seconds}
+             "samples": [one.samples for one in done], "notes": [one.notes for one in done],
+             "seconds": seconds}
     print(json.dumps(facts) if arguments.json else job.text(done, seconds))
     return 0
 
@@ -99,14 +102,17 @@ class MergeJob:
         MERGE_OPTIONS.refuse_conflicts(arguments)
         if not arguments.output:
             raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o merged.exr")
-        self.names = [arguments.input] if isinstance(arguments.input, str) else list(arguments.input)
+        self.names = ([arguments.input] if isinstance(arguments.input, str)
+                      else list(arguments.input))
         if len(self.names) < 2:
-            raise OptionError(f"{self.names[0]}: is one render: give two or more that differ in their seed")
+            raise OptionError(f"{self.names[0]}: is one render: give two or more that differ in "
+                              "their seed")
         self._samples: list[int] | None = arguments.samples
         if self._samples and len(self._samples) != len(self.names):
-            raise OptionError(f"--samples has {len(self._samples)} numbers for {len(self.names)} renders: give one "
-                              "for each")
-        self._renders = [read_sequence(self.names[0], arguments.frames), *map(Sequence, self.names[1:])]
+            raise OptionError(f"--samples has {len(self._samples)} numbers for {len(self.names)} "
+                              "renders: give one for each")
+        self._renders = [read_sequence(self.names[0], arguments.frames),
+                         *map(Sequence, self.names[1:])]
         existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
         self.outputs: OutputFiles = OutputFiles(arguments.output, self._renders[0], existing)
         if self.outputs.display:
@@ -117,7 +123,8 @@ class MergeJob:
         inputs = {path.resolve() for render in self._renders for path in render.all_files()}
         if replaced := next((path for path in paths.values() if path.resolve() in inputs), None):
             raise WriteError(f"{replaced}: is an input: write to another folder or name")
-        self.numbers = [number for number in numbers if not (arguments.skip_existing and paths[number].exists())]
+        self.numbers = [number for number in numbers
+                        if not (arguments.skip_existing and paths[number].exists())]
         self.outputs.check(tuple(self.numbers))
 
     def renders(self, number: int) -> tuple[list[Path], list[int] | None]:
@@ -129,7 +136,8 @@ class MergeJob:
 
     def lacking(self, number: int) -> list[str]:
         """What to say of renders that do not have a frame."""
-        return [f"{name} does not have it" for name, render in zip(self.names, self._renders, strict=True)
+        return [f"{name} does not have it"
+                for name, render in zip(self.names, self._renders, strict=True)
                 if self._file(render, number) is None]
 
     def text(self, done: list[Merged], seconds: float) -> str:
@@ -139,8 +147,8 @@ class MergeJob:
         counts = sorted({one.samples for one in done})
         samples = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
         more = f" ... {done[-1].path}" if len(done) > 1 else ""
-        return (f"wrote    {done[0].path}{more}: {len(self.names)} renders, {samples} samples a pixel\n"
-                f"time     {seconds:.1f} s")
+        return (f"wrote    {done[0].path}{more}: {len(self.names)} renders, {samples} samples a "
+                f"pixel\ntime     {seconds:.1f} s")
 
     @staticmethod
     def _file(render: Sequence, number: int) -> Path | None:
@@ -153,5 +161,6 @@ class MergeJob:
             return None
         files = render.files(number)
         if set(files) != {""}:
-            raise OptionError(f"{render.pattern}: has a file for each AOV: merge the files of each AOV")
+            raise OptionError(f"{render.pattern}: has a file for each AOV: merge the files of each "
+                              "AOV")
         return files[""]

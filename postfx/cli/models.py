@@ -7,9 +7,10 @@ import json
 from typing import Any
 
 DESCRIPTION = """\
-List the installed models with the summaries of their cards. --model TAG chooses the fastest variant for the device:
-PASS.TAG.int8 (integers) on a CPU, PASS.TAG.fp16 (half precision) on a GPU, else PASS.TAG. --model TAG.fp32 chooses
-PASS.TAG. Variants .guides run when there are guides, and variants .1x when the output has the render's size."""
+List the installed models with the summaries of their cards. --model TAG chooses the fastest variant
+for the device: PASS.TAG.int8 (integers) on a CPU, PASS.TAG.fp16 (half precision) on a GPU, else
+PASS.TAG. --model TAG.fp32 chooses PASS.TAG. Variants .guides run when there are guides, and
+variants .1x when the output has the render's size."""
 EXAMPLES = """\
 examples:
   postfx models
@@ -19,7 +20,8 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
-    parser.add_argument("--json", action="store_true", help="print one JSON object: model name -> card")
+    parser.add_argument("--json", action="store_true",
+                        help="print one JSON object: model name -> card")
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -35,6 +37,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _line(name: str, card: dict[str, Any], size: int) -> str:
-    parameters = f"{card['parameters'] / 1e6:.2f} M parameters" if "parameters" in card else "no card"
+    parameters = (f"{card['parameters'] / 1e6:.2f} M parameters" if "parameters" in card
+                  else "no card")
     precision = card.get("precision", "fp32") if card else ""
-    return f"{name:<31}{precision:<6}{size / 1e6:5.2f} MB  {parameters:<19}{card.get('summary', '')}".rstrip()
+    return (f"{name:<31}{precision:<6}{size / 1e6:5.2f} MB  "
+            f"{parameters:<19}{card.get('summary', '')}".rstrip())

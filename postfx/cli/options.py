@@ -1,8 +1,8 @@
 """How an option of the command line is declared, and everything that follows from its declaration.
 
-A verb lists its options once, section by section, in the order of --help. The parser, the values that are handed to
-the parts of a run, the pairs that do not go together, and the settings that a manifest records are all read from that
-list.
+A verb lists its options once, section by section, in the order of --help. The parser, the values
+that are handed to the parts of a run, the pairs that do not go together, and the settings that a
+manifest records are all read from that list.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from postfx.errors import OptionError, suggest
 Changes = Literal["pixels", "rounding", "nothing"]
 
 
-class Option(NamedTuple):  # not a dataclass, whose module would take longer to load than all of --help
+# not a dataclass, whose module would take longer to load than all of --help
+class Option(NamedTuple):
     """An option and all that it means. With neither `metavar` nor `choices` it is a switch.
 
     Attributes:
@@ -27,23 +28,25 @@ class Option(NamedTuple):  # not a dataclass, whose module would take longer to 
         help, metavar, type, choices, default: as for argparse.
         bare: the value if the flag stands alone; None if it needs a value.
         either: a word shared by options of a section of which at most one may be given.
-        sets: which part of a run gets the value, and as which parameter, like "denoiser.scale"; "" if the verb itself
-            reads it.
+        sets: which part of a run gets the value, and as which parameter, like "denoiser.scale"; ""
+            if the verb itself reads it.
         convert: makes the parameter of the value.
         also: other parameters that it sets, each with what makes it of the value.
         off: the value that asks for nothing, beside None and False.
-        excludes: flag, or "flag=value", of another option -> the message if both are given; {flag} in it is this one.
+        excludes: flag, or "flag=value", of another option -> the message if both are given; {flag}
+            in it is this one.
         needs: flag of another option -> the message if that is missing.
-        changes: "pixels" if frames look different with it, "rounding" if only by the last bits of a pixel, "nothing"
-            if they are the same. A run goes on from another one only if all options of the first two kinds agree;
-            files record those of the first kind.
+        changes: "pixels" if frames look different with it, "rounding" if only by the last bits of a
+            pixel, "nothing" if they are the same. A run goes on from another one only if all
+            options of the first two kinds agree; files record those of the first kind.
         is_file: whether it names files, of which images record the name without the folder.
-        several: whether it may be given more than one value, as when a shell replaces wildcards: the value is then a
-            list.
+        several: whether it may be given more than one value, as when a shell replaces wildcards:
+            the value is then a list.
         repeated: whether it may be given more than once: the value is then a list.
         shows: makes a text that is printed instead of doing anything.
         basic: whether --help shows it, which most people need; --help-all shows all.
-        once: whether it says something about one command only, so that it has no place among the defaults of a studio.
+        once: whether it says something about one command only, so that it has no place among the
+            defaults of a studio.
     """
 
     flag: str
@@ -116,7 +119,8 @@ class Option(NamedTuple):  # not a dataclass, whose module would take longer to 
         extra: dict[str, Any] = {} if self.bare is None else {"nargs": "?", "const": self.bare}
         extra |= {"nargs": "+", "action": _StoreOneOrMore} if self.several else {}
         extra |= {"action": "append"} if self.repeated else {}
-        group.add_argument(*names, metavar=self.metavar, type=self.type or str, choices=self.choices or None,
+        group.add_argument(*names, metavar=self.metavar, type=self.type or str,
+                           choices=self.choices or None,
                            default=self.default, help=self.help, **extra)
 
 
@@ -131,7 +135,8 @@ class _StoreOneOrMore(argparse.Action):
 class _Show(argparse.Action):
     """Prints a text and ends the process, as --help does."""
 
-    def __init__(self, option_strings: Sequence[str], dest: str, const: Callable[[], str], **rest: Any) -> None:
+    def __init__(self, option_strings: Sequence[str], dest: str, const: Callable[[], str],
+                 **rest: Any) -> None:
         super().__init__(option_strings, dest, nargs=0, const=const, **rest)
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any,
@@ -179,13 +184,15 @@ class Options:
             for sets, convert in {option.sets: option.convert, **option.also}.items():
                 owner, _, parameter = sets.partition(".")
                 value = option.value(arguments) if owner == part else None
-                if owner == part and value is not False and not (value is None and option.default is None):
+                if (owner == part and value is not False
+                    and not (value is None and option.default is None)):
                     found[parameter] = convert(value) if convert else value
         return found
 
-    def fill(self, arguments: argparse.Namespace, given: Collection[str], values: Mapping[str, Any]) -> list[str]:
-        """Set options by name, but none that is `given` already, nor one that does not go with those; returns the names
-        of those that were set."""
+    def fill(self, arguments: argparse.Namespace, given: Collection[str],
+             values: Mapping[str, Any]) -> list[str]:
+        """Set options by name, but none that is `given` already, nor one that does not go with
+        those; returns the names of those that were set."""
         trial = argparse.Namespace(**vars(arguments))
         for option in self:
             if option.name not in given and not option.shows:
@@ -203,11 +210,14 @@ class Options:
 
     def _fits(self, option: Option, arguments: argparse.Namespace) -> bool:
         """Whether an option goes with the others that are given."""
-        rivals = [other for section in self.sections if option in section.options for other in section.options
+        rivals = [other for section in self.sections if option in section.options
+                  for other in section.options
                   if option.either and other.either == option.either and other is not option]
         others = [other for other in self if other.is_given(arguments) and
-                  any(self._is_asked(key, arguments) for key in other.excludes if key.partition("=")[0] == option.flag)]
-        return not (any(rival.is_given(arguments) for rival in rivals) or others or self.exclusions(option, arguments))
+                  any(self._is_asked(key, arguments)
+                      for key in other.excludes if key.partition("=")[0] == option.flag)]
+        return not (any(rival.is_given(arguments) for rival in rivals) or others
+                    or self.exclusions(option, arguments))
 
     def exclusions(self, option: Option, arguments: argparse.Namespace) -> list[str]:
         """Messages of the given options that this one does not go with."""
@@ -219,13 +229,16 @@ class Options:
         for option in self:
             if not option.is_given(arguments):
                 continue
-            missing = [message for other, message in option.needs.items() if not self._is_asked(other, arguments)]
+            missing = [message for other, message in option.needs.items()
+                       if not self._is_asked(other, arguments)]
             for message in self.exclusions(option, arguments) + missing:
                 raise OptionError(message)
 
-    def settings(self, arguments: argparse.Namespace, changes: Changes = "pixels") -> dict[str, Any]:
+    def settings(self, arguments: argparse.Namespace,
+                 changes: Changes = "pixels") -> dict[str, Any]:
         """Name -> value of the options that change this."""
-        return {option.name: option.value(arguments) for option in self if option.changes == changes}
+        return {option.name: option.value(arguments)
+                for option in self if option.changes == changes}
 
     def _is_asked(self, key: str, arguments: argparse.Namespace) -> bool:
         flag, _, value = key.partition("=")
@@ -237,19 +250,21 @@ class _ShowAll(argparse.Action):
     """Prints the help with all options and ends the process."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        print(parser.format_help_all() if isinstance(parser, Parser) else parser.format_help(), end="")
+        print(parser.format_help_all() if isinstance(parser, Parser) else parser.format_help(),
+              end="")
         parser.exit()
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that knows which option or verb was meant, shows few options where there are many, and fills in what is
-    not given.
+    """A parser that knows which option or verb was meant, shows few options where there are many,
+    and fills in what is not given.
 
     Attributes:
         declared: the options that were added, if they were declared together.
         more: what --help-all says after the description, and its examples in place of `epilog`.
         complete: is called with the arguments and the names of those that were given.
-        hint: says of a verb's parser and an argument that it does not know where that belongs, or ''.
+        hint: says of a verb's parser and an argument that it does not know where that belongs, or
+            ''.
     """
 
     declared: Options | None = None
@@ -262,7 +277,8 @@ class Parser(argparse.ArgumentParser):
         if self.declared is None or self.complete is None:
             return super().parse_known_args(args, namespace)
         options = [option for option in self.declared if not option.shows]
-        blanks: dict[str, list[Any]] = {option.name: [] for option in options}  # no value is one of these lists
+        # no value is one of these lists
+        blanks: dict[str, list[Any]] = {option.name: [] for option in options}
         known = vars(namespace) if namespace else {}
         found, rest = super().parse_known_args(args, argparse.Namespace(**{**known, **blanks}))
         given = {name for name, blank in blanks.items() if getattr(found, name) is not blank}
@@ -277,7 +293,8 @@ class Parser(argparse.ArgumentParser):
         basic = {option.name for option in self.declared or () if option.basic}
         if not basic:
             return super().format_help()
-        shown = [action for action in self._actions if action.dest in {"help", "help_all", "input", *basic}]
+        shown = [action for action in self._actions
+                 if action.dest in {"help", "help_all", "input", *basic}]
         return self._format([("options", shown)], self.description, self.epilog)
 
     def format_help_all(self) -> str:
@@ -285,7 +302,8 @@ class Parser(argparse.ArgumentParser):
         groups = [(group.title, group._group_actions) for group in self._action_groups]
         return self._format(groups, f"{self.description}\n{self.more[0]}", self.more[1])
 
-    def _format(self, groups: list[tuple[str | None, list[argparse.Action]]], *texts: str | None) -> str:
+    def _format(self, groups: list[tuple[str | None, list[argparse.Action]]],
+                *texts: str | None) -> str:
         formatter = self._get_formatter()
         formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
         formatter.add_text(texts[0])
@@ -312,13 +330,15 @@ class Parser(argparse.ArgumentParser):
         verbs = [name for action in self._actions if isinstance(action, argparse._SubParsersAction)
                  for name in action.choices] if choice else []
         meant = suggest(choice[1], verbs) if choice else ""
-        meant = f": did you mean postfx run {choice[1]}?" if choice and re.search(r"[./]", choice[1]) else meant
+        meant = (f": did you mean postfx run {choice[1]}?"
+                 if choice and re.search(r"[./]", choice[1]) else meant)
         help = "--help-all" if any(option.basic for option in self.declared or ()) else "--help"
         self.exit(2, f"error: {message}{meant} ('{self.prog} {help}' shows all)\n")
 
 
 def parse_path(text: str) -> str:
-    """A path in which a leading ~ is the home folder, as argparse's `type`: shells leave it where it is quoted."""
+    """A path in which a leading ~ is the home folder, as argparse's `type`: shells leave it where
+    it is quoted."""
     return os.path.expanduser(text)
 
 
@@ -364,5 +384,6 @@ def parse_ray(text: str) -> tuple[str, int]:
     address, _, rest = text.partition(",")
     name, _, number = rest.partition("=")
     if not address or (rest and name != "size"):
-        raise argparse.ArgumentTypeError(f"'{text}' is not an address, with ,size=N for the frames of a chunk")
+        raise argparse.ArgumentTypeError(f"'{text}' is not an address, with ,size=N for the frames "
+                                         "of a chunk")
     return address, parse_positive(number) if rest else CHUNK_FRAMES

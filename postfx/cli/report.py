@@ -27,22 +27,25 @@ if TYPE_CHECKING:
 
 
 class RunReport:
-    """What --report asks for: it looks at every frame that is written, and writes the page at the end.
+    """What --report asks for: it looks at every frame that is written, and writes the page at the
+    end.
 
     Args:
-        inspect: looks at a view of the input from the first of these frames on that can be read, for the page's
-            findings and pictures of planes.
+        inspect: looks at a view of the input from the first of these frames on that can be read,
+            for the page's findings and pictures of planes.
         path: the page.
         reference: noise-free frames at output size.
         check: whether the page's folder must be one that can be written.
 
-    Raises ReportError when references do not fit, WriteError when the page's folder cannot be written.
+    Raises ReportError when references do not fit, WriteError when the page's folder cannot be
+    written.
     """
 
     def __init__(self, sequence: Sequence, pipeline: Pipeline, plan: Plan,
-                 inspect: Callable[[list[int], str | None], Inspection], path: str, reference: str | None = None,
-                 check: bool = True) -> None:
-        self._sequence, self._pipeline, self._plan, self._inspect = sequence, pipeline, plan, inspect
+                 inspect: Callable[[list[int], str | None], Inspection], path: str,
+                 reference: str | None = None, check: bool = True) -> None:
+        self._sequence, self._pipeline, self._plan, self._inspect = (sequence, pipeline, plan,
+                                                                     inspect)
         self._path = Path(path)
         output = plan.output
         size = output.width, output.height
@@ -56,7 +59,8 @@ class RunReport:
 
     def choose(self, numbers: list[int]) -> None:
         """Say which frames will be written, in order."""
-        self._log = FrameLog(numbers, self._look, f"after {self._views[0]}" if self._views else "after")
+        self._log = FrameLog(numbers, self._look,
+                             f"after {self._views[0]}" if self._views else "after")
 
     def add(self, done: FrameResult) -> None:
         """Add a frame that was just processed."""
@@ -69,7 +73,8 @@ class RunReport:
         pictures: dict[str, np.ndarray] = {}
         motions: dict[str, np.ndarray | None] = {}
         maps: dict[str, np.ndarray] = {}
-        sources, results = (frame, *frame.views.values()), (done.result, *done.result.views.values())
+        sources, results = (frame, *frame.views.values()), (done.result,
+                                                            *done.result.views.values())
         for view, source, result in zip(self._views or (None,), sources, results, strict=True):
             own = self._pictures(view, source, result, factor, cut)
             found = self._compare(own, factor)
@@ -81,7 +86,8 @@ class RunReport:
         self._log.add(frame.number, pictures, factor, motions, cut, readings | timed, maps)
 
     def write(self, report: Report, plan: str) -> Report:
-        """Write the page on the frames seen, with the text of the `plan`; returns the report with the page's path."""
+        """Write the page on the frames seen, with the text of the `plan`; returns the report with
+        the page's path."""
         if not self._log.rows:
             return report
         numbers = [row.number for row in self._log.rows]
@@ -90,58 +96,74 @@ class RunReport:
         name = Path(str(self._sequence.pattern)).name
         write_report(self._path, f"postfx report: {name}", self._log,
                      {view: one.facts() for view, one in inspected.items()},
-                     {view: one.frames[0] for view, one in inspected.items()}, {**report.as_dict(), "plan": plan})
+                     {view: one.frames[0] for view, one in inspected.items()},
+                     {**report.as_dict(), "plan": plan})
         return report
 
     def _follows(self, number: int) -> bool:
-        """Whether the frame looked at last is the one before, and not one before frames that were left out."""
-        return bool(self._log.rows) and self._sequence.before(number, 1) == [self._log.rows[-1].number]
+        """Whether the frame looked at last is the one before, and not one before frames that were
+        left out."""
+        return (bool(self._log.rows)
+                and self._sequence.before(number, 1) == [self._log.rows[-1].number])
 
     def _pictures(
         self, view: str | None, frame: Frame, result: Frame, exposure_factor: float, cut: bool
     ) -> dict[str, np.ndarray]:
-        """Pictures of one size, shown in the same way: a view before, after and, if there is one, its reference."""
+        """Pictures of one size, shown in the same way: a view before, after and, if there is one,
+        its reference."""
         after = result[Role.COLOUR]
         height, width = after.shape[:2]
         before = resample(frame[Role.COLOUR], height, width, frame.jitter)
         scene = {"before": before}
         reference = self._references.colour(frame.number, view) if self._references else None
-        scene |= {"reference": reference} if reference is not None and reference.shape == after.shape else {}
+        scene |= ({"reference": reference}
+                  if reference is not None and reference.shape == after.shape else {})
         shown = {name: self._display(_label(name, view), light, frame, exposure_factor, cut)
                  for name, light in scene.items()}
         return {"before": shown.pop("before"), "after": _light_of(result), **shown}
 
-    def _display(self, name: str, light: np.ndarray, frame: Frame, exposure_factor: float, cut: bool) -> np.ndarray:
-        """Scene-linear light through the passes that made the output a display's, each picture with its own history."""
+    def _display(self, name: str, light: np.ndarray, frame: Frame, exposure_factor: float,
+                 cut: bool) -> np.ndarray:
+        """Scene-linear light through the passes that made the output a display's, each picture with
+        its own history."""
         if not self._look.display:
             return light
         if name not in self._displays:
-            shown = [step for step in self._plan.steps if step.reflection.output.encoding != step.input.encoding]
+            shown = [step for step in self._plan.steps
+                     if step.reflection.output.encoding != step.input.encoding]
             passes = [type(step.instance)(**step.instance.options) for step in shown]
             self._displays[name] = Pipeline(passes, self._pipeline.device, "metadata", cuts="none")
         stops = float(np.log2(exposure_factor))
-        one = Frame({Role.COLOUR: light}, frame.number, exposure=stops, reset=cut, metadata=frame.metadata)
+        one = Frame({Role.COLOUR: light}, frame.number, exposure=stops, reset=cut,
+                    metadata=frame.metadata)
         return _light_of(self._displays[name](one))
 
-    def _compare(self, pictures: dict[str, np.ndarray], exposure_factor: float) -> Comparison | None:
+    def _compare(self, pictures: dict[str, np.ndarray],
+                 exposure_factor: float) -> Comparison | None:
         if "reference" not in pictures:
             return None
-        return measure_errors({name: self._look.codes(light, exposure_factor) for name, light in pictures.items()})
+        return measure_errors({name: self._look.codes(light, exposure_factor)
+                               for name, light in pictures.items()})
 
 
 def write_inspection(inspection: Inspection, path: str) -> None:
-    """Write the page of an inspection: the input's own frames, as many as the doctor looked at. Raises WriteError."""
+    """Write the page of an inspection: the input's own frames, as many as the doctor looked at.
+    Raises WriteError."""
     frames = inspection.frames
-    log, meter = FrameLog([frame.number for frame in frames], Look(False), "input"), ExposureMeter("auto")
+    log, meter = (FrameLog([frame.number for frame in frames], Look(False), "input"),
+                  ExposureMeter("auto"))
     for before, frame in zip([frames[0], *frames], frames, strict=False):
         motion = frame.planes.get(Role.MOTION)
         if motion is not None:  # leads from sample to sample here, not from centre to centre
-            motion = motion + (np.asarray(frame.jitter, np.float32) - np.asarray(before.jitter, np.float32))
+            motion = motion + (np.asarray(frame.jitter, np.float32)
+                               - np.asarray(before.jitter, np.float32))
         readings = {"exposure metered": measure(frame[Role.COLOUR])}
-        log.add(frame.number, {"input": frame[Role.COLOUR]}, meter(frame), motion, frame.reset, readings)
+        log.add(frame.number, {"input": frame[Role.COLOUR]}, meter(frame), motion, frame.reset,
+                readings)
     _check(Path(path))
     name = Path(str(inspection.sequence.pattern)).name
-    write_report(Path(path), f"postfx inspect: {name}", log, {"": inspection.facts()}, {"": inspection.frames[0]})
+    write_report(Path(path), f"postfx inspect: {name}", log, {"": inspection.facts()},
+                 {"": inspection.frames[0]})
 
 
 def _label(name: str, view: str | None) -> str:

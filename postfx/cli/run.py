@@ -15,24 +15,26 @@ from postfx.errors import PostfxError
 DESCRIPTION = """\
 Denoise a rendered sequence at its own size; enlarge it with --scale, tone-map it with --tonemap.
 
-INPUT is a pattern like shot.####.exr, a folder or a file. EXR output stays scene-linear unless --tonemap is given. PNG,
-JPEG and TIFF output is tone-mapped and encoded for a display.
+INPUT is a pattern like shot.####.exr, a folder or a file. EXR output stays scene-linear unless
+--tonemap is given. PNG, JPEG and TIFF output is tone-mapped and encoded for a display.
 """
 MORE = """\
-INPUT is a file name with ####, %04d, @@@@ or $F4 for the frame number, a name with wildcards (quoted or not), a folder
-that holds one sequence, or files of one sequence. Where every AOV has a file of its own, put {plane} where their
-names differ: shot_{plane}.####.exr. Where every view has, put {view}, or %V as Nuke does, into INPUT and OUTPUT.
+INPUT is a file name with ####, %04d, @@@@ or $F4 for the frame number, a name with wildcards
+(quoted or not), a folder that holds one sequence, or files of one sequence. Where every AOV has a
+file of its own, put {plane} where their names differ: shot_{plane}.####.exr. Where every view has,
+put {view}, or %V as Nuke does, into INPUT and OUTPUT.
 
-Albedo, normal, roughness and depth may come at output size as guides, which make edges exact. They may lie in files of
-their own (--guides), or be AOVs of INPUT that are larger than the colour. The output then has their size.
+Albedo, normal, roughness and depth may come at output size as guides, which make edges exact. They
+may lie in files of their own (--guides), or be AOVs of INPUT that are larger than the colour. The
+output then has their size.
 """
 EXAMPLES = """\
 examples:
-  postfx run shot/noisy.####.exr -o out/clean.####.exr                    # scene-linear, the render's size
-  postfx run shot/noisy.####.exr -o out/picture.####.png                  # tone-mapped pictures
-  postfx run shot/noisy.####.exr -o out/large.####.exr --scale 2          # denoised and twice as large
-  postfx run shot/noisy.####.exr -o out/clean.####.exr --preset final     # the cleanest
-  postfx run shot/ -o out/ --skip-existing                                # go on after a stop
+  postfx run shot/noisy.####.exr -o out/clean.####.exr             # scene-linear, the render's size
+  postfx run shot/noisy.####.exr -o out/picture.####.png               # tone-mapped pictures
+  postfx run shot/noisy.####.exr -o out/large.####.exr --scale 2       # denoised and twice as large
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --preset final  # the cleanest
+  postfx run shot/ -o out/ --skip-existing                             # go on after a stop
 
 PSNR in dB to the best of Open Image Denoise for the same rays, at 4, 16 and 64 samples a pixel:
   postfx run, the render's size                    -0.91, -0.78, -0.78
@@ -66,9 +68,11 @@ examples:
   postfx run shot/noisy.####.exr -o out/clean.####.exr --capture look/ --capture-network
   postfx run shot/noisy.####.exr -o out/picture.####.png --exposure smooth
   postfx run shot/noisy.####.exr -o out/clean.####.exr --report out/report.html
-  postfx run shot/noisy.####.exr -o out/clean.####.exr --report out/report.html --reference shot/clean.####.exr
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --report out/report.html \\
+    --reference shot/clean.####.exr
   postfx run shot/noisy.####.exr -o out/hdr.####.png --tonemap ocio: --display pq,peak=1000
-  postfx run shot/noisy.####.exr -o out/p3.####.tif --tonemap neutral --display p3 --colourspace acescg
+  postfx run shot/noisy.####.exr -o out/p3.####.tif --tonemap neutral --display p3 \\
+    --colourspace acescg
   postfx run shot/noisy.####.exr -o out/film.####.png --tonemap film.cube,input=ACEScct
   postfx run shot/noisy.####.exr -o out/clean.####.exr --pass vignette,amount=0.5
   postfx run shot/noisy.####.exr -o out/picture.####.png --pass grain,after=tonemap --explain
@@ -78,13 +82,14 @@ examples:
 
 POSTFX_EXPOSURE_TOOL=1 covers every frame with a grey checkerboard, see 'postfx exposure --help'.
 
-Beside the frames lies postfx.manifest.json: how they were made, and the hash of each ('postfx verify' checks it).
-Ctrl-C and SIGTERM end a run after the frame in work; --skip-existing goes on with the same pixels.
+Beside the frames lies postfx.manifest.json: how they were made, and the hash of each ('postfx
+verify' checks it). Ctrl-C and SIGTERM end a run after the frame in work; --skip-existing goes on
+with the same pixels.
 
 Defaults of a studio come from postfx.toml: see 'postfx config --help'.
 
-exit codes: 0 done; 2 an error whose message says how to fix it (finished frames are kept); 3 done, but frames failed
-(--on-error skip or copy); 130 interrupted by Ctrl-C; 143 ended by SIGTERM
+exit codes: 0 done; 2 an error whose message says how to fix it (finished frames are kept); 3 done,
+but frames failed (--on-error skip or copy); 130 interrupted by Ctrl-C; 143 ended by SIGTERM
 """
 
 
@@ -129,7 +134,8 @@ def execute(arguments: argparse.Namespace) -> int:
     report = job.report(failure)
     try:
         report = job.write_page(report)
-    except PostfxError as error:  # the frames are written all the same, and the summary tells of them
+    except PostfxError as error:
+        # the frames are written all the same, and the summary tells of them
         failure = failure or error
         report = job.report(failure)
     if told := report.problems() if arguments.quiet else report.summary():

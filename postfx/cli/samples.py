@@ -19,22 +19,24 @@ if TYPE_CHECKING:
     from postfx.io.sequence import Sequence
 
 DESCRIPTION = """\
-Say how many more samples each tile of a shot needs until its denoised frames have a quality. This is the PSNR against a
-perfect render, on the display: 'visible' (36 dB), 'draft' (30 dB), 'fine' (42 dB), or 38dB; or a FLIP like flip=0.05.
-With --budget the samples go where they lower the error of the shot most, or its FLIP if that is the quality.
+Say how many more samples each tile of a shot needs until its denoised frames have a quality. This
+is the PSNR against a perfect render, on the display: 'visible' (36 dB), 'draft' (30 dB), 'fine' (42
+dB), or 38dB; or a FLIP like flip=0.05. With --budget the samples go where they lower the error of
+the shot most, or its FLIP if that is the quality.
 
-INPUT are the renders before denoising. The error of the denoised frames is measured where --halves gives as many
-samples again with another seed: each half, denoised, is compared with the other. Else it comes from an AOV 'error' in
-INPUT or --error, or is guessed from what the denoiser takes away, often wrong by a factor of two. Frames are denoised
-for it, unless --denoised names the result.
+INPUT are the renders before denoising. The error of the denoised frames is measured where --halves
+gives as many samples again with another seed: each half, denoised, is compared with the other. Else
+it comes from an AOV 'error' in INPUT or --error, or is guessed from what the denoiser takes away,
+often wrong by a factor of two. Frames are denoised for it, unless --denoised names the result.
 
-OUTPUT are EXR files with the channels samples.Y (more samples), error.Y (expected squared error now) and after.Y (with
-these samples). --json prints rectangles to render for a farm or a script.
+OUTPUT are EXR files with the channels samples.Y (more samples), error.Y (expected squared error
+now) and after.Y (with these samples). --json prints rectangles to render for a farm or a script.
 """
 EXAMPLES = """\
 examples:
   postfx samples 'shot/####.exr' --quality visible -o 'map/####.exr'
-  postfx samples 'seed1/####.exr' --halves 'seed2/####.exr' --quality flip=0.05 --budget 32 --json > more.json
+  postfx samples 'seed1/####.exr' --halves 'seed2/####.exr' --quality flip=0.05 \\
+    --budget 32 --json > more.json
   postfx samples 'shot/####.exr' --denoised 'clean/####.exr' --pictures heat/
   postfx samples 'shot/####.exr' --error 'clean/####.exr' --tile 64 -o 'map/####.exr'
   postfx samples 'shot/####.exr' --leave auto,converged:0.01 -o 'map/####.exr'
@@ -43,26 +45,33 @@ examples:
 
 SAMPLE_OPTIONS = Options(Section("", (
     INPUT,
-    Option(flag="--output", short="-o", metavar="OUTPUT", help="EXR files to write: a pattern, a folder or one file"),
+    Option(flag="--output", short="-o", metavar="OUTPUT",
+           help="EXR files to write: a pattern, a folder or one file"),
     Option(flag="--quality", metavar="WORD|dB|flip=F", default="visible",
-           help="draft, visible (default), fine, a PSNR like 38dB, or a FLIP like flip=0.05, for each tile"),
+           help="draft, visible (default), fine, a PSNR like 38dB, or a FLIP like flip=0.05, for "
+           "each tile"),
     Option(flag="--budget", metavar="N", type=parse_from_zero,
-           help="more samples a pixel at most, in the mean of the shot (default: as many as the quality needs)"),
-    Option(flag="--tile", metavar="N", type=parse_positive, default=32, help="side of a tile in pixels (default: 32)"),
+           help="more samples a pixel at most, in the mean of the shot (default: as many as the "
+           "quality needs)"),
+    Option(flag="--tile", metavar="N", type=parse_positive, default=32,
+           help="side of a tile in pixels (default: 32)"),
     Option(flag="--error", metavar="FRAMES", is_file=True,
            help="files with the AOV 'error', numbered like INPUT (default: INPUT and --denoised)"),
     Option(flag="--halves", metavar="FRAMES", is_file=True,
            excludes={"--error": "{flag} and --error both tell the error: give one of them"},
-           help="INPUT rendered again with another seed and as many samples: both together are the shot"),
+           help="INPUT rendered again with another seed and as many samples: both together are the "
+           "shot"),
     Option(flag="--denoised", metavar="FRAMES", is_file=True, several=True,
-           help="INPUT denoised at its own size; with --halves three: INPUT, --halves and both merged (default: "
-                "denoise them here)"),
+           help="INPUT denoised at its own size; with --halves three: INPUT, --halves and both "
+           "merged (default: denoise them here)"),
     Option(flag="--samples", metavar="N", type=parse_positive,
            help="samples a pixel of INPUT (default: by its header)"),
     Option(flag="--seconds", metavar="S", type=parse_from_zero,
            help="that a frame of INPUT took to render (default: by its header)"),
-    Option(flag="--exposure", metavar="auto|metadata|EV", default="auto", help="as for 'postfx run' (default: auto)"),
-    Option(flag="--pictures", metavar="DIR", help="write a PNG of each frame: picture, error, samples"),
+    Option(flag="--exposure", metavar="auto|metadata|EV", default="auto",
+           help="as for 'postfx run' (default: auto)"),
+    Option(flag="--pictures", metavar="DIR",
+           help="write a PNG of each frame: picture, error, samples"),
     Option(flag="--frames", metavar="RANGE", help="frames of the shot, e.g. 1-100"),
     Option(flag="--overwrite", help="replace output files that are there"),
     RUN["--leave"]._replace(excludes={}),
@@ -103,24 +112,28 @@ class SamplesJob:
         self._arguments, self._is_quiet = arguments, is_quiet
         self.quality = parse_quality(arguments.quality)
         if arguments.tile < 8:
-            raise OptionError(f"--tile {arguments.tile}: is too small to render: give 8 or more, such as 32 or 64")
+            raise OptionError(f"--tile {arguments.tile}: is too small to render: give 8 or more, "
+                              "such as 32 or 64")
         if not (arguments.output or arguments.json or arguments.pictures):
             raise WriteError("nowhere to write: give -o OUTPUT, --pictures DIR or --json")
         values = SAMPLE_OPTIONS.values_for("sequence", arguments)
-        self._sequence = read_sequence(arguments.input, arguments.frames, arguments.profile, **values).first_view()
-        others = [read_sequence(arguments.halves, profile=arguments.profile, **values).first_view()] \
-            if arguments.halves else []
+        self._sequence = read_sequence(arguments.input, arguments.frames, arguments.profile,
+                                       **values).first_view()
+        others = ([read_sequence(arguments.halves, profile=arguments.profile, **values)
+                   .first_view()]
+            if arguments.halves else [])
         self._halves = [self._sequence, *others]
         given = arguments.denoised or []
         names = [given] if isinstance(given, str) else given
         if names and len(names) != (3 if others else 1):
-            raise OptionError(f"--denoised {' '.join(names)}: give one for INPUT, or with --halves three: of INPUT, of "
-                              "--halves, and of both merged")
+            raise OptionError(f"--denoised {' '.join(names)}: give one for INPUT, or with --halves "
+                              "three: of INPUT, of --halves, and of both merged")
         self._denoised = [read_sequence(name, planes=[Role.COLOUR]) for name in names]
         self._errors = Sequence(arguments.error) if arguments.error else None
         self._meter = ExposureMeter(arguments.exposure)
         existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
-        self._outputs = OutputFiles(arguments.output, self._sequence, existing) if arguments.output else None
+        self._outputs = (OutputFiles(arguments.output, self._sequence, existing) if arguments.output
+                         else None)
         if self._outputs:
             if self._outputs.display:
                 raise WriteError(f"{arguments.output}: maps are EXR files: --pictures writes PNG")
@@ -147,8 +160,8 @@ class SamplesJob:
                 seconds = seconds and seconds * len(self._halves)
                 strength = frame.planes.get(Role.STRENGTH)
                 self.tiles.append(make_tiles(frame.number, error, self._samples(frame),
-                                             None if strength is None else strength[:, :, 0], self._arguments.tile,
-                                             seconds))
+                                             None if strength is None else strength[:, :, 0],
+                                             self._arguments.tile, seconds))
                 if self._arguments.pictures:
                     self._thumbs.append(thumbnail(to_codes(denoised, self._meter(frame))))
                 progress.advance(f"frame {frame.number}")
@@ -162,7 +175,8 @@ class SamplesJob:
 
         for index, (tiles, more) in enumerate(zip(self.tiles, self.plan, strict=True)):
             if self._outputs:
-                planes = {"samples.Y": more, "error.Y": tiles.errors, "after.Y": tiles.error_with(more)}
+                planes = {"samples.Y": more, "error.Y": tiles.errors,
+                          "after.Y": tiles.error_with(more)}
                 write_channels(self._outputs.path(tiles.number),
                                {name: spread(tiles, values) for name, values in planes.items()})
             if self._arguments.pictures:
@@ -186,10 +200,12 @@ class SamplesJob:
                 "regions": [region.__dict__ for region in find_regions(tiles, more)],
             })
         found = self._outlook()
-        return {"quality": self.quality.words, "quality_psnr": self.quality.psnr, "tile": self._arguments.tile,
+        return {"quality": self.quality.words, "quality_psnr": self.quality.psnr,
+                "tile": self._arguments.tile,
                 "error_from": sorted(self.sources), "frames": frames, "psnr": psnr(found.now),
-                "psnr_after": psnr(found.after), "more_samples": found.more, "uniform_samples": found.uniform,
-                "hours": found.hours, "uniform_hours": found.uniform_hours, "tiles_done": found.done}
+                "psnr_after": psnr(found.after), "more_samples": found.more,
+                "uniform_samples": found.uniform, "hours": found.hours,
+                "uniform_hours": found.uniform_hours, "tiles_done": found.done}
 
     def text(self) -> str:
         """The plan for people."""
@@ -197,18 +213,22 @@ class SamplesJob:
 
         found = self._outlook()
         marked, count = (sum(int(number) for number in numbers) for numbers in
-                         ([(more > 0).sum() for more in self.plan], [more.size for more in self.plan]))
-        lines = [f"quality  {self.quality.words}: {self.quality.psnr:.1f} dB in each tile; the shot has "
-                 f"{psnr(found.now):.1f} dB, by {' and '.join(sorted(self.sources))}",
-                 f"render   {marked} of {count} tiles again: {found.more:.1f} more samples a pixel in the mean, then "
-                 f"about {psnr(found.after):.1f} dB, and {found.done:.0%} of the tiles are done"]
+                         ([(more > 0).sum() for more in self.plan],
+                          [more.size for more in self.plan]))
+        lines = [f"quality  {self.quality.words}: {self.quality.psnr:.1f} dB in each tile; the "
+                 f"shot has {psnr(found.now):.1f} dB, by {' and '.join(sorted(self.sources))}",
+                 f"render   {marked} of {count} tiles again: {found.more:.1f} more samples a pixel "
+                 f"in the mean, then about {psnr(found.after):.1f} dB, and {found.done:.0%} of the "
+                 "tiles are done"]
         if found.uniform > found.more > 0:
             known = found.hours is not None
-            hours = f": {found.hours:.2f} in place of {found.uniform_hours:.2f} hours" if known else ""
-            lines.append(f"saves    {1 - found.more / found.uniform:.0%} of the samples that the same error would need "
-                         f"everywhere ({found.uniform:.1f} a pixel){hours}")
-        lines += [f"wrote    {self._outputs.path(self.tiles[0].number)}" + " ..." * (len(self.tiles) > 1)] \
-            if self._outputs else []
+            hours = (f": {found.hours:.2f} in place of {found.uniform_hours:.2f} hours" if known
+                     else "")
+            lines.append(f"saves    {1 - found.more / found.uniform:.0%} of the samples that the "
+                         f"same error would need everywhere ({found.uniform:.1f} a pixel){hours}")
+        lines += (["wrote    "
+                   f"{self._outputs.path(self.tiles[0].number)}" + " ..." * (len(self.tiles) > 1)]
+            if self._outputs else [])
         return "\n".join(lines)
 
     def _outlook(self) -> Outlook:
@@ -217,7 +237,8 @@ class SamplesJob:
         return look_ahead(self.tiles, self.plan, self.quality)
 
     def _frames(self) -> Iterator[tuple[Frame, np.ndarray, np.ndarray]]:
-        """Each frame, its denoised colour (its own where that is not needed) and the expected error."""
+        """Each frame, its denoised colour (its own where that is not needed) and the expected
+        error."""
         from postfx.adaptive.estimate import estimate_error, estimate_from_halves, mean_frame
         from postfx.errors import MissingPlaneError
         from postfx.frame import Role
@@ -232,25 +253,28 @@ class SamplesJob:
                 denoised = [one.read(frame.number)[Role.COLOUR] for one in self._denoised]
             elif error is None:
                 # What is denoised of a half must not know the other one, not even by its history.
-                denoisers = denoisers or [self._make_denoiser(half) for half in (*self._halves, self._sequence)]
-                denoised = [denoise(render)[Role.COLOUR] for denoise, render in zip(denoisers, renders, strict=False)]
+                denoisers = denoisers or [self._make_denoiser(half)
+                                          for half in (*self._halves, self._sequence)]
+                denoised = [denoise(render)[Role.COLOUR]
+                            for denoise, render in zip(denoisers, renders, strict=False)]
             if len(renders) > 1:
                 halves = renders[0][Role.COLOUR], renders[1][Role.COLOUR]
-                error = estimate_from_halves(halves, (denoised[0], denoised[1], denoised[2]), self._meter(frame),
-                                             self._arguments.tile)
+                error = estimate_from_halves(halves, (denoised[0], denoised[1], denoised[2]),
+                                             self._meter(frame), self._arguments.tile)
                 self.sources.add("two halves of the samples")
             elif error is None:
                 error = estimate_error(frame, denoised[0], self._meter(frame))
                 self.sources.add("an estimate from the noise")
             elif error.shape != frame[Role.COLOUR].shape[:2]:
-                raise MissingPlaneError(f"{frame.source}: has another size than the AOV 'error' of its frame: write "
-                                        "that at the render's size")
+                raise MissingPlaneError(f"{frame.source}: has another size than the AOV 'error' of "
+                                        "its frame: write that at the render's size")
             else:
                 self.sources.add("the AOV 'error'")
             yield frame, denoised[-1], error
 
     def _read_error(self, frame: Frame) -> np.ndarray | None:
-        """The plane 'error' of a frame, from the files that are to have it, or else from those that may."""
+        """The plane 'error' of a frame, from the files that are to have it, or else from those that
+        may."""
         from postfx.adaptive.estimate import read_error
         from postfx.errors import MissingPlaneError
 
@@ -258,8 +282,8 @@ class SamplesJob:
         paths = [path for place in places for path in place.files(frame.number).values()]
         found = next((error for error in map(read_error, paths) if error is not None), None)
         if found is None and self._errors:
-            raise MissingPlaneError(f"{paths[0]}: no AOV 'error': write it with 'postfx run --aov error', or leave "
-                                    "--error out")
+            raise MissingPlaneError(f"{paths[0]}: no AOV 'error': write it with 'postfx run --aov "
+                                    "error', or leave --error out")
         return found
 
     def _make_denoiser(self, sequence: Sequence) -> Any:
@@ -283,6 +307,6 @@ class SamplesJob:
             counts = frame[Role.SAMPLE_COUNT]
             return counts[:, :, 0] * count_unit(counts, samples) * len(self._halves)
         if not samples:
-            raise MissingPlaneError(f"{frame.source}: its header does not say how many samples a pixel it has: give "
-                                    "--samples N")
+            raise MissingPlaneError(f"{frame.source}: its header does not say how many samples a "
+                                    "pixel it has: give --samples N")
         return samples * len(self._halves)

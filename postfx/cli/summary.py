@@ -1,4 +1,5 @@
-"""What `postfx run` tells: the plan (--explain), progress while it runs, and the report at the end."""
+"""What `postfx run` tells: the plan (--explain), progress while it runs, and the report at the
+end."""
 
 from __future__ import annotations
 
@@ -58,24 +59,28 @@ class Explanation:
         if alone := self._find_left_alone():
             plan["left_alone"] = alone.as_dict()
         return {**plan, "before": self.before, "ahead": self._list_ahead(),
-                "frames": len(self.sequence), "missing": missing, "exposure": self.exposure.as_dict(),
-                "warnings": self.sequence.warnings}
+                "frames": len(self.sequence), "missing": missing,
+                "exposure": self.exposure.as_dict(), "warnings": self.sequence.warnings}
 
     def __str__(self) -> str:
         first, frames = self.first, describe_frames(self.sequence)
-        lines = [f"input   {self.sequence.pattern}: {frames}{describe_views(self.sequence)}", str(self.plan)]
+        lines = [f"input   {self.sequence.pattern}: {frames}{describe_views(self.sequence)}",
+                 str(self.plan)]
         lines += [f"skips   {item.what}: {item.why}" for item in self.skips]
         if alone := self._find_left_alone():
             lines.append(f"masks   of frame {first}: {alone}")
         if self.exposure.is_applied:
             one = f"frame {first} by " if len(self.exposure.multipliers) == 1 else ""
             known = self.exposure.multipliers
-            lines.append(f"exposes {one}{self.exposure}" if known else "exposes all frames by what metering them gives")
+            lines.append(f"exposes {one}{self.exposure}" if known
+                         else "exposes all frames by what metering them gives")
         if self.before:
-            lines.append(f"history {describe_preroll(self.before)} for frame {first} (--preroll 0 leaves it out)")
+            lines.append(f"history {describe_preroll(self.before)} for frame {first} (--preroll 0 "
+                         "leaves it out)")
         if ahead := self._list_ahead():
             listed = f"frame{'s' * (len(ahead) > 1)} {', '.join(map(str, ahead))}"
-            lines.append(f"run-up  of each shot: {listed} before frame {self._begin} (--run-up 0 for none)")
+            lines.append(f"run-up  of each shot: {listed} before frame {self._begin} (--run-up 0 "
+                         "for none)")
         return "\n".join(lines + [f"warning {warning}" for warning in self.sequence.warnings])
 
     def _find_left_alone(self) -> Coverage | None:
@@ -85,7 +90,8 @@ class Explanation:
 
     def _list_ahead(self) -> list[int]:
         """Frames that are run before the first one, in the order in which they are."""
-        return self.run_up.after(self._begin)[::-1] if self.run_up and self.plan.accumulating_steps() else []
+        return (self.run_up.after(self._begin)[::-1]
+                if self.run_up and self.plan.accumulating_steps() else [])
 
     @property
     def _begin(self) -> int:
@@ -103,7 +109,8 @@ def describe_frames(sequence: Sequence) -> str:
 def describe_preroll(numbers: list[int]) -> str:
     """Which frames run before those of the range."""
     first, last = numbers[0], numbers[-1]
-    return f"frame {first} first, unwritten," if first == last else f"frames {first} to {last} first, unwritten,"
+    return (f"frame {first} first, unwritten," if first == last
+            else f"frames {first} to {last} first, unwritten,")
 
 
 def describe_sizes(plan: Plan, sequence: Sequence) -> str:
@@ -116,7 +123,8 @@ def describe_sizes(plan: Plan, sequence: Sequence) -> str:
 
 def describe_views(sequence: Sequence) -> str:
     """Which views are read, '' where files hold one."""
-    return f", views {', '.join(filter(None, (sequence.view, *sequence.views)))}" if sequence.views else ""
+    return (f", views {', '.join(filter(None, (sequence.view, *sequence.views)))}" if sequence.views
+            else "")
 
 
 def describe_outputs(paths: list[Path], is_overwritten: bool) -> str:
@@ -131,8 +139,8 @@ def describe_outputs(paths: list[Path], is_overwritten: bool) -> str:
 class FrameProgress:
     """Counts finished frames. Use as a context manager.
 
-    In a terminal: a bar with frames per second and time left. In a log: one line for each finished frame. Where it is
-    `quiet`: nothing.
+    In a terminal: a bar with frames per second and time left. In a log: one line for each finished
+    frame. Where it is `quiet`: nothing.
     """
 
     def __init__(self, total: int, quiet: bool = False) -> None:
@@ -164,7 +172,8 @@ class FrameProgress:
 
     def note_compilation(self, count: int) -> None:
         """Say that kernels are compiled, and how many files of them were begun before."""
-        text, now = "compiling kernels for this processor, on the first run only", time.perf_counter()
+        text, now = ("compiling kernels for this processor, on the first run only",
+                     time.perf_counter())
         self._bar.update(self._task, description=f"compiling kernels, file {count + 1}")
         if self._told is None or (now - self._told > LOG_SECONDS and not self._console.is_terminal):
             self.note(f"{text}: file {count + 1}" if count else text)
@@ -178,10 +187,12 @@ class FrameProgress:
         return self._begin
 
     def advance(self, path: str, apart: float = 0.0) -> None:
-        """Count a frame that was written to `path`; `apart` seconds since the start do not count, as of compiling."""
+        """Count a frame that was written to `path`; `apart` seconds since the start do not count,
+        as of compiling."""
         self._done, self._fresh = self._done + 1, self._fresh + 1
         speed = self._fresh / (time.perf_counter() - self._begin - apart)
-        rate, left = f"{speed:.2f} frames/s", timedelta(seconds=round((self._total - self._done) / speed))
+        rate, left = (f"{speed:.2f} frames/s",
+                      timedelta(seconds=round((self._total - self._done) / speed)))
         self._bar.update(self._task, advance=1, rate=f"{rate}, {left} left")
         if not self._console.is_terminal:
             self.note(f"{self._done}/{self._total} {path} ({rate})")
@@ -199,9 +210,11 @@ class ExposureUsed:
 
     Attributes:
         mode: as --exposure says it.
-        is_applied: whether it is in the pixels, as in pictures; else it was only a hint to the denoiser.
+        is_applied: whether it is in the pixels, as in pictures; else it was only a hint to the
+            denoiser.
         multipliers: frame number -> multiplier.
-        lit: multipliers of the same frames that their headers ask for, 1 where they ask for nothing.
+        lit: multipliers of the same frames that their headers ask for, 1 where they ask for
+            nothing.
     """
 
     mode: str = "auto"
@@ -225,15 +238,17 @@ class ExposureUsed:
         if not self.is_metered:
             return f"{_stops(self.multipliers)}, {how}"
         known = "" if set(self.lit.values()) <= {1.0} else ", by the header"
-        return f"{_stops(self.multipliers)}, {how} (as it was lit: {_stops(self.lit)}{known}, with --exposure lit)"
+        return (f"{_stops(self.multipliers)}, {how} (as it was lit: {_stops(self.lit)}{known}, "
+                "with --exposure lit)")
 
     def warnings(self) -> list[str]:
         """That a dark scene comes out bright, which nobody may have wanted."""
-        more = [log2(value / self.lit.get(number, 1.0)) for number, value in self.multipliers.items()]
+        more = [log2(value / self.lit.get(number, 1.0))
+                for number, value in self.multipliers.items()]
         if not (self.is_applied and self.is_metered and more and median(more) >= NIGHT_EV):
             return []
-        return [f"metering shows this {median(more):.1f} EV brighter than it was lit: a night shot comes out as day; "
-                "--exposure lit keeps the light"]
+        return [f"metering shows this {median(more):.1f} EV brighter than it was lit: a night shot "
+                "comes out as day; --exposure lit keeps the light"]
 
 
 def _stops(multipliers: Mapping[int, float]) -> str:
@@ -245,8 +260,8 @@ def _stops(multipliers: Mapping[int, float]) -> str:
 
 @dataclass(frozen=True)
 class Preparation:
-    """Time before the first frame: all seconds, those in which kernels were compiled, and how many files of them,
-    because no earlier run had kept them."""
+    """Time before the first frame: all seconds, those in which kernels were compiled, and how many
+    files of them, because no earlier run had kept them."""
 
     seconds: float = 0.0
     compile_seconds: float = 0.0
@@ -295,7 +310,8 @@ RESAMPLED = "resampled"
 
 @dataclass
 class Fault:
-    """A frame that could not be processed, why, and what became of its output: LEFT_OUT or RESAMPLED."""
+    """A frame that could not be processed, why, and what became of its output: LEFT_OUT or
+    RESAMPLED."""
 
     frame: int
     why: str
@@ -310,8 +326,8 @@ class Report:
         frames: count of frames written in this run.
         total: count of frames of the input.
         seconds: wall time of the frames, reading and writing included, without the `preparation`.
-        frame_ms: milliseconds in the passes for each written frame, without reading and writing. That of the first
-            one of each shot includes its run-up.
+        frame_ms: milliseconds in the passes for each written frame, without reading and writing.
+            That of the first one of each shot includes its run-up.
         pass_ms: pass name -> milliseconds on the device for each written frame.
         preparation: what it took to load networks and compile kernels before.
         ahead_ms: milliseconds on the device for each frame of the run-ups.
@@ -319,8 +335,8 @@ class Report:
         warnings: what was odd, each once.
         outputs: paths that were written.
         choices: pass name -> what it chose (a network) -> frames, of passes that choose.
-        guides: size of the planes at output size, roles that were used, and whether the output's size follows from
-            them; None without guides.
+        guides: size of the planes at output size, roles that were used, and whether the output's
+            size follows from them; None without guides.
         exposure: by how much frames were exposed.
         cuts: frames at which a cut was found in the pictures.
         coverage: how much of the frames --leave left as it is.
@@ -387,23 +403,28 @@ class Report:
         """The report in a few lines."""
         lines = [f"{self.frames} of {self.total} frames in {self.seconds:.1f} s{self._speed()}"]
         if kernels := self.preparation.kernels:
-            lines.append(f"compiled {kernels} files of kernels in {self.preparation.compile_seconds:.1f} s, "
-                         "which is not in these times; they are kept for the next run")
-        lines += [f"ran      {name}: {median(times):.1f} ms a frame" for name, times in self.pass_ms.items()]
+            lines.append(f"compiled {kernels} files of kernels in "
+                         f"{self.preparation.compile_seconds:.1f} s, which is not in these times; "
+                         "they are kept for the next run")
+        lines += [f"ran      {name}: {median(times):.1f} ms a frame"
+                  for name, times in self.pass_ms.items()]
         if self.ahead_ms:
-            lines.append(f"ran      {_frames(len(self.ahead_ms))} first, in reverse order, for the first frames' "
-                         f"history: {median(self.ahead_ms):.1f} ms a frame")
-        lines += [f"chose    {name}: {_count_choices(counts)}" for name, counts in self.choices.items()]
+            lines.append(f"ran      {_frames(len(self.ahead_ms))} first, in reverse order, for the "
+                         f"first frames' history: {median(self.ahead_ms):.1f} ms a frame")
+        lines += [f"chose    {name}: {_count_choices(counts)}"
+                  for name, counts in self.choices.items()]
         if self.exposure.is_applied and self.exposure.multipliers:
             lines.append(f"exposure {self.exposure}")
         lines += [f"guides   {_guides_text(self.guides)}"] if self.guides else []
-        lines += [f"cuts     found at {_list_numbers(self.cuts)} (--cuts says otherwise)"] if self.cuts else []
+        lines += ([f"cuts     found at {_list_numbers(self.cuts)} (--cuts says otherwise)"]
+                  if self.cuts else [])
         if self.coverage.frames:
             lines.append(f"masks    {self.coverage}")
         if self.fireflies.light:
             lines.append(f"clamped  {self.fireflies}")
         lines += self._fault_lines()
-        lines += [f"broken   {role}: {_broken_text(role, found)}" for role, found in self.bad_pixels.items()]
+        lines += [f"broken   {role}: {_broken_text(role, found)}"
+                  for role, found in self.bad_pixels.items()]
         lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]
         lines += [f"warning  {warning}" for warning in self.warnings]
         lines += [f"capture  {self.capture}"] if self.capture else []
@@ -415,25 +436,30 @@ class Report:
 
     def problems(self) -> str:
         """Those lines of the summary that nobody must miss: frames that failed, and warnings."""
-        return "\n".join([*self._fault_lines(), *(f"warning  {warning}" for warning in self.warnings)])
+        return "\n".join([*self._fault_lines(),
+                          *(f"warning  {warning}" for warning in self.warnings)])
 
     def _fault_lines(self) -> list[str]:
         """How many frames failed, and the first few of them."""
         if not self.faults:
             return []
         out = sum(fault.instead == LEFT_OUT for fault in self.faults)
-        lines = [f"failed   {_frames(len(self.faults))}: {out} left out, {len(self.faults) - out} resampled instead"]
-        lines += [f"failed   frame {fault.frame}, {fault.instead}: {fault.why}" for fault in self.faults[:SHOWN_FRAMES]]
+        lines = [f"failed   {_frames(len(self.faults))}: {out} left out, {len(self.faults) - out} "
+                 "resampled instead"]
+        lines += [f"failed   frame {fault.frame}, {fault.instead}: {fault.why}"
+                  for fault in self.faults[:SHOWN_FRAMES]]
         more = len(self.faults) - SHOWN_FRAMES
         return lines + ([f"failed   {_frames(more)} more, see --json"] if more > 0 else [])
 
     def _skipped_by_reason(self) -> list[tuple[str, str]]:
         """Planes together, since they share a reason; of frames the first few."""
         planes = [
-            item.what.removeprefix("AOV ").strip("'") for item in self.skips if item.what.startswith("AOV ")
+            item.what.removeprefix("AOV ").strip("'")
+            for item in self.skips if item.what.startswith("AOV ")
         ]
         frames = [item for item in self.skips if item.what.startswith("frame ")]
-        passes = [item for item in self.skips if not item.what.startswith(("AOV ", "guide ", "frame "))]
+        passes = [item
+                  for item in self.skips if not item.what.startswith(("AOV ", "guide ", "frame "))]
         rows = [(item.what, item.why) for item in passes + frames[:SHOWN_FRAMES]]
         rows += [("AOVs " + ", ".join(planes), "no pass reads them")] if planes else []
         more = len(frames) - SHOWN_FRAMES
@@ -442,11 +468,13 @@ class Report:
     def _speed(self) -> str:
         if not self.frame_ms:
             return ""
-        return f", {self.frames / self.seconds:.2f} frames/s, {median(self.frame_ms):.0f} ms a frame in the passes"
+        return (f", {self.frames / self.seconds:.2f} frames/s, {median(self.frame_ms):.0f} ms a "
+                "frame in the passes")
 
 
 def warn_of_budget(
-    budget: float | None, pass_ms: Mapping[str, list[float]], chosen: Mapping[str, Mapping[str, int]]
+    budget: float | None, pass_ms: Mapping[str, list[float]],
+    chosen: Mapping[str, Mapping[str, int]]
 ) -> list[str]:
     """A warning where most frames took longer than --budget, in milliseconds."""
     times = pass_ms.get("denoise_upscale", [])
@@ -454,8 +482,9 @@ def warn_of_budget(
         return []
     over = sum(time > budget for time in times)
     networks = ", ".join(chosen.get("denoise_upscale", {}))
-    return [f"--budget {budget:g} was missed by {over} of {_frames(len(times))}: denoising took {median(times):.0f} ms "
-            f"a frame with {networks}: take a smaller --model or output, or allow {_round_up(max(times)):g}"]
+    return [f"--budget {budget:g} was missed by {over} of {_frames(len(times))}: denoising took "
+            f"{median(times):.0f} ms a frame with {networks}: take a smaller --model or output, or "
+            f"allow {_round_up(max(times)):g}"]
 
 
 def _round_up(milliseconds: float) -> float:
@@ -465,7 +494,8 @@ def _round_up(milliseconds: float) -> float:
 
 
 def guides_in(plan: Plan, sized: bool) -> dict[str, Any] | None:
-    """Size of the guides, which are used, and whether the output's size, unless it is given, follows from them."""
+    """Size of the guides, which are used, and whether the output's size, unless it is given,
+    follows from them."""
     guides, output = plan.available.guides, plan.output
     if guides is None or not from_files(guides.roles):
         return None
@@ -483,7 +513,8 @@ def _guides_text(guides: dict[str, Any]) -> str:
 def _spread(times: list[float]) -> dict[str, float] | None:
     if not times:
         return None
-    return {"median": round(median(times), 3), "min": round(min(times), 3), "max": round(max(times), 3)}
+    return {"median": round(median(times), 3), "min": round(min(times), 3),
+            "max": round(max(times), 3)}
 
 
 def _frames(count: int) -> str:
@@ -491,8 +522,10 @@ def _frames(count: int) -> str:
 
 
 def _broken_text(role: str, found: dict[str, int]) -> str:
-    repaired = ", repaired from the pixels around where those are known" if role == Role.COLOUR else ""
-    return f"{found['pixels']} pixel{'s' * (found['pixels'] > 1)} not finite in {_frames(found['frames'])}{repaired}"
+    repaired = (", repaired from the pixels around where those are known" if role == Role.COLOUR
+                else "")
+    return (f"{found['pixels']} pixel{'s' * (found['pixels'] > 1)} not finite in "
+            f"{_frames(found['frames'])}{repaired}")
 
 
 def _list_numbers(numbers: list[int]) -> str:
@@ -501,4 +534,5 @@ def _list_numbers(numbers: list[int]) -> str:
 
 
 def _count_choices(counts: dict[str, int]) -> str:
-    return ", ".join(f"{choice} for {count} frame{'s' * (count > 1)}" for choice, count in counts.items())
+    return ", ".join(f"{choice} for {count} frame{'s' * (count > 1)}"
+                     for choice, count in counts.items())

@@ -20,7 +20,8 @@ class Told(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Pass a record on. Its first argument is what it is about."""
-        kind = (record.msg, *(record.args or ())[1:]) if isinstance(record.args, tuple) else (record.msg,)
+        kind = ((record.msg, *(record.args or ())[1:]) if isinstance(record.args, tuple)
+                else (record.msg,))
         if kind not in self._kinds:
             self._kinds.add(kind)
             self._tell(record.getMessage())
@@ -30,6 +31,7 @@ class Told(logging.Handler):
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None
     ) -> None:
         TOLD.removeHandler(self)

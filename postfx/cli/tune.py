@@ -1,4 +1,5 @@
-"""`postfx tune`: a network for one shot. The work is done by `training.denoise.tune`, which needs PyTorch."""
+"""`postfx tune`: a network for one shot. The work is done by `training.denoise.tune`, which needs
+PyTorch."""
 
 from __future__ import annotations
 
@@ -10,13 +11,14 @@ from postfx.cli.options import Option, Options, Section, parse_positive
 from postfx.cli.run_options import FILES, INPUT, RUN
 
 DESCRIPTION = """\
-Adapt the network s to a shot. It learns from clean renders of a few frames (--references), or, without any, from a
-second render of the same frames with another seed (--halves): each is the target of the other. A quarter of the
-targets is held back to measure the gain. Where they do not gain at least 0.1 dB, nothing is written, and the exit code
-is 1.
+Adapt the network s to a shot. It learns from clean renders of a few frames (--references), or,
+without any, from a second render of the same frames with another seed (--halves): each is the
+target of the other. A quarter of the targets is held back to measure the gain. Where they do not
+gain at least 0.1 dB, nothing is written, and the exit code is 1.
 
-The result is FILE.onnx and its card, which 'postfx run --model FILE.onnx' takes at the render's size. Needs a checkout
-of postfx and its extra 'train', which brings PyTorch; runs on the CPU, or on a GPU where there is one.
+The result is FILE.onnx and its card, which 'postfx run --model FILE.onnx' takes at the render's
+size. Needs a checkout of postfx and its extra 'train', which brings PyTorch; runs on the CPU, or on
+a GPU where there is one.
 """
 EXAMPLES = """\
 examples:
@@ -24,7 +26,8 @@ examples:
   postfx tune 'seed1/####.exr' --halves 'seed2/####.exr' -o nets/shot.onnx --minutes 10
   postfx run 'shot/####.exr' -o 'clean/####.exr' --model nets/shot.onnx
 
-exit codes: 0 written; 1 no gain on what was held back, nothing written; 2 an error whose message says how to fix it
+exit codes: 0 written; 1 no gain on what was held back, nothing written; 2 an error whose message
+says how to fix it
 """
 
 TUNE = Options(Section("", (
@@ -33,9 +36,12 @@ TUNE = Options(Section("", (
            help="clean renders of some frames of INPUT, numbered alike"),
     Option(flag="--halves", metavar="FRAMES", is_file=True, either="target",
            help="INPUT rendered again with another seed and as many samples"),
-    Option(flag="--output", short="-o", metavar="FILE.onnx", help="network to write, with its card beside it"),
-    Option(flag="--minutes", metavar="M", type=float, default=10.0, help="of training (default: 10)"),
-    Option(flag="--steps", metavar="N", type=parse_positive, help="of training, in place of --minutes"),
+    Option(flag="--output", short="-o", metavar="FILE.onnx",
+           help="network to write, with its card beside it"),
+    Option(flag="--minutes", metavar="M", type=float, default=10.0,
+           help="of training (default: 10)"),
+    Option(flag="--steps", metavar="N", type=parse_positive,
+           help="of training, in place of --minutes"),
     Option(flag="--seed", metavar="N", type=int, default=0, help="of what is drawn (default: 0)"),
     Option(flag="--frames", metavar="RANGE", help="frames of the shot, e.g. 1-100"),
     Option(flag="--overwrite", help="replace a network that is there"),
@@ -59,13 +65,14 @@ def execute(arguments: argparse.Namespace) -> int:
 
     TUNE.refuse_conflicts(arguments)
     if not (arguments.references or arguments.halves):
-        raise OptionError("nothing to learn from: give --references with clean frames, or --halves with a second "
-                          "render")
+        raise OptionError("nothing to learn from: give --references with clean frames, or --halves "
+                          "with a second render")
     if not arguments.output or not arguments.output.endswith(".onnx"):
         raise WriteError("nowhere to write: give -o FILE.onnx")
     if Path(arguments.output).exists() and not arguments.overwrite:
         raise OutputExistsError(f"{arguments.output}: is already there: give --overwrite")
     if find_spec("torch") is None or find_spec("training") is None:
-        raise OptionError("tune needs PyTorch and the folder 'training': in a checkout of postfx, pip install "
-                          "-e '.[train]', and run it there")
-    return subprocess.run([sys.executable, "-m", "training.denoise.tune", *arguments.words[1:]], check=False).returncode
+        raise OptionError("tune needs PyTorch and the folder 'training': in a checkout of postfx, "
+                          "pip install -e '.[train]', and run it there")
+    return subprocess.run([sys.executable, "-m", "training.denoise.tune", *arguments.words[1:]],
+                          check=False).returncode

@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from postfx.runs.manifest import Verification
 
 DESCRIPTION = """\
-Check the files of a folder against postfx.manifest.json, which 'postfx run' keeps beside the frames: each must exist
-and have the SHA-256 that it was written with. It also lists files that a run should have written but did not, and files
-with names like a run's that no run wrote. Nothing is changed.
+Check the files of a folder against postfx.manifest.json, which 'postfx run' keeps beside the
+frames: each must exist and have the SHA-256 that it was written with. It also lists files that a
+run should have written but did not, and files with names like a run's that no run wrote. Nothing is
+changed.
 """
 EXAMPLES = """\
 examples:
@@ -25,8 +26,8 @@ examples:
   postfx verify node1/ node2/ --frames 1-200
   postfx verify out/ || postfx run shot/noisy.####.exr -o out/clean.####.exr --skip-existing
 
-exit codes: 0 all files are complete and unaltered; 1 files are altered, missing, unfinished or unknown; 2 there is no
-manifest, or it cannot be read
+exit codes: 0 all files are complete and unaltered; 1 files are altered, missing, unfinished or
+unknown; 2 there is no manifest, or it cannot be read
 """
 MOST_LISTED_FILES = 10
 MEANINGS = {
@@ -40,9 +41,11 @@ MEANINGS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
-    parser.add_argument("folder", metavar="OUT", nargs="+", help="folder that 'postfx run' wrote to")
+    parser.add_argument("folder", metavar="OUT", nargs="+",
+                        help="folder that 'postfx run' wrote to")
     parser.add_argument("--frames", metavar="RANGE", help="frames that must be there, e.g. 1-200")
-    parser.add_argument("--json", action="store_true", help="print one JSON object: lists of file names")
+    parser.add_argument("--json", action="store_true",
+                        help="print one JSON object: lists of file names")
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -53,9 +56,12 @@ def execute(arguments: argparse.Namespace) -> int:
 
     folders = [Path(folder) for folder in arguments.folder]
     if arguments.frames is None and len(folders) > 1:
-        raise OptionError("several folders are checked together: give --frames, the frames that they hold, e.g. 1-200")
-    found = verify(folders[0]) if arguments.frames is None else verify_together(folders, parse_frames(arguments.frames))
-    print(json.dumps(found.as_dict()) if arguments.json else "\n".join(map(make_printable, _lines(found))))
+        raise OptionError("several folders are checked together: give --frames, the frames that "
+                          "they hold, e.g. 1-200")
+    found = (verify(folders[0]) if arguments.frames is None
+             else verify_together(folders, parse_frames(arguments.frames)))
+    print(json.dumps(found.as_dict()) if arguments.json
+          else "\n".join(map(make_printable, _lines(found))))
     return 0 if found.is_well else 1
 
 
@@ -64,7 +70,8 @@ def _lines(found: Verification) -> list[str]:
     for kind, meaning in MEANINGS.items():
         names = getattr(found, kind)
         lines += [f"{kind:<11}{name}: {meaning}" for name in names[:MOST_LISTED_FILES]]
-        lines += [f"{kind:<11}{len(names) - MOST_LISTED_FILES} more"] if len(names) > MOST_LISTED_FILES else []
+        lines += ([f"{kind:<11}{len(names) - MOST_LISTED_FILES} more"]
+                  if len(names) > MOST_LISTED_FILES else [])
     ended = [f"run {run} was {state}" for run, state in found.runs.items() if state != "finished"]
     counts = ", ".join(f"{len(getattr(found, kind))} {kind}" for kind in ("whole", *MEANINGS))
     return [*lines, *ended, counts]

@@ -17,13 +17,14 @@ if TYPE_CHECKING:
     from postfx.io.pattern import Pattern
 
 DESCRIPTION = """\
-Process frames as a renderer writes them, in order, for a preview while the render runs. Networks stay loaded, and each
-frame has the history of the ones before it. A frame counts as written when its files have not changed for --settle
-seconds and can be read. Late frames are waited for. Options of 'postfx run' go after --.
+Process frames as a renderer writes them, in order, for a preview while the render runs. Networks
+stay loaded, and each frame has the history of the ones before it. A frame counts as written when
+its files have not changed for --settle seconds and can be read. Late frames are waited for. Options
+of 'postfx run' go after --.
 
-Frames that exist already come first. A shot's first frames are noisier than with 'postfx run', which also uses the
-frames after them. Make final frames with 'postfx run': watch writes no manifest, replaces outputs and looks
-colours up (--fast-look).
+Frames that exist already come first. A shot's first frames are noisier than with 'postfx run',
+which also uses the frames after them. Make final frames with 'postfx run': watch writes no
+manifest, replaces outputs and looks colours up (--fast-look).
 """
 EXAMPLES = """\
 examples:
@@ -31,8 +32,8 @@ examples:
   postfx watch 'render/beauty.####.exr' -o preview/p.####.png -- --model s
   postfx watch render/ -o preview/ --until 240 --idle 600
 
-exit codes: 0 the last frame of --until is done, or no frame came for --idle seconds; 2 an error whose message says how
-to fix it; 130 ended by Ctrl-C
+exit codes: 0 the last frame of --until is done, or no frame came for --idle seconds; 2 an error
+whose message says how to fix it; 130 ended by Ctrl-C
 """
 POLL = 0.2
 """Seconds between two looks at the folder, as network folders do not report new files."""
@@ -44,18 +45,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="folder to watch, or a pattern of frames in it")
     parser.add_argument("-o", "--output", metavar="OUTPUT", required=True, type=parse_path,
                         help="files to write: a pattern or a folder")
-    parser.add_argument("--until", metavar="FRAME", type=int, help="number of the last frame (default: keep watching)")
+    parser.add_argument("--until", metavar="FRAME", type=int,
+                        help="number of the last frame (default: keep watching)")
     parser.add_argument("--step", metavar="N", type=parse_positive, default=1,
                         help="step between frames, if the renderer leaves some out (default: 1)")
     parser.add_argument("--idle", metavar="SECONDS", type=parse_from_zero,
                         help="stop when no new frame has come for this time (default: never)")
     parser.add_argument("--patience", metavar="SECONDS", type=parse_from_zero, default=60.0,
-                        help="how long to wait for a missing frame once later ones are there, before it is left out "
-                        "(default: 60)")
+                        help="how long to wait for a missing frame once later ones are there, "
+                        "before it is left out (default: 60)")
     parser.add_argument("--settle", metavar="SECONDS", type=parse_from_zero, default=0.5,
-                        help="how long a file must stay unchanged to count as written (default: 0.5)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object a line for each frame")
-    parser.usage = f"{parser.prog} FOLDER -o OUTPUT [--until FRAME] [--idle SECONDS] [--json] [-- RUN OPTIONS]"
+                        help="how long a file must stay unchanged to count as written (default: "
+                        "0.5)")
+    parser.add_argument("--json", action="store_true",
+                        help="print one JSON object a line for each frame")
+    parser.usage = (f"{parser.prog} FOLDER -o OUTPUT [--until FRAME] [--idle SECONDS] [--json] [-- "
+                    "RUN OPTIONS]")
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -67,9 +72,11 @@ def execute(arguments: argparse.Namespace) -> int:
     def tell(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
-    folder = Path(arguments.input) if Path(arguments.input).is_dir() else Path(arguments.input).parent
+    folder = (Path(arguments.input) if Path(arguments.input).is_dir()
+              else Path(arguments.input).parent)
     if arguments.input.endswith("/") and not Path(arguments.input).is_dir() or not folder.is_dir():
-        raise SequenceError(f"{arguments.input}: there is no such folder: make it, or check its name")
+        raise SequenceError(f"{arguments.input}: there is no such folder: make it, or check its "
+                            "name")
     with Stop(tell) as stop, Told(lambda text: tell(f"warning  {text}")):
         arrivals = Arrivals(arguments, stop.check, tell)
         job: Job | None = None
@@ -94,15 +101,20 @@ def _make_job(arguments: argparse.Namespace, pattern: Pattern, first: int) -> Jo
     from postfx.cli.run_options import RUN
     from postfx.errors import OptionError
 
-    words = [str(pattern), "-o", arguments.output, "--overwrite", f"--frames={first}", *arguments.forwarded]
+    words = [str(pattern), "-o", arguments.output, "--overwrite", f"--frames={first}",
+             *arguments.forwarded]
     given = make_parser(["run"]).parse_args(["run", *words])
-    given.both_ways = given.both_ways and "both_ways" not in given.filled  # defaults of a studio yield
+    # defaults of a studio yield
+    given.both_ways = (given.both_ways and "both_ways" not in given.filled)
     if given.exposure == "smooth" and "exposure" in given.filled:
         given.exposure = RUN["--exposure"].default
-    for flag, is_given in (("--both-ways", given.both_ways), ("--exposure smooth", given.exposure == "smooth"),
-                           ("--report", given.report), ("--capture", given.capture), ("--explain", given.explain)):
+    for flag, is_given in (("--both-ways", given.both_ways),
+                           ("--exposure smooth", given.exposure == "smooth"),
+                           ("--report", given.report), ("--capture", given.capture),
+                           ("--explain", given.explain)):
         if is_given:
-            raise OptionError(f"{flag} needs all frames, but watch knows only those written so far: leave it out")
+            raise OptionError(f"{flag} needs all frames, but watch knows only those written so "
+                              "far: leave it out")
     given.run_up = given.run_up or 0
     given.fast_look = True
     return Job(given)
@@ -115,31 +127,37 @@ class Arrivals:
         pattern: of the frames, once there is one.
     """
 
-    def __init__(self, arguments: argparse.Namespace, check: Callable[[], None], tell: Callable[[str], None]) -> None:
+    def __init__(self, arguments: argparse.Namespace, check: Callable[[], None],
+                 tell: Callable[[str], None]) -> None:
         self._arguments, self._check, self._tell = arguments, check, tell
-        self._seen: dict[Path, tuple[tuple[int, int], float]] = {}  # size and change of a file, and since when
+        # size and change of a file, and since when
+        self._seen: dict[Path, tuple[tuple[int, int], float]] = {}
         self._last: int | None = None
         self._before: int | None = None  # the frame before that one
-        self._unreadable: tuple[int, float] | None = None  # a frame that could not be read, and since when
+        # a frame that could not be read, and since when
+        self._unreadable: tuple[int, float] | None = None
         self._late: tuple[int, float] | None = None  # a frame that is waited for, and since when
 
     def next(self) -> int | None:
         """The number of the next frame; blocks until it is there. None at the end."""
         begin = time.monotonic()
-        while self._last is None or self._arguments.until is None or self._last < self._arguments.until:
+        while (self._last is None or self._arguments.until is None
+               or self._last < self._arguments.until):
             self._check()
             number = self._ready()
             if number is not None:
                 self._before, self._last, self._late = self._last, number, None
                 return number
-            if self._arguments.idle is not None and time.monotonic() - begin >= self._arguments.idle:
+            if (self._arguments.idle is not None
+                and time.monotonic() - begin >= self._arguments.idle):
                 return None
             time.sleep(POLL)
         return None
 
     def refuse(self, number: int, why: str) -> None:
-        """Say that the frame that came last cannot be read: it comes again when its files have changed, as they do
-        while a renderer still writes them; after some patience it is left out."""
+        """Say that the frame that came last cannot be read: it comes again when its files have
+        changed, as they do while a renderer still writes them; after some patience it is left
+        out."""
         if self._unreadable is None or self._unreadable[0] != number:
             self._unreadable = number, time.monotonic()
         if time.monotonic() - self._unreadable[1] >= self._arguments.patience:
@@ -148,7 +166,8 @@ class Arrivals:
         self._last = self._before
 
     def _ready(self) -> int | None:
-        """The frame to take now, if there is one: the next in order, or a later one after some patience."""
+        """The frame to take now, if there is one: the next in order, or a later one after some
+        patience."""
         from postfx.errors import SequenceError
         from postfx.io.pattern import VIEW_FIELD, locate
 
@@ -159,21 +178,26 @@ class Arrivals:
                 raise
             return None  # an empty folder, or none yet
         if self.pattern.has_views:
-            raise SequenceError(f"{self.pattern}: 'postfx watch' watches one view: put its name for {VIEW_FIELD}")
+            raise SequenceError(f"{self.pattern}: 'postfx watch' watches one view: put its name "
+                                f"for {VIEW_FIELD}")
         found = self.pattern.find_frames()
         numbers = [number for number in found if self._last is None or number > self._last]
         if not numbers:
             return None
         first = numbers[0]
         if self._last is not None and first > (late := self._last + self._arguments.step):
-            self._late = self._late if self._late and self._late[0] == late else (late, time.monotonic())
+            self._late = (self._late if self._late and self._late[0] == late
+                          else (late, time.monotonic()))
             if time.monotonic() - self._late[1] < self._arguments.patience:
                 return None
-            self._tell(f"frame {late} did not come within {self._arguments.patience:g} s: going on with {first}")
+            self._tell(f"frame {late} did not come within {self._arguments.patience:g} s: going on "
+                       f"with {first}")
         if not all([self._has_settled(path) for path in found[first].values()]):
             return None
-        if self._unreadable and self._unreadable[0] == first:  # again only if changed, or when patience runs out
-            changed = any(self._seen[path][1] > self._unreadable[1] for path in found[first].values())
+        # again only if changed, or when patience runs out
+        if (self._unreadable and self._unreadable[0] == first):
+            changed = any(self._seen[path][1] > self._unreadable[1]
+                          for path in found[first].values())
             tired = time.monotonic() - self._unreadable[1] >= self._arguments.patience
             return first if changed or tired else None
         return first
@@ -188,5 +212,6 @@ class Arrivals:
         state = status.st_size, status.st_mtime_ns
         known, since = self._seen.get(path, (None, now))
         self._seen[path] = state, (since if known == state else now)
-        old = time.time() - status.st_mtime >= self._arguments.settle  # it was there before we looked
+        # it was there before we looked
+        old = time.time() - status.st_mtime >= self._arguments.settle
         return status.st_size > 0 and (old or now - self._seen[path][1] >= self._arguments.settle)

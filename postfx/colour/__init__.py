@@ -1,5 +1,5 @@
-"""Colour in plain NumPy, which kernels are tested against. Here: RGB primaries, their chromaticities, and the matrices
-between them.
+"""Colour in plain NumPy, which kernels are tested against. Here: RGB primaries, their
+chromaticities, and the matrices between them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ LUMA_REC709 = (0.2126, 0.7152, 0.0722)
 """Weights of luminance, ITU-R BT.709-6, item 3.2."""
 LUMA_REC2020 = (0.2627, 0.6780, 0.0593)
 """Weights of luminance, ITU-R BT.2100-2, table 5."""
-_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367],
+                      [0.0389, -0.0685, 1.0296]])
 """XYZ to sharpened cone responses; Lam 1985, as in ICC.1:2022, annex E."""
 
 # Five digits in a header move a colour by less than 1e-4
@@ -52,19 +53,24 @@ _FLAT = 1e-6
 
 
 def round_to_known(primaries: Chromaticities) -> Chromaticities:
-    """The space of `LINEAR_SPACES` that matches a header's rounded numbers, else the numbers as they are."""
-    return next((own for own in LINEAR_SPACES.values() if np.allclose(own, primaries, 0, _ROUNDED)), primaries)
+    """The space of `LINEAR_SPACES` that matches a header's rounded numbers, else the numbers as
+    they are."""
+    return next((own for own in LINEAR_SPACES.values() if np.allclose(own, primaries, 0, _ROUNDED)),
+                primaries)
 
 
 def name_of(primaries: Chromaticities) -> str | None:
-    """Name of the space in `LINEAR_SPACES` that these primaries are, or nearly are; None for others."""
-    return next((name for name, own in LINEAR_SPACES.items() if np.allclose(own, primaries, 0, _ALIKE)), None)
+    """Name of the space in `LINEAR_SPACES` that these primaries are, or nearly are; None for
+    others."""
+    return next((name for name, own in LINEAR_SPACES.items()
+                 if np.allclose(own, primaries, 0, _ALIKE)), None)
 
 
 def is_degenerate(primaries: Chromaticities) -> bool:
     """Whether primaries and white span no colours: three on a line, no white, or NaN."""
     columns = _columns(primaries)
-    if not np.isfinite(columns).all() or abs(columns[1, 3]) < _FLAT or abs(np.linalg.det(columns[:, :3])) < _FLAT:
+    if (not np.isfinite(columns).all() or abs(columns[1, 3]) < _FLAT
+        or abs(np.linalg.det(columns[:, :3])) < _FLAT):
         return True
     return bool(np.abs(np.linalg.solve(columns[:, :3], columns[:, 3])).min() < _FLAT)
 
@@ -79,12 +85,13 @@ def _columns(primaries: Chromaticities) -> np.ndarray:
 def to_xyz(primaries: Chromaticities) -> np.ndarray:
     """3x3 matrix, linear RGB -> CIE XYZ with white at Y = 1, by SMPTE RP 177; column vectors.
 
-    Primaries may have y = 0, as those of CIE XYZ itself do. Raises ColourError where they span no colours.
+    Primaries may have y = 0, as those of CIE XYZ itself do. Raises ColourError where they span no
+    colours.
     """
     if is_degenerate(primaries):
         shown = ", ".join(f"{number:g}" for number in primaries)
-        raise ColourError(f"chromaticities ({shown}) span no colours: say what the colours are with --colourspace "
-                          f"({', '.join(LINEAR_SPACES)}), or correct the header")
+        raise ColourError(f"chromaticities ({shown}) span no colours: say what the colours are "
+                          f"with --colourspace ({', '.join(LINEAR_SPACES)}), or correct the header")
     columns = _columns(primaries)
     scale = np.linalg.solve(columns[:, :3], columns[:, 3] / columns[1, 3])
     matrix: np.ndarray = columns[:, :3] * scale
@@ -94,13 +101,15 @@ def to_xyz(primaries: Chromaticities) -> np.ndarray:
 def adapt(primaries: Chromaticities, white: tuple[float, float, float]) -> np.ndarray:
     """3x3 matrix, linear RGB -> CIE XYZ as seen under another white, by the Bradford transform."""
     own = _BRADFORD @ to_xyz(primaries).sum(1)
-    matrix: np.ndarray = np.linalg.inv(_BRADFORD) @ np.diag(_BRADFORD @ white / own) @ _BRADFORD @ to_xyz(primaries)
+    matrix: np.ndarray = (np.linalg.inv(_BRADFORD) @ np.diag(_BRADFORD @ white / own) @ _BRADFORD
+                          @ to_xyz(primaries))
     return matrix
 
 
 @cache
 def matrix_between(source: Chromaticities, target: Chromaticities) -> np.ndarray:
-    """3x3 matrix, linear RGB -> linear RGB of other primaries; white stays white (Bradford); column vectors."""
+    """3x3 matrix, linear RGB -> linear RGB of other primaries; white stays white (Bradford); column
+    vectors."""
     if source == target:
         return np.eye(3)
     x, y, z = to_xyz(target).sum(1)
@@ -109,8 +118,9 @@ def matrix_between(source: Chromaticities, target: Chromaticities) -> np.ndarray
 
 
 TO_WIDER_PRIMARIES = matrix_between(REC709, ACES2065_1)
-"""To primaries as much wider than a picture's own as those of ACES2065-1, which hold all light that there is, are than
-Rec.709's. No number is negative, so reflectance stays positive, and rows add up to 1, so grey stays as it is."""
+"""To primaries as much wider than a picture's own as those of ACES2065-1, which hold all light that
+there is, are than Rec.709's. No number is negative, so reflectance stays positive, and rows add up
+to 1, so grey stays as it is."""
 
 
 def luminance(colour: np.ndarray) -> np.ndarray:

@@ -29,22 +29,27 @@ _C = 0.5 - _A * np.log(4 * _A)
 
 
 class Curve(NamedTuple):
-    """A transfer function: light in [0, 1] to code values in [0, 1], and its inverse. Values outside are clipped."""
+    """A transfer function: light in [0, 1] to code values in [0, 1], and its inverse. Values
+    outside are clipped."""
 
     encode: Callable[[np.ndarray], np.ndarray]
     decode: Callable[[np.ndarray], np.ndarray]
 
 
 def srgb_encode(linear: np.ndarray) -> np.ndarray:
-    """Display-linear light 0..1 -> sRGB code values 0..1; negative light becomes 0. float64 stays, else float32."""
+    """Display-linear light 0..1 -> sRGB code values 0..1; negative light becomes 0. float64 stays,
+    else float32."""
     linear = np.maximum(_floats(linear), 0)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
+    return np.where(linear <= 0.0031308, 12.92 * linear,
+                    1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
 
 
 def srgb_decode(encoded: np.ndarray) -> np.ndarray:
-    """sRGB code values 0..1 -> display-linear light 0..1; negative codes become 0. float64 stays, else float32."""
+    """sRGB code values 0..1 -> display-linear light 0..1; negative codes become 0. float64 stays,
+    else float32."""
     encoded = np.maximum(_floats(encoded), 0)
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((np.maximum(encoded, 0.04045) + 0.055) / 1.055) ** 2.4)
+    return np.where(encoded <= 0.04045, encoded / 12.92,
+                    ((np.maximum(encoded, 0.04045) + 0.055) / 1.055) ** 2.4)
 
 
 def _floats(values: np.ndarray) -> np.ndarray:
@@ -85,7 +90,8 @@ SRGB = Curve(lambda light: srgb_encode(_unit(light)), lambda codes: srgb_decode(
 BT1886 = Curve(lambda light: _unit(light) ** (1 / 2.4), lambda codes: _unit(codes) ** 2.4)
 """ITU-R BT.1886, annex 1, for a display whose black emits no light."""
 PQ = Curve(_pq_encode, _pq_decode)
-"""SMPTE ST 2084 and ITU-R BT.2100-2, table 4; light is a fraction of 10,000 cd/m2; no light is code 0."""
+"""SMPTE ST 2084 and ITU-R BT.2100-2, table 4; light is a fraction of 10,000 cd/m2; no light is
+code 0."""
 HLG = Curve(_hlg_encode, _hlg_decode)
 """ITU-R BT.2100-2, table 5: the OETF, which takes light of the scene."""
 
@@ -103,8 +109,9 @@ class Kind(NamedTuple):
     Attributes:
         title: name for people.
         primaries, curve: as in `postfx.colour`.
-        cicp: code points of ITU-T H.273: primaries, transfer, matrix (0: RGB), full range. None for BT.1886: its code
-            in H.273 means a camera's transfer function, which viewers would invert.
+        cicp: code points of ITU-T H.273: primaries, transfer, matrix (0: RGB), full range. None for
+            BT.1886: its code in H.273 means a camera's transfer function, which viewers would
+            invert.
     """
 
     title: str
@@ -126,12 +133,14 @@ HDR = ("pq", "hlg")
 
 @dataclass(frozen=True)
 class Display:
-    """A display. Light is linear RGB of its primaries; 1 is white: all it can give in SDR, diffuse white in HDR.
+    """A display. Light is linear RGB of its primaries; 1 is white: all it can give in SDR, diffuse
+    white in HDR.
 
     Attributes:
         name: one of `DISPLAY_KINDS`.
         peak: most light of an HDR display, cd/m2; for HLG its nominal peak. None in SDR.
-        white: light of 1 on an HDR display, cd/m2. None in SDR, where it is as bright as the viewer likes.
+        white: light of 1 on an HDR display, cd/m2. None in SDR, where it is as bright as the viewer
+            likes.
     """
 
     name: str
@@ -155,19 +164,22 @@ class Display:
 
     @property
     def unit(self) -> float:
-        """Light at the curve's value 1; 1 is white. For HLG, before the system gamma is inverted."""
+        """Light at the curve's value 1; 1 is white. For HLG, before the system gamma is
+        inverted."""
         return {"pq": PQ_NITS / (self.white or 1), "hlg": self.most}.get(self.name, 1.0)
 
     @property
     def system_gamma(self) -> float:
         """Exponent of the HLG display's OOTF (ITU-R BT.2100-2, note 5f); 1 for all others."""
-        return 1.2 + 0.42 * math.log10(self.peak / 1000) if self.name == "hlg" and self.peak is not None else 1.0
+        return (1.2 + 0.42 * math.log10(self.peak / 1000)
+                if self.name == "hlg" and self.peak is not None else 1.0)
 
     def __str__(self) -> str:
         return f"{self.name},peak={self.peak:g},white={self.white:g}" if self.hdr else self.name
 
     def encode(self, light: np.ndarray) -> np.ndarray:
-        """Light (..., 3) to code values in [0, 1]; light that the display cannot show is clipped in each channel."""
+        """Light (..., 3) to code values in [0, 1]; light that the display cannot show is clipped in
+        each channel."""
         light = np.clip(np.nan_to_num(light, posinf=self.most), 0, self.most) / self.unit
         return self.kind.curve.encode(light * self._gain(light, 1 / self.system_gamma - 1))
 
@@ -177,19 +189,23 @@ class Display:
 
     def apply_ootf(self, signal: np.ndarray) -> np.ndarray:
         """Light (..., 3), 1 is white, from code values after the inverse curve."""
-        return signal if not self.hdr else signal * self._gain(signal, self.system_gamma - 1) * self.unit
+        return (signal if not self.hdr
+                else signal * self._gain(signal, self.system_gamma - 1) * self.unit)
 
     def _gain(self, light: np.ndarray, exponent: float) -> np.ndarray | float:
         """Power of the luminance, kept above zero."""
-        return np.maximum(light @ np.array(LUMA_REC2020), _DARK)[..., None] ** exponent if exponent else 1.0
+        return np.maximum(light @ np.array(LUMA_REC2020),
+                          _DARK)[..., None] ** exponent if exponent else 1.0
 
 
 @cache
 def parse_display(text: str) -> Display:
-    """A display from 'p3' or 'pq,peak=1000,white=203'. Raises ColourError, which lists the displays."""
+    """A display from 'p3' or 'pq,peak=1000,white=203'. Raises ColourError, which lists the
+    displays."""
     name, *settings = text.split(",")
     if name not in DISPLAY_KINDS:
-        raise ColourError(f"unknown display '{name}': use {', '.join(DISPLAY_KINDS)}, e.g. pq,peak=1000")
+        raise ColourError(f"unknown display '{name}': use {', '.join(DISPLAY_KINDS)}, e.g. "
+                          "pq,peak=1000")
     values = dict(_parse_setting(text, item) for item in settings)
     if name not in HDR:
         if values:

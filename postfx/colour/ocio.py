@@ -24,7 +24,8 @@ LUTS = (".cube", ".clf", ".ctf", ".3dl", ".spi3d", ".csp")
 DISPLAYS = {
     "srgb": ("sRGB - Display", "sRGB"),
     "p3": ("Display P3 - Display", "Display P3"),
-    "rec709": ("Rec.1886 Rec.709 - Display", "Rec.1886 / Rec.709 Video - Display", "Rec.1886", "Rec.709"),
+    "rec709": ("Rec.1886 Rec.709 - Display", "Rec.1886 / Rec.709 Video - Display", "Rec.1886",
+               "Rec.709"),
     "rec2020": ("Rec.1886 Rec.2020 - Display", "Rec.1886 / Rec.2020 Video - Display", "Rec.2020"),
     "pq": ("Rec.2100-PQ - Display", "Rec.2100-PQ"),
     "hlg": ("Rec.2100-HLG - Display", "Rec.2100-HLG"),
@@ -35,7 +36,8 @@ _HEAD = 4096
 
 
 class Transform(NamedTuple):
-    """A function from linear ACEScg (..., 3) of any sign to code values, their display, and a title."""
+    """A function from linear ACEScg (..., 3) of any sign to code values, their display, and a
+    title."""
 
     apply: Callable[[np.ndarray], np.ndarray]
     display: Display
@@ -48,11 +50,13 @@ def config_name() -> str:
 
 
 def view_transform(text: str, display: Display) -> Transform:
-    """'VIEW' or 'VIEW@DISPLAY' of the config. VIEW may be part of a view's name; without one, it is the display's
-    default or, on an HDR display, the first for its peak. Raises ColourError, which lists the views."""
+    """'VIEW' or 'VIEW@DISPLAY' of the config. VIEW may be part of a view's name; without one, it is
+    the display's default or, on an HDR display, the first for its peak. Raises ColourError, which
+    lists the views."""
     name, config = config_name(), _config(config_name())
     wanted, _, named = text.partition("@")
-    shown = _display_name(config, name, named or display.name, (named,) if named else DISPLAYS[display.name])
+    shown = _display_name(config, name, named or display.name,
+                          (named,) if named else DISPLAYS[display.name])
     own = next((parse_display(key) for key, names in DISPLAYS.items() if shown in names), display)
     own = display if own.name == display.name else own
     view = _view_name(config, shown, wanted, own)
@@ -67,34 +71,38 @@ def view_transform(text: str, display: Display) -> Transform:
 def file_transform(text: str) -> Transform:
     """A look-up table in a file: 'FILE,input=SPACE,output=DISPLAY'.
 
-    SPACE is OpenColorIO's name of the table's input colour space, DISPLAY the display of its result (default: srgb).
-    Tables written by postfx name both themselves. Raises ColourError if the file cannot be read or the space is
-    unknown.
+    SPACE is OpenColorIO's name of the table's input colour space, DISPLAY the display of its result
+    (default: srgb). Tables written by postfx name both themselves. Raises ColourError if the file
+    cannot be read or the space is unknown.
     """
     path, *settings = text.split(",")
     given = dict(item.partition("=")[::2] for item in settings)
     unknown = given.keys() - {"input", "output"}
     if unknown:
-        raise ColourError(f"{text}: '{unknown.pop()}' is neither input nor output: {path},input=ACEScct,output=srgb")
+        raise ColourError(f"{text}: '{unknown.pop()}' is neither input nor output: "
+                          f"{path},input=ACEScct,output=srgb")
     if not os.path.isfile(path):
         raise ColourError(f"{path}: no such look-up table: check the path and its rights")
     try:
         with open(path, "rb") as head:
             note = _NOTE.search(head.read(_HEAD).decode("utf-8", "replace"))
     except OSError as error:
-        raise ColourError(f"{path}: look-up table cannot be read: {error.strerror}; check its rights") from error
+        raise ColourError(f"{path}: look-up table cannot be read: {error.strerror}; check its "
+                          "rights") from error
     space, output = note.groups() if note else (None, "srgb")
     space, output = given.get("input", space), given.get("output", output)
     if space is None:
-        raise ColourError(f"{path}: does not say which colours it takes: give e.g. {path},input=ACEScct")
+        raise ColourError(f"{path}: does not say which colours it takes: give e.g. "
+                          f"{path},input=ACEScct")
     name, config = config_name(), _config(config_name())
     if not config.resolve(space):
-        raise ColourError(f"{path}: {name} has no colour space '{space}': use ACEScct, 'Linear Rec.709 (sRGB)' or such")
+        raise ColourError(f"{path}: {name} has no colour space '{space}': use ACEScct, 'Linear "
+                          "Rec.709 (sRGB)' or such")
     file = str(Path(path).resolve())
 
     own, table = config.convert(INTERCHANGE, space), config.look_up(file)
-    return Transform(lambda x: _run(lambda light: table(own(light)), x, path), parse_display(output),
-                     f"{Path(path).name}, takes {space}")
+    return Transform(lambda x: _run(lambda light: table(own(light)), x, path),
+                     parse_display(output), f"{Path(path).name}, takes {space}")
 
 
 def convert(light: np.ndarray, source: str, target: str) -> np.ndarray:
@@ -103,7 +111,8 @@ def convert(light: np.ndarray, source: str, target: str) -> np.ndarray:
 
 
 def name_of_id(identifier: str) -> str | None:
-    """Colour space of the built-in config with this identifier of the Color Interop Forum, None where it has none."""
+    """Colour space of the built-in config with this identifier of the Color Interop Forum, None
+    where it has none."""
     config = _config(BUILT_IN_CONFIG)
     return next((name for name in config.spaces if config.interop_id(name) == identifier), None)
 
@@ -121,7 +130,8 @@ def is_lut(text: str) -> bool:
 def _config(name: str) -> Config:
     config = load(name)
     if INTERCHANGE not in config.roles:
-        raise ColourError(f"{name}: has no role {INTERCHANGE}, so its colours are unknown: add the role")
+        raise ColourError(f"{name}: has no role {INTERCHANGE}, so its colours are unknown: add the "
+                          "role")
     return config
 
 
@@ -129,7 +139,8 @@ def _display_name(config: Config, name: str, wanted: str, candidates: tuple[str,
     there = config.displays
     found = next((display for display in candidates if display in there), None)
     if found is None:
-        raise ColourError(f"{name}: no display for '{wanted}': name one by ocio:VIEW@DISPLAY: {', '.join(there)}")
+        raise ColourError(f"{name}: no display for '{wanted}': name one by ocio:VIEW@DISPLAY: "
+                          f"{', '.join(there)}")
     return found
 
 
@@ -152,7 +163,8 @@ def _view_name(config: Config, shown: str, wanted: str, display: Display) -> str
 
 def _run(colours: Colours, light: np.ndarray, what: str) -> np.ndarray:
     """A transform of linear ACEScg (..., 3), clipped to [0, 1]."""
-    codes: np.ndarray = np.clip(_apply(colours, light @ matrix_between(ACESCG, ACES2065_1).T, what), 0, 1)
+    codes: np.ndarray = np.clip(_apply(colours, light @ matrix_between(ACESCG, ACES2065_1).T, what),
+                                0, 1)
     return codes
 
 

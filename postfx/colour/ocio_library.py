@@ -1,7 +1,8 @@
-"""OpenColorIO itself: by its own package `opencolorio` where that is installed, else as OpenImageIO carries it.
+"""OpenColorIO itself: by its own package `opencolorio` where that is installed, else as OpenImageIO
+carries it.
 
-The package is newer than the copy in OpenImageIO's wheel, and has more built-in configs. Both give the same colours for
-the same config.
+The package is newer than the copy in OpenImageIO's wheel, and has more built-in configs. Both give
+the same colours for the same config.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ OCIO_PACKAGE = "opencolorio"
 _MODULE = "PyOpenColorIO"
 
 Colours = Callable[[np.ndarray], np.ndarray]
-"""Colours (count, 3) float32 to others. Raises RuntimeError with the reason where it cannot be done."""
+"""Colours (count, 3) float32 to others. Raises RuntimeError with the reason where it cannot be
+done."""
 
 
 class Config(ABC):
@@ -71,7 +73,8 @@ class Config(ABC):
 
 def version() -> str:
     """Version of the OpenColorIO in use."""
-    return metadata.version(OCIO_PACKAGE) if is_installed() else str(oiio.get_string_attribute("opencolorio_version"))
+    return (metadata.version(OCIO_PACKAGE) if is_installed()
+            else str(oiio.get_string_attribute("opencolorio_version")))
 
 
 def is_installed() -> bool:
@@ -81,7 +84,8 @@ def is_installed() -> bool:
 
 @cache
 def load(name: str) -> Config:
-    """The config in a file, or a built-in one as ocio://NAME. Raises ColourError where it cannot be read."""
+    """The config in a file, or a built-in one as ocio://NAME. Raises ColourError where it cannot be
+    read."""
     config: Config = _OfPackage(name) if is_installed() else _OfOpenImageIO(name)
     if not config.displays:
         raise _unreadable(name, "it has no displays")
@@ -180,7 +184,8 @@ class _OfOpenImageIO(Config):
 
     def show(self, source: str, display: str, view: str) -> Colours:
         return self._by(lambda image: oiio.ImageBufAlgo.ociodisplay(
-            image, display=display, view=view, fromspace=source, colorconfig=self._name, unpremult=False))
+            image, display=display, view=view, fromspace=source, colorconfig=self._name,
+            unpremult=False))
 
     def convert(self, source: str, target: str) -> Colours:
         return self._by(lambda image: oiio.ImageBufAlgo.colorconvert(
@@ -192,7 +197,8 @@ class _OfOpenImageIO(Config):
 
     def _by(self, transform: Callable[[oiio.ImageBuf], oiio.ImageBuf]) -> Colours:
         def apply(colours: np.ndarray) -> np.ndarray:
-            result = transform(oiio.ImageBuf(np.ascontiguousarray(colours.reshape(-1, 1, 3), np.float32)))
+            result = transform(oiio.ImageBuf(np.ascontiguousarray(colours.reshape(-1, 1, 3),
+                                                                  np.float32)))
             if result.has_error:
                 raise RuntimeError(result.geterror())
             return np.asarray(result.get_pixels("float")).reshape(colours.shape)

@@ -1,8 +1,8 @@
 """Ways to show light.
 
-Views turn exposed scene-linear light into code values of a display. A view is a function of one colour. It is evaluated
-for every pixel, which is exact, or once, at the corners of a cube on logarithmic axes; the kernel `apply_cube` then
-interpolates every pixel between them.
+Views turn exposed scene-linear light into code values of a display. A view is a function of one
+colour. It is evaluated for every pixel, which is exact, or once, at the corners of a cube on
+logarithmic axes; the kernel `apply_cube` then interpolates every pixel between them.
 Camera operators judge exposure by false colour and zebra, and pictures are compared as code values.
 """
 
@@ -48,10 +48,13 @@ class View:
 
 
 
-def reinhard(light: np.ndarray, primaries: Chromaticities = REC709, most: float = 1.0) -> np.ndarray:
-    """Luminance L to L / (1 + L / most), colours in proportion: Reinhard et al. 2002, equation 3, where most is 1.
+def reinhard(light: np.ndarray, primaries: Chromaticities = REC709,
+             most: float = 1.0) -> np.ndarray:
+    """Luminance L to L / (1 + L / most), colours in proportion: Reinhard et al. 2002, equation 3,
+    where most is 1.
 
-    light (..., 3) scene-linear, at least 0; the result is display light, below `most` in luminance only.
+    light (..., 3) scene-linear, at least 0; the result is display light, below `most` in luminance
+    only.
     """
     luminance = light @ to_xyz(primaries)[1]
     mapped: np.ndarray = light / (1 + luminance / most)[..., None]
@@ -59,7 +62,8 @@ def reinhard(light: np.ndarray, primaries: Chromaticities = REC709, most: float 
 
 
 def neutral(light: np.ndarray) -> np.ndarray:
-    """Khronos PBR Neutral: light (..., 3) scene-linear Rec.709, at least 0 -> display light in [0, 1].
+    """Khronos PBR Neutral: light (..., 3) scene-linear Rec.709, at least 0 -> display light in [0,
+    1].
 
     Source: Khronos PBR Neutral Tone Mapper, specification 1.0.
     """
@@ -75,17 +79,20 @@ def neutral(light: np.ndarray) -> np.ndarray:
 
 
 def find_view(text: str, display: Display) -> View:
-    """A view by name: 'reinhard', 'neutral', 'ocio:VIEW' or 'FILE.cube,input=SPACE', preferably for a display.
+    """A view by name: 'reinhard', 'neutral', 'ocio:VIEW' or 'FILE.cube,input=SPACE', preferably for
+    a display.
 
-    `View.display` is the display that the view is made for. Raises ColourError if there is no such view.
+    `View.display` is the display that the view is made for. Raises ColourError if there is no such
+    view.
     """
     if text == "reinhard":
         own = display.kind.primaries
-        return View(lambda x: display.encode(reinhard(np.maximum(x, 0), own, display.most)), own, display,
-                    "Reinhard 2002")
+        return View(lambda x: display.encode(reinhard(np.maximum(x, 0), own, display.most)), own,
+                    display, "Reinhard 2002")
     if text == "neutral":
         srgb = parse_display("srgb")
-        return View(lambda x: srgb.encode(neutral(np.maximum(x, 0))), REC709, srgb, "Khronos PBR Neutral")
+        return View(lambda x: srgb.encode(neutral(np.maximum(x, 0))), REC709, srgb,
+                    "Khronos PBR Neutral")
     if text.startswith(ocio.PREFIX):
         transform = ocio.view_transform(text.removeprefix(ocio.PREFIX), display)
     else:
@@ -136,7 +143,8 @@ FALSE_COLOUR_BANDS = (
     Band(0.97, 0.99, (250, 220, 50), "just below white"),
     Band(0.99, 1.0, (225, 40, 40), "white clipping"),
 )
-"""ARRI, ALEXA Mini LF user manual, "Monitoring", page 83: signal levels and colours of the false colour display."""
+"""ARRI, ALEXA Mini LF user manual, "Monitoring", page 83: signal levels and colours of the false
+colour display."""
 
 ZEBRA = 0.95
 STRIPE = 6  # pixels of a stripe and of a gap
@@ -148,9 +156,8 @@ def luma(rgb: np.ndarray) -> np.ndarray:
 
 
 def to_codes(colour: np.ndarray, exposure_factor: float) -> np.ndarray:
-    """sRGB code values 0..1 of x / (1 + x), x = colour * exposure_factor, to compare pictures; non-finite values count
-    as
-    0."""
+    """sRGB code values 0..1 of x / (1 + x), x = colour * exposure_factor, to compare pictures;
+    non-finite values count as 0."""
     exposed = np.maximum(np.nan_to_num(colour * exposure_factor), 0)
     return srgb_encode(exposed / (1 + exposed))
 
@@ -165,7 +172,8 @@ def log_c(linear: np.ndarray) -> np.ndarray:
 
 
 def false_colour(signal: np.ndarray) -> np.ndarray:
-    """ARRI's false colour of a signal 0..1, (height, width) -> uint8 (height, width, 3); grey between the bands."""
+    """ARRI's false colour of a signal 0..1, (height, width) -> uint8 (height, width, 3); grey
+    between the bands."""
     signal = np.clip(np.nan_to_num(signal, nan=0.0), 0, 1)
     picture = np.repeat((signal * 255 + 0.5).astype(np.uint8)[..., None], 3, axis=-1)
     for band in FALSE_COLOUR_BANDS:
@@ -174,8 +182,10 @@ def false_colour(signal: np.ndarray) -> np.ndarray:
 
 
 def zebra(display: np.ndarray) -> np.ndarray:
-    """Diagonal stripes where the luma of a display picture (height, width, 3), 0..1, is ZEBRA or more; uint8."""
-    picture: np.ndarray = (np.clip(np.nan_to_num(display, nan=0.0), 0, 1) * 255 + 0.5).astype(np.uint8)
+    """Diagonal stripes where the luma of a display picture (height, width, 3), 0..1, is ZEBRA or
+    more; uint8."""
+    picture: np.ndarray = (np.clip(np.nan_to_num(display, nan=0.0), 0, 1) * 255
+                           + 0.5).astype(np.uint8)
     rows, columns = np.indices(display.shape[:2])
     dark = (rows + columns) // STRIPE % 2 == 0
     picture[(luma(display) >= ZEBRA) & dark] = 0

@@ -1,8 +1,9 @@
-"""Compiles the kernels' C++ by ziglang, for this machine or any other: one shared library for each level of a
-processor, in a folder with an index, which is written last. Each file is compiled by itself and its object is kept, so
-that a change costs the files that it touches.
+"""Compiles the kernels' C++ by ziglang, for this machine or any other: one shared library for each
+level of a processor, in a folder with an index, which is written last. Each file is compiled by
+itself and its object is kept, so that a change costs the files that it touches.
 
-Only the standard library is used, and nothing else of this package: a build hook runs this file by itself.
+Only the standard library is used, and nothing else of this package: a build hook runs this file by
+itself.
 """
 
 from __future__ import annotations
@@ -34,20 +35,22 @@ ZIG = "0.17.1"
 """The compiler's version; another one may give other bits. `pyproject.toml` has the same."""
 FLAGS = (
     "-std=c++20", "-O3", "-fPIC", "-fvisibility=hidden", "-fno-exceptions", "-fno-rtti",
-    "-ffp-contract=on",  # a * b + c becomes one instruction where the source says so, not where a compiler likes
-    "-fno-math-errno", "-fno-trapping-math", "-fno-sanitize=all",
-    "-fno-slp-vectorize",  # vectors are written out; looking for more takes a fifth of the compiler's time
-    "-g0", "-Wall", "-Wextra", "-Werror", "-Wno-psabi",
+    # a * b + c becomes one instruction where the source says so, not where a compiler likes
+    "-ffp-contract=on", "-fno-math-errno", "-fno-trapping-math", "-fno-sanitize=all",
+    # vectors are written out; looking for more takes a fifth of the compiler's time
+    "-fno-slp-vectorize", "-g0", "-Wall", "-Wextra", "-Werror", "-Wno-psabi",
 )
 LINKED = ("-shared", "-s")
-X86_64 = {"baseline": "x86_64", "v3": "x86_64_v3", "v4": "x86_64_v4", "vnni": "x86_64_v4+avx512vnni"}
+X86_64 = {"baseline": "x86_64", "v3": "x86_64_v3", "v4": "x86_64_v4",
+          "vnni": "x86_64_v4+avx512vnni"}
 """Levels and what the compiler calls them, the lowest first; `level.cpp` counts in this order."""
 UNUSED = 7 * 86400
 """Seconds after which libraries of other sources are removed."""
 
 
 class Target(NamedTuple):
-    """A kind of machine: the compiler's name, levels, ending of a library, a wheel's tag, and what else to link."""
+    """A kind of machine: the compiler's name, levels, ending of a library, a wheel's tag, and what
+    else to link."""
 
     name: str
     levels: dict[str, str]
@@ -57,14 +60,16 @@ class Target(NamedTuple):
 
 
 ALONE = ("-nostdlib",)
-"""On Linux, what a kernel calls of C's library is found in the process: nothing is linked, which takes seconds less."""
+"""On Linux, what a kernel calls of C's library is found in the process: nothing is linked, which
+takes seconds less."""
 TARGETS = {
     "linux-x86_64": Target("x86_64-linux-gnu.2.28", X86_64, ".so", "manylinux_2_28_x86_64", ALONE),
-    "linux-aarch64": Target("aarch64-linux-gnu.2.28", {"baseline": "generic"}, ".so", "manylinux_2_28_aarch64",
-                            ALONE),
-    "macos-arm64": Target("aarch64-macos.11.0", {"baseline": "apple_m1"}, ".dylib", "macosx_11_0_arm64",
-                          ("-nostdlib++",)),
-    "macos-x86_64": Target("x86_64-macos.11.0", X86_64, ".dylib", "macosx_11_0_x86_64", ("-nostdlib++",)),
+    "linux-aarch64": Target("aarch64-linux-gnu.2.28", {"baseline": "generic"}, ".so",
+                            "manylinux_2_28_aarch64", ALONE),
+    "macos-arm64": Target("aarch64-macos.11.0", {"baseline": "apple_m1"}, ".dylib",
+                          "macosx_11_0_arm64", ("-nostdlib++",)),
+    "macos-x86_64": Target("x86_64-macos.11.0", X86_64, ".dylib", "macosx_11_0_x86_64",
+                           ("-nostdlib++",)),
     "windows-x86_64": Target("x86_64-windows-gnu", X86_64, ".dll", "win_amd64", ("-nostdlib++",)),
 }
 
@@ -75,12 +80,14 @@ class CannotBuild(Exception):
 
 def this_target() -> str:
     """The target's name of this machine. Raises CannotBuild if it is none of them."""
-    system = {"linux": "linux", "darwin": "macos", "win32": "windows"}.get(sys.platform, sys.platform)
+    system = {"linux": "linux", "darwin": "macos", "win32": "windows"}.get(sys.platform,
+                                                                           sys.platform)
     machine = {"amd64": "x86_64", "arm64": "arm64" if system == "macos" else "aarch64"}
     kind = platform.machine().lower()
     name = f"{system}-{machine.get(kind, kind)}"
     if name not in TARGETS:
-        raise CannotBuild(f"kernels cannot be compiled for {name}: choose one of {', '.join(TARGETS)}")
+        raise CannotBuild(f"kernels cannot be compiled for {name}: choose one of "
+                          f"{', '.join(TARGETS)}")
     return name
 
 
@@ -99,13 +106,15 @@ def sources_of(unit: Path) -> list[Path]:
     """A file and the headers that it includes, itself or by others."""
     found = [unit]
     for path in found:
-        found += [header for header in _headers_of(path, path.stat().st_mtime_ns) if header not in found]
+        found += [header
+                  for header in _headers_of(path, path.stat().st_mtime_ns) if header not in found]
     return found
 
 
 @cache
 def _headers_of(path: Path, changed_ns: int) -> tuple[Path, ...]:
-    """The headers that a file includes itself, as of when it changed: many files include the same ones."""
+    """The headers that a file includes itself, as of when it changed: many files include the same
+    ones."""
     names = re.findall(r'^#include "(.+)"', path.read_text("utf-8"), re.M)
     places = [[(folder / name).resolve() for folder in (path.parent, KERNELS)] for name in names]
     held = [[place for place in both if place.exists()][:1] for both in places]
@@ -113,7 +122,8 @@ def _headers_of(path: Path, changed_ns: int) -> tuple[Path, ...]:
 
 
 class Part(NamedTuple):
-    """A part of our library: kernels of a file that a checkout compiles together, or one of them alone."""
+    """A part of our library: kernels of a file that a checkout compiles together, or one of them
+    alone."""
 
     unit: Path
     alone: str = ""
@@ -121,7 +131,8 @@ class Part(NamedTuple):
     @property
     def flags(self) -> tuple[str, ...]:
         """What tells the compiler."""
-        chosen = ("-DALONE", f"-DALONE_{self.alone}=~,EXPORT_ONE") if self.alone else ("-DTOGETHER",)
+        chosen = (("-DALONE", f"-DALONE_{self.alone}=~,EXPORT_ONE") if self.alone
+                  else ("-DTOGETHER",))
         return *chosen, "-Wno-unused-function", "-Wno-unneeded-internal-declaration"
 
 
@@ -130,7 +141,8 @@ def our_parts() -> dict[str, Part]:
     found: dict[str, Part] = {}
     for unit in our_units():
         text = unit.read_text("utf-8")
-        found |= {name: Part(unit, name) for name in re.findall(r"^EXPORT_ALONE\((\w+),", text, re.M)}
+        found |= {name: Part(unit, name)
+                  for name in re.findall(r"^EXPORT_ALONE\((\w+),", text, re.M)}
         together = re.findall(r"^(?:EXPORT\(|EXPORTED Word )(\w+)[,(]", text, re.M)
         found |= dict.fromkeys(together, Part(unit))
     return found
@@ -155,24 +167,28 @@ def find(folder: Path, digest: str) -> dict[str, Path]:
 def _read_index(folder: Path, digest: str) -> dict[str, tuple[str, str]]:
     try:
         index = json.loads((folder / f"{digest}.json").read_text("utf-8"))
-        return {level: (name, wanted) for level, (name, wanted) in index.items() if _hash(folder / name) == wanted}
+        return {level: (name, wanted)
+                for level, (name, wanted) in index.items() if _hash(folder / name) == wanted}
     except (OSError, ValueError, AttributeError, TypeError):
         return {}
 
 
 def build(units: Sequence[Path], target: str, folder: Path, levels: Iterable[str] = (),
           flags: Sequence[str] = ()) -> dict[str, Path]:
-    """Libraries by level, those given or all, which are compiled unless another process has done so meanwhile."""
+    """Libraries by level, those given or all, which are compiled unless another process has done so
+    meanwhile."""
     folder.mkdir(parents=True, exist_ok=True)
     digest, kind = digest_of(units, target, flags), TARGETS[target]
-    with _locked(folder / f"{digest}.lock"):  # of these sources: others are compiled at the same time
+    # of these sources: others are compiled at the same time
+    with _locked(folder / f"{digest}.lock"):
         index = _read_index(folder, digest)
         missing = [level for level in tuple(levels) or kind.levels if level not in index]
         if missing:
             _remove_unused(folder)
             with tempfile.TemporaryDirectory(dir=folder) as made:
                 compiler = _Compiler(find_compiler(), kind, Path(made), flags)
-                for level, path in compiler.make(units, target, missing, folder / "objects").items():
+                for level, path in compiler.make(units, target, missing,
+                                                 folder / "objects").items():
                     name = f"{digest}-{path.name}"
                     index[level] = name, _hash(path)
                     os.replace(path, folder / name)
@@ -191,13 +207,15 @@ def build_here() -> None:
     """Compile what this machine needs into a checkout."""
     target = this_target()
     folder, lowest = PACKAGED / target, next(iter(TARGETS[target].levels))
-    build(our_units(), target, folder, levels_of(build(PROBE, target, folder, [lowest])[lowest])[-1:])
+    build(our_units(), target, folder,
+          levels_of(build(PROBE, target, folder, [lowest])[lowest])[-1:])
 
 
 def build_all(target: str, folder: Path) -> list[Path]:
     """All files that a wheel brings for a kind of machine."""
     lowest = next(iter(TARGETS[target].levels))
-    made = [build(PROBE, target, folder, [lowest])[lowest], *build(our_units(), target, folder).values()]
+    made = [build(PROBE, target, folder, [lowest])[lowest],
+            *build(our_units(), target, folder).values()]
     return [*made, *(folder / f"{digest_of(units, target)}.json" for units in (PROBE, our_units()))]
 
 
@@ -205,33 +223,43 @@ def find_compiler() -> list[str]:
     """The command that compiles C++. Raises CannotBuild without one."""
     package = importlib.util.find_spec("ziglang")
     if package is None or package.origin is None:
-        raise CannotBuild(f"the kernels are not compiled, and there is no compiler: pip install ziglang=={ZIG}")
+        raise CannotBuild("the kernels are not compiled, and there is no compiler: pip install "
+                          f"ziglang=={ZIG}")
     from importlib.metadata import version
 
     found = version("ziglang")
     if found != ZIG:
-        raise CannotBuild(f"ziglang {found} would compile other kernels: pip install ziglang=={ZIG}")
+        raise CannotBuild(f"ziglang {found} would compile other kernels: pip install "
+                          f"ziglang=={ZIG}")
     # itself: `python -m ziglang` would start a Python for each file
-    return [str(Path(package.origin).with_name("zig.exe" if sys.platform == "win32" else "zig")), "c++"]
+    return [str(Path(package.origin).with_name("zig.exe" if sys.platform == "win32" else "zig")),
+            "c++"]
 
 
 class _Compiler:
     """Runs the compiler for a kind of machine, in a folder that is removed afterwards."""
 
-    def __init__(self, command: list[str], target: Target, folder: Path, flags: Sequence[str]) -> None:
+    def __init__(self, command: list[str], target: Target, folder: Path,
+                 flags: Sequence[str]) -> None:
         self._command, self._target, self._folder, self._flags = command, target, folder, flags
         self._environment = os.environ | {"ZIG_LOCAL_CACHE_DIR": str(folder / "local")}
         if target.flags == ALONE:
-            self._environment["ZIG_GLOBAL_CACHE_DIR"] = str(folder / "global")  # there is nothing to keep in it
+            # there is nothing to keep in it
+            self._environment["ZIG_GLOBAL_CACHE_DIR"] = str(folder / "global")
 
-    def make(self, units: Sequence[Path], target: str, levels: Sequence[str], objects: Path) -> dict[str, Path]:
-        """Libraries of some levels; what is in the folder of objects already is not compiled again."""
+    def make(self, units: Sequence[Path], target: str, levels: Sequence[str],
+             objects: Path) -> dict[str, Path]:
+        """Libraries of some levels; what is in the folder of objects already is not compiled
+        again."""
         objects.mkdir(exist_ok=True)
-        parts = {(unit, level): objects / f"{digest_of([unit], target, self._flags)}-{unit.stem}-{level}.o"
-                 for unit in sorted(units, key=lambda unit: -unit.stat().st_size) for level in levels}
+        parts = {(unit, level): objects
+                                / f"{digest_of([unit], target, self._flags)}-{unit.stem}-{level}.o"
+                 for unit in sorted(units, key=lambda unit: -unit.stat().st_size)
+                 for level in levels}
         kept = [path for path in parts.values() if path.exists()]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            for done in [pool.submit(self._compile, *key, path) for key, path in parts.items() if path not in kept]:
+            for done in [pool.submit(self._compile, *key, path)
+                         for key, path in parts.items() if path not in kept]:
                 done.result()
         libraries = {level: self._folder / f"{level}{self._target.suffix}" for level in levels}
         try:
@@ -253,10 +281,13 @@ class _Compiler:
 
     def _run(self, level: str, *arguments: str | Path) -> None:
         target = self._target
-        command = [*self._command, *target.flags, "-target", target.name, f"-mcpu={target.levels[level]}", *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", env=self._environment)
+        command = [*self._command, *target.flags, "-target", target.name,
+                   f"-mcpu={target.levels[level]}", *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace",
+                              env=self._environment)
         if done.returncode:
-            lines = done.stderr.strip().splitlines() or [f"the compiler ended with {done.returncode}"]
+            lines = (done.stderr.strip().splitlines()
+                     or [f"the compiler ended with {done.returncode}"])
             raise CannotBuild(next((line for line in lines if "error:" in line), lines[-1]))
 
 
@@ -266,7 +297,8 @@ def _hash(path: Path) -> str:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """One process at a time, where the file system has locks; elsewhere all of them write the same files."""
+    """One process at a time, where the file system has locks; elsewhere all of them write the same
+    files."""
     with open(path, "ab") as file:
         with suppress(OSError):
             if sys.platform == "win32":
@@ -294,8 +326,8 @@ def main(names: Iterable[str]) -> None:
     for name in tuple(names) or (this_target(),):
         begin = time.monotonic()
         paths = build_all(name, PACKAGED / name)
-        sizes = ", ".join(f"{path.stem.rpartition('-')[2]} {path.stat().st_size / 1e3:.0f} kB" for path in paths
-                          if path.suffix != ".json")
+        sizes = ", ".join(f"{path.stem.rpartition('-')[2]} {path.stat().st_size / 1e3:.0f} kB"
+                          for path in paths if path.suffix != ".json")
         print(f"{name}: {sizes}, {time.monotonic() - begin:.1f} s")
 
 

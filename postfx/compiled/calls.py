@@ -1,5 +1,5 @@
-"""How compiled rows are called: numbers and arrays as words of 8 bytes, so that threads can call them without Python's
-lock.
+"""How compiled rows are called: numbers and arrays as words of 8 bytes, so that threads can call
+them without Python's lock.
 """
 
 from __future__ import annotations
@@ -27,15 +27,17 @@ class Form:
 
     Args:
         name: the kernel's, for messages.
-        entry: of the library: `int entry(const void *words, void *)`. Words are the first and the last row, and of each
-            array its address and shape; it returns 0, unless memory was wanting.
+        entry: of the library: `int entry(const void *words, void *)`. Words are the first and the
+            last row, and of each array its address and shape; it returns 0, unless memory was
+            wanting.
         kinds: of the arrays.
     """
 
     def __init__(self, name: str, entry: Any, kinds: Kinds) -> None:
         entry.argtypes, entry.restype = (ctypes.c_char_p, ctypes.c_void_p), ctypes.c_int
         self._name, self._entry = name, entry
-        self._pack = struct.Struct("=qq" + "".join("Q" + "q" * _axes_of(kind) for kind in kinds if kind)).pack
+        self._pack = struct.Struct("=qq" + "".join("Q" + "q" * _axes_of(kind)
+                                                   for kind in kinds if kind)).pack
 
     def __call__(self, first: int, last: int, *arrays: np.ndarray) -> None:
         self._check(self._entry(self._pack(first, last, *_words_of(arrays)), None))
@@ -58,8 +60,8 @@ class Form:
 
 
 class BoundRows:
-    """A kernel's rows with all arrays given, as a function of the first and the last row, which threads may also call
-    without Python's lock.
+    """A kernel's rows with all arrays given, as a function of the first and the last row, which
+    threads may also call without Python's lock.
 
     Args:
         call: the function.
@@ -71,9 +73,10 @@ class BoundRows:
         entry: as given.
     """
 
-    def __init__(self, name: str, call: Callable[[int, int], None], entry: int, words: Sequence[int],
-                 arrays: Sequence[np.ndarray]) -> None:
-        self._name, self._call, self.entry, self._words, self._arrays = name, call, entry, words, arrays
+    def __init__(self, name: str, call: Callable[[int, int], None], entry: int,
+                 words: Sequence[int], arrays: Sequence[np.ndarray]) -> None:
+        self._name, self._call, self.entry, self._words, self._arrays = (name, call, entry, words,
+                                                                         arrays)
         self._edges: Sequence[int] = ()
         self._blocks = np.empty((0, 0), np.int64)
 
@@ -98,8 +101,8 @@ class BoundRows:
 
 def kinds_of(arrays: Iterable[np.ndarray]) -> Kinds:
     """Kinds of arrays."""
-    return tuple([_kind_of(array.dtype, array.ndim, array.flags.num) if isinstance(array, np.ndarray)
-                  else None for array in arrays])
+    return tuple([_kind_of(array.dtype, array.ndim, array.flags.num)
+                  if isinstance(array, np.ndarray) else None for array in arrays])
 
 
 @cache  # looking at a type and at flags by name takes longer than many a kernel
@@ -118,7 +121,8 @@ def _words_of(arrays: Iterable[Any]) -> list[int]:
     words: list[int] = []
     for array in arrays:
         try:
-            # In a quarter of the time. NumPy's types only say from Python 3.12 on that an array is a buffer.
+            # In a quarter of the time. NumPy's types only say from Python 3.12 on that an array is
+            # a buffer.
             words.append(ctypes.addressof(ctypes.c_char.from_buffer(array)))  # type: ignore[arg-type,unused-ignore]
         except (TypeError, ValueError):  # only to be read, or empty
             words.append(array.__array_interface__["data"][0])
@@ -126,7 +130,8 @@ def _words_of(arrays: Iterable[Any]) -> list[int]:
     return words
 
 
-def bind_rows(rows: Callable[..., None], arrays: Sequence[np.ndarray]) -> Callable[[int, int], None]:
+def bind_rows(rows: Callable[..., None],
+              arrays: Sequence[np.ndarray]) -> Callable[[int, int], None]:
     """A function of the first and the last of a kernel's rows, with all arrays given."""
     if hasattr(rows, "bind"):
         bound: Callable[[int, int], None] = rows.bind(arrays)

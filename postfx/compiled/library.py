@@ -1,9 +1,9 @@
 """Kernels in C++: the library that holds them, and their rows as Python calls them.
 
-A wheel brings a library for every level of the processor. So has a checkout where it was installed; where sources have
-changed since, it compiles kernels for this processor's level when they are first used, each as a library of its own or
-with those of its file (`build.py`). A plug-in's kernels are compiled likewise from the header that it brings, into the
-user's cache.
+A wheel brings a library for every level of the processor. So has a checkout where it was installed;
+where sources have changed since, it compiles kernels for this processor's level when they are first
+used, each as a library of its own or with those of its file (`build.py`). A plug-in's kernels are
+compiled likewise from the header that it brings, into the user's cache.
 """
 
 from __future__ import annotations
@@ -55,20 +55,23 @@ class Rows:
         return self.form(kinds_of(arrays)).bind(arrays)
 
     def form(self, kinds: Kinds) -> Form:
-        """How the kernel is called with arrays of these kinds. Raises BindingError if it takes others."""
+        """How the kernel is called with arrays of these kinds. Raises BindingError if it takes
+        others."""
         return _form(self.name, self.header, self.level, kinds)
 
     def prepare(self, kinds: Kinds) -> None:
-        """Have the kernel ready before the first frame. One of ours that is to be compiled is so beside others."""
+        """Have the kernel ready before the first frame. One of ours that is to be compiled is so
+        beside others."""
         if self.header is None and not _is_compiled(self.name, self.level):
-            _compilers().submit(open_library, self.name, None, self.level)  # what fails there fails in `form`
+            # what fails there fails in `form`
+            _compilers().submit(open_library, self.name, None, self.level)
         else:
             self.form(kinds)
 
 
 class Function:
-    """A function of ours in C++ of whole numbers and addresses: `function(*numbers)`. It runs without the
-    interpreter's lock, and returns a whole number.
+    """A function of ours in C++ of whole numbers and addresses: `function(*numbers)`. It runs
+    without the interpreter's lock, and returns a whole number.
 
     Args:
         name: that it is exported by.
@@ -162,8 +165,8 @@ def _form(name: str, header: Path | None, level: str | None, kinds: Kinds) -> Fo
     fits = len(wanted) == len(given) and all(one in (other, f"{other[:-1]}r") for one, other in
                                              zip(wanted, given, strict=True))
     if not fits:
-        raise BindingError(f"kernel '{name}' takes arrays {' '.join(wanted)} (type:axes, r if it only reads them), "
-                           f"not {' '.join(given)}")
+        raise BindingError(f"kernel '{name}' takes arrays {' '.join(wanted)} (type:axes, r if it "
+                           f"only reads them), not {' '.join(given)}")
     return Form(name, getattr(library, name), kinds)
 
 
@@ -180,7 +183,8 @@ def _written(kind: str | None) -> str:
 
 @cache
 def open_library(name: str, header: Path | None = None, level: str | None = None) -> ctypes.CDLL:
-    """The library of a plug-in, or that which has a kernel of ours, for this processor's level or another one.
+    """The library of a plug-in, or that which has a kernel of ours, for this processor's level or
+    another one.
 
     Raises DeviceError where there is none and none can be made.
     """
@@ -239,7 +243,8 @@ def levels() -> tuple[str, ...]:
 
 
 def has_byte_products() -> bool:
-    """Whether kernels can multiply numbers of 8 bits by this processor's own instructions: above the lowest level."""
+    """Whether kernels can multiply numbers of 8 bits by this processor's own instructions: above
+    the lowest level."""
     return len(levels()) > 1
 
 
@@ -257,7 +262,8 @@ def _folders(own: bool) -> list[Path]:
 
 
 def _find(folders: Iterable[Path], digest: str, level: str) -> Path | None:
-    return next((found[level] for found in (build.find(folder, digest) for folder in folders) if level in found), None)
+    return next((found[level] for found in (build.find(folder, digest) for folder in folders)
+                 if level in found), None)
 
 
 def _find_or_build(units: list[Path], level: str, own: bool, flags: Sequence[str] = ()) -> Path:
@@ -271,7 +277,8 @@ def _find_or_build(units: list[Path], level: str, own: bool, flags: Sequence[str
             return found
         writable = [folder for folder in folders if _can_write(folder)]
         if not writable:
-            raise build.CannotBuild("compiled kernels can be kept nowhere: set XDG_CACHE_HOME to a folder of your own")
+            raise build.CannotBuild("compiled kernels can be kept nowhere: set XDG_CACHE_HOME to a "
+                                    "folder of your own")
         with _told():
             return build.build(units, target, writable[0], [level], flags)[level]
     except (build.CannotBuild, OSError) as error:

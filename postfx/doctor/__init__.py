@@ -1,6 +1,7 @@
 """The doctor: finds what is wrong with the planes of a sequence, and says why and how to fix it.
 
-Here is what its checks share: what they find, with the exit code that follows, and statistics of single planes.
+Here is what its checks share: what they find, with the exit code that follows, and statistics of
+single planes.
 """
 
 from __future__ import annotations
@@ -73,7 +74,8 @@ def most_important_first(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def exit_code(findings: Iterable[Finding]) -> int:
-    """0 when there are neither warnings nor errors, 1 for warnings only, 2 with at least one error."""
+    """0 when there are neither warnings nor errors, 1 for warnings only, 2 with at least one
+    error."""
     return max((EXIT_CODES[finding.level] for finding in findings), default=0)
 
 
@@ -81,12 +83,14 @@ def exit_code(findings: Iterable[Finding]) -> int:
 
 MEASURED_BLOCK_PX = 8
 FLATTEST = 25
-"""Percentile of the noise of all blocks that is taken: the flattest quarter has the least texture."""
+"""Percentile of the noise of all blocks that is taken: the flattest quarter has the least
+texture."""
 
 
 @dataclass(frozen=True)
 class Values:
-    """Counts of odd values of a plane as it is stored, before reading repairs them; `total` counts all values."""
+    """Counts of odd values of a plane as it is stored, before reading repairs them; `total` counts
+    all values."""
 
     nan: int
     infinite: int
@@ -103,13 +107,14 @@ def count_values(plane: np.ndarray) -> Values:
 
 def sum_values(values: Iterable[Values]) -> Values:
     """Counts of several planes together."""
-    return reduce(lambda a, b: Values(a.nan + b.nan, a.infinite + b.infinite, a.negative + b.negative,
-                                      a.total + b.total), values)
+    return reduce(lambda a, b: Values(a.nan + b.nan, a.infinite + b.infinite,
+                                      a.negative + b.negative, a.total + b.total), values)
 
 
 @dataclass(frozen=True)
 class Range:
-    """Least and largest finite value of a plane, None without any, and the number of pixels that hit nothing."""
+    """Least and largest finite value of a plane, None without any, and the number of pixels that
+    hit nothing."""
 
     low: float | None
     high: float | None
@@ -122,14 +127,17 @@ def range_of(plane: np.ndarray, is_depth: bool) -> Range:
     misses = int((plane >= DEPTH_MISS).sum()) if is_depth else 0
     if not valid.any():
         return Range(None, None, misses)
-    return Range(float(plane.min(where=valid, initial=np.inf)), float(plane.max(where=valid, initial=-np.inf)), misses)
+    return Range(float(plane.min(where=valid, initial=np.inf)),
+                 float(plane.max(where=valid, initial=-np.inf)), misses)
 
 
 def join_ranges(ranges: Iterable[Range]) -> Range:
     """Range of several planes together."""
     found = list(ranges)
-    low, high = ([value for each in found if (value := getattr(each, name)) is not None] for name in ("low", "high"))
-    return Range(min(low, default=None), max(high, default=None), sum(each.misses for each in found))
+    low, high = ([value for each in found if (value := getattr(each, name)) is not None]
+                 for name in ("low", "high"))
+    return Range(min(low, default=None), max(high, default=None),
+                 sum(each.misses for each in found))
 
 
 def finite(plane: np.ndarray, miss: float = DEPTH_MISS) -> np.ndarray:
@@ -138,11 +146,12 @@ def finite(plane: np.ndarray, miss: float = DEPTH_MISS) -> np.ndarray:
 
 
 def noise_level(plane: np.ndarray) -> float | None:
-    """Standard deviation of pixel noise in the flattest quarter of the picture; None if no block can be measured.
+    """Standard deviation of pixel noise in the flattest quarter of the picture; None if no block
+    can be measured.
 
-    plane: (height, width, C). The Laplacian of Immerkaer 1996 ("Fast noise variance estimation") removes edges
-    and slopes; its mean magnitude is taken in blocks of 8 x 8 pixels, of the channel where it is largest. Blocks that
-    hold misses, or nothing but 0, are left out.
+    plane: (height, width, C). The Laplacian of Immerkaer 1996 ("Fast noise variance estimation")
+    removes edges and slopes; its mean magnitude is taken in blocks of 8 x 8 pixels, of the channel
+    where it is largest. Blocks that hold misses, or nothing but 0, are left out.
     """
     if min(plane.shape[:2]) < MEASURED_BLOCK_PX + 2:
         return None
@@ -158,7 +167,8 @@ def noise_level(plane: np.ndarray) -> float | None:
 def blocks(plane: np.ndarray, size: int = MEASURED_BLOCK_PX) -> np.ndarray:
     """Means of whole blocks of a (height, width) plane."""
     rows, columns = plane.shape[0] // size, plane.shape[1] // size
-    result: np.ndarray = plane[: rows * size, : columns * size].reshape(rows, size, columns, size).mean((1, 3))
+    result: np.ndarray = (plane[: rows * size, : columns * size].reshape(rows, size, columns, size)
+                          .mean((1, 3)))
     return result
 
 

@@ -1,8 +1,10 @@
-"""Whether planes are in the right place: edges of one frame's planes coincide, and blocks move as their vectors say.
+"""Whether planes are in the right place: edges of one frame's planes coincide, and blocks move as
+their vectors say.
 
-Planes of one frame show the same outlines. A plane whose outlines fit another frame better, or fit when it is flipped
-or moved, was written to the wrong place. Where a block of the previous frame does not fit after its vectors moved it,
-but fits after one more step, the vectors belong to something else than the block shows.
+Planes of one frame show the same outlines. A plane whose outlines fit another frame better, or fit
+when it is flipped or moved, was written to the wrong place. Where a block of the previous frame
+does not fit after its vectors moved it, but fits after one more step, the vectors belong to
+something else than the block shows.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ from postfx.doctor import blocks, finite, largest
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.sampling import bilinear, is_inside, local_mean
 
-ALIGNED_PLANES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION)
+ALIGNED_PLANES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS,
+                  Role.DEPTH, Role.MOTION)
 ALIGNING_GUIDES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL)
 WINDOW_SIDE_PX = 512
 """Of a larger picture only the middle is examined: this many pixels wide and high at most."""
@@ -51,8 +54,10 @@ class Placement(NamedTuple):
     Attributes:
         at: indices of the frames in which the plane has edges.
         own: mean correlation within its own frame.
-        frames: (frames, frames) correlations of the other planes of a frame (row) with the plane of another (column).
-        flips: mean correlation within its own frame when the plane is flipped, by the name of the flip.
+        frames: (frames, frames) correlations of the other planes of a frame (row) with the plane of
+            another (column).
+        flips: mean correlation within its own frame when the plane is flipped, by the name of the
+            flip.
     """
 
     at: list[int]
@@ -62,7 +67,8 @@ class Placement(NamedTuple):
 
 
 class Mover(NamedTuple):
-    """An object that does not move as its vectors say: its place, the missing step in pixels, its number of blocks."""
+    """An object that does not move as its vectors say: its place, the missing step in pixels, its
+    number of blocks."""
 
     x: int
     y: int
@@ -71,7 +77,8 @@ class Mover(NamedTuple):
 
 
 def compare_edges(frames: Sequence[Frame]) -> dict[Role, Placement]:
-    """How each plane's edges coincide with the others' edges; needs frames of one size with at least two planes."""
+    """How each plane's edges coincide with the others' edges; needs frames of one size with at
+    least two planes."""
     edges = [{role: found for role in (*ALIGNED_PLANES, Role.COLOUR) if role in frame
               and (found := _edges(_window(frame[role]), role)) is not None} for frame in frames]
     return {role: placement for role in dict.fromkeys(role for found in edges for role in found)
@@ -79,21 +86,26 @@ def compare_edges(frames: Sequence[Frame]) -> dict[Role, Placement]:
 
 
 def find_movers(before: Frame, now: Frame) -> list[Mover]:
-    """Objects with the vectors of something else, the largest first; found by albedos and normals, which hold no
-    shadows."""
+    """Objects with the vectors of something else, the largest first; found by albedos and normals,
+    which hold no shadows."""
     roles = [role for role in ALIGNING_GUIDES if role in before and role in now]
-    if not roles or Role.MOTION not in now or min(now.spec.width, now.spec.height) < 4 * ALIGNED_BLOCK_PX:
+    if (not roles or Role.MOTION not in now
+        or min(now.spec.width, now.spec.height) < 4 * ALIGNED_BLOCK_PX):
         return []
-    old, new = (np.concatenate([_window(finite(frame[role])) for role in roles], -1) for frame in (before, now))
+    old, new = (np.concatenate([_window(finite(frame[role])) for role in roles], -1)
+                for frame in (before, now))
     motion = _window(finite(now[Role.MOTION])) + np.float32(np.subtract(now.jitter, before.jitter))
     steps = np.array([(right, down) for down in range(-STEP_REACH_PX, STEP_REACH_PX + 1)
                       for right in range(-STEP_REACH_PX, STEP_REACH_PX + 1)])
     found = []
     for row, column in _bad_blocks(old, new, motion):
         errors = _step_errors(old, new, motion, row, column, steps.astype(np.float32))
-        fitting, best = steps[errors < FITTING_ERROR_SHARE * errors[len(steps) // 2]], steps[errors.argmin()]
-        if len(fitting) and np.abs(fitting - best).max() <= CERTAIN_STEPS_PX:  # else any step along an edge would do
-            found.append((column * ALIGNED_BLOCK_PX, row * ALIGNED_BLOCK_PX, int(best[0]), int(best[1])))
+        fitting, best = (steps[errors < FITTING_ERROR_SHARE * errors[len(steps) // 2]],
+                         steps[errors.argmin()])
+        # else any step along an edge would do
+        if (len(fitting) and np.abs(fitting - best).max() <= CERTAIN_STEPS_PX):
+            found.append((column * ALIGNED_BLOCK_PX, row * ALIGNED_BLOCK_PX, int(best[0]),
+                          int(best[1])))
     return _cluster(found)
 
 
@@ -113,7 +125,8 @@ def _edges(plane: np.ndarray, role: Role) -> np.ndarray | None:
         light = local_mean(np.maximum(finite(plane), 0).mean(2, keepdims=True), 1)
         plane = local_mean(np.log(light / max(float(light.mean()), 1e-6) + np.float32(1e-2)), 1)
     plane = np.clip(finite(plane), -1e4, 1e4)
-    strength = largest(np.abs(np.diff(plane, axis=1)))[:-1] + largest(np.abs(np.diff(plane, axis=0)))[:, :-1]
+    strength = (largest(np.abs(np.diff(plane, axis=1)))[:-1]
+                + largest(np.abs(np.diff(plane, axis=0)))[:, :-1])
     top = float(np.quantile(strength, STRONGEST))
     if top < 1e-6:
         return None
@@ -125,14 +138,17 @@ def _edges(plane: np.ndarray, role: Role) -> np.ndarray | None:
 
 
 def _placement(edges: list[dict[Role, np.ndarray]], role: Role) -> Placement | None:
-    at = [number for number, found in enumerate(edges) if role in found and found.keys() - {role, Role.COLOUR}]
+    at = [number for number, found in enumerate(edges)
+          if role in found and found.keys() - {role, Role.COLOUR}]
     if not at:
         return None
-    others = [_normalise(np.sum([e for r, e in edges[number].items() if r not in (role, Role.COLOUR)], axis=0))
-              for number in at]
+    others = [_normalise(
+        np.sum([e for r, e in edges[number].items() if r not in (role, Role.COLOUR)], axis=0)
+    ) for number in at]
     own = [edges[number][role] for number in at]
     table = np.array([[float(np.vdot(other, plane)) for plane in own] for other in others])
-    flips = {name: float(np.mean([np.vdot(other, flip(plane)) for other, plane in zip(others, own, strict=True)]))
+    flips = {name: float(np.mean([np.vdot(other, flip(plane))
+                                  for other, plane in zip(others, own, strict=True)]))
              for name, flip in FLIPS.items()}
     return Placement(at, float(np.mean(np.diag(table))), table, flips)
 
@@ -162,7 +178,8 @@ def _step_errors(old: np.ndarray, new: np.ndarray, motion: np.ndarray, row: int,
     y, x = np.mgrid[part].astype(np.float32)
     places = np.stack([x, y], -1).reshape(-1, 2) + motion[part].reshape(-1, 2) + steps[:, None]
     values = bilinear(old, places[..., 0].ravel(), places[..., 1].ravel())
-    apart = largest(np.abs(values.reshape(*places.shape[:2], -1) - new[part].reshape(-1, new.shape[2])))
+    apart = largest(np.abs(values.reshape(*places.shape[:2], -1)
+                           - new[part].reshape(-1, new.shape[2])))
     result: np.ndarray = apart.mean(1)
     return result
 

@@ -1,5 +1,5 @@
-"""A look at the first frames of a run, for those who run before they inspect: checks that take milliseconds, each with
-its fix in a line."""
+"""A look at the first frames of a run, for those who run before they inspect: checks that take
+milliseconds, each with its fix in a line."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ from functools import partial
 
 import numpy as np
 
-from postfx.doctor import Finding, Level, geometry_checks, most_important_first, motion_checks, plane_checks
+from postfx.doctor import (
+    Finding,
+    Level,
+    geometry_checks,
+    most_important_first,
+    motion_checks,
+    plane_checks,
+)
 from postfx.doctor.material import Material
 from postfx.frame import Frame, Role
 
@@ -29,15 +36,18 @@ OF_SEVERAL: tuple[Check, ...] = (
     partial(motion_checks.check_samples_stay, least=0.3),  # fine moving texture comes to 0.25
     motion_checks.check_motion_at_a_glance,
 )
-"""Checks that compare frames of a shot: one seed for all, vectors of the wrong sign, axes or unit."""
+"""Checks that compare frames of a shot: one seed for all, vectors of the wrong sign, axes or
+unit."""
 
 COMPARED_FRAMES = 3
 """Frames of a shot that are compared with each other."""
 COMPARED_WINDOW_PX = 640, 360
-"""Most columns and rows, in the middle of the picture, that are compared: more tell little and take long."""
+"""Most columns and rows, in the middle of the picture, that are compared: more tell little and take
+long."""
 MOST_SEEN = 12
 """Frames after which no more are waited for, as where every frame is a shot of its own."""
-READ_FOR_CHECKS = (Role.COLOUR, Role.MOTION, Role.DEPTH, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+READ_FOR_CHECKS = (Role.COLOUR, Role.MOTION, Role.DEPTH, Role.NORMAL, Role.DIFFUSE_ALBEDO,
+                   Role.SPECULAR_ALBEDO)
 """Planes that the checks of several frames read."""
 
 
@@ -51,9 +61,11 @@ class FirstFrames:
         copies: whether the arrays of a frame may hold another one by the next call.
     """
 
-    def __init__(self, channels: Mapping[Role, str] | None = None, enable: Mapping[Role, str] | None = None,
+    def __init__(self, channels: Mapping[Role, str] | None = None,
+                 enable: Mapping[Role, str] | None = None,
                  on_gpu: bool = False, copies: bool = False) -> None:
-        self._channels, self._enable, self._on_gpu, self._copies = channels or {}, enable or {}, on_gpu, copies
+        self._channels, self._enable, self._on_gpu, self._copies = (channels or {}, enable or {},
+                                                                    on_gpu, copies)
         self._seen, self._kept, self._size = 0, list[Frame](), (0, 0)
 
     @property
@@ -69,9 +81,11 @@ class FirstFrames:
         found = self._of_first(frame) if self._seen == 1 else []
         if self._kept and (frame.reset or _size(frame) != self._size):
             self._kept.clear()
-        planes = {role: self._keep(plane) for role, plane in frame.planes.items() if role in READ_FOR_CHECKS}
+        planes = {role: self._keep(plane)
+                  for role, plane in frame.planes.items() if role in READ_FOR_CHECKS}
         self._size = _size(frame)
-        self._kept.append(replace(frame, planes=planes, guides={}, guide_size=None, parts={}, views={}))
+        self._kept.append(replace(frame, planes=planes, guides={}, guide_size=None, parts={},
+                                  views={}))
         if len(self._kept) == COMPARED_FRAMES:
             material = Material(self._kept, whole=_size(frame))
             found += [finding for check in OF_SEVERAL for finding in check(material)]
@@ -80,10 +94,13 @@ class FirstFrames:
 
     def _of_first(self, frame: Frame) -> list[Finding]:
         found = [finding for check in OF_ONE_FRAME for finding in check(Material([frame]))]
-        held = {role: plane for role, plane in frame.planes.items() if not self._channels or role in self._channels}
-        material = Material([replace(frame, planes=held)], enable=dict(self._enable))  # motion may be estimated
+        held = {role: plane for role, plane in frame.planes.items()
+                if not self._channels or role in self._channels}
+        # motion may be estimated
+        material = Material([replace(frame, planes=held)], enable=dict(self._enable))
         material.frames *= 2  # a single frame needs no motion, a run has more
-        return found + [one for one in plane_checks.check_missing_planes(material) if Role(one.role) in self._enable]
+        return found + [one for one in plane_checks.check_missing_planes(material)
+                        if Role(one.role) in self._enable]
 
     def _keep(self, plane: np.ndarray) -> np.ndarray:
         height, width = plane.shape[:2]
@@ -93,7 +110,8 @@ class FirstFrames:
         return window.copy() if self._copies else window
 
     def _matters(self, one: Finding) -> bool:
-        return one.level is not Level.INFO or (self._on_gpu and one.code == plane_checks.OUTSIDE_GAMUT)
+        return (one.level is not Level.INFO
+                or (self._on_gpu and one.code == plane_checks.OUTSIDE_GAMUT))
 
     def _line(self, one: Finding, frame: Frame) -> str:
         fix, evidence = one.fix.partition("; as a file")[0], one.evidence.partition("; of ")[0]
@@ -103,7 +121,8 @@ class FirstFrames:
             return f"AOV {one.role}: {evidence}; fix: {fix}"
         names = self._channels.get(Role(one.role))
         of_file = f" ({names})" if names else ""
-        return f"AOV {one.role}{of_file}, frame {frame.number}: {evidence}; likely: {one.cause}; fix: {fix}"
+        return (f"AOV {one.role}{of_file}, frame {frame.number}: {evidence}; likely: {one.cause}; "
+                f"fix: {fix}")
 
 
 def _size(frame: Frame) -> tuple[int, int]:

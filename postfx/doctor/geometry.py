@@ -1,8 +1,8 @@
 """Surfaces as depth describes them, and whether the other planes agree.
 
-Depth gives normals in camera space and view angles; with two cameras it gives motion too. Stored depth, normals and
-roughness can each mean several things; the meaning that fits the other planes is the right one. Camera space here is
-the picture's: x right, y down, z along the view axis.
+Depth gives normals in camera space and view angles; with two cameras it gives motion too. Stored
+depth, normals and roughness can each mean several things; the meaning that fits the other planes is
+the right one. Camera space here is the picture's: x right, y down, z along the view axis.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from postfx.frame import DEPTH_MISS, Frame, Role, pixel_aspect
 from postfx.integrate.camera import motion_from_depth, perspective, project, view_rays
 from postfx.integrate.surfaces import split_sum
 
-CAMERA_AXES = tuple(map(np.diag, ((-1.0, -1.0, 1.0), (1.0, -1.0, -1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))))
-"""Matrices to the picture's axes from the axes that worldToCamera may have: x left, y up, z forward; x right, y up,
-z back; x right, y up, z forward; x right, y down, z forward."""
+CAMERA_AXES = tuple(map(np.diag,
+                        ((-1.0, -1.0, 1.0), (1.0, -1.0, -1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))))
+"""Matrices to the picture's axes from the axes that worldToCamera may have: x left, y up, z
+forward; x right, y up, z back; x right, y up, z forward; x right, y down, z forward."""
 NEIGHBOUR_STEP_PX = 2
 
 # Largest relative difference in depth between neighbours on one surface, and largest second
@@ -52,9 +53,11 @@ class Points(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """An orthogonal matrix that turns normals computed from depth into the stored ones (row vectors).
+    """An orthogonal matrix that turns normals computed from depth into the stored ones (row
+    vectors).
 
-    `angle`: degrees within which three quarters of the normals agree; `fov_x`: the field of view that was assumed.
+    `angle`: degrees within which three quarters of the normals agree; `fov_x`: the field of view
+    that was assumed.
     """
 
     matrix: np.ndarray
@@ -83,7 +86,8 @@ class DepthScale(NamedTuple):
 
 def is_hit(depth: np.ndarray) -> np.ndarray:
     """(height, width): whether a pixel shows a surface at a positive distance."""
-    result: np.ndarray = np.isfinite(depth[..., 0]) & (depth[..., 0] > 0) & (depth[..., 0] < DEPTH_MISS)
+    result: np.ndarray = (np.isfinite(depth[..., 0]) & (depth[..., 0] > 0)
+                          & (depth[..., 0] < DEPTH_MISS))
     return result
 
 
@@ -106,7 +110,8 @@ def smooth_points(depth: np.ndarray) -> Points:
     up, down = (z[: -2 * NEIGHBOUR_STEP_PX, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX],
                 z[2 * NEIGHBOUR_STEP_PX :, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX])
     with np.errstate(invalid="ignore"):
-        smooth = np.abs(left + right - 2 * middle) < LARGEST_DEPTH_BEND * middle  # a step to one side only is an edge
+        # a step to one side only is an edge
+        smooth = np.abs(left + right - 2 * middle) < LARGEST_DEPTH_BEND * middle
         smooth &= np.abs(up + down - 2 * middle) < LARGEST_DEPTH_BEND * middle
         smooth &= ((np.abs(left - right) < 2 * LARGEST_DEPTH_STEP * middle)
                    & (np.abs(up - down) < 2 * LARGEST_DEPTH_STEP * middle))
@@ -116,7 +121,8 @@ def smooth_points(depth: np.ndarray) -> Points:
 
 
 def normals_of_depth(frame: Frame, fov_x: float, points: Points) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals (count, 3) that face the viewer, and cosines (count,) between them and the way to the eye."""
+    """Unit normals (count, 3) that face the viewer, and cosines (count,) between them and the way
+    to the eye."""
     z = frame[Role.DEPTH][..., 0].astype(np.float64)
 
     def place(down: int, right: int) -> np.ndarray:
@@ -140,7 +146,8 @@ def unit_normals(frame: Frame, points: Points) -> np.ndarray:
 
 
 def surface_normals(frame: Frame) -> np.ndarray:
-    """(count, 3) stored normals that are finite and not zero; only those of hits if the frame has depth."""
+    """(count, 3) stored normals that are finite and not zero; only those of hits if the frame has
+    depth."""
     normal = finite(frame[Role.NORMAL])
     used = largest(np.abs(normal)) > 0
     hit = is_hit(frame[Role.DEPTH]) if Role.DEPTH in frame else used
@@ -166,7 +173,8 @@ def are_unit(normals: np.ndarray) -> bool:
 
 
 def are_scaled(normals: np.ndarray) -> bool:
-    """Whether most normals share one length that is not 1. Means of unit normals have many lengths, up to 1."""
+    """Whether most normals share one length that is not 1. Means of unit normals have many lengths,
+    up to 1."""
     lengths = lengths_of(normals)
     longest = float(np.percentile(lengths, 99.5)) if lengths.size else 1.0
     if longest > 1.03:
@@ -183,10 +191,11 @@ def is_unsigned(frame: Frame) -> bool:
 
 
 def fit_rotation(frame: Frame, views: Sequence[float] = ()) -> Fit | None:
-    """The orthogonal matrix between the normals of depth and the stored ones; None without enough smooth surfaces.
+    """The orthogonal matrix between the normals of depth and the stored ones; None without enough
+    smooth surfaces.
 
-    `views` are the fields of view to try: by default the frame's, else all likely ones. The best fit is returned.
-    Orthogonal Procrustes (Schoenemann 1966), repeated without the worst quarter.
+    `views` are the fields of view to try: by default the frame's, else all likely ones. The best
+    fit is returned. Orthogonal Procrustes (Schoenemann 1966), repeated without the worst quarter.
     """
     points = smooth_points(frame[Role.DEPTH])
     stored = unit_normals(frame, points)
@@ -195,12 +204,14 @@ def fit_rotation(frame: Frame, views: Sequence[float] = ()) -> Fit | None:
         return None
     points, stored = Points(points.rows[there], points.columns[there]), stored[there]
     views = views or ((frame.fov_x,) if frame.fov_x else LIKELY_FOV)
-    return min((_procrustes(normals_of_depth(frame, view, points)[0], stored, view) for view in views),
+    return min((_procrustes(normals_of_depth(frame, view, points)[0], stored, view)
+                for view in views),
                key=lambda fit: fit.angle)
 
 
 def angle_by(frame: Frame, fov_x: float, matrix: np.ndarray) -> float:
-    """Degrees within which three quarters of the stored normals agree with the normals of depth times `matrix`."""
+    """Degrees within which three quarters of the stored normals agree with the normals of depth
+    times `matrix`."""
     points = smooth_points(frame[Role.DEPTH])
     stored = unit_normals(frame, points)
     cosines = dots(normals_of_depth(frame, fov_x, points)[0] @ matrix, stored)[stored.any(-1)]
@@ -208,7 +219,8 @@ def angle_by(frame: Frame, fov_x: float, matrix: np.ndarray) -> float:
 
 
 def motion_of_camera(before: Frame, now: Frame) -> np.ndarray | None:
-    """Motion (count, 2) in pixels that the cameras alone cause at up to 5000 surface points; None without cameras.
+    """Motion (count, 2) in pixels that the cameras alone cause at up to 5000 surface points; None
+    without cameras.
 
     Points behind the earlier camera have `postfx.integrate.camera.OUT_OF_SIGHT`.
     """
@@ -228,7 +240,8 @@ def motion_of_camera(before: Frame, now: Frame) -> np.ndarray | None:
 
 
 def world_axes(frame: Frame) -> list[np.ndarray]:
-    """Matrices from the picture's axes to the world's, one for each of `CAMERA_AXES`; none without a camera."""
+    """Matrices from the picture's axes to the world's, one for each of `CAMERA_AXES`; none without
+    a camera."""
     if frame.world_to_camera is None:
         return []
     rotation = frame.world_to_camera[:3, :3]
@@ -237,7 +250,8 @@ def world_axes(frame: Frame) -> list[np.ndarray]:
 
 
 def explain_by_camera(frame: Frame, fit: Fit) -> np.ndarray | None:
-    """The header's matrix, if it turns the normals of depth into the stored ones nearly as well as the best fit does.
+    """The header's matrix, if it turns the normals of depth into the stored ones nearly as well as
+    the best fit does.
 
     Where one plane fills the picture, the best fit may be turned about that plane's normal.
     """
@@ -246,11 +260,13 @@ def explain_by_camera(frame: Frame, fit: Fit) -> np.ndarray | None:
 
 
 def fit_depth_scale(before: Frame, now: Frame) -> DepthScale | None:
-    """The factor on depth with which the cameras explain the stored motion best; None without cameras or surfaces."""
+    """The factor on depth with which the cameras explain the stored motion best; None without
+    cameras or surfaces."""
     if now.fov_x is None or before.fov_x is None or Role.DEPTH not in now or Role.MOTION not in now:
         return None
     points, (width, height) = smooth_points(now[Role.DEPTH]), (now.spec.width, now.spec.height)
-    if now.world_to_camera is None or before.world_to_camera is None or points.rows.size < FEWEST_FITTED_POINTS:
+    if (now.world_to_camera is None or before.world_to_camera is None
+        or points.rows.size < FEWEST_FITTED_POINTS):
         return None
     try:
         clip = _world_to_clip(now, now.world_to_camera, now.fov_x)
@@ -264,7 +280,8 @@ def fit_depth_scale(before: Frame, now: Frame) -> DepthScale | None:
     stored = now[Role.MOTION][chosen]
 
     def motion(scale: float) -> np.ndarray:
-        result: np.ndarray = np.nan_to_num(project(eye + scale * way, earlier, width, height) - at, nan=1e4)
+        result: np.ndarray = np.nan_to_num(project(eye + scale * way, earlier, width, height) - at,
+                                           nan=1e4)
         return result
 
     def error(scale: float) -> float:
@@ -283,8 +300,8 @@ def _typical_length(vectors: np.ndarray) -> float:
 
 
 def _world_to_clip(frame: Frame, world_to_camera: np.ndarray, fov_x: float) -> np.ndarray:
-    to_clip = perspective(fov_x, frame.spec.width, frame.spec.height, right="-x", up="+y", forward="+z",
-                          pixel_aspect=pixel_aspect(frame.metadata))
+    to_clip = perspective(fov_x, frame.spec.width, frame.spec.height, right="-x", up="+y",
+                          forward="+z", pixel_aspect=pixel_aspect(frame.metadata))
     matrix: np.ndarray = world_to_camera @ to_clip
     return matrix
 
@@ -303,8 +320,8 @@ def _procrustes(seen: np.ndarray, stored: np.ndarray, fov_x: float) -> Fit:
 class DepthKind:
     """What stored depth may mean, and how depth along the view axis follows from it.
 
-    `planar` takes stored values (height, width) and the cosine between ray and axis, and returns depth. A kind that is
-    `in_unit` makes sense for values within 0..1 only.
+    `planar` takes stored values (height, width) and the cosine between ray and axis, and returns
+    depth. A kind that is `in_unit` makes sense for values within 0..1 only.
     """
 
     code: str
@@ -316,33 +333,39 @@ class DepthKind:
 
 
 def _unscale(near: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Depth, in units of the far plane, from depth that was scaled to 0..1 between the near and the far plane."""
+    """Depth, in units of the far plane, from depth that was scaled to 0..1 between the near and the
+    far plane."""
     return lambda d, cosine: near + d * (1 - near)
 
 
 DEPTH_VARIANTS = (
     DepthKind("", "depth along the view axis", "", "", lambda d, cosine: d),
-    DepthKind("depth-ray", "distance from the eye", "ray distance was written instead of depth along the view axis",
-              "multiply by the cosine between ray and axis, or give --depth ray,fov=DEGREES (in a profile "
-              "kind = \"ray\" and fov_x)", lambda d, cosine: d * cosine),
-    DepthKind("depth-reversed", "1 / depth (near large, far 0)", "reversed depth buffer or disparity",
-              "write linear depth: near / value of a reversed buffer, or give --depth reversed,near=DISTANCE",
-              lambda d, cosine: 1 / d),
+    DepthKind("depth-ray", "distance from the eye",
+              "ray distance was written instead of depth along the view axis",
+              "multiply by the cosine between ray and axis, or give --depth ray,fov=DEGREES (in a "
+              "profile kind = \"ray\" and fov_x)", lambda d, cosine: d * cosine),
+    DepthKind("depth-reversed", "1 / depth (near large, far 0)",
+              "reversed depth buffer or disparity",
+              "write linear depth: near / value of a reversed buffer, or give --depth "
+              "reversed,near=DISTANCE", lambda d, cosine: 1 / d),
     DepthKind("depth-hyperbolic", "a depth buffer 0..1", "the depth buffer was written as it is",
-              "write linear depth: near far / (far - value (far - near)), or give --depth device,near=...,far=...",
-              lambda d, cosine: 1 / (1 - d), True),
-    *(DepthKind("depth-normalised", f"(depth - near) / (far - near) with near about {near:.2g} times far",
+              "write linear depth: near far / (far - value (far - near)), or give --depth "
+              "device,near=...,far=...", lambda d, cosine: 1 / (1 - d), True),
+    *(DepthKind("depth-normalised",
+                f"(depth - near) / (far - near) with near about {near:.2g} times far",
                 "depth was scaled to 0..1 between a near and a far distance",
-                "write depth in scene units: near + value (far - near), "
-                "or give --depth normalised,near=...,far=...", _unscale(near), True) for near in NEAR_PLANES),
-    DepthKind("depth-reversed", "1 - depth / far (near 1, far 0)", "depth scaled to 0..1 with near white",
-              "write depth in scene units: (1 - value) far, or give --depth normalised-reversed,near=0,far=...",
-              lambda d, cosine: 1 - d, True),
+                "write depth in scene units: near + value (far - near), or give --depth "
+                "normalised,near=...,far=...", _unscale(near), True) for near in NEAR_PLANES),
+    DepthKind("depth-reversed", "1 - depth / far (near 1, far 0)",
+              "depth scaled to 0..1 with near white",
+              "write depth in scene units: (1 - value) far, or give --depth "
+              "normalised-reversed,near=0,far=...", lambda d, cosine: 1 - d, True),
 )
 
 
 def fit_depth_kinds(frame: Frame) -> dict[DepthKind, Fit]:
-    """How well normals agree with each kind of depth that can be tried; empty without normals or enough surfaces."""
+    """How well normals agree with each kind of depth that can be tried; empty without normals or
+    enough surfaces."""
     if Role.DEPTH not in frame or Role.NORMAL not in frame:
         return {}
     kinds = [kind for kind in DEPTH_VARIANTS if not kind.in_unit or _within_one(frame)]
@@ -372,7 +395,8 @@ def _reread(frame: Frame, kind: DepthKind, fov_x: float | None) -> Frame:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         planar = kind.planar(np.where(hit, depth[..., 0], 0.5).astype(np.float64), cosine)
     planar = np.where(hit & np.isfinite(planar) & (planar > 0), planar, DEPTH_MISS)
-    return replace(frame, planes={Role.DEPTH: planar[..., None].astype(np.float32), Role.NORMAL: frame[Role.NORMAL]},
+    return replace(frame, planes={Role.DEPTH: planar[..., None].astype(np.float32),
+                                  Role.NORMAL: frame[Role.NORMAL]},
                    fov_x=fov_x, guides={}, guide_size=None)
 
 
@@ -398,14 +422,17 @@ class RoughnessKind:
 
 ROUGHNESS_KINDS = (
     RoughnessKind("", "linear roughness", "", "", lambda stored: stored),
-    RoughnessKind("roughness-squared", "squared roughness (alpha)", "alpha of the microfacet model was written",
+    RoughnessKind("roughness-squared", "squared roughness (alpha)",
+                  "alpha of the microfacet model was written",
                   "write the square root of alpha", np.sqrt),
     RoughnessKind("roughness-root", "the square root of roughness",
                   "linear roughness was taken for alpha, or display-encoded",
                   "write it without the square root or transfer curve", np.square),
     RoughnessKind("roughness-smoothness", "smoothness", "smoothness or glossiness was written",
-                  "write 1 - smoothness, or in a profile scale = [-1], offset = [-1]", lambda stored: 1 - stored),
-    RoughnessKind("roughness-smoothness", "smoothness of squared roughness", "smoothness was written as 1 - alpha",
+                  "write 1 - smoothness, or in a profile scale = [-1], offset = [-1]",
+                  lambda stored: 1 - stored),
+    RoughnessKind("roughness-smoothness", "smoothness of squared roughness",
+                  "smoothness was written as 1 - alpha",
                   "write the square root of 1 - smoothness", lambda stored: np.sqrt(1 - stored)),
 )
 
@@ -414,13 +441,15 @@ ROUGHNESS_KINDS = (
 class RoughnessFit:
     """How well each kind of roughness explains specular albedo.
 
-    Split-sum directional albedo (Karis 2014, "Physically based shading on mobile"): specular = F0 scale + bias, where
-    scale and bias follow from roughness and the cosine of the view angle. On surfaces of one material F0 is constant,
-    so with the right kind one F0, no less than water's, explains all angles.
+    Split-sum directional albedo (Karis 2014, "Physically based shading on mobile"): specular = F0
+    scale + bias, where scale and bias follow from roughness and the cosine of the view angle. On
+    surfaces of one material F0 is constant, so with the right kind one F0, no less than water's,
+    explains all angles.
 
     Attributes:
         errors: kind -> median error of specular albedo.
-        without_angle: the error of a model in which specular albedo does not depend on the view angle.
+        without_angle: the error of a model in which specular albedo does not depend on the view
+            angle.
         pixels: number of pixels used.
     """
 
@@ -440,18 +469,21 @@ class RoughnessFit:
 
     @property
     def is_telling(self) -> bool:
-        """Whether specular albedo follows the view angle as the model says; some renderers write one that does not."""
+        """Whether specular albedo follows the view angle as the model says; some renderers write
+        one that does not."""
         return max(self.errors[self.best], LEAST_ERROR) < FOLLOWS_ANGLE * self.without_angle
 
     @property
     def certainty(self) -> float:
-        """0 when the best kind fits no better than the plane as it is, 1 when it leaves no error."""
+        """0 when the best kind fits no better than the plane as it is, 1 when it leaves no
+        error."""
         best = max(self.errors[self.best], LEAST_ERROR)
         return max(0.0, 1 - best / max(self.as_it_is, LEAST_ERROR))
 
 
 def environment_brdf(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Scale and bias of F0 in the directional albedo (Karis 2014); all arrays of one shape, 0..1."""
+    """Scale and bias of F0 in the directional albedo (Karis 2014); all arrays of one shape,
+    0..1."""
     x, y = 1 - roughness, 0.0425 - 0.0275 * roughness
     z, w = 1.04 - 0.572 * roughness, -0.04 + 0.022 * roughness
     a = np.minimum(x * x, np.exp2(-9.28 * cosine)) * x + y
@@ -466,20 +498,23 @@ def fit_roughness(frame: Frame) -> RoughnessFit | None:
     points = smooth_points(frame[Role.DEPTH])
     _, cosine = normals_of_depth(frame, frame.fov_x, points)
     stored = finite(frame[Role.ROUGHNESS])[points.rows, points.columns, 0].astype(np.float64)
-    specular = finite(frame[Role.SPECULAR_ALBEDO]).min(2)[points.rows, points.columns].astype(np.float64)
+    specular = (finite(frame[Role.SPECULAR_ALBEDO])
+                .min(2)[points.rows, points.columns].astype(np.float64))
     known = (specular > 0.005) & (stored >= 0) & (stored <= 1) & (cosine > 0.05)
     groups = _groups(stored[known])
     if not groups:
         return None
     values = stored[known], specular[known], cosine[known]
     errors = {kind: _error(kind, groups, *values) for kind in ROUGHNESS_KINDS}
-    without = [np.median(np.abs(values[1][group] - np.median(values[1][group]))) for group in groups]
+    without = [np.median(np.abs(values[1][group] - np.median(values[1][group])))
+               for group in groups]
     sizes = [group.size for group in groups]
     return RoughnessFit(errors, float(np.average(without, weights=sizes)), sum(sizes))
 
 
 def _groups(stored: np.ndarray) -> list[np.ndarray]:
-    """Indices of pixels by groups whose roughness is the same to 1/256; small groups are left out."""
+    """Indices of pixels by groups whose roughness is the same to 1/256; small groups are left
+    out."""
     steps = np.rint(stored * 256).astype(int)
     counts = np.bincount(steps, minlength=257)
     return [np.nonzero(steps == step)[0] for step in np.nonzero(counts >= LEAST_PIXELS)[0]]
@@ -494,9 +529,10 @@ def _error(kind: RoughnessKind, groups: list[np.ndarray], *planes: np.ndarray) -
     return min(_error_by(model, kind, groups, *planes) for model in MODELS)
 
 
-def _error_by(model: Model, kind: RoughnessKind, groups: list[np.ndarray], stored: np.ndarray, specular: np.ndarray,
-              cosine: np.ndarray) -> float:
-    """Mean over the groups of the median error of specular albedo, with the F0 that suits most pixels."""
+def _error_by(model: Model, kind: RoughnessKind, groups: list[np.ndarray], stored: np.ndarray,
+              specular: np.ndarray, cosine: np.ndarray) -> float:
+    """Mean over the groups of the median error of specular albedo, with the F0 that suits most
+    pixels."""
     errors = []
     for group in groups:
         scale, bias = model(kind.linear(stored[group]), cosine[group])

@@ -1,4 +1,5 @@
-"""Depth, normals, albedos and roughness: find what each plane holds by comparing it with the others."""
+"""Depth, normals, albedos and roughness: find what each plane holds by comparing it with the
+others."""
 
 from __future__ import annotations
 
@@ -10,7 +11,17 @@ import numpy as np
 
 from postfx.colour import luminance
 from postfx.colour.displays import srgb_decode
-from postfx.doctor import Finding, correlation, error, finite, info, largest, noise_level, percent, warning
+from postfx.doctor import (
+    Finding,
+    correlation,
+    error,
+    finite,
+    info,
+    largest,
+    noise_level,
+    percent,
+    warning,
+)
 from postfx.doctor.geometry import (
     CAMERA_AXES,
     DEPTH_VARIANTS,
@@ -54,12 +65,15 @@ def check_depth_misses(material: Material) -> Iterator[Finding]:
     below = depth < 0
     if percent(below) > 0.1:
         evidence = f"{percent(below):.3g} % of the pixels negative, least {depth.min():.4g}"
-        yield error(Role.DEPTH, "depth-negative", evidence, "a camera that looks along -z, or -1 for misses",
+        yield error(Role.DEPTH, "depth-negative", evidence,
+                    "a camera that looks along -z, or -1 for misses",
                     "negate it; misses are 1e10 (in a profile scale = [-1], miss = VALUE)")
     share = percent(depth == 0)
     if share > 0.1:
-        yield warning(Role.DEPTH, "depth-miss-zero", f"{share:.3g} % of the pixels exactly 0", "misses stored as 0",
-                    "store 1e10 where nothing was hit, or give --depth planar,miss=0 (in a profile miss = 0.0)")
+        yield warning(Role.DEPTH, "depth-miss-zero", f"{share:.3g} % of the pixels exactly 0",
+                    "misses stored as 0",
+                    "store 1e10 where nothing was hit, or give --depth planar,miss=0 (in a profile "
+                    "miss = 0.0)")
     is_there = is_hit(depth[..., None])
     hit = depth[is_there]
     if hit.size < 100:
@@ -69,13 +83,16 @@ def check_depth_misses(material: Material) -> Iterator[Finding]:
     others = hit[~same]
     if others.size and percent(same) > 0.5 and largest > FAR_AWAY * np.percentile(others, 95) \
             and not _have_normals(material.middle, is_there & (depth == largest)):
-        evidence = f"{percent(same):.3g} % of the hits are exactly {largest:.6g}, the others below {others.max():.4g}"
-        yield warning(Role.DEPTH, "depth-miss-far", evidence, "misses stored as the far plane or the largest half "
-                      "float", f"store 1e10 where nothing was hit, or in a profile miss = {largest:.6g}")
+        evidence = (f"{percent(same):.3g} % of the hits are exactly {largest:.6g}, the others "
+                    f"below {others.max():.4g}")
+        yield warning(Role.DEPTH, "depth-miss-far", evidence,
+                      "misses stored as the far plane or the largest half float",
+                      f"store 1e10 where nothing was hit, or in a profile miss = {largest:.6g}")
 
 
 def _have_normals(frame: Frame, there: np.ndarray) -> bool:
-    """Whether pixels show a surface, such as a backdrop that faces the camera: they have normals of unit length."""
+    """Whether pixels show a surface, such as a backdrop that faces the camera: they have normals of
+    unit length."""
     if Role.NORMAL not in frame:
         return False
     lengths = np.linalg.norm(np.nan_to_num(frame[Role.NORMAL][there]), axis=-1)
@@ -83,14 +100,17 @@ def _have_normals(frame: Frame, there: np.ndarray) -> bool:
 
 
 def check_depth_kind(material: Material) -> Iterator[Finding]:
-    """Ray distance, reversed or buffer depth, and a wrong field of view, found by the normals that depth gives."""
+    """Ray distance, reversed or buffer depth, and a wrong field of view, found by the normals that
+    depth gives."""
     frame = material.middle
     if Role.DEPTH not in frame or is_unsigned(frame):
         return
     fits = fit_depth_kinds(frame)
     if DEPTH_VARIANTS[0] not in fits:
-        yield info(Role.DEPTH, "depth-untested", "depth may be planar, ray distance or reversed: not tested",
-                   "it needs normals and some hundred pixels of smooth surfaces", "look at its picture (--pictures)")
+        yield info(Role.DEPTH, "depth-untested",
+                   "depth may be planar, ray distance or reversed: not tested",
+                   "it needs normals and some hundred pixels of smooth surfaces",
+                   "look at its picture (--pictures)")
         return
     stored = fits[DEPTH_VARIANTS[0]].angle
     kind = min(fits, key=lambda kind: fits[kind].angle)
@@ -100,16 +120,17 @@ def check_depth_kind(material: Material) -> Iterator[Finding]:
     if stored < CLEARLY_OFF or best.angle >= min(MUCH_BETTER * stored, WELL):
         return
     if best is other:
-        yield warning("sequence", "fov-mismatch", _facing(best, stored) + f"; the header says {frame.fov_x:.4g}",
-                      "vertical field of view, or another camera's", "write the horizontal field of view in degrees to "
-                      "postfx:fovX")
+        yield warning("sequence", "fov-mismatch", _facing(best, stored) + "; the header says "
+                      f"{frame.fov_x:.4g}", "vertical field of view, or another camera's",
+                      "write the horizontal field of view in degrees to postfx:fovX")
     else:
         yield error(Role.DEPTH, kind.code, _facing(best, stored, kind), kind.cause, kind.fix)
 
 
 def _facing(fit: Fit, stored: float, kind: DepthKind = DEPTH_VARIANTS[0]) -> str:
-    return (f"surfaces face within {fit.angle:.2g} degrees of their normals if depth is {kind.name} and the field of "
-            f"view {fit.fov_x:.4g} degrees; {stored:.3g} degrees as it is")
+    return (f"surfaces face within {fit.angle:.2g} degrees of their normals if depth is "
+            f"{kind.name} and the field of view {fit.fov_x:.4g} degrees; {stored:.3g} degrees as "
+            "it is")
 
 
 DEPTH_EXPLAINS = 4.0
@@ -136,30 +157,37 @@ def check_normal_encoding(material: Material) -> Iterator[Finding]:
         return
     if is_unsigned(material.middle):
         decoded = np.median(lengths_of(2 * normal - 1))
-        evidence = f"no value below {normal.min():.2g}, and 2 n - 1 has length {decoded:.3f} in the median"
-        yield error(Role.NORMAL, "normal-unsigned", evidence, "normals stored as colours, (n + 1) / 2",
-                    "store signed values, or in a profile offset = [-0.5, -0.5, -0.5], scale = [2, 2, 2]")
+        evidence = (f"no value below {normal.min():.2g}, and 2 n - 1 has length {decoded:.3f} in "
+                    "the median")
+        yield error(Role.NORMAL, "normal-unsigned", evidence,
+                    "normals stored as colours, (n + 1) / 2",
+                    "store signed values, or in a profile offset = [-0.5, -0.5, -0.5], scale = [2, "
+                    "2, 2]")
     elif not are_unit(normal) or are_scaled(normal):
         lengths = np.percentile(lengths_of(normal), (5, 50, 95))
-        evidence = f"lengths {lengths[0]:.3g} / {lengths[1]:.3g} / {lengths[2]:.3g} (5th, 50th, 95th percentile)"
+        evidence = (f"lengths {lengths[0]:.3g} / {lengths[1]:.3g} / {lengths[2]:.3g} (5th, 50th, "
+                    "95th percentile)")
         if are_scaled(normal):
-            yield error(Role.NORMAL, "normal-length", evidence, "scaled, or not a normal", "write unit normals, or "
-                        "scale them in a profile")
+            yield error(Role.NORMAL, "normal-length", evidence, "scaled, or not a normal",
+                        "write unit normals, or scale them in a profile")
         else:
-            yield info(Role.NORMAL, "normal-averaged", evidence, "each pixel's normal is the mean of samples that "
-                       "missed or saw several surfaces: fur, leaves, volumes, motion blur, depth of field",
+            yield info(Role.NORMAL, "normal-averaged", evidence,
+                       "each pixel's normal is the mean of samples that missed or saw several "
+                       "surfaces: fur, leaves, volumes, motion blur, depth of field",
                        "nothing: postfx uses such a normal as a hint")
 
 
 def check_normal_space(material: Material) -> Iterator[Finding]:
-    """Camera space, inverted normals, or a matrix that does not fit, found by the normals that depth gives."""
+    """Camera space, inverted normals, or a matrix that does not fit, found by the normals that
+    depth gives."""
     frame, fit = material.middle, material.fit
     if Role.NORMAL not in frame or is_unsigned(frame):
         return
     if fit is None or fit.angle > DEPTH_EXPLAINS:
         yield info(Role.NORMAL, "normal-space-untested", "the space of the normals was not tested",
-                   "it needs depth along the view axis and smooth surfaces", "look at its picture (--pictures): world "
-                   "normals keep their colours when the camera turns")
+                   "it needs depth along the view axis and smooth surfaces",
+                   "look at its picture (--pictures): world normals keep their colours when the "
+                   "camera turns")
         return
     camera = min(_turn(fit.matrix, flip) for flip in _FLIPS)
     if frame.world_to_camera is None:
@@ -174,42 +202,54 @@ def check_normal_space(material: Material) -> Iterator[Finding]:
     if camera < SAME_AXES_DEGREES:
         yield error(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space",
                     "write world normals, or in a profile space = \"camera\"")
-    elif (inverted := min(_turn(fit.matrix, -matrix) for matrix in world_axes(frame))) < SAME_AXES_DEGREES:
-        evidence = f"negated, they are within {inverted:.2g} degrees of the normals that depth and camera give"
+    elif ((inverted := min(_turn(fit.matrix, -matrix) for matrix in world_axes(frame)))
+          < SAME_AXES_DEGREES):
+        evidence = (f"negated, they are within {inverted:.2g} degrees of the normals that depth "
+                    "and camera give")
         yield error(Role.NORMAL, "normal-inverted", evidence, "normals point away from the viewer",
                     "negate them, in a profile scale = [-1, -1, -1]")
-    elif not _is_right(material) and min(
-            _turn(fit.matrix, axes @ frame.world_to_camera[:3, :3]) for axes in CAMERA_AXES) < SAME_AXES_DEGREES:
-        yield error("sequence", "matrix-transposed", evidence, "worldToCamera stored for column vectors, or inverted",
+    elif (not _is_right(material) and min(
+            _turn(fit.matrix, axes @ frame.world_to_camera[:3, :3])
+            for axes in CAMERA_AXES) < SAME_AXES_DEGREES):
+        yield error("sequence", "matrix-transposed", evidence,
+                    "worldToCamera stored for column vectors, or inverted",
                     "store it for row vectors (p_camera = p_world M)")
     elif (other := _other_axes(frame, fit)) is not None:
-        evidence = f"with {other[0]} they are within {other[1]:.2g} degrees of the normals that depth and camera give"
-        yield error(Role.NORMAL, "normal-axes", evidence, "the normals and worldToCamera use different world axes: "
-                    "channels swapped, one negated, or y up and z up mixed",
-                    "write normals and worldToCamera in the same world, or reorder the channels in a profile")
+        evidence = (f"with {other[0]} they are within {other[1]:.2g} degrees of the normals that "
+                    "depth and camera give")
+        yield error(Role.NORMAL, "normal-axes", evidence,
+                    "the normals and worldToCamera use different world axes: channels swapped, one "
+                    "negated, or y up and z up mixed",
+                    "write normals and worldToCamera in the same world, or reorder the channels in "
+                    "a profile")
     else:
-        yield warning("sequence", "matrix-mismatch", evidence, "worldToCamera of another frame or with other axes",
+        yield warning("sequence", "matrix-mismatch", evidence,
+                      "worldToCamera of another frame or with other axes",
                       "give the matrix of this frame, for row vectors (p_camera = p_world M)")
 
 
 def check_normal_mixed(material: Material) -> Iterator[Finding]:
     """Some normals in world space and some in camera space."""
     frame = material.middle
-    if frame.world_to_camera is None or Role.NORMAL not in frame or Role.DEPTH not in frame or is_unsigned(frame):
+    if (frame.world_to_camera is None or Role.NORMAL not in frame or Role.DEPTH not in frame
+        or is_unsigned(frame)):
         return
-    points, fov = smooth_points(frame[Role.DEPTH]), frame.fov_x or (material.fit.fov_x if material.fit else None)
+    points, fov = (smooth_points(frame[Role.DEPTH]),
+                   frame.fov_x or (material.fit.fov_x if material.fit else None))
     if fov is None or points.rows.size < FEW_POINTS:
         return
     if material.fit and material.fit.angle < DEPTH_EXPLAINS and material.picture_to_world is None:
         return  # all normals are in one space, though not in the world's
     seen, stored = normals_of_depth(frame, fov, points)[0], unit_normals(frame, points)
-    world = max((((seen @ matrix) * stored).sum(-1) for matrix in world_axes(frame)), key=lambda c: percent(c > AGREES))
+    world = max((((seen @ matrix) * stored).sum(-1) for matrix in world_axes(frame)),
+                key=lambda c: percent(c > AGREES))
     camera = max((((seen @ flip) * stored).sum(-1) for flip in _FLIPS),
                  key=lambda c: percent((c > AGREES) & (world < DIFFERS)))
     shares = percent(world > AGREES), percent((camera > AGREES) & (world < DIFFERS))
     if min(shares) > FEW_MIXED:
-        yield error(Role.NORMAL, "normal-mixed", f"{shares[0]:.3g} % of the normals are in world space, "
-                    f"{shares[1]:.3g} % in camera space", "shaders or objects that write different spaces",
+        yield error(Role.NORMAL, "normal-mixed",
+                    f"{shares[0]:.3g} % of the normals are in world space, {shares[1]:.3g} % in "
+                    "camera space", "shaders or objects that write different spaces",
                     "write all in world space")
 
 
@@ -221,21 +261,26 @@ def check_normal_facing(material: Material) -> Iterator[Finding]:
     points = smooth_points(frame[Role.DEPTH])
     seen, _ = normals_of_depth(frame, fit.fov_x, points)
     explained = material.picture_to_world
-    cosines = ((seen @ (fit.matrix if explained is None else explained)) * unit_normals(frame, points)).sum(-1)
+    cosines = ((seen @ (fit.matrix if explained is None else explained))
+               * unit_normals(frame, points)).sum(-1)
     if (share := percent(cosines < -0.7)) > 1:
-        yield warning(Role.NORMAL, "normal-facing", f"{share:.3g} % of the pixels point away from the viewer",
+        yield warning(Role.NORMAL, "normal-facing",
+                      f"{share:.3g} % of the pixels point away from the viewer",
                       "normals of the geometry, not turned towards the viewer",
                       "negate the normals with normal . view > 0")
 
 
 def _is_right(material: Material) -> bool:
-    """Whether worldToCamera explains the stored motion: a transposed matrix may explain normals with other axes."""
-    fits = [fit for pair in material.pairs if (fit := fit_depth_scale(*pair)) and fit.length > LEAST_MOTION_PX]
+    """Whether worldToCamera explains the stored motion: a transposed matrix may explain normals
+    with other axes."""
+    fits = [fit for pair in material.pairs
+            if (fit := fit_depth_scale(*pair)) and fit.length > LEAST_MOTION_PX]
     return bool(fits) and all(fit.error_as_it_is < RIGHT_MOTION_ERROR * fit.length for fit in fits)
 
 
 def _other_axes(frame: Frame, fit: Fit) -> tuple[str, float] | None:
-    """Order and signs of the channels that make normals fit the camera, in words, and the angle that remains."""
+    """Order and signs of the channels that make normals fit the camera, in words, and the angle
+    that remains."""
     found = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
@@ -249,9 +294,11 @@ def _other_axes(frame: Frame, fit: Fit) -> tuple[str, float] | None:
 
 def _without_matrix(camera: float) -> Iterator[Finding]:
     if camera < SAME_AXES_DEGREES:
-        evidence = f"normals are within {camera:.2g} degrees of the camera's axes; certain only with worldToCamera"
-        yield warning(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space, or the camera looks "
-                      "along an axis of the world and stands still", "write world normals and a worldToCamera header")
+        evidence = (f"normals are within {camera:.2g} degrees of the camera's axes; certain only "
+                    "with worldToCamera")
+        yield warning(Role.NORMAL, "normal-camera-space", evidence,
+                      "normals are in camera space, or the camera looks along an axis of the world "
+                      "and stands still", "write world normals and a worldToCamera header")
 
 
 def _turn(one: np.ndarray, other: np.ndarray) -> float:
@@ -269,7 +316,8 @@ FEWEST_LIT_SQUARES = 20
 TOO_STEEP = 1.2
 SWAPPED = -0.2
 ENCODED_DARK = 0.2
-"""Largest channel of the darkest albedos (2nd percentile): a dark albedo of 0.04 is encoded as 0.22."""
+"""Largest channel of the darkest albedos (2nd percentile): a dark albedo of 0.04 is encoded as
+0.22."""
 MUCH_TOO_BRIGHT = 0.3  # percent
 
 
@@ -282,7 +330,8 @@ def check_albedo_above_one(material: Material) -> Iterator[Finding]:
         share = percent(plane > 1.001)
         if share > 0:
             evidence = f"{share:.3g} % of the pixels above 1, largest {plane.max():.3g}"
-            cause = "the AOV shows a light or a reflection, holds lit colour instead of reflectance, or is scaled"
+            cause = ("the AOV shows a light or a reflection, holds lit colour instead of "
+                     "reflectance, or is scaled")
             fix = "write reflectance without light; values above 1 are cut off"
             level = error if share > MOST_ABOVE else warning if share > 0.1 else info
             yield level(role, "albedo-above-one", evidence, cause, fix)
@@ -299,11 +348,14 @@ def check_albedo_noisy(material: Material) -> Iterator[Finding]:
         if level is None or level < NOISY_ALBEDO or level < 0.02 * float(plane[used].mean()):
             continue
         shared = _shared_noise(material.middle, plane)
-        evidence = f"noise of {level:.3g} in the flattest quarter of the picture, mean {plane[used].mean():.3g}; "
+        evidence = (f"noise of {level:.3g} in the flattest quarter of the picture, mean "
+                    f"{plane[used].mean():.3g}; ")
         evidence += f"{shared:.2f} correlated with the colour's noise"
         lit = shared > SAME_NOISE and not _is_averaged(material.middle)
-        cause = "the AOV holds lit colour" if lit else "depth of field, motion blur or rough layers in the AOV"
-        fix = "write reflectance without light" if lit else "write it at the first hit, or with more samples"
+        cause = ("the AOV holds lit colour" if lit
+                 else "depth of field, motion blur or rough layers in the AOV")
+        fix = ("write reflectance without light" if lit
+               else "write it at the first hit, or with more samples")
         yield warning(role, "albedo-is-lit" if lit else "albedo-noisy", evidence, cause, fix)
 
 
@@ -313,42 +365,52 @@ def _reflectance(plane: np.ndarray) -> np.ndarray:
 
 
 def _is_averaged(frame: Frame) -> bool:
-    """Whether planes are means of few samples that saw different surfaces: then they have the colour's noise."""
+    """Whether planes are means of few samples that saw different surfaces: then they have the
+    colour's noise."""
     normals = surface_normals(frame) if Role.NORMAL in frame else np.zeros((0, 3))
     return len(normals) > 0 and not are_scaled(normals) and percent(lengths_of(normals) < 0.9) > 20
 
 
 def check_albedo_encoded(material: Material) -> Iterator[Finding]:
-    """Albedo stored with a display curve, with red and blue swapped, or multiplied into the colour twice."""
-    frames = [frame for frame in material.frames if Role.COLOUR in frame and Role.DIFFUSE_ALBEDO in frame]
+    """Albedo stored with a display curve, with red and blue swapped, or multiplied into the colour
+    twice."""
+    frames = [frame
+              for frame in material.frames if Role.COLOUR in frame and Role.DIFFUSE_ALBEDO in frame]
     if not frames or _is_averaged(material.middle):
         return
-    albedo = np.concatenate([largest(finite(frame[Role.DIFFUSE_ALBEDO])).ravel() for frame in frames])
+    albedo = np.concatenate([largest(finite(frame[Role.DIFFUSE_ALBEDO])).ravel()
+                             for frame in frames])
     darkest = float(np.percentile(albedo[albedo > 0.004], 2)) if (albedo > 0.004).any() else 0.0
     contrast, tint = measure_slopes(frames)
-    words = ("textures change colour {:.2f} times as much as the albedo (logarithms, upper quartile of {} squares), "
-             "where at most 1 is possible")
+    words = ("textures change colour {:.2f} times as much as the albedo (logarithms, upper "
+             "quartile of {} squares), where at most 1 is possible")
     if contrast and contrast.squares >= FEWEST_LIT_SQUARES and contrast.upper > TOO_STEEP:
         evidence = words.format(contrast.upper, contrast.squares)
         if darkest > ENCODED_DARK:
-            yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded", f"{evidence}; and its darkest area is {darkest:.2f}",
-                          "albedo stored with the sRGB curve, as a picture", "write it linear, or decode it: an "
-                          "encoded albedo leaves textures in the noise")
+            yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded",
+                          f"{evidence}; and its darkest area is {darkest:.2f}",
+                          "albedo stored with the sRGB curve, as a picture",
+                          "write it linear, or decode it: an encoded albedo leaves textures in the "
+                          "noise")
         else:
-            yield warning(Role.COLOUR, "colour-times-albedo", evidence, "colour was multiplied by albedo twice",
-                          "multiply light by albedo once")
+            yield warning(Role.COLOUR, "colour-times-albedo", evidence,
+                          "colour was multiplied by albedo twice", "multiply light by albedo once")
     elif darkest > ENCODED_DARK and (share := _too_bright(material.middle)) > MUCH_TOO_BRIGHT:
-        yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded", f"nothing is darker than {darkest:.2f}, and {share:.3g} % "
-                      "of the pixels reflect more than 1.03 in sum; decoded from sRGB, nearly none do",
+        yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded",
+                      f"nothing is darker than {darkest:.2f}, and {share:.3g} % of the pixels "
+                      "reflect more than 1.03 in sum; decoded from sRGB, nearly none do",
                       "albedo stored with the sRGB curve, as a picture", "write it linear")
     if tint and tint.squares >= FEWEST_LIT_SQUARES and tint.median < SWAPPED and tint.upper < 0:
-        yield warning(Role.DIFFUSE_ALBEDO, "albedo-channels", f"where the albedo turns red, colour turns blue (slope "
-                      f"{tint.median:.2f}, {tint.squares} squares)", "channels in the order B, G, R, of albedo or of "
-                      "colour", 'swap them, in a profile channels = ["BGR"]')
+        yield warning(Role.DIFFUSE_ALBEDO, "albedo-channels",
+                      f"where the albedo turns red, colour turns blue (slope {tint.median:.2f}, "
+                      f"{tint.squares} squares)",
+                      "channels in the order B, G, R, of albedo or of colour",
+                      'swap them, in a profile channels = ["BGR"]')
 
 
 def _too_bright(frame: Frame) -> float:
-    """Percent of pixels whose albedos add up to more than 1.03, but to less than 1.01 if the diffuse one is decoded."""
+    """Percent of pixels whose albedos add up to more than 1.03, but to less than 1.01 if the
+    diffuse one is decoded."""
     if Role.SPECULAR_ALBEDO not in frame:
         return 0.0
     specular, diffuse = finite(frame[Role.SPECULAR_ALBEDO]), finite(frame[Role.DIFFUSE_ALBEDO])
@@ -366,7 +428,8 @@ def _shared_noise(frame: Frame, albedo: np.ndarray) -> float:
 
 
 def check_bright_metal(material: Material) -> Iterator[Finding]:
-    """Diffuse and specular albedo bright in the same pixels: together they reflect more light than arrives."""
+    """Diffuse and specular albedo bright in the same pixels: together they reflect more light than
+    arrives."""
     if not all(role in material.middle for role in SURFACE_ALBEDOS):
         return
     diffuse, specular = (finite(material.middle[role]) for role in SURFACE_ALBEDOS)
@@ -374,11 +437,13 @@ def check_bright_metal(material: Material) -> Iterator[Finding]:
     bright = metal & ((diffuse + specular).max(2) > 1.05)
     share, of_metal = percent(bright), 100 * bright.sum() / max(metal.sum(), 1)
     if share > 0.05 and of_metal > 30:
-        evidence = (f"{share:.3g} % of the pixels ({of_metal:.0f} % of those with specular albedo above "
-                    f"{BRIGHT_ALBEDO}) reflect more than 1.05 in sum, {(diffuse + specular).max(2)[bright].mean():.3g} "
-                    "in the mean")
-        yield warning(Role.DIFFUSE_ALBEDO, "metal-diffuse-bright", evidence, "base colour written as diffuse albedo of "
-                      "metals too", "diffuse albedo = base colour x (1 - metallic); metals' colour is specular albedo")
+        evidence = (f"{share:.3g} % of the pixels ({of_metal:.0f} % of those with specular albedo "
+                    f"above {BRIGHT_ALBEDO}) reflect more than 1.05 in sum, "
+                    f"{(diffuse + specular).max(2)[bright].mean():.3g} in the mean")
+        yield warning(Role.DIFFUSE_ALBEDO, "metal-diffuse-bright", evidence,
+                      "base colour written as diffuse albedo of metals too",
+                      "diffuse albedo = base colour x (1 - metallic); metals' colour is specular "
+                      "albedo")
 
 
 def check_roughness_range(material: Material) -> Iterator[Finding]:
@@ -386,8 +451,10 @@ def check_roughness_range(material: Material) -> Iterator[Finding]:
     if Role.ROUGHNESS in material.middle:
         plane = finite(material.middle[Role.ROUGHNESS])
         if (share := percent(plane > 1.001)) > 0.1:
-            yield error(Role.ROUGHNESS, "roughness-range", f"{share:.3g} % above 1, largest {plane.max():.3g}",
-                        "a gloss exponent or 0..255", "write linear roughness 0..1, or scale it in a profile")
+            yield error(Role.ROUGHNESS, "roughness-range",
+                        f"{share:.3g} % above 1, largest {plane.max():.3g}",
+                        "a gloss exponent or 0..255",
+                        "write linear roughness 0..1, or scale it in a profile")
 
 
 def check_roughness_kind(material: Material) -> Iterator[Finding]:
@@ -397,24 +464,28 @@ def check_roughness_kind(material: Material) -> Iterator[Finding]:
         return
     fit = fit_roughness(frame)
     if fit is None or not fit.is_telling:
-        yield info(Role.ROUGHNESS, "roughness-untested", "roughness may be linear, squared or smoothness: not tested",
-                   "it needs specular albedo that depends on roughness and view angle, depth and fov_x, and smooth "
-                   "surfaces", "look at its picture (--pictures): mirrors are black, plaster is white")
+        yield info(Role.ROUGHNESS, "roughness-untested",
+                   "roughness may be linear, squared or smoothness: not tested",
+                   "it needs specular albedo that depends on roughness and view angle, depth and "
+                   "fov_x, and smooth surfaces",
+                   "look at its picture (--pictures): mirrors are black, plaster is white")
         return
     kind, certain = fit.best, fit.certainty
     if kind.code and certain > 0:
-        evidence = (f"specular albedo is explained with an error of {fit.errors[kind]:.3g} if the AOV is "
-                    f"{kind.name}, of {fit.as_it_is:.3g} as linear roughness ({fit.pixels} pixels); "
-                    f"certainty {certain:.0%}")
-        yield (error if certain >= 0.5 else warning)(Role.ROUGHNESS, kind.code, evidence, kind.cause, kind.fix)
+        evidence = (f"specular albedo is explained with an error of {fit.errors[kind]:.3g} if the "
+                    f"AOV is {kind.name}, of {fit.as_it_is:.3g} as linear roughness ({fit.pixels} "
+                    f"pixels); certainty {certain:.0%}")
+        yield (error if certain >= 0.5 else warning)(Role.ROUGHNESS, kind.code, evidence,
+                                                     kind.cause, kind.fix)
 
 
 # Albedo by the colour: across a texture on one surface, both change together.
 #
-# A picture is cut into squares of 8 x 8 pixels. Squares that show one smooth surface with a texture are split into the
-# third with the least albedo and the third with the most. Both thirds receive nearly the same light, so the ratio of
-# their colours equals the ratio of their albedos, or is smaller where a gloss adds light: the slope between the
-# logarithms is at most 1. An albedo stored with a display curve has too little contrast, which doubles the slope or so.
+# A picture is cut into squares of 8 x 8 pixels. Squares that show one smooth surface with a texture
+# are split into the third with the least albedo and the third with the most. Both thirds receive
+# nearly the same light, so the ratio of their colours equals the ratio of their albedos, or is
+# smaller where a gloss adds light: the slope between the logarithms is at most 1. An albedo stored
+# with a display curve has too little contrast, which doubles the slope or so.
 
 SQUARE_SIDE_PX = 8
 LEAST_RATIO = 0.2
@@ -467,13 +538,16 @@ def measure_slopes(frames: Sequence[Frame]) -> tuple[Slopes | None, Slopes | Non
 
 def _one_surface(frame: Frame) -> np.ndarray:
     """(squares,): whether normals agree and depth hardly changes."""
-    found = np.ones(frame.spec.height // SQUARE_SIDE_PX * (frame.spec.width // SQUARE_SIDE_PX), bool)
+    found = np.ones(frame.spec.height // SQUARE_SIDE_PX * (frame.spec.width // SQUARE_SIDE_PX),
+                    bool)
     if Role.NORMAL in frame:
         normals = _squares(finite(frame[Role.NORMAL]))
         mean = np.linalg.norm(normals.mean(1), axis=-1)
-        found &= (mean > ALIGNED_NORMAL_LENGTH * np.linalg.norm(normals, axis=-1).mean(1)) & (mean > 0.3)
+        found &= ((mean > ALIGNED_NORMAL_LENGTH * np.linalg.norm(normals, axis=-1).mean(1))
+                  & (mean > 0.3))
     if Role.DEPTH in frame:
-        depth = _squares(np.where(is_hit(frame[Role.DEPTH])[..., None], frame[Role.DEPTH], np.inf))[..., 0]
+        depth = _squares(np.where(is_hit(frame[Role.DEPTH])[..., None], frame[Role.DEPTH],
+                                  np.inf))[..., 0]
         found &= np.isfinite(depth).all(1) & (depth.max(1) < FLAT_DEPTH_RATIO * depth.min(1))
     return found
 
@@ -481,19 +555,22 @@ def _one_surface(frame: Frame) -> np.ndarray:
 def _squares(plane: np.ndarray) -> np.ndarray:
     """Whole squares (count, 64, C) of a plane (height, width, C)."""
     rows, columns = plane.shape[0] // SQUARE_SIDE_PX, plane.shape[1] // SQUARE_SIDE_PX
-    cut = plane[: rows * SQUARE_SIDE_PX, : columns * SQUARE_SIDE_PX].reshape(rows, SQUARE_SIDE_PX, columns,
+    cut = plane[: rows * SQUARE_SIDE_PX, : columns * SQUARE_SIDE_PX].reshape(rows, SQUARE_SIDE_PX,
+                                                                             columns,
                                                                              SQUARE_SIDE_PX, -1)
     return cut.swapaxes(1, 2).reshape(rows * columns, SQUARE_SIDE_PX * SQUARE_SIDE_PX, -1)
 
 
 def _ratios(colour: np.ndarray, albedo: np.ndarray, key: np.ndarray) -> np.ndarray:
-    """(squares, 2): logarithms of the ratios of colours and of albedos, between the thirds with the most and least key.
+    """(squares, 2): logarithms of the ratios of colours and of albedos, between the thirds with the
+    most and least key.
 
     All arguments are (squares, 64).
     """
     order, third = np.argsort(key, axis=1), SQUARE_SIDE_PX * SQUARE_SIDE_PX // 3
     parts = order[:, -third:], order[:, :third]
-    means = [[np.take_along_axis(plane, part, 1).mean(1) for part in parts] for plane in (colour, albedo)]
+    means = [[np.take_along_axis(plane, part, 1).mean(1) for part in parts]
+             for plane in (colour, albedo)]
     return np.stack([np.log((most + least_value) / (least + least_value))
                      for (most, least), least_value in zip(means, (1e-4, 1e-3), strict=True)], -1)
 
@@ -505,5 +582,6 @@ def _slopes(ratios: np.ndarray) -> Slopes | None:
     slopes, weights = used[:, 0] / used[:, 1], used[:, 1]
     order = np.argsort(slopes)
     shares = np.cumsum(weights[order]) / weights.sum()
-    lower, median, upper = (float(slopes[order][np.searchsorted(shares, share)]) for share in (0.25, 0.5, 0.75))
+    lower, median, upper = (float(slopes[order][np.searchsorted(shares, share)])
+                            for share in (0.25, 0.5, 0.75))
     return Slopes(lower, median, upper, len(used))

@@ -1,5 +1,5 @@
-"""An inspection of a sequence: the checks that it goes through, all facts and findings in plain types, and one picture
-for each plane, mapped so that mistakes show.
+"""An inspection of a sequence: the checks that it goes through, all facts and findings in plain
+types, and one picture for each plane, mapped so that mistakes show.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ WHOLE_PLANE_CHECKS: tuple[Check, ...] = (
     plane_checks.check_misplaced_planes,
     plane_checks.check_enlarged_planes,
 )
-"""Find planes that are wrong as a whole. `COMPARING_CHECKS` then leave these planes out, as they would only confuse."""
+"""Find planes that are wrong as a whole. `COMPARING_CHECKS` then leave these planes out, as they
+would only confuse."""
 
 PLANE_CHECKS: tuple[Check, ...] = (
     geometry_checks.check_depth_misses,
@@ -108,7 +109,8 @@ GUIDE_CHECKS: tuple[Check, ...] = (*VALUE_CHECKS, plane_checks.check_enlarged_pl
 
 
 def examine(material: Material) -> list[Finding]:
-    """Findings of all checks, the most important first; evidence about guides begins with 'guides:'."""
+    """Findings of all checks, the most important first; evidence about guides begins with
+    'guides:'."""
     found = [finding for check in (*SEQUENCE_CHECKS, *VALUE_CHECKS) for finding in check(material)]
     whole = [finding for check in WHOLE_PLANE_CHECKS for finding in check(material)]
     compared = material.without({finding.role for finding in whole})
@@ -119,7 +121,8 @@ def examine(material: Material) -> list[Finding]:
 def _findings_of_guides(frame: Frame) -> Iterator[Finding]:
     if not frame.guides:
         return
-    guides = Frame(dict(frame.guides), frame.number, frame.guide_jitter, world_to_camera=frame.world_to_camera,
+    guides = Frame(dict(frame.guides), frame.number, frame.guide_jitter,
+                   world_to_camera=frame.world_to_camera,
                    fov_x=frame.fov_x, source=frame.guide_source)
     for check in GUIDE_CHECKS:
         for finding in check(Material([guides])):
@@ -145,11 +148,12 @@ class Inspection:
     """
 
     def __init__(
-        self, source: str, frames: str | Iterable[int] | None, profile: str | None, guides: str | None = None,
-        depth: str | None = None, colourspace: str | None = None, layer: str | None = None, view: str | None = None,
+        self, source: str, frames: str | Iterable[int] | None, profile: str | None,
+        guides: str | None = None, depth: str | None = None, colourspace: str | None = None,
+        layer: str | None = None, view: str | None = None,
     ) -> None:
-        self.sequence = read_sequence(source, frames, profile, guides=guides, depth=depth, colourspace=colourspace,
-                                      layer=layer, view=view).first_view()
+        self.sequence = read_sequence(source, frames, profile, guides=guides, depth=depth,
+                                      colourspace=colourspace, layer=layer, view=view).first_view()
         self._reading: Reading = read_material(self.sequence)
         self.findings: list[Finding] = examine(self._reading.material)
         self.exit_code = exit_code(self.findings)
@@ -161,7 +165,8 @@ class Inspection:
         return list(self._reading.material.frames)
 
     def write_pictures(self, folder: str) -> None:
-        """Write a picture of every plane and guide of the first frame; WriteError when the folder cannot be written."""
+        """Write a picture of every plane and guide of the first frame; WriteError when the folder
+        cannot be written."""
         self.pictures = [str(path) for path in write_pictures(self._reading.material.first, folder)]
 
     def facts(self) -> dict[str, Any]:
@@ -170,17 +175,21 @@ class Inspection:
         frame, spec = material.first, material.first.spec
         return {
             "source": str(sequence.pattern),
-            "frames": {"count": len(sequence), "first": sequence.numbers[0], "last": sequence.numbers[-1]},
+            "frames": {"count": len(sequence), "first": sequence.numbers[0],
+                       "last": sequence.numbers[-1]},
             "examined": [frame.number for frame in material.frames],
             "measured": material.measured,
-            "absent_frames": [number for number in sequence.numbers if number not in sequence.present()],
-            "profile": {"name": layout.profile.name, "title": layout.profile.title, "source": layout.profile.source},
+            "absent_frames": [number
+                              for number in sequence.numbers if number not in sequence.present()],
+            "profile": {"name": layout.profile.name, "title": layout.profile.title,
+                        "source": layout.profile.source},
             "width": spec.width,
             "height": spec.height,
             "roles": explain_roles(self._reading),
             "findings": [finding.as_dict() for finding in self.findings],
             "planes": [
-                _plane(frame[role], role, layout.planes[role], material.stored[role], material.ranges[role])
+                _plane(frame[role], role, layout.planes[role], material.stored[role],
+                       material.ranges[role])
                 for role in spec.roles
             ],
             "guides": _guides(frame, self._reading),
@@ -200,14 +209,17 @@ def _guides(frame: Frame, reading: Reading) -> dict[str, Any] | None:
         return None
     matches = reading.guides.planes
     held = [(role, frame.guides[role]) for role in frame.spec.guide_roles]
-    planes = [_plane(plane, role, matches[role], count_values(plane), range_of(plane, role is Role.DEPTH))
+    planes = [_plane(plane, role, matches[role], count_values(plane),
+                     range_of(plane, role is Role.DEPTH))
               for role, plane in held]
     jitter = list(frame.guide_jitter) if any(frame.guide_jitter) else None
     width, height = frame.guide_size
-    return {"source": frame.guide_source, "width": width, "height": height, "jitter": jitter, "planes": planes}
+    return {"source": frame.guide_source, "width": width, "height": height, "jitter": jitter,
+            "planes": planes}
 
 
-def _plane(pixels: np.ndarray, role: Role, match: Match, stored: Values, extent: Range) -> dict[str, Any]:
+def _plane(pixels: np.ndarray, role: Role, match: Match, stored: Values,
+           extent: Range) -> dict[str, Any]:
     return {
         "role": str(role),
         "channels": match.names,
@@ -247,7 +259,8 @@ SHEET_SIDE = 480
 
 
 def write_pictures(frame: Frame, folder: str | Path) -> list[Path]:
-    """Write ROLE.png for each plane of a frame and guide_ROLE.png for each guide; returns the paths.
+    """Write ROLE.png for each plane of a frame and guide_ROLE.png for each guide; returns the
+    paths.
 
     WriteError when the folder cannot be written.
     """
@@ -258,17 +271,17 @@ def write_pictures(frame: Frame, folder: str | Path) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         return [_write(folder / f"{name}.png", pixels) for name, pixels in pictures.items()]
     except OSError as error:
-        raise WriteError(f"{folder}: pictures cannot be written: {error.strerror or error}; give another folder") \
-            from error
+        raise WriteError(f"{folder}: pictures cannot be written: {error.strerror or error}; give "
+                         "another folder") from error
 
 
 def picture(plane: np.ndarray, role: Role) -> np.ndarray:
     """(height, width, 3) uint8 of a plane (height, width, C).
 
-    Light is exposed, compressed by x / (1 + x) and sRGB-encoded; reflectance is sRGB-encoded, red above 1; normals are
-    (n + 1) / 2; depth is black far away and white near, dark blue at misses; motion has the hue of its direction and
-    the brightness of its length; distances, variances and numbers of samples are x / (x + their median); masks and
-    roughness are grey.
+    Light is exposed, compressed by x / (1 + x) and sRGB-encoded; reflectance is sRGB-encoded, red
+    above 1; normals are (n + 1) / 2; depth is black far away and white near, dark blue at misses;
+    motion has the hue of its direction and the brightness of its length; distances, variances and
+    numbers of samples are x / (x + their median); masks and roughness are grey.
     """
     shown = _MAPPINGS[role](finite(plane))
     pixels = np.rint(255 * np.clip(shown, 0, 1)).astype(np.uint8)
@@ -283,7 +296,8 @@ def picture(plane: np.ndarray, role: Role) -> np.ndarray:
 
 
 def contact_sheet(frame: Frame) -> list[dict[str, Any]]:
-    """For each plane and guide its 'name', 'src' (a data URI, at most 480 pixels wide or high) and 'size'."""
+    """For each plane and guide its 'name', 'src' (a data URI, at most 480 pixels wide or high) and
+    'size'."""
     planes = {str(role): _entry(plane, role) for role, plane in frame.planes.items()}
     planes |= {f"guide {role}": _entry(plane, role) for role, plane in frame.guides.items()}
     return [{"name": name, **entry} for name, entry in planes.items()]
@@ -319,7 +333,8 @@ def _direction(plane: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(plane, axis=2, keepdims=True)
     hue = np.arctan2(plane[..., 1], plane[..., 0])[..., None] / (2 * np.pi) * 6
     colour = np.clip(np.abs((hue + (0, 4, 2)) % 6 - 3) - 1, 0, 1)
-    result: np.ndarray = colour * length / max(float(np.percentile(length, BRIGHTEST_PERCENTILE)), 1e-6)
+    result: np.ndarray = colour * length / max(float(np.percentile(length, BRIGHTEST_PERCENTILE)),
+                                               1e-6)
     return result
 
 
@@ -343,5 +358,6 @@ _MAPPINGS: Mapping[Role, Callable[[np.ndarray], np.ndarray]] = {
     Role.DEPTH: _near,
     Role.MOTION: _direction,
     **dict.fromkeys((Role.SPECULAR_HIT_DISTANCE, *ERROR_ROLES), _over_median),
-    **{role: lambda plane: plane for role in (Role.ALPHA, Role.ROUGHNESS, Role.STRENGTH, Role.REACTIVE, Role.ERROR)},
+    **{role: lambda plane: plane
+       for role in (Role.ALPHA, Role.ROUGHNESS, Role.STRENGTH, Role.REACTIVE, Role.ERROR)},
 }

@@ -1,5 +1,5 @@
-"""Input of the checks: a few frames that are read without repair, results that checks share, and the reason why each
-plane has its role.
+"""Input of the checks: a few frames that are read without repair, results that checks share, and
+the reason why each plane has its role.
 """
 
 from __future__ import annotations
@@ -32,11 +32,13 @@ class Material:
 
     Attributes:
         frames: at least one.
-        stored: role -> counts of odd values as files store them; for a role that is absent, `frames` are counted.
+        stored: role -> counts of odd values as files store them; for a role that is absent,
+            `frames` are counted.
         enable: role -> where the user switches a missing plane on in the renderer.
         unreadable: why reading stopped early, '' when it did not.
         ranges: role -> range of values in the frames `measured`.
-        measured: numbers of the frames that were measured: `frames` and some of the rest of the sequence.
+        measured: numbers of the frames that were measured: `frames` and some of the rest of the
+            sequence.
         unread: layers that may be motion; empty if a profile reads motion.
         read_motion: how the file's motion is read, if it is.
         whole: width and height of the pictures that the frames are windows of, if they are.
@@ -55,17 +57,21 @@ class Material:
     whole: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        self.stored = {role: sum_values(count_values(frame[role]) for frame in self.frames if role in frame)
+        self.stored = {role: sum_values(count_values(frame[role])
+                                        for frame in self.frames if role in frame)
                        for role in self.frames[0].planes} | self.stored
 
     def without(self, roles: Collection[str]) -> Material:
-        """The same frames without the planes of some roles, by name; itself if it has none of them, or nothing else."""
-        if not any(role in self.first for role in roles) or set(map(str, self.first.planes)) <= set(roles):
+        """The same frames without the planes of some roles, by name; itself if it has none of them,
+        or nothing else."""
+        if (not any(role in self.first for role in roles)
+            or set(map(str, self.first.planes)) <= set(roles)):
             return self
-        frames = [replace(frame, planes={role: plane for role, plane in frame.planes.items() if role not in roles})
+        frames = [replace(frame, planes={role: plane for role, plane in frame.planes.items()
+                                         if role not in roles})
                   for frame in self.frames]
-        return Material(frames, self.stored, self.enable, self.unreadable, self.ranges, self.measured, self.unread,
-                        self.read_motion)
+        return Material(frames, self.stored, self.enable, self.unreadable, self.ranges,
+                        self.measured, self.unread, self.read_motion)
 
     @property
     def first(self) -> Frame:
@@ -81,12 +87,14 @@ class Material:
     def pairs(self) -> list[tuple[Frame, Frame]]:
         """Pairs of consecutive frames of one size, pairs across a cut included."""
         both = zip(self.frames, self.frames[1:], strict=False)
-        return [(a, b) for a, b in both if a.spec.width == b.spec.width and a.spec.height == b.spec.height]
+        return [(a, b)
+                for a, b in both if a.spec.width == b.spec.width and a.spec.height == b.spec.height]
 
     @cached_property
     def pair_scores(self) -> list[PairScores]:
         """Scores of the motion's variants for each pair that has motion and contrast."""
-        return [warped for pair in self.pairs[:MOST_HELD_PAIRS] if (warped := warp_pair(*pair, self.whole))]
+        return [warped for pair in self.pairs[:MOST_HELD_PAIRS]
+                if (warped := warp_pair(*pair, self.whole))]
 
     @cached_property
     def shots(self) -> list[PairScores]:
@@ -102,7 +110,8 @@ class Material:
 
     @cached_property
     def picture_to_world(self) -> np.ndarray | None:
-        """Matrix from the picture's axes to the world's by the middle frame's header; None if it does not fit."""
+        """Matrix from the picture's axes to the world's by the middle frame's header; None if it
+        does not fit."""
         return explain_by_camera(self.middle, self.fit) if self.fit else None
 
 
@@ -121,10 +130,12 @@ class Reading:
 
 
 def read_material(sequence: Sequence) -> Reading:
-    """Read the first consecutive frames: up to 8, fewer if they are large (8 million pixels, but at least two frames).
+    """Read the first consecutive frames: up to 8, fewer if they are large (8 million pixels, but at
+    least two frames).
 
-    Ranges and odd values also count up to 8 more frames, spread evenly over the rest of the sequence. Raises the
-    errors of reading the first frame; a later frame that cannot be read ends the reading, and the material says why.
+    Ranges and odd values also count up to 8 more frames, spread evenly over the rest of the
+    sequence. Raises the errors of reading the first frame; a later frame that cannot be read ends
+    the reading, and the material says why.
     """
     first = sequence.numbers[0]
     with sequence.open(first) as files:
@@ -135,10 +146,12 @@ def read_material(sequence: Sequence) -> Reading:
         unread = {layer: [pixels] for layer, pixels in _read_pairs(files).items()}
         names = {layer: _letters(channels) for layer, channels in files.unread_motion().items()}
     material = Material(frames, {}, layout.hints(), other_layers=others)
-    most = max(2, min(MOST_HELD_FRAMES, MOST_HELD_PIXELS // (frames[0].spec.width * frames[0].spec.height)))
+    most = max(2, min(MOST_HELD_FRAMES,
+                      MOST_HELD_PIXELS // (frames[0].spec.width * frames[0].spec.height)))
     ranges = [_ranges(frames[0])]
     numbers = _consecutive(sequence, most)
-    rest = [number for number in sequence.numbers if number not in numbers and number in sequence.present()]
+    rest = [number for number in sequence.numbers
+            if number not in numbers and number in sequence.present()]
     spread = rest[:: -(-len(rest) // MOST_SPREAD)][1:] + rest[-1:] if rest else []
     for number in dict.fromkeys([*numbers[1:], *spread]):
         try:
@@ -158,7 +171,8 @@ def read_material(sequence: Sequence) -> Reading:
     material.unread = [UnreadMotion(layer, names[layer], tuple(planes), layout.profile.name)
                        for layer, planes in unread.items() if layer in names]
     if motion := layout.planes.get(Role.MOTION):
-        material.read_motion = ReadMotion(layout.profile.name, motion.channels[0].name.rpartition(".")[0],
+        material.read_motion = ReadMotion(layout.profile.name,
+                                          motion.channels[0].name.rpartition(".")[0],
                                           _letters(motion.channels), motion.rule)
     material.measured.insert(0, first)
     material.stored = _merge(stored, sum_values)
@@ -171,7 +185,8 @@ def _read_pairs(files: FrameFiles) -> dict[str, np.ndarray]:
     found = files.unread_motion()
     wanted = {channel: 0.0 for channels in found.values() for channel in channels}
     pixels = read_channels(files.files, wanted)
-    return {layer: np.stack([pixels[channel] for channel in channels], axis=-1) for layer, channels in found.items()}
+    return {layer: np.stack([pixels[channel] for channel in channels], axis=-1)
+            for layer, channels in found.items()}
 
 
 def _letters(channels: Iterable[Channel]) -> tuple[str, str]:
@@ -196,7 +211,8 @@ def _ranges(frame: Frame) -> dict[Role, Range]:
 Found = TypeVar("Found")
 
 
-def _merge(found: list[dict[Role, Found]], join: Callable[[Iterable[Found]], Found]) -> dict[Role, Found]:
+def _merge(found: list[dict[Role, Found]],
+           join: Callable[[Iterable[Found]], Found]) -> dict[Role, Found]:
     """For each role of the first frame, what all frames that hold it have together."""
     return {role: join(item[role] for item in found if role in item) for role in found[0]}
 
@@ -234,7 +250,8 @@ MOST_NAMED_FRAMES = 3
 
 
 def explain_roles(reading: Reading) -> dict[str, dict[str, Any]]:
-    """Role -> names of the file's channels ('planes', empty when there are none) and the reason ('why')."""
+    """Role -> names of the file's channels ('planes', empty when there are none) and the reason
+    ('why')."""
     return {str(role): _explain(reading, role) for role in Role}
 
 
@@ -252,7 +269,8 @@ def _explain(reading: Reading, role: Role) -> dict[str, Any]:
 def _prefix(match: Match | None, role: Role) -> str:
     if match is None:
         return "guide: "
-    return "colour before transparents, as there is an overlay to composite; " if match.rule.role is not role else ""
+    return ("colour before transparents, as there is an overlay to composite; "
+            if match.rule.role is not role else "")
 
 
 def _names(match: Match) -> list[str]:
@@ -262,9 +280,11 @@ def _names(match: Match) -> list[str]:
 def _why(layout: Layout, match: Match, prefix: str) -> str:
     rule, role = match.rule, match.rule.role
     known = [name for other in layout.profile.rules(role) for name in other.names]
-    preferred = f"profile {layout.profile.name} knows {_list(known, layout.layer)} for {role}, best first"
+    preferred = (f"profile {layout.profile.name} knows {_list(known, layout.layer)} for {role}, "
+                 "best first")
     steps = [f"(stored + {list(rule.offset)}) x {list(rule.scale)}"] if any(rule.offset) else []
-    steps += [f"times {list(rule.scale)}"] if not any(rule.offset) and set(rule.scale) != {1} else []
+    steps += ([f"times {list(rule.scale)}"] if not any(rule.offset) and set(rule.scale) != {1}
+              else [])
     steps += [f"unit {rule.unit}"] if role is Role.MOTION else []
     steps += ["while the shutter is open"] if rule.per == "shutter" else []
     steps += [f"{rule.space} space"] if role is Role.NORMAL else []

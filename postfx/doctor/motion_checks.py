@@ -1,4 +1,5 @@
-"""Checks that compare frames: motion, tried in every variant by warping; cuts, jitter and noise that repeats."""
+"""Checks that compare frames: motion, tried in every variant by warping; cuts, jitter and noise
+that repeats."""
 
 from __future__ import annotations
 
@@ -53,7 +54,8 @@ LEAST_LENGTH = 0.2
 CAMERA_DISAGREES = 0.3
 SCALE_EXPLAINS = 0.1
 
-PLANAR_DEGREES = 5.0  # degrees between the normals of depth and the stored ones, above which depth is not understood
+# degrees between the normals of depth and the stored ones, above which depth is not understood
+PLANAR_DEGREES = 5.0
 RIGHT_UNIT = 0.9
 LEAST_BLOCKS = 4
 NO_JITTER = 0.02  # pixels
@@ -76,7 +78,8 @@ def check_motion_variant(material: Material) -> Iterator[Finding]:
 
 
 def check_motion_at_a_glance(material: Material) -> Iterator[Finding]:
-    """Vectors of the wrong sign, axes or unit: the part of `check_motion_variant` that takes little time."""
+    """Vectors of the wrong sign, axes or unit: the part of `check_motion_variant` that takes little
+    time."""
     shots = [warped for warped in material.shots if warped.moved > 0]
     best = best_variant(shots) if shots else None
     if best and best.code not in JITTER_CODES:
@@ -84,7 +87,8 @@ def check_motion_at_a_glance(material: Material) -> Iterator[Finding]:
 
 
 def _of_variant(material: Material, shots: list[PairScores], best: Variant) -> Iterator[Finding]:
-    if best.code in JITTER_CODES and (unit := _unit_by_cameras(_camera_fits(material, shots), shots)):
+    if (best.code in JITTER_CODES
+        and (unit := _unit_by_cameras(_camera_fits(material, shots), shots))):
         yield unit  # without its motion, a picture seems to move by the jitter alone
         return
     code, cause, fix = best.code, best.cause, best.fix
@@ -99,7 +103,8 @@ def _of_variant(material: Material, shots: list[PairScores], best: Variant) -> I
 
 def _with_lines(material: Material, variant: Variant, fix: str) -> str:
     """The fix and, if the file's layer is known, the complete profile."""
-    lines = material.read_motion.correct(*variant.change) if material.read_motion and variant.change else None
+    lines = (material.read_motion.correct(*variant.change)
+             if material.read_motion and variant.change else None)
     return f"{fix}; as a file for --profile FILE.toml:\n{lines}" if lines else fix
 
 
@@ -109,20 +114,25 @@ def check_motion_unread(material: Material) -> Iterator[Finding]:
         name = f"{motion.layer}.{','.join(motion.letters)}"
         found = measure_convention(material.frames, motion)
         if found is None or not found.fits:
-            yield info(Role.MOTION, "motion-unread", f"{name} is not read, and does not fit the pictures as motion",
-                       "it is not motion, or too little in view moves", "try a part of the sequence with more motion")
+            yield info(Role.MOTION, "motion-unread",
+                       f"{name} is not read, and does not fit the pictures as motion",
+                       "it is not motion, or too little in view moves",
+                       "try a part of the sequence with more motion")
             continue
         better = found.still / max(found.misfit, 1e-9)
-        evidence = (f"{name} is not read; the previous frame, warped by it, fits {better:.3g} times better than "
-                    f"without motion if it is in {found.convention}: misfit {found.misfit:.3g} instead of "
-                    f"{found.still:.3g}")
+        evidence = (f"{name} is not read; the previous frame, warped by it, fits {better:.3g} "
+                    f"times better than without motion if it is in {found.convention}: misfit "
+                    f"{found.misfit:.3g} instead of {found.still:.3g}")
         yield warning(Role.MOTION, "motion-unread", evidence,
-                      "the renderer's documents do not say how it is stored, or it has another name",
-                      f"write this into a file, for --profile FILE.toml:\n{found.convention.lines(motion)}")
+                      "the renderer's documents do not say how it is stored, or it has another "
+                      "name",
+                      "write this into a file, for --profile FILE.toml:\n"
+                      f"{found.convention.lines(motion)}")
 
 
 def _by_other_means(material: Material, shots: list[PairScores]) -> Iterator[Finding]:
-    """Motion that no usual variant corrects: another unit, depth that does not fit, or objects that move alone."""
+    """Motion that no usual variant corrects: another unit, depth that does not fit, or objects that
+    move alone."""
     if scaled := best_scale(shots):
         yield error(Role.MOTION, scaled.code, _evidence(shots, scaled), scaled.cause,
                     _with_lines(material, scaled, scaled.fix))
@@ -134,16 +144,20 @@ def _by_other_means(material: Material, shots: list[PairScores]) -> Iterator[Fin
 
 
 def _camera_fits(material: Material, shots: list[PairScores]) -> list[DepthScale]:
-    """How the cameras' motion differs from the stored motion; empty if it does not, or if depth is not understood."""
+    """How the cameras' motion differs from the stored motion; empty if it does not, or if depth is
+    not understood."""
     if material.fit and material.fit.angle > PLANAR_DEGREES:
         return []
-    fits = [fit for w in shots[:SOME_PAIRS] if (fit := fit_depth_scale(w.before, w.now)) and fit.length > LEAST_LENGTH]
+    fits = [fit for w in shots[:SOME_PAIRS]
+            if (fit := fit_depth_scale(w.before, w.now)) and fit.length > LEAST_LENGTH]
     return fits if all(fit.error_as_it_is > CAMERA_DISAGREES * fit.length for fit in fits) else []
 
 
 def _camera_evidence(fits: list[DepthScale]) -> tuple[str, float]:
-    length, apart = (float(np.median([getattr(fit, name) for fit in fits])) for name in ("length", "error_as_it_is"))
-    text = f"worldToCamera and depth give motion that differs by {apart:.3g} of {length:.3g} pixels in the median"
+    length, apart = (float(np.median([getattr(fit, name) for fit in fits]))
+                     for name in ("length", "error_as_it_is"))
+    text = (f"worldToCamera and depth give motion that differs by {apart:.3g} of {length:.3g} "
+            "pixels in the median")
     return text, length
 
 
@@ -152,13 +166,17 @@ def _unit_by_cameras(fits: list[DepthScale], shots: list[PairScores]) -> Finding
     if not fits:
         return None
     evidence, length = _camera_evidence(fits)
-    factor, rest = (float(np.median([getattr(fit, name) for fit in fits])) for name in ("factor", "rest"))
+    factor, rest = (float(np.median([getattr(fit, name) for fit in fits]))
+                    for name in ("factor", "rest"))
     if not factor or abs(factor - 1) < 0.1 or rest > SCALE_EXPLAINS * length:
         return None
     scale = np.float32(1 / factor)
-    unit = Variant("motion-scale", f"{scale:.3g} times as long", "motion in a unit that is not pixels of the frame",
-                   f"in a profile scale = [{scale:.4g}, {scale:.4g}]", lambda motion, size, jitter: motion * scale)
-    if sum(score_variants(w, [unit])[unit] for w in shots) > RIGHT_UNIT * sum(w.as_it_is for w in shots):
+    unit = Variant("motion-scale", f"{scale:.3g} times as long",
+                   "motion in a unit that is not pixels of the frame",
+                   f"in a profile scale = [{scale:.4g}, {scale:.4g}]",
+                   lambda motion, size, jitter: motion * scale)
+    if sum(score_variants(w, [unit])[unit] for w in shots) > RIGHT_UNIT * sum(w.as_it_is
+                                                                              for w in shots):
         return None
     evidence += f"; {rest:.2g} pixels if motion is {unit.name}"
     return error(Role.MOTION, unit.code, evidence, unit.cause, unit.fix)
@@ -166,44 +184,56 @@ def _unit_by_cameras(fits: list[DepthScale], shots: list[PairScores]) -> Finding
 
 def _cameras_disagree(fits: list[DepthScale]) -> Finding:
     evidence, length = _camera_evidence(fits)
-    scale, least = (float(np.median([getattr(fit, name) for fit in fits])) for name in ("scale", "error"))
+    scale, least = (float(np.median([getattr(fit, name) for fit in fits]))
+                    for name in ("scale", "error"))
     if least < SCALE_EXPLAINS * length and abs(np.log10(scale)) > 0.05:
-        return error(Role.DEPTH, "depth-scale", f"{evidence}; {least:.2g} pixels if depth is about {scale:.3g} times "
-                     "as large", "depth in another unit than worldToCamera, or divided by the far plane",
-                     f"write depth in the unit of the camera's position, or in a profile scale = [{scale:.3g}]")
-    return warning(Role.MOTION, "motion-mismatch", evidence, "vectors or camera matrices of another frame, or nothing "
-                   "in view stands still", "write the vectors and the matrix of this frame")
+        return error(Role.DEPTH, "depth-scale",
+                     f"{evidence}; {least:.2g} pixels if depth is about {scale:.3g} times as large",
+                     "depth in another unit than worldToCamera, or divided by the far plane",
+                     "write depth in the unit of the camera's position, or in a profile scale = "
+                     f"[{scale:.3g}]")
+    return warning(Role.MOTION, "motion-mismatch", evidence,
+                   "vectors or camera matrices of another frame, or nothing in view stands still",
+                   "write the vectors and the matrix of this frame")
 
 
 def _movers(shots: list[PairScores]) -> Iterator[Finding]:
     """Objects that move although they have the vectors of the world around them."""
-    found = [next((thing for thing in find_movers(w.before, w.now) if thing.blocks >= LEAST_BLOCKS), None)
+    found = [next((thing for thing in find_movers(w.before, w.now) if thing.blocks >= LEAST_BLOCKS),
+                  None)
              for w in shots]
     things = [(w, thing) for w, thing in zip(shots, found, strict=True) if thing]
     if things and len(things) == len(shots):
         warped, thing = max(things, key=lambda pair: pair[1].blocks)
-        evidence = (f"frame {warped.now.number}: around pixel ({thing.x}, {thing.y}), {thing.blocks} blocks of 8 x 8 "
-                    f"pixels come from a place that is {thing.step} pixels off the one where their vectors point")
-        yield error(Role.MOTION, "motion-of-things", evidence, "only the camera's motion was written: objects "
-                    "that move or deform have the vectors of the world behind them",
+        evidence = (f"frame {warped.now.number}: around pixel ({thing.x}, {thing.y}), "
+                    f"{thing.blocks} blocks of 8 x 8 pixels come from a place that is {thing.step} "
+                    "pixels off the one where their vectors point")
+        yield error(Role.MOTION, "motion-of-things", evidence,
+                    "only the camera's motion was written: objects that move or deform have the "
+                    "vectors of the world behind them",
                     "write vectors that include the animation and deformation of each object")
 
 
 def check_motion_zero(material: Material) -> Iterator[Finding]:
     """Motion that is 0 everywhere though the camera or the picture moves."""
-    for warped in [warped for warped in material.pair_scores if not warped.now.reset and warped.moved == 0][:2]:
+    for warped in [warped for warped in material.pair_scores
+                   if not warped.now.reset and warped.moved == 0][:2]:
         if evidence := _by_camera(warped) or _by_picture(warped):
-            cause = "written without motion: the vector pass is off, or the previous camera was not kept"
-            yield error(Role.MOTION, "motion-zero", f"frame {warped.now.number}: all motion is 0, {evidence}", cause,
+            cause = ("written without motion: the vector pass is off, or the previous camera was "
+                     "not kept")
+            yield error(Role.MOTION, "motion-zero",
+                        f"frame {warped.now.number}: all motion is 0, {evidence}", cause,
                         "render real motion, or delete the AOV")
             return
 
 
 def _by_camera(warped: PairScores) -> str:
     moved = motion_of_camera(warped.before, warped.now)
-    if moved is None or not len(moved) or (mean := float(np.linalg.norm(moved, axis=-1).mean())) < LEAST_CAMERA_MOTION:
+    if (moved is None or not len(moved)
+        or (mean := float(np.linalg.norm(moved, axis=-1).mean())) < LEAST_CAMERA_MOTION):
         return ""
-    return f"but worldToCamera and depth say that the camera moves surfaces by {mean:.2f} pixels in the mean"
+    return (f"but worldToCamera and depth say that the camera moves surfaces by {mean:.2f} pixels "
+            "in the mean")
 
 
 def _by_picture(warped: PairScores) -> str:
@@ -212,34 +242,39 @@ def _by_picture(warped: PairScores) -> str:
     best = min(scores, key=lambda at: scores[at])
     if scores[best] >= min(CLEARLY_MOVED * scores[0, 0], RELATED_SCORE_RATIO * warped.unrelated):
         return ""
-    return (f"but the previous frame fits better ({scores[best]:.3g}, not {scores[0, 0]:.3g}) when moved by {best} "
-            "pixels")
+    return (f"but the previous frame fits better ({scores[best]:.3g}, not {scores[0, 0]:.3g}) when "
+            f"moved by {best} pixels")
 
 
 def best_variant(shots: list[PairScores]) -> Variant | None:
     """The simplest of the variants that fit best; None if the stored motion fits best."""
     ratios = {variant: _ratio(shots, variant) for variant in VARIANTS if variant.code}
-    good = {variant: ratio for variant, ratio in ratios.items() if _is_better(shots, variant, ratio)}
+    good = {variant: ratio
+            for variant, ratio in ratios.items() if _is_better(shots, variant, ratio)}
     if not good:
         return None
     least = min(good.values())
     if any(variant.is_colour and good[variant] <= LIKE_COLOUR * least for variant in good):
         good = {variant: ratio for variant, ratio in good.items() if variant.is_colour}
         least = min(good.values())
-    return min((v for v in good if good[v] <= ALIKE_SCORE_RATIO * least), key=lambda v: (v.priority, good[v]))
+    return min((v for v in good if good[v] <= ALIKE_SCORE_RATIO * least),
+               key=lambda v: (v.priority, good[v]))
 
 
 def best_scale(shots: list[PairScores]) -> Variant | None:
-    """An unusual unit of the motion that fits clearly better; None if the stored motion beats no motion at all."""
+    """An unusual unit of the motion that fits clearly better; None if the stored motion beats no
+    motion at all."""
     still = next(variant for variant in VARIANTS if variant.code == "motion-worse-than-none")
     some = shots[:SOME_PAIRS]
     stored = float(np.mean([warped.as_it_is for warped in some]))
     if stored < USEFUL * float(np.mean([warped.scores[still] for warped in some])):
         return None
     found = [score_variants(warped, scaled_variants()) for warped in some]
-    scores = {variant: float(np.mean([one[variant] for one in found])) for variant in scaled_variants()}
+    scores = {variant: float(np.mean([one[variant] for one in found]))
+              for variant in scaled_variants()}
     best = min(scores, key=lambda variant: scores[variant])
-    if scores[best] >= BETTER_SCORE_RATIO * min(stored, float(np.mean([warped.scores[still] for warped in some]))):
+    if (scores[best] >= BETTER_SCORE_RATIO
+        * min(stored, float(np.mean([warped.scores[still] for warped in some])))):
         return None
     for warped in shots:
         warped.scores |= score_variants(warped, [best])
@@ -262,48 +297,60 @@ def _is_better(shots: list[PairScores], variant: Variant, ratio: float) -> bool:
 
 
 def _evidence(shots: list[PairScores], best: Variant) -> str:
-    stored, fitting = (float(np.mean([min(w.scores[v], w.unrelated) for w in shots])) for v in (VARIANTS[0], best))
+    stored, fitting = (float(np.mean([min(w.scores[v], w.unrelated) for w in shots]))
+                       for v in (VARIANTS[0], best))
     roles = ", ".join(str(role) for role in shots[0].by_role[best])
     ranking = sorted((v for v in VARIANTS if v is not best), key=lambda v: _ratio(shots, v))
-    return (f"the previous frame, warped, fits {stored / max(fitting, 1e-9):.3g} times better if the motion is "
-            f"{best.name}: misfit {fitting:.3g} instead of {stored:.3g} "
-            f"(chance {np.mean([w.unrelated for w in shots]):.3g}), over {len(shots)} pairs by {roles}; of "
+    return (f"the previous frame, warped, fits {stored / max(fitting, 1e-9):.3g} times better if "
+            f"the motion is {best.name}: misfit {fitting:.3g} instead of {stored:.3g} (chance "
+            f"{np.mean([w.unrelated for w in shots]):.3g}), over {len(shots)} pairs by {roles}; of "
             f"{len(VARIANTS)} variants the next is '{ranking[0].name}'")
 
 
 def _follows_jitter(shots: list[PairScores]) -> bool:
-    """Whether the motion of the whole picture jumps with the jitter; assumed with too few frames."""
+    """Whether the motion of the whole picture jumps with the jitter; assumed with too few
+    frames."""
     if len(shots) < 4:
         return True
-    motion = np.array([np.median(warped.now[Role.MOTION].reshape(-1, 2), axis=0) for warped in shots])
+    motion = np.array([np.median(warped.now[Role.MOTION].reshape(-1, 2), axis=0)
+                       for warped in shots])
     jitter = np.array([warped.jitter for warped in shots])
     return abs(correlation(np.diff(motion, axis=0), np.diff(jitter, axis=0))) > 0.8
 
 
 def _untested(material: Material) -> Iterator[Finding]:
-    if Role.MOTION in material.middle and material.pairs and not any(w.moved == 0 for w in material.pair_scores):
-        yield info(Role.MOTION, "motion-untested", "sign, axes and scale of the motion cannot be told",
-                   "no pair of frames that belong together and show contrast", "give more frames of one shot")
+    if (Role.MOTION in material.middle and material.pairs
+        and not any(w.moved == 0 for w in material.pair_scores)):
+        yield info(Role.MOTION, "motion-untested",
+                   "sign, axes and scale of the motion cannot be told",
+                   "no pair of frames that belong together and show contrast",
+                   "give more frames of one shot")
 
 
 CODED_OFFSET = 0.2  # how far the median may be from the colour 0.5
 
 
 def check_motion_coded(material: Material) -> Iterator[Finding]:
-    """Motion that is read as pixels, but holds colours 0..1 with 0.5 for none, which a single frame shows."""
+    """Motion that is read as pixels, but holds colours 0..1 with 0.5 for none, which a single frame
+    shows."""
     if Role.MOTION not in material.first:
         return
     motion = material.first[Role.MOTION].reshape(-1, 2)
     least, most, typical = motion.min(0), motion.max(0), np.abs(np.median(motion, axis=0))
     one_sign = ((least >= 0) | (most <= 0)).all()
-    is_coded = one_sign and np.abs(motion).max(initial=0) <= 1 and (np.abs(typical - 0.5) < CODED_OFFSET).all()
-    if is_coded and all(found.code != "motion-encoded" for found in check_motion_variant(material)):  # which says more
-        evidence = f"all between 0 and 1 pixel, of one sign, around {typical[0]:.2g}, {typical[1]:.2g}"
-        yield warning(Role.MOTION, "motion-coded", evidence, "colours around 0.5, not pixels", "write vectors in "
-                      "pixels, or in a profile offset = [-0.5, -0.5] and their unit (docs/reference/renderers.md)")
+    is_coded = (one_sign and np.abs(motion).max(initial=0) <= 1
+                and (np.abs(typical - 0.5) < CODED_OFFSET).all())
+    # which says more
+    if is_coded and all(found.code != "motion-encoded" for found in check_motion_variant(material)):
+        evidence = (f"all between 0 and 1 pixel, of one sign, around {typical[0]:.2g}, "
+                    f"{typical[1]:.2g}")
+        yield warning(Role.MOTION, "motion-coded", evidence, "colours around 0.5, not pixels",
+                      "write vectors in pixels, or in a profile offset = [-0.5, -0.5] and their "
+                      "unit (docs/reference/renderers.md)")
 
 
-LEAST_TEXTURE_MOTION_PX = 1.0  # pixels: below, a texture that stays in place looks like noise that stays in place
+# pixels: below, a texture that stays in place looks like noise that stays in place
+LEAST_TEXTURE_MOTION_PX = 1.0
 REPEATED = 0.15
 NEARBY_OFFSETS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 2), (0, -2), (2, 0), (-2, 0))
 SEARCH_STEPS_PX = (0.25, 0.125)
@@ -317,14 +364,18 @@ def check_frame_count(material: Material) -> Iterator[Finding]:
     if not material.pairs:
         count = len(material.frames)
         yield info("sequence", "one-frame", f"{count} frame{'s' * (count > 1)} to look at",
-                   "motion, jitter, cuts and repeated noise need two consecutive frames of one size", "give a sequence")
+                   "motion, jitter, cuts and repeated noise need two consecutive frames of one "
+                   "size", "give a sequence")
 
 
 def check_frame_sizes(material: Material) -> Iterator[Finding]:
-    """Frames of several sizes: with a scale the output has several, too, and the history ends at each change."""
-    sizes = list(dict.fromkeys(f"{frame.spec.width}x{frame.spec.height}" for frame in material.frames))
+    """Frames of several sizes: with a scale the output has several, too, and the history ends at
+    each change."""
+    sizes = list(dict.fromkeys(f"{frame.spec.width}x{frame.spec.height}"
+                               for frame in material.frames))
     if len(sizes) > 1:
-        yield info("sequence", "sizes-change", f"frames are {', '.join(sizes)}", "dynamic resolution",
+        yield info("sequence", "sizes-change", f"frames are {', '.join(sizes)}",
+                   "dynamic resolution",
                    "give the output a fixed size (--size): then the history continues")
 
 
@@ -334,17 +385,24 @@ def check_cut_unmarked(material: Material) -> Iterator[Finding]:
     if not new:
         return
     if all(w.unrelated < NOISE_ONLY for w in new):
-        yield info(Role.MOTION, "motion-untested", "sign, axes and scale of the motion cannot be told",
-                   "the AOVs are mostly noise, as in fog or thick fur", "render them with more samples")
+        yield info(Role.MOTION, "motion-untested",
+                   "sign, axes and scale of the motion cannot be told",
+                   "the AOVs are mostly noise, as in fog or thick fur",
+                   "render them with more samples")
         return
-    scores = ", ".join(f"frame {w.now.number}: {min(w.scores.values()) / w.unrelated:.2f}" for w in new[:4])
-    evidence = f"the previous frame, warped by any variant of the motion, fits hardly better than chance (1): {scores}"
+    scores = ", ".join(f"frame {w.now.number}: {min(w.scores.values()) / w.unrelated:.2f}"
+                       for w in new[:4])
+    evidence = ("the previous frame, warped by any variant of the motion, fits hardly better than "
+                f"chance (1): {scores}")
     if len(new) == len(material.pair_scores) and len(new) > 1:
-        yield error(Role.MOTION, "motion-no-fit", evidence, "meaningless motion, or frames of different shots",
-                    "look at the picture of the motion (--pictures), write the renderer's motion vectors")
+        yield error(Role.MOTION, "motion-no-fit", evidence,
+                    "meaningless motion, or frames of different shots",
+                    "look at the picture of the motion (--pictures), write the renderer's motion "
+                    "vectors")
     else:
-        yield warning("sequence", "cut-unmarked", evidence, "a cut whose first frame has motion vectors as if the shot "
-                      "continued", "write postfx:reset = 1 in that frame, or process the shots one by one")
+        yield warning("sequence", "cut-unmarked", evidence,
+                      "a cut whose first frame has motion vectors as if the shot continued",
+                      "write postfx:reset = 1 in that frame, or process the shots one by one")
 
 
 def check_reset_always(material: Material) -> Iterator[Finding]:
@@ -352,9 +410,10 @@ def check_reset_always(material: Material) -> Iterator[Finding]:
     marked = [w for w in material.pair_scores if w.now.reset and w.is_related]
     if marked:
         numbers = ", ".join(str(w.now.number) for w in marked[:8])
-        evidence = f"frames {numbers} say postfx:reset, but fit the previous frame ({marked[0].as_it_is:.2f} of " \
-                   f"{marked[0].unrelated:.2f})"
-        yield warning("sequence", "reset-needless", evidence, "the header was copied from the first frame",
+        evidence = (f"frames {numbers} say postfx:reset, but fit the previous frame "
+                   f"({marked[0].as_it_is:.2f} of {marked[0].unrelated:.2f})")
+        yield warning("sequence", "reset-needless", evidence,
+                      "the header was copied from the first frame",
                       "write postfx:reset at cuts only: it drops the history")
 
 
@@ -368,66 +427,77 @@ def check_jitter_range(material: Material) -> Iterator[Finding]:
         yield error("sequence", "jitter-offset", evidence, "positions within the pixel, 0..1",
                     "write postfx:jitter = position - 0.5")
     else:
-        yield warning("sequence", "jitter-range", evidence, "not in pixels, or in pixels of a larger picture",
+        yield warning("sequence", "jitter-range", evidence,
+                      "not in pixels, or in pixels of a larger picture",
                       "write the sample's position minus 0.5 in pixels of the frame, -0.5..0.5")
 
 
 def check_jitter_missing(material: Material) -> Iterator[Finding]:
     """Pictures that shift by fractions of a pixel from frame to frame, without a jitter header."""
-    if any(max(map(abs, frame.jitter)) > NO_JITTER for frame in material.frames) or len(material.shots) < 3:
+    if (any(max(map(abs, frame.jitter)) > NO_JITTER for frame in material.frames)
+        or len(material.shots) < 3):
         return
     shots = material.shots[:JITTER_PAIRS]
     found, scores = np.split(np.array([_shift(warped) for warped in shots]), [2], axis=1)
     erratic = float(np.sqrt(((found - found.mean(0)) ** 2).sum(1).mean()))
-    if erratic > LEAST_JITTER and scores.sum() < FITS_BETTER * sum(warped.as_it_is for warped in shots):
+    if (erratic > LEAST_JITTER
+        and scores.sum() < FITS_BETTER * sum(warped.as_it_is for warped in shots)):
         shifts = ", ".join(f"({x:.2f}, {y:.2f})" for x, y in found[:4])
-        evidence = f"frames are shifted by {shifts} ... pixels against the motion, {erratic:.2f} px around their mean"
-        yield warning("sequence", "jitter-missing", evidence, "all samples of a frame are jittered alike and the "
-                      "header does not say how", "write postfx:jitter: sample position minus 0.5 in pixels, x right, "
-                      "y down")
+        evidence = (f"frames are shifted by {shifts} ... pixels against the motion, {erratic:.2f} "
+                    "px around their mean")
+        yield warning("sequence", "jitter-missing", evidence,
+                      "all samples of a frame are jittered alike and the header does not say how",
+                      "write postfx:jitter: sample position minus 0.5 in pixels, x right, y down")
 
 
 def check_samples_repeat(material: Material) -> Iterator[Finding]:
     """Noise that stays in its place while the picture stands still, or moves."""
     if share := _repeated_share(material):
-        yield error(Role.COLOUR, "samples-correlated", f"where the picture hardly moves, noise is the same in all "
-                    f"frames, in {100 * share:.0f} % of the squares looked at", *ONE_SEED)
+        yield error(Role.COLOUR, "samples-correlated",
+                    "where the picture hardly moves, noise is the same in all frames, in "
+                    f"{100 * share:.0f} % of the squares looked at", *ONE_SEED)
         return
     pairs = [(a, b) for a, b in material.pairs if Role.COLOUR in a and Role.COLOUR in b]
     if pairs and all(_identical(*pair) for pair in pairs):
         noise = noise_level(pairs[0][0][Role.COLOUR])
-        yield error(Role.COLOUR, "samples-correlated", f"noise of {noise:.3g}, the same to the bit in {len(pairs) + 1} "
-                    "frames", *ONE_SEED)
+        yield error(Role.COLOUR, "samples-correlated",
+                    f"noise of {noise:.3g}, the same to the bit in {len(pairs) + 1} frames",
+                    *ONE_SEED)
         return
     yield from check_samples_stay(material)
 
 
 def check_samples_stay(material: Material, least: float = REPEATED) -> Iterator[Finding]:
-    """Noise that stays in its place while the picture moves, but not along its motion, which the denoiser tells. least:
-    how much more it is correlated in the same pixel than nearby."""
+    """Noise that stays in its place while the picture moves, but not along its motion, which the
+    denoiser tells. least: how much more it is correlated in the same pixel than nearby."""
     if _repeated_share(material):
         return
     pairs = [(a, b) for a, b in material.pairs if Role.COLOUR in a and Role.COLOUR in b]
-    found = [value for pair in pairs if not pair[1].reset and (value := _correlate_repeats(*pair)) is not None]
+    found = [value for pair in pairs
+             if not pair[1].reset and (value := _correlate_repeats(*pair)) is not None]
     if not found:
         if pairs:
-            yield info(Role.COLOUR, "samples-untested", "noise may repeat from frame to frame: not tested",
-                       "it needs motion of more than a pixel", "give frames in which the camera moves")
+            yield info(Role.COLOUR, "samples-untested",
+                       "noise may repeat from frame to frame: not tested",
+                       "it needs motion of more than a pixel",
+                       "give frames in which the camera moves")
         return
     same, elsewhere = np.mean([value[0] for value in found]), np.mean([value[1] for value in found])
     if same - elsewhere > least:
-        evidence = (f"noise of consecutive frames is {same:.2f} correlated in the same pixel where the picture moves, "
-                    f"{elsewhere:.2f} in pixels next to it")
+        evidence = (f"noise of consecutive frames is {same:.2f} correlated in the same pixel where "
+                    f"the picture moves, {elsewhere:.2f} in pixels next to it")
         yield error(Role.COLOUR, "samples-correlated", evidence, *ONE_SEED)
 
 
 def _repeated_share(material: Material) -> float:
-    """Share of the picture whose noise repeats along the motion, 0 unless it does in most pairs of frames."""
+    """Share of the picture whose noise repeats along the motion, 0 unless it does in most pairs of
+    frames."""
     detect, found = RepeatDetector(), []
     for before, now in material.pairs:
         if Role.COLOUR in before and Role.COLOUR in now and not now.reset:
             detect.reset()
-            planes = [{role: finite(plane) for role, plane in frame.planes.items()} for frame in (before, now)]
+            planes = [{role: finite(plane) for role, plane in frame.planes.items()}
+                      for frame in (before, now)]
             detect(planes[0])
             found.append(detect.share if detect(planes[1]) else 0.0)
     return float(np.median(found)) if found else 0.0
@@ -442,8 +512,8 @@ def _identical(before: Frame, now: Frame) -> bool:
 
 
 def _correlate_repeats(before: Frame, now: Frame) -> tuple[float, float] | None:
-    """Correlation of the noise in the same pixel, and the largest in one next to it, on surfaces that move: structure
-    that moves by a pixel or two is as much alike there."""
+    """Correlation of the noise in the same pixel, and the largest in one next to it, on surfaces
+    that move: structure that moves by a pixel or two is as much alike there."""
     if min(now[Role.COLOUR].shape[:2]) < 32 or Role.MOTION not in now:
         return None
     moves = np.linalg.norm(finite(now[Role.MOTION]), axis=-1) > LEAST_TEXTURE_MOTION_PX
@@ -452,13 +522,16 @@ def _correlate_repeats(before: Frame, now: Frame) -> tuple[float, float] | None:
     used[:2] = used[-2:] = used[:, :2] = used[:, -2:] = False
     if used.sum() < 500:
         return None
-    shifted = [correlation(np.roll(one, step, (0, 1))[used], other[used]) for step in NEARBY_OFFSETS]
+    shifted = [correlation(np.roll(one, step, (0, 1))[used], other[used])
+               for step in NEARBY_OFFSETS]
     return correlation(one[used], other[used]), max(0.0, *shifted)
 
 
 def _noise(frame: Frame) -> np.ndarray:
-    """(height, width): a pixel's difference from its neighbourhood in local standard deviations, -3..3."""
-    whole = local_mean(np.isfinite(frame[Role.COLOUR]).all(2, keepdims=True).astype(np.float32), 3)[..., 0] > 0.999
+    """(height, width): a pixel's difference from its neighbourhood in local standard deviations,
+    -3..3."""
+    whole = local_mean(np.isfinite(frame[Role.COLOUR]).all(2, keepdims=True).astype(np.float32),
+                       3)[..., 0] > 0.999
     light = np.log1p(np.maximum(luminance(finite(frame[Role.COLOUR])), 0) * 4)
     if Role.DIFFUSE_ALBEDO in frame:
         light = light / (luminance(finite(frame[Role.DIFFUSE_ALBEDO])) + np.float32(0.1))

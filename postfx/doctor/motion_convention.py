@@ -1,8 +1,9 @@
 """Find the convention of motion that no profile reads, and give it as lines to copy into a profile.
 
-Stored values become pixels by (stored + offset) * scale * unit, perhaps with swapped channels. All signs and orders of
-the axes are tried with a range of scales, in pixels and in parts of the image, by warping the previous frame as
-`postfx.doctor.motion_variants` does. The best convention is refined; a common unit that fits as well takes its place.
+Stored values become pixels by (stored + offset) * scale * unit, perhaps with swapped channels. All
+signs and orders of the axes are tried with a range of scales, in pixels and in parts of the image,
+by warping the previous frame as `postfx.doctor.motion_variants` does. The best convention is
+refined; a common unit that fits as well takes its place.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ WIDE_UNIT_LOG = 0.17
 NARROW_UNIT_LOG = 0.1
 
 ALIKE_MISFIT_RATIO = 1.08
-"""A common unit takes the place of the best fit if its misfit is at most this many times as large."""
+"""A common unit takes the place of the best fit if its misfit is at most this many times as
+large."""
 
 # Motion is understood if its misfit is below this part of the misfit without motion: in any unit,
 # in a common one.
@@ -66,7 +68,8 @@ class UnreadMotion:
 
 @dataclass(frozen=True)
 class ReadMotion:
-    """Motion that a profile reads: its layer, the letters of its channels, and the rule by which they become pixels."""
+    """Motion that a profile reads: its layer, the letters of its channels, and the rule by which
+    they become pixels."""
 
     profile: str
     layer: str
@@ -74,11 +77,12 @@ class ReadMotion:
     rule: PlaneRule
 
     def correct(self, swapped: bool, scale: tuple[float, float], unit: str) -> str | None:
-        """A profile that swaps, then scales the motion as it is read now, and takes it as in `unit`; None where no
-        profile can say that."""
+        """A profile that swaps, then scales the motion as it is read now, and takes it as in
+        `unit`; None where no profile can say that."""
         if unit != "pixels" and self.rule.unit != "pixels":
             return None
-        own = {key: np.broadcast_to(getattr(self.rule, key), 2)[:: -1 if swapped else 1] for key in ("scale", "offset")}
+        own = {key: np.broadcast_to(getattr(self.rule, key), 2)[:: -1 if swapped else 1]
+               for key in ("scale", "offset")}
         frames = ['per = "shutter"'] if self.rule.per == "shutter" else []
         both = np.multiply(own["scale"], scale)
         lines = profile_lines(self.profile, self.layer, self.letters, swapped,
@@ -88,7 +92,8 @@ class ReadMotion:
 
 
 class Convention(NamedTuple):
-    """How stored motion becomes pixels to the previous frame, x right, y down; `offset` is added first."""
+    """How stored motion becomes pixels to the previous frame, x right, y down; `offset` is added
+    first."""
 
     swapped: bool
     signs: tuple[int, int]
@@ -99,27 +104,31 @@ class Convention(NamedTuple):
     def pixels(self, stored: np.ndarray, size: Size) -> np.ndarray:
         """Motion (..., 2) in pixels of a picture of this size."""
         motion = (stored[..., ::-1] if self.swapped else stored) + np.float32(self.offset)
-        found: np.ndarray = motion * np.float32(self.factor) * np.asarray(unit_size(self.unit, size), np.float32) \
-            * np.asarray(self.signs, np.float32)
+        found: np.ndarray = (motion * np.float32(self.factor) * np.asarray(
+            unit_size(self.unit, size), np.float32
+        ) * np.asarray(self.signs, np.float32))
         return found
 
     def lines(self, motion: UnreadMotion) -> str:
         """A profile that reads a layer by this convention."""
         scale = [round_to(sign * self.factor) for sign in self.signs]
-        return profile_lines(motion.profile, motion.layer, motion.letters, self.swapped, self.unit, (self.offset,) * 2,
-                             (scale[0], scale[1]))
+        return profile_lines(motion.profile, motion.layer, motion.letters, self.swapped, self.unit,
+                             (self.offset,) * 2, (scale[0], scale[1]))
 
     def __str__(self) -> str:
-        words = {"pixels": "pixels", "uv": "fractions of the image (uv)", "ndc": "-1..1 of the image (ndc)",
-                 "width": "fractions of the image's width"}
-        way = {(1, 1): "", (-1, 1): ", x the other way", (1, -1): ", y the other way", (-1, -1): ", both the other way"}
+        words = {"pixels": "pixels", "uv": "fractions of the image (uv)",
+                 "ndc": "-1..1 of the image (ndc)", "width": "fractions of the image's width"}
+        way = {(1, 1): "", (-1, 1): ", x the other way", (1, -1): ", y the other way",
+               (-1, -1): ", both the other way"}
         times = f" times {self.factor:.3g}" if abs(self.factor - 1) > 1e-6 else ""
         still = f", {-self.offset:g} is still" if self.offset else ""
-        return f"{words[self.unit]}{times}{still}{way[self.signs]}{', y before x' if self.swapped else ''}"
+        return (f"{words[self.unit]}{times}{still}{way[self.signs]}"
+                f"{', y before x' if self.swapped else ''}")
 
 
 class Measurement(NamedTuple):
-    """The convention that fits best, its misfit, the misfit without motion, and whether a renderer uses it."""
+    """The convention that fits best, its misfit, the misfit without motion, and whether a renderer
+    uses it."""
 
     convention: Convention
     misfit: float
@@ -130,37 +139,45 @@ class Measurement(NamedTuple):
     def fits(self) -> bool:
         """Whether the pictures move, and the convention explains how."""
         return (self.still > TELLING_STILL_MISFIT and self.misfit
-                < (FITTING_COMMON_MISFIT_SHARE if self.is_common else FITTING_MISFIT_SHARE) * self.still)
+                < (FITTING_COMMON_MISFIT_SHARE if self.is_common else FITTING_MISFIT_SHARE)
+                * self.still)
 
 
 def unit_size(unit: str, size: Size) -> tuple[float, float]:
     """Pixels that a stored 1 means, across and down."""
     width, height = size
-    return {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2), "width": (width, width)}[unit]
+    return {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2),
+            "width": (width, width)}[unit]
 
 
 def measure_convention(frames: Sequence[Frame], motion: UnreadMotion) -> Measurement | None:
-    """The convention of a layer in these frames; None without two frames of one shot that have contrast."""
+    """The convention of a layer in these frames; None without two frames of one shot that have
+    contrast."""
     shown = [replace(frame, planes={**frame.planes, Role.MOTION: finite(plane)})
              for frame, plane in zip(frames, motion.planes, strict=False)]
     pairs = [_Pair(before, now) for before, now in zip(shown, shown[1:], strict=False)
-             if not now.reset and before.spec.width == now.spec.width and before.spec.height == now.spec.height]
+             if not now.reset and before.spec.width == now.spec.width
+             and before.spec.height == now.spec.height]
     pairs = [pair for pair in pairs if pair.features][:MOST_TRIED_PAIRS]
     if not pairs:
         return None
     like_colour = all(is_like_colour(pair.now) for pair in pairs)
-    tried = [one for offset in ((0.0, -0.5) if like_colour else (0.0,)) for one in _coarse(pairs, offset)]
+    tried = [one for offset in ((0.0, -0.5) if like_colour else (0.0,))
+             for one in _coarse(pairs, offset)]
     if not tried:
         return None
     rough = pairs[0].scores(tried)
     best = _best(pairs, [tried[at] for at in np.argsort(rough)[:MOST_KEPT]])[0]
     for step in FINE_FACTORS:
-        best = _best(pairs, [best._replace(factor=best.factor * step**power) for power in (-2, -1, 0, 1, 2)])[0]
+        best = _best(pairs, [best._replace(factor=best.factor * step**power)
+                             for power in (-2, -1, 0, 1, 2)])[0]
     best, misfit = _best(pairs, [best])
-    common = [one for one in _common(best, pairs[0].size) if _misfit(pairs, one) <= ALIKE_MISFIT_RATIO * misfit]
+    common = [one for one in _common(best, pairs[0].size)
+              if _misfit(pairs, one) <= ALIKE_MISFIT_RATIO * misfit]
     still = float(np.mean([pair.score_still() for pair in pairs]))
     chosen = common[0] if common else best._replace(factor=round_to(best.factor, 3))
-    is_common = bool(common) or (chosen.offset != 0 and chosen.unit == "pixels")  # of a largest velocity
+    # of a largest velocity
+    is_common = (bool(common) or (chosen.offset != 0 and chosen.unit == "pixels"))
     return Measurement(chosen, _misfit(pairs, chosen), still, is_common)
 
 
@@ -175,18 +192,21 @@ class _Pair:
     def scores(self, conventions: Sequence[Convention]) -> np.ndarray:
         """Misfit of each convention."""
         def shifts(feature: Feature) -> np.ndarray:
-            return np.stack([one.pixels(feature.motion, self.size) for one in conventions]) + self._jitter
+            return (np.stack([one.pixels(feature.motion, self.size) for one in conventions])
+                    + self._jitter)
 
         return score_shifts(self.features, shifts)
 
     def score_still(self) -> float:
         """Misfit if nothing moves."""
-        return float(score_shifts(self.features, lambda feature: np.zeros_like(feature.motion)[None] + self._jitter)[0])
+        return float(score_shifts(self.features, lambda feature: np.zeros_like(feature.motion)[None]
+                                  + self._jitter)[0])
 
 
 def _coarse(pairs: Sequence[_Pair], offset: float) -> list[Convention]:
     """All signs, orders and units, with scales that give the motion a likely length."""
-    stored = np.concatenate([np.abs(pair.now[Role.MOTION] + np.float32(offset)).reshape(-1) for pair in pairs])
+    stored = np.concatenate([np.abs(pair.now[Role.MOTION] + np.float32(offset)).reshape(-1)
+                             for pair in pairs])
     length = float(np.quantile(stored, 0.95))
     if length < 1e-12:
         return []
@@ -213,10 +233,12 @@ def _misfit(pairs: Sequence[_Pair], convention: Convention) -> float:
 
 def _common(best: Convention, size: Size) -> list[Convention]:
     """Conventions of renderers near the one that fits best, the most common first."""
-    units = [("pixels", 1.0), ("uv", 1.0), ("ndc", 1.0), ("uv", 2.0), ("width", 1.0), ("pixels", 2.0)]
+    units = [("pixels", 1.0), ("uv", 1.0), ("ndc", 1.0), ("uv", 2.0), ("width", 1.0),
+             ("pixels", 2.0)]
     near = [best._replace(unit=unit, factor=factor) for unit, factor in units]
     own = np.multiply(unit_size(best.unit, size), best.factor)
-    apart = [np.abs(np.log(np.multiply(unit_size(one.unit, size), one.factor) / own)) for one in near]
+    apart = [np.abs(np.log(np.multiply(unit_size(one.unit, size), one.factor) / own))
+             for one in near]
     return [one for one, each in zip(near, apart, strict=True)
             if each.max() < WIDE_UNIT_LOG or each.min() < NARROW_UNIT_LOG]
 
@@ -227,13 +249,14 @@ def round_to(value: float, digits: int = 4) -> float:
 
 
 def profile_lines(
-    profile: str, layer: str, letters: Sequence[str], swapped: bool, unit: str, offset: Iterable[float],
-    scale: tuple[float, float]
+    profile: str, layer: str, letters: Sequence[str], swapped: bool, unit: str,
+    offset: Iterable[float], scale: tuple[float, float]
 ) -> str:
-    """TOML of a profile that extends another one by motion in a layer; channels are in the order x, y."""
+    """TOML of a profile that extends another one by motion in a layer; channels are in the order x,
+    y."""
     order = list(letters)[::-1] if swapped else list(letters)
-    lines = [f'extends = "{profile}"', "[[plane]]", 'role = "motion"', f"names = [{json.dumps(layer)}]",
-             f"channels = [{json.dumps(order)}]"]
+    lines = [f'extends = "{profile}"', "[[plane]]", 'role = "motion"',
+             f"names = [{json.dumps(layer)}]", f"channels = [{json.dumps(order)}]"]
     if any(offset := list(offset)):
         lines.append(f"offset = [{offset[0]:g}, {offset[1]:g}]")
     if scale != (1, 1):

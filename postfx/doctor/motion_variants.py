@@ -1,9 +1,9 @@
 """Common mistakes in motion vectors, how to correct each, and which correction fits the pictures.
 
-Every variant of the motion warps the previous frame onto this one, and guides and colour score the result. A score is
-the error of the warped pictures in units of what one pixel of misregistration costs: 0 is a perfect fit. Only pixels
-with contrast count. The fifth of them that fits worst is left out, to ignore occlusions, as are pixels that come from
-outside the picture.
+Every variant of the motion warps the previous frame onto this one, and guides and colour score the
+result. A score is the error of the warped pictures in units of what one pixel of misregistration
+costs: 0 is a perfect fit. Only pixels with contrast count. The fifth of them that fits worst is
+left out, to ignore occlusions, as are pixels that come from outside the picture.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ from postfx.sampling import is_inside, local_mean
 
 Size = tuple[int, int]
 PIXEL_SCALES = (0.5, 2.0, 2 / 3, 1 / 3)
-"""Factors to pixels of the frame from pixels of an output twice as large, half as large, and so on."""
+"""Factors to pixels of the frame from pixels of an output twice as large, half as large, and so
+on."""
 
 ENCODED_SCALES = tuple(2 ** (step / 4) for step in range(8, 45))
-"""Lengths in pixels that motion stored as a colour may span, in steps that the scores can tell apart."""
+"""Lengths in pixels that motion stored as a colour may span, in steps that the scores can tell
+apart."""
 
 COMPARED_POINTS = 1500
 CONTRASTY = 0.75
@@ -50,11 +52,13 @@ class Variant:
         name: how the motion is stored, if this is the mistake.
         cause: the likely reason.
         fix: what to do with the stored values.
-        correct: (..., 2) motion, size (width, height) and jitter difference -> (..., 2) motion in pixels of the frame.
-        priority: of two variants that fit equally well, the finding names the one with the lower priority.
+        correct: (..., 2) motion, size (width, height) and jitter difference -> (..., 2) motion in
+            pixels of the frame.
+        priority: of two variants that fit equally well, the finding names the one with the lower
+            priority.
         is_colour: whether it makes sense only for motion within 0..1.
-        change: the correction for a profile: whether axes are swapped, a factor for each, and a unit; None where a
-            profile cannot say it.
+        change: the correction for a profile: whether axes are swapped, a factor for each, and a
+            unit; None where a profile cannot say it.
     """
 
     code: str
@@ -69,7 +73,8 @@ class Variant:
 
 @dataclass(frozen=True)
 class _Unit:
-    """A unit of stored motion: pixels = (stored + offset) * scale * size of `unit`, as profiles have it."""
+    """A unit of stored motion: pixels = (stored + offset) * scale * size of `unit`, as profiles
+    have it."""
 
     name: str
     cause: str
@@ -91,13 +96,18 @@ _SIGNS = {
 }
 _STORED_AS_COLOUR = "motion was stored as a colour"
 _UNIT_VARIANTS = (
-    *(_Unit(f"{factor:.3g} times as long", f"pixels of a picture {1 / factor:.3g} times as large were written", factor)
+    *(_Unit(f"{factor:.3g} times as long",
+            f"pixels of a picture {1 / factor:.3g} times as large were written", factor)
       for factor in PIXEL_SCALES),
-    _Unit("as a fraction of the image (uv 0..1)", "fractions of the image were written instead of pixels", unit="uv"),
-    _Unit("in -1..1 of the image (ndc)", "normalised device coordinates were written instead of pixels", unit="ndc"),
-    _Unit("in uv around 0.5, or ndc as (v + 1) / 2", _STORED_AS_COLOUR, 1.0, "uv", -0.5, "motion-encoded"),
+    _Unit("as a fraction of the image (uv 0..1)",
+          "fractions of the image were written instead of pixels", unit="uv"),
+    _Unit("in -1..1 of the image (ndc)",
+          "normalised device coordinates were written instead of pixels", unit="ndc"),
+    _Unit("in uv around 0.5, or ndc as (v + 1) / 2", _STORED_AS_COLOUR, 1.0, "uv", -0.5,
+          "motion-encoded"),
     _Unit("in uv as (v + 1) / 2", _STORED_AS_COLOUR, 2.0, "uv", -0.5, "motion-encoded"),
-    *(_Unit(f"in pixels as v / {scale:.3g} + 0.5", _STORED_AS_COLOUR, scale, offset=-0.5, code="motion-encoded")
+    *(_Unit(f"in pixels as v / {scale:.3g} + 0.5", _STORED_AS_COLOUR, scale, offset=-0.5,
+            code="motion-encoded")
       for scale in ENCODED_SCALES),
 )
 
@@ -109,7 +119,8 @@ def _pair(values: float | tuple[float, float]) -> np.ndarray:
 
 def _signed(signs: tuple[int, int]) -> Variant:
     code, name = _SIGNS[signs]
-    cause = {"": "", "motion-sign": "current minus previous, or motion to the next frame, was written"}.get(
+    cause = {"": "",
+             "motion-sign": "current minus previous, or motion to the next frame, was written"}.get(
         code, "the axis counts the other way, for example y up instead of down")
     return Variant(code, name or "as it is", cause, _profile(_Unit("", ""), signs) if code else "",
                    lambda motion, size, jitter: motion * _pair(signs), 1 if code else 0,
@@ -119,8 +130,10 @@ def _signed(signs: tuple[int, int]) -> Variant:
 def _swapped(signs: tuple[int, int]) -> Variant:
     name = "swapped, x for y" + (f", then {_SIGNS[signs][1]}" if signs != (1, 1) else "")
     also = f", scale = [{signs[0]}, {signs[1]}]" if signs != (1, 1) else ""
-    return Variant("motion-axes", name, "the channels are in the order y, x", f'in a profile channels = ["YX"]{also}',
-                   lambda motion, size, jitter: motion[..., ::-1] * _pair(signs), 3, change=(True, signs, "pixels"))
+    return Variant("motion-axes", name, "the channels are in the order y, x",
+                   f'in a profile channels = ["YX"]{also}',
+                   lambda motion, size, jitter: motion[..., ::-1] * _pair(signs), 3,
+                   change=(True, signs, "pixels"))
 
 
 def _scaled(unit: _Unit, signs: tuple[int, int]) -> Variant:
@@ -131,8 +144,10 @@ def _scaled(unit: _Unit, signs: tuple[int, int]) -> Variant:
         return result
 
     priority = (2 if signs == (1, 1) else 3) + (unit.unit == "pixels" and unit.offset != 0)
-    change = None if unit.offset else (False, (unit.scale * signs[0], unit.scale * signs[1]), unit.unit)
-    return Variant(unit.code, name, unit.cause, _profile(unit, signs), correct, priority, unit.offset != 0, change)
+    change = None if unit.offset else (False, (unit.scale * signs[0], unit.scale * signs[1]),
+                                       unit.unit)
+    return Variant(unit.code, name, unit.cause, _profile(unit, signs), correct, priority,
+                   unit.offset != 0, change)
 
 
 def _profile(unit: _Unit, signs: tuple[int, int]) -> str:
@@ -154,7 +169,8 @@ def _rescaled_jitter(name: str, fix: str, factor: Callable[[Size], tuple[float, 
 
 
 def _jittered(times: int | tuple[int, int], code: str, name: str, cause: str, fix: str) -> Variant:
-    return Variant(code, name, cause, fix, lambda motion, size, jitter: motion + _pair(times) * jitter, 4)
+    return Variant(code, name, cause, fix,
+                   lambda motion, size, jitter: motion + _pair(times) * jitter, 4)
 
 
 _SIGN_PAIRS = tuple(_SIGNS)
@@ -162,25 +178,36 @@ VARIANTS = (
     *(_signed(signs) for signs in _SIGN_PAIRS),
     *(_swapped(signs) for signs in _SIGN_PAIRS),
     *(_scaled(unit, signs) for unit in _UNIT_VARIANTS for signs in _SIGN_PAIRS),
-    _jittered(-1, "motion-jitter", "without the jitter's change", "motion was taken between jittered positions",
-              "compute motion with matrices that hold no jitter, or add the previous jitter minus this one's"),
+    _jittered(-1, "motion-jitter", "without the jitter's change",
+              "motion was taken between jittered positions",
+              "compute motion with matrices that hold no jitter, or add the previous jitter minus "
+              "this one's"),
     _jittered(1, "motion-jitter", "without the jitter's change, taken twice with the wrong sign",
-              "the jitter was taken off with the wrong sign", "compute motion with matrices that hold no jitter"),
+              "the jitter was taken off with the wrong sign",
+              "compute motion with matrices that hold no jitter"),
     _jittered(-2, "jitter-sign", "right, with the jitter of the header negated",
-              "the header's jitter shifts the projection, not the sample", "negate postfx:jitter (both axes)"),
-    _jittered((0, -2), "jitter-sign", "right, with y of the header's jitter negated", "the header's jitter has y up",
-              "negate y of postfx:jitter"),
+              "the header's jitter shifts the projection, not the sample",
+              "negate postfx:jitter (both axes)"),
+    _jittered((0, -2), "jitter-sign", "right, with y of the header's jitter negated",
+              "the header's jitter has y up", "negate y of postfx:jitter"),
     _jittered((-2, 0), "jitter-sign", "right, with x of the header's jitter negated",
-              "x of the header's jitter shifts the projection, not the sample", "negate x of postfx:jitter"),
-    _rescaled_jitter("as a fraction of the image (uv)", "multiply postfx:jitter by the picture's size",
+              "x of the header's jitter shifts the projection, not the sample",
+              "negate x of postfx:jitter"),
+    _rescaled_jitter("as a fraction of the image (uv)",
+                     "multiply postfx:jitter by the picture's size",
                      lambda size: (size[0], size[1])),
-    _rescaled_jitter("in -1..1 of the image (ndc)", "multiply postfx:jitter by half the picture's size",
+    _rescaled_jitter("in -1..1 of the image (ndc)",
+                     "multiply postfx:jitter by half the picture's size",
                      lambda size: (size[0] / 2, size[1] / 2)),
-    _rescaled_jitter("in -1..1 of the image (ndc) with y up", "multiply postfx:jitter by half the picture's size, and "
-                     "negate y", lambda size: (size[0] / 2, -size[1] / 2)),
-    _rescaled_jitter("twice as long", "multiply postfx:jitter by 2: it counts from -0.5 to 0.5", lambda size: (2, 2)),
-    _rescaled_jitter("half as long", "divide postfx:jitter by 2: it counts from -0.5 to 0.5", lambda size: (0.5, 0.5)),
-    Variant("motion-worse-than-none", "0 everywhere", "vectors of another frame, or in a unit that is not known",
+    _rescaled_jitter("in -1..1 of the image (ndc) with y up",
+                     "multiply postfx:jitter by half the picture's size, and negate y",
+                     lambda size: (size[0] / 2, -size[1] / 2)),
+    _rescaled_jitter("twice as long", "multiply postfx:jitter by 2: it counts from -0.5 to 0.5",
+                     lambda size: (2, 2)),
+    _rescaled_jitter("half as long", "divide postfx:jitter by 2: it counts from -0.5 to 0.5",
+                     lambda size: (0.5, 0.5)),
+    Variant("motion-worse-than-none", "0 everywhere",
+            "vectors of another frame, or in a unit that is not known",
             "write the renderer's motion vectors for this frame, or delete the AOV",
             lambda motion, size, jitter: motion * 0, 5),
 )
@@ -188,7 +215,8 @@ VARIANTS = (
 
 
 class Feature(NamedTuple):
-    """A plane of the earlier frame, and its pixels with contrast in the later one, with their values and motion."""
+    """A plane of the earlier frame, and its pixels with contrast in the later one, with their
+    values and motion."""
 
     role: Role
     weight: float
@@ -210,7 +238,8 @@ class PairScores:
         features: the planes that they were compared by.
         scores: variant -> score; infinite if most of the picture comes from outside.
         by_role: variant -> role -> score of that plane.
-        unrelated: score of positions chosen at random: the score of pictures that have nothing in common.
+        unrelated: score of positions chosen at random: the score of pictures that have nothing in
+            common.
         moved: mean length of the stored motion.
     """
 
@@ -226,13 +255,15 @@ class PairScores:
     @property
     def jitter(self) -> np.ndarray:
         """Jitter of this frame minus that of the previous one."""
-        jitter: np.ndarray = np.array(self.now.jitter, np.float32) - np.array(self.before.jitter, np.float32)
+        jitter: np.ndarray = np.array(self.now.jitter, np.float32) - np.array(self.before.jitter,
+                                                                              np.float32)
         return jitter
 
     def errors(self, variants: Sequence[Variant]) -> dict[Role, np.ndarray]:
         """Role -> errors (count,) of that plane, of variants."""
         jitter = float(self.jitter[0]), float(self.jitter[1])
-        return {feature.role: _errors_of_variants(feature, variants, self.size, jitter) for feature in self.features}
+        return {feature.role: _errors_of_variants(feature, variants, self.size, jitter)
+                for feature in self.features}
 
     @property
     def as_it_is(self) -> float:
@@ -246,8 +277,8 @@ class PairScores:
 
 
 def warp_pair(before: Frame, now: Frame, size: Size | None = None) -> PairScores | None:
-    """Scores of all variants; None without motion or without contrast. size: of the pictures that these are windows
-    of, if they are."""
+    """Scores of all variants; None without motion or without contrast. size: of the pictures that
+    these are windows of, if they are."""
     features = features_of(before, now) if Role.MOTION in now else []
     if not features:
         return None
@@ -264,23 +295,27 @@ def warp_pair(before: Frame, now: Frame, size: Size | None = None) -> PairScores
 
 
 def is_like_colour(frame: Frame) -> bool:
-    """Whether motion lies within 0..1 and mostly near 0.5: only then can it be stored as a colour."""
+    """Whether motion lies within 0..1 and mostly near 0.5: only then can it be stored as a
+    colour."""
     motion = finite(frame[Role.MOTION])
-    return bool(motion.min() >= 0 and motion.max() <= 1.001 and 0.2 < float(np.median(motion)) < 0.8)
+    return bool(motion.min() >= 0 and motion.max() <= 1.001
+                and 0.2 < float(np.median(motion)) < 0.8)
 
 
 def score_variants(warped: PairScores, variants: Sequence[Variant]) -> dict[Variant, float]:
     """Scores of variants, which need not be of `VARIANTS`."""
     by_role = warped.errors(variants)
-    return {variant: _mean({role: float(errors[number]) for role, errors in by_role.items()}, warped.features)
+    return {variant: _mean({role: float(errors[number]) for role, errors in by_role.items()},
+                           warped.features)
             for number, variant in enumerate(variants)}
 
 
 @cache
 def scaled_variants() -> tuple[Variant, ...]:
     """Variants for motion in an unknown unit of 1/128 to 128 pixels, in steps of the root of 2."""
-    units = [_Unit(f"about {factor:.3g} times as long", "motion was written in a unit that is not pixels of the frame, "
-                   "for example for each second or for a picture of another size", factor)
+    units = [_Unit(f"about {factor:.3g} times as long",
+                   "motion was written in a unit that is not pixels of the frame, for example for "
+                   "each second or for a picture of another size", factor)
              for factor in (2 ** (step / 2) for step in range(-14, 15)) if factor != 1]
     return tuple(_scaled(unit, signs) for unit in units for signs in _SIGN_PAIRS)
 
@@ -290,13 +325,15 @@ def features_of(before: Frame, now: Frame) -> list[Feature]:
     motion, found = now[Role.MOTION], []
     for role, weight in (*GUIDE_WEIGHTS, (Role.DEPTH, DEPTH_WEIGHT), (Role.COLOUR, COLOUR_WEIGHT)):
         if role in before and role in now:
-            feature = _feature(role, weight, prepare_plane(before, role), prepare_plane(now, role), motion)
+            feature = _feature(role, weight, prepare_plane(before, role), prepare_plane(now, role),
+                               motion)
             found += [feature] if feature else []
     return found
 
 
 def prepare_plane(frame: Frame, role: Role) -> np.ndarray:
-    """A plane in the form that is compared: depth and blurred colour as logarithms, the others unchanged."""
+    """A plane in the form that is compared: depth and blurred colour as logarithms, the others
+    unchanged."""
     plane = frame[role]
     if role is Role.DEPTH:
         result: np.ndarray = np.log(np.clip(np.nan_to_num(plane, nan=1e4), 1e-3, 1e4))
@@ -304,12 +341,14 @@ def prepare_plane(frame: Frame, role: Role) -> np.ndarray:
     if role is Role.COLOUR:
         light = np.maximum(luminance(finite(plane)), 0)[..., None]
         mean = float(light.mean()) or 1.0
-        return local_mean(np.log(local_mean(np.minimum(light / mean, 1e3), 1) + np.float32(1e-2)), 1)
+        return local_mean(np.log(local_mean(np.minimum(light / mean, 1e3), 1) + np.float32(1e-2)),
+                          1)
     return finite(plane)
 
 
 def score_shifts(features: list[Feature], shifts: Callable[[Feature], np.ndarray]) -> np.ndarray:
-    """Scores (count,) of motions; `shifts` gives those of a feature's points in pixels, (count, points, 2)."""
+    """Scores (count,) of motions; `shifts` gives those of a feature's points in pixels, (count,
+    points, 2)."""
     weights = sum(feature.weight for feature in features)
     scores = [feature.weight * _errors(feature, shifts(feature)) for feature in features]
     total: np.ndarray = np.sum(scores, axis=0)
@@ -322,7 +361,8 @@ def score_offset(features: list[Feature], offset: np.ndarray) -> float:
     return _mean(errors, features)
 
 
-def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, motion: np.ndarray) -> Feature | None:
+def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray,
+             motion: np.ndarray) -> Feature | None:
     if min(now.shape[:2]) < 8:
         return None
     across = largest(np.abs(np.diff(now, axis=1, append=now[:, -1:])))
@@ -336,23 +376,28 @@ def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, mot
     steepness, at = slope[rows, columns], (rows.astype(np.float32), columns.astype(np.float32))
     contrast = float(np.minimum(steepness, np.quantile(steepness, 0.9)).mean())
     before = np.ascontiguousarray(before, np.float32)
-    return Feature(role, weight, before, now[rows, columns].astype(np.float32), *at, finite(motion[rows, columns]),
-                   contrast)
+    return Feature(role, weight, before, now[rows, columns].astype(np.float32), *at,
+                   finite(motion[rows, columns]), contrast)
 
 
 def _errors(feature: Feature, shifts: np.ndarray) -> np.ndarray:
-    """Scores (count,) of shifts (count, points, 2); infinite if most points come from outside the picture."""
-    x, y = (feature.columns + shifts[..., 0]).astype(np.float32), (feature.rows + shifts[..., 1]).astype(np.float32)
+    """Scores (count,) of shifts (count, points, 2); infinite if most points come from outside the
+    picture."""
+    x, y = ((feature.columns + shifts[..., 0]).astype(np.float32),
+            (feature.rows + shifts[..., 1]).astype(np.float32))
     inside, apart = np.empty(x.shape, bool), np.empty(x.shape, np.float32)
     compare_places(feature.before, feature.now, x, y, apart, inside)
-    own = is_inside(feature.before, feature.columns + feature.motion[:, 0], feature.rows + feature.motion[:, 1])
-    # Points that only this shift moves outside count, too: otherwise a shift could hide where it fits worse.
+    own = is_inside(feature.before, feature.columns + feature.motion[:, 0],
+                    feature.rows + feature.motion[:, 1])
+    # Points that only this shift moves outside count, too: otherwise a shift could hide where it
+    # fits worse.
     used = inside | own
     apart[~used] = np.inf
     apart.sort(axis=1)
     kept = np.maximum(((1 - OCCLUDED) * used.sum(1)).astype(int), 1)
     sums = np.where(np.arange(apart.shape[1]) < kept[:, None], apart, 0).sum(1)
-    result: np.ndarray = np.where(inside.mean(1) < LEAST_INSIDE_SHARE, np.inf, sums / kept / feature.contrast)
+    result: np.ndarray = np.where(inside.mean(1) < LEAST_INSIDE_SHARE, np.inf,
+                                  sums / kept / feature.contrast)
     return result
 
 
@@ -361,7 +406,8 @@ def _errors_of_variants(
 ) -> np.ndarray:
     """Scores (count,) of variants of the stored motion."""
     offset = np.array(jitter, np.float32)
-    return _errors(feature, np.stack([one.correct(feature.motion, size, offset) + offset for one in variants]))
+    return _errors(feature, np.stack([one.correct(feature.motion, size, offset) + offset
+                                      for one in variants]))
 
 
 def _error(feature: Feature, shift: np.ndarray) -> float:
@@ -378,5 +424,6 @@ def _unrelated(features: list[Feature]) -> float:
     for feature in features:
         height, width = feature.before.shape[:2]
         places = rng.random((feature.rows.size, 2), np.float32) * _pair((width - 1, height - 1))
-        errors[feature.role] = _error(feature, places - np.stack([feature.columns, feature.rows], -1))
+        errors[feature.role] = _error(feature,
+                                      places - np.stack([feature.columns, feature.rows], -1))
     return _mean(errors, features)

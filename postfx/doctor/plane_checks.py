@@ -22,7 +22,8 @@ from postfx.sampling import local_mean
 _MAY_BE = {role: re.compile(words, re.IGNORECASE) for role, words in {
     Role.DIFFUSE_ALBEDO: r"albedo|diff\w*[ _]?(filter|col)|base[ _]?col", Role.ROUGHNESS: r"rough",
     Role.SPECULAR_ALBEDO: r"spec\w*[ _]?albedo|refl\w*[ _]?filter|gloss\w*[ _]?col",
-    Role.NORMAL: r"norm|(^|[._ ])n(n|s|g|world)?\.", Role.DEPTH: r"depth|(^|[._ ]|hit)p?z$"}.items()}
+    Role.NORMAL: r"norm|(^|[._ ])n(n|s|g|world)?\.",
+    Role.DEPTH: r"depth|(^|[._ ]|hit)p?z$"}.items()}
 """Names of layers that may be a plane. Motion has a check of its own, which measures."""
 
 
@@ -41,10 +42,12 @@ COSTS = {
     Role.DEPTH: Cost(0.10, 0.42),
     Role.MOTION: Cost(1.22, 2.03),
 }
-"""Measured by leaving each plane out of three sequences: the table of ablations in docs/lab/quality.md."""
+"""Measured by leaving each plane out of three sequences: the table of ablations in
+docs/lab/quality.md."""
 MATTERS_DB = 0.2
 
-FOLLOWING = (Role.MOTION, Role.DEPTH, Role.NORMAL, Role.ROUGHNESS, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+FOLLOWING = (Role.MOTION, Role.DEPTH, Role.NORMAL, Role.ROUGHNESS, Role.DIFFUSE_ALBEDO,
+             Role.SPECULAR_ALBEDO)
 """Planes that are needed to follow reflections by their hit distance."""
 
 
@@ -58,29 +61,35 @@ def check_hit_distance_unused(material: Material) -> Iterator[Finding]:
     lacking += ["postfx:fovX"] if first.fov_x is None else []
     if lacking:
         yield info(Role.SPECULAR_HIT_DISTANCE, "hit-distance-unused", f"no {', '.join(lacking)}",
-                   "AOVs or headers that are not written", "write them: then the history follows reflections")
+                   "AOVs or headers that are not written",
+                   "write them: then the history follows reflections")
 
 
 def check_missing_planes(material: Material) -> Iterator[Finding]:
     """Colour, which is required, and planes that would improve the result."""
     if Role.COLOUR not in material.first:
-        yield error(Role.COLOUR, "missing-colour", "no colour AOV was found", "another name or layer",
-                    "name it in a profile (--profile FILE.toml)")
+        yield error(Role.COLOUR, "missing-colour", "no colour AOV was found",
+                    "another name or layer", "name it in a profile (--profile FILE.toml)")
     for role, cost in COSTS.items():
         if role in material.first or role in material.first.guides:
             continue
-        evidence = f"not in the file; without it results were {cost.least:.2f} to {cost.most:.2f} dB worse"
-        maybe = [name for name in material.other_layers if role in _MAY_BE and _MAY_BE[role].search(name)][:MOST_LISTED]
+        evidence = (f"not in the file; without it results were {cost.least:.2f} to {cost.most:.2f} "
+                    "dB worse")
+        maybe = [name for name in material.other_layers
+                 if role in _MAY_BE and _MAY_BE[role].search(name)][:MOST_LISTED]
         evidence += f"; in the file, but not read: {'; '.join(maybe)}" if maybe else ""
         where = material.enable.get(role, "")
-        fix = f"switch it on: {where}" if where else "render it, or name it in a profile (--profile FILE.toml)"
+        fix = (f"switch it on: {where}" if where
+               else "render it, or name it in a profile (--profile FILE.toml)")
         alone = role is Role.MOTION and not material.pairs
         level = warning if (cost.least + cost.most) / 2 >= MATTERS_DB and not alone else info
-        yield level(role, f"missing-{role.replace('_', '-')}", evidence, "not rendered, or named otherwise", fix)
+        yield level(role, f"missing-{role.replace('_', '-')}", evidence,
+                    "not rendered, or named otherwise", fix)
 
 
 MANY_PERCENT = 50.0  # percent
-NEVER_NEGATIVE = (Role.COLOUR, Role.ALPHA, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS,
+NEVER_NEGATIVE = (Role.COLOUR, Role.ALPHA, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO,
+                  Role.ROUGHNESS,
                   Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR)
 UNIFORM = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.DEPTH, Role.ROUGHNESS)
 BLACK_VALUE = 1e-4
@@ -110,7 +119,8 @@ def check_finite_values(material: Material) -> Iterator[Finding]:
             continue
         evidence = f"{values.nan} NaN, {infinite} infinite of {values.total} values ({share:.3g} %)"
         cause = "division by zero in a shader or light, or an AOV that was never written"
-        fix = "find the material with a picture of the AOV (--pictures); values that are not finite count as 0"
+        fix = ("find the material with a picture of the AOV (--pictures); values that are not "
+               "finite count as 0")
         yield (error if share > MANY_PERCENT else warning)(role, "not-finite", evidence, cause, fix)
 
 
@@ -118,18 +128,24 @@ def check_uniform_planes(material: Material) -> Iterator[Finding]:
     """Planes that are black or hold a single value, though the picture shows something."""
     for role in UNIFORM:
         frames = [frame for frame in material.frames if role in frame and _shows_surfaces(frame)]
-        sizes = {frame.number: float(np.abs(finite(frame[role])).max(initial=0)) for frame in frames}
+        sizes = {frame.number: float(np.abs(finite(frame[role])).max(initial=0))
+                 for frame in frames}
         black = [number for number, size in sizes.items() if size < BLACK_VALUE]
         spread = {float(value) for frame in frames for value in _extremes(frame[role])}
         if black and role is not Role.DEPTH:
-            evidence = f"0 everywhere in frame{'s' * (len(black) > 1)} {_list(black)}; {len(frames)} were examined"
-            wrong = role is Role.NORMAL or (role is Role.DIFFUSE_ALBEDO and not _is_metal(material.middle))
-            yield (error if wrong else info)(role, "black", evidence, "the pass is switched off or was never written"
-                                             if wrong else "switched off, or nothing in view has such a value",
-                                             "render it, or delete the AOV: a black one misleads")
+            evidence = (f"0 everywhere in frame{'s' * (len(black) > 1)} {_list(black)}; "
+                        f"{len(frames)} were examined")
+            wrong = (role is Role.NORMAL
+                     or (role is Role.DIFFUSE_ALBEDO and not _is_metal(material.middle)))
+            yield (error if wrong
+                   else info)(role, "black", evidence,
+                              "the pass is switched off or was never written"
+                              if wrong else "switched off, or nothing in view has such a value",
+                              "render it, or delete the AOV: a black one misleads")
         elif frames and not black and len(spread) == (1 if role is not Role.NORMAL else 0):
             yield _constant(role, f"{next(iter(spread)):.4g}", len(frames))
-        elif frames and not black and role is Role.NORMAL and all(_is_one_value(frame[role]) for frame in frames):
+        elif (frames and not black and role is Role.NORMAL
+              and all(_is_one_value(frame[role]) for frame in frames)):
             value = ", ".join(f"{axis:.4g}" for axis in frames[0][role][0, 0])
             yield _constant(role, f"({value})", len(frames))
 
@@ -137,18 +153,23 @@ def check_uniform_planes(material: Material) -> Iterator[Finding]:
 def _constant(role: Role, value: str, frames: int) -> Finding:
     level = info if role in (Role.ROUGHNESS, Role.SPECULAR_ALBEDO) else warning
     return level(role, "constant", f"{value} everywhere in {frames} frame{'s' * (frames > 1)}",
-                 "a default instead of the pass, or an override material", "render it, or delete the AOV")
+                 "a default instead of the pass, or an override material",
+                 "render it, or delete the AOV")
 
 
 def _shows_surfaces(frame: Frame) -> bool:
     """Whether the picture is lit and its depth, if it has any, shows surfaces."""
-    lit = Role.COLOUR not in frame or float(np.abs(finite(frame[Role.COLOUR])).max(initial=0)) > BLACK_VALUE
-    return lit and (Role.DEPTH not in frame or percent(is_hit(frame[Role.DEPTH])) > 1 or not frame[Role.DEPTH].any())
+    lit = (Role.COLOUR not in frame
+           or float(np.abs(finite(frame[Role.COLOUR])).max(initial=0)) > BLACK_VALUE)
+    return lit and (Role.DEPTH not in frame or percent(is_hit(frame[Role.DEPTH])) > 1
+                    or not frame[Role.DEPTH].any())
 
 
 def _is_metal(frame: Frame) -> bool:
-    """Whether the surfaces in view reflect so much specularly that their diffuse albedo may be 0."""
-    return Role.SPECULAR_ALBEDO in frame and float(np.median(largest(finite(frame[Role.SPECULAR_ALBEDO])))) > 0.3
+    """Whether the surfaces in view reflect so much specularly that their diffuse albedo may
+    be 0."""
+    return (Role.SPECULAR_ALBEDO in frame
+            and float(np.median(largest(finite(frame[Role.SPECULAR_ALBEDO])))) > 0.3)
 
 
 def _extremes(plane: np.ndarray) -> tuple[float, float]:
@@ -167,8 +188,10 @@ def check_enlarged_planes(material: Material) -> Iterator[Finding]:
     """Planes of half the resolution, enlarged to the size of the others."""
     for role in (Role.COLOUR, *ALIGNED_PLANES):
         if role in material.middle and (how := _enlarged_how(material.middle[role])):
-            yield error(role, "half-resolution", f"1 pixel in 2 along rows and columns follows by {how}",
-                        "rendered at half the resolution and enlarged", "write it at the size of the colour")
+            yield error(role, "half-resolution",
+                        f"1 pixel in 2 along rows and columns follows by {how}",
+                        "rendered at half the resolution and enlarged",
+                        "write it at the size of the colour")
 
 
 def _enlarged_how(plane: np.ndarray) -> str:
@@ -177,14 +200,16 @@ def _enlarged_how(plane: np.ndarray) -> str:
     if min(plane.shape[:2]) < LEAST_SIDE:
         return ""
     for how, taps in ENLARGING_FILTERS.items():
-        both_ways = (_phase_ratio(along, np.array(taps, np.float32)) for along in (plane, plane.swapaxes(0, 1)))
+        both_ways = (_phase_ratio(along, np.array(taps, np.float32))
+                     for along in (plane, plane.swapaxes(0, 1)))
         if all(ratio < EXACT_ENLARGED_SHARE for ratio in both_ways):
             return how
     return ""
 
 
 def _phase_ratio(plane: np.ndarray, taps: np.ndarray) -> float:
-    """Ratio of the differences down the columns in even and odd rows; 1 with too few rows that tell."""
+    """Ratio of the differences down the columns in even and odd rows; 1 with too few rows that
+    tell."""
     count = len(plane) - len(taps) + 1
     size = np.abs(sum(tap * plane[at : at + count] for at, tap in enumerate(taps)))
     told = np.minimum(size, 10 * size.mean()).mean(axis=(1, 2))
@@ -193,7 +218,8 @@ def _phase_ratio(plane: np.ndarray, taps: np.ndarray) -> float:
         other = max(phases, key=np.sum)
         return 0.0 if np.count_nonzero(other > 0.01 * told.mean()) >= LEAST_ROWS else 1.0
     low, high = sorted(float(phase.mean()) for phase in phases)
-    return low / max(high, 1e-12) if np.count_nonzero(told > 0.01 * told.mean()) >= LEAST_ROWS else 1.0
+    return (low / max(high, 1e-12) if np.count_nonzero(told > 0.01 * told.mean()) >= LEAST_ROWS
+            else 1.0)
 
 
 def check_misplaced_planes(material: Material) -> Iterator[Finding]:
@@ -202,28 +228,36 @@ def check_misplaced_planes(material: Material) -> Iterator[Finding]:
               and frame.spec.height == material.first.spec.height]
     frozen = _find_frozen(frames)
     for role in frozen:
-        yield error(role, "other-frame", f"identical in frames {_list([f.number for f in frames])}, while other "
-                    "AOVs change", "the AOV of one frame was written to all", "write each frame's own AOV")
+        yield error(role, "other-frame",
+                    f"identical in frames {_list([f.number for f in frames])}, while other AOVs "
+                    "change", "the AOV of one frame was written to all",
+                    "write each frame's own AOV")
     for role, placement in compare_edges(frames).items():
         flip = max(placement.flips, key=lambda name: placement.flips[name])
         if placement.flips[flip] > FLIP_FITS * max(placement.own, 0) + FLIP_LEAST:
-            yield error(role, "flipped", f"its outlines fit those of the other AOVs with a correlation of "
-                        f"{placement.own:.2f}, but {placement.flips[flip]:.2f} when {flip}", "rows or columns written "
-                        "the other way round", "write all AOVs from the upper left corner")
+            yield error(role, "flipped",
+                        "its outlines fit those of the other AOVs with a correlation of "
+                        f"{placement.own:.2f}, but {placement.flips[flip]:.2f} when {flip}",
+                        "rows or columns written the other way round",
+                        "write all AOVs from the upper left corner")
         elif role not in frozen and len(placement.at) >= LEAST_FRAMES:
-            yield from _of_other_frame(role, placement.frames, [frames[at].number for at in placement.at])
+            yield from _of_other_frame(role, placement.frames,
+                                       [frames[at].number for at in placement.at])
 
 
 def _of_other_frame(role: Role, table: np.ndarray, numbers: list[int]) -> Iterator[Finding]:
     own, other = np.diag(table), table - 2 * np.eye(len(table))
     source = other.argmax(1)
-    off = other.max(1) > np.maximum(np.maximum(OTHER_FITS * own, own + OTHER_LEAST), SHARED_DISTANCE)
+    off = other.max(1) > np.maximum(np.maximum(OTHER_FITS * own, own + OTHER_LEAST),
+                                    SHARED_DISTANCE)
     if off.mean() > MOST_OFF_SHARE and len(set(source[off])) >= 2:
-        fits = ", ".join(f"frame {numbers[source[at]]} holds frame {numbers[at]}'s" for at in np.nonzero(off)[0][:3])
-        evidence = (f"by its outlines {fits} (correlation {other.max(1)[off].mean():.2f}, with its own frame's AOVs "
-                    f"{own[off].mean():.2f})")
-        yield error(role, "other-frame", evidence, "the AOV was written a frame late or early, or frames are in "
-                    "another order", "write each frame's own AOV")
+        fits = ", ".join(f"frame {numbers[source[at]]} holds frame {numbers[at]}'s"
+                         for at in np.nonzero(off)[0][:3])
+        evidence = (f"by its outlines {fits} (correlation {other.max(1)[off].mean():.2f}, with its "
+                    f"own frame's AOVs {own[off].mean():.2f})")
+        yield error(role, "other-frame", evidence,
+                    "the AOV was written a frame late or early, or frames are in another order",
+                    "write each frame's own AOV")
 
 
 def _find_frozen(frames: Sequence[Frame]) -> list[Role]:
@@ -231,12 +265,15 @@ def _find_frozen(frames: Sequence[Frame]) -> list[Role]:
     if len(frames) < 2:
         return []
     pairs = list(zip(frames, frames[1:], strict=False))
-    roles = [role for role in (*ALIGNED_PLANES, Role.COLOUR) if all(role in frame for frame in frames)]
-    still = [role for role in roles if all(np.array_equal(a[role], b[role], equal_nan=True) for a, b in pairs)
+    roles = [role
+             for role in (*ALIGNED_PLANES, Role.COLOUR) if all(role in frame for frame in frames)]
+    still = [role for role in roles
+             if all(np.array_equal(a[role], b[role], equal_nan=True) for a, b in pairs)
              and not _is_one_value(frames[0][role])]
     changing = [role for role in roles if role not in still and role is not Role.COLOUR
                 and not _is_one_value(frames[0][role])]
-    return [role for role in still if role is not Role.COLOUR] if len(changing) >= max(2, len(still)) else []
+    return ([role for role in still if role is not Role.COLOUR]
+            if len(changing) >= max(2, len(still)) else [])
 
 
 def check_negative_values(material: Material) -> Iterator[Finding]:
@@ -247,30 +284,37 @@ def check_negative_values(material: Material) -> Iterator[Finding]:
             continue
         share = 100 * values.negative / values.total
         lowest = float(np.nanmin(material.first[role]))
-        evidence = f"{values.negative} of {values.total} values below 0 ({share:.3g} %), least {lowest:.3g}"
-        cause = "a filter with negative lobes, a conversion of primaries, or an AOV of another meaning"
+        evidence = (f"{values.negative} of {values.total} values below 0 ({share:.3g} %), least "
+                    f"{lowest:.3g}")
+        cause = ("a filter with negative lobes, a conversion of primaries, or an AOV of another "
+                 "meaning")
         level = error if share > MANY_PERCENT else warning if share > 0.1 else info
-        yield level(role, "negative", evidence, cause, "render with a positive pixel filter, and linear Rec.709")
+        yield level(role, "negative", evidence, cause,
+                    "render with a positive pixel filter, and linear Rec.709")
 
 
 def check_light_outside(material: Material) -> Iterator[Finding]:
-    """So much negative light that a pixel filter is not the reason, but colours that the primaries cannot hold."""
+    """So much negative light that a pixel filter is not the reason, but colours that the primaries
+    cannot hold."""
     share = light_outside(material.first[Role.COLOUR]) if Role.COLOUR in material.first else 0.0
     if share > OUTSIDE:
-        evidence = (f"{100 * share:.2g} % of the light is outside the gamut, below 0: a CPU denoises it in wider "
-                    "primaries; on a GPU it counts as 0 in each noisy pixel, and colours come out paler and brighter")
-        yield info(Role.COLOUR, OUTSIDE_GAMUT, evidence, "saturated lights in primaries that cannot hold them",
-                   "for a GPU, render in ACEScg; of files in ACEScg write EXR first, and pictures of that by "
-                   "--no-denoise (docs/howto/display.md)")
+        evidence = (f"{100 * share:.2g} % of the light is outside the gamut, below 0: a CPU "
+                    "denoises it in wider primaries; on a GPU it counts as 0 in each noisy pixel, "
+                    "and colours come out paler and brighter")
+        yield info(Role.COLOUR, OUTSIDE_GAMUT, evidence,
+                   "saturated lights in primaries that cannot hold them",
+                   "for a GPU, render in ACEScg; of files in ACEScg write EXR first, and pictures "
+                   "of that by --no-denoise (docs/howto/display.md)")
 
 
 def check_unit_range(material: Material) -> Iterator[Finding]:
     """Masks above 1."""
     for role in IN_UNIT_RANGE:
         if role in material.first and (share := percent(material.first[role] > 1.001)) > 0:
-            evidence = f"{share:.3g} % of the pixels above 1, largest {np.nanmax(material.first[role]):.3g}"
-            yield warning(role, "above-one", evidence, "stored in percent or 0..255", "store 0..1, or scale it in a "
-                          "profile")
+            evidence = (f"{share:.3g} % of the pixels above 1, largest "
+                        f"{np.nanmax(material.first[role]):.3g}")
+            yield warning(role, "above-one", evidence, "stored in percent or 0..255",
+                          "store 0..1, or scale it in a profile")
 
 
 def check_colour_clipped(material: Material) -> Iterator[Finding]:
@@ -281,14 +325,16 @@ def check_colour_clipped(material: Material) -> Iterator[Finding]:
     share = percent(colour == 1.0)
     if float(np.nanmax(colour, initial=0.0)) == 1.0 and 0.5 < share < 90:
         evidence = f"the largest value is exactly 1, at {share:.3g} % of the values"
-        yield warning(Role.COLOUR, "colour-clipped", evidence, "tone-mapped, clamped or converted for a display",
+        yield warning(Role.COLOUR, "colour-clipped", evidence,
+                      "tone-mapped, clamped or converted for a display",
                       "write scene-linear light without a view transform or clamp")
 
 
 def check_readable_frames(material: Material) -> Iterator[Finding]:
     """A later frame that cannot be read."""
     if material.unreadable:
-        yield error("sequence", "unreadable", material.unreadable, "a broken file, or one without the others' AOVs",
+        yield error("sequence", "unreadable", material.unreadable,
+                    "a broken file, or one without the others' AOVs",
                     "render or copy this frame again")
 
 
@@ -296,7 +342,8 @@ LEAST_COVERAGE = 0.02
 LEAST_CHANGE = 0.02
 FEWEST_CHANGED_PIXELS = 200
 STRAIGHT = 0.3
-MOST_NOISE_STOPS = 0.2  # stops between neighbours' coverage: the noise of the colour does not hide larger steps
+# stops between neighbours' coverage: the noise of the colour does not hide larger steps
+MOST_NOISE_STOPS = 0.2
 NARROW_WINDOW_PX = 2
 WIDE_WINDOW_PX = 16
 TWICE = 0.4
@@ -308,12 +355,16 @@ def check_overlay_alpha(material: Material) -> Iterator[Finding]:
         return
     alpha = finite(material.middle[Role.OVERLAY])[..., 3]
     if (share := percent((alpha < -0.001) | (alpha > 1.001))) > 0:
-        evidence = f"{share:.3g} % of the pixels outside of 0..1, from {alpha.min():.3g} to {alpha.max():.3g}"
-        yield warning(Role.OVERLAY, "overlay-alpha", evidence, "stored in percent or 0..255, or layers were added",
-                      "write coverage 0..1, and composite layers over each other; other values are cut off")
+        evidence = (f"{share:.3g} % of the pixels outside of 0..1, from {alpha.min():.3g} to "
+                    f"{alpha.max():.3g}")
+        yield warning(Role.OVERLAY, "overlay-alpha", evidence,
+                      "stored in percent or 0..255, or layers were added",
+                      "write coverage 0..1, and composite layers over each other; other values are "
+                      "cut off")
     if (share := percent(alpha > 0.999)) > 99:
-        yield warning(Role.OVERLAY, "overlay-opaque", f"alpha is 1 at {share:.4g} % of the pixels", "rendered with its "
-                      "background", "render transparent objects alone, on a transparent background")
+        yield warning(Role.OVERLAY, "overlay-opaque", f"alpha is 1 at {share:.4g} % of the pixels",
+                      "rendered with its background",
+                      "render transparent objects alone, on a transparent background")
 
 
 def check_overlay_straight(material: Material) -> Iterator[Finding]:
@@ -322,10 +373,12 @@ def check_overlay_straight(material: Material) -> Iterator[Finding]:
         return
     slope, pairs = _slope(finite(material.middle[Role.OVERLAY]))
     if pairs >= FEWEST_CHANGED_PIXELS and slope < STRAIGHT:
-        evidence = (f"where coverage doubles, colour becomes {2**slope:.2f} times as bright, not twice ({pairs} "
-                    "pairs of neighbours)")
-        yield warning(Role.OVERLAY, "overlay-straight", evidence, "colour that is not multiplied by alpha",
-                      "write premultiplied colour, or multiply it by alpha; else edges are too bright")
+        evidence = (f"where coverage doubles, colour becomes {2**slope:.2f} times as bright, not "
+                    f"twice ({pairs} pairs of neighbours)")
+        yield warning(Role.OVERLAY, "overlay-straight", evidence,
+                      "colour that is not multiplied by alpha",
+                      "write premultiplied colour, or multiply it by alpha; else edges are too "
+                      "bright")
 
 
 def check_alpha_straight(material: Material) -> Iterator[Finding]:
@@ -333,10 +386,13 @@ def check_alpha_straight(material: Material) -> Iterator[Finding]:
     frame = material.middle
     if not all(role in frame for role in (Role.COLOUR, Role.ALPHA)):
         return
-    slope, pairs = _slope(finite(np.concatenate([frame[Role.COLOUR], frame[Role.ALPHA]], axis=2)), MOST_NOISE_STOPS)
+    slope, pairs = _slope(finite(np.concatenate([frame[Role.COLOUR], frame[Role.ALPHA]], axis=2)),
+                          MOST_NOISE_STOPS)
     if pairs >= FEWEST_CHANGED_PIXELS and slope < STRAIGHT:
-        yield warning(Role.COLOUR, "alpha-straight", f"where alpha doubles, colour becomes {2**slope:.2f} times as "
-                      f"bright, not twice ({pairs} pairs of neighbours)", "colour that is not multiplied by alpha",
+        yield warning(Role.COLOUR, "alpha-straight",
+                      f"where alpha doubles, colour becomes {2**slope:.2f} times as bright, not "
+                      f"twice ({pairs} pairs of neighbours)",
+                      "colour that is not multiplied by alpha",
                       "write premultiplied colour: else edges are too bright")
 
 
@@ -350,33 +406,38 @@ def check_overlay_twice(material: Material) -> Iterator[Finding]:
     used = np.abs(change) > np.percentile(np.abs(change), 80)
     shared = correlation(_detail(np.minimum(light, np.percentile(light, 90)))[used], change[used])
     if used.sum() >= FEWEST_CHANGED_PIXELS and shared > TWICE:
-        yield warning(Role.OVERLAY, "overlay-twice", f"detail of the colour is {shared:.2f} correlated with what the "
-                      "overlay changes", "the colour already holds the overlay, so it would appear twice",
-                      "write the colour before transparents, as colour or beside it as 'opaque', or give --overlay "
-                      "ignore")
+        yield warning(Role.OVERLAY, "overlay-twice",
+                      f"detail of the colour is {shared:.2f} correlated with what the overlay "
+                      "changes", "the colour already holds the overlay, so it would appear twice",
+                      "write the colour before transparents, as colour or beside it as 'opaque', "
+                      "or give --overlay ignore")
 
 
 def check_overlay_missing(material: Material) -> Iterator[Finding]:
     """Two colours, with and without transparents, and no overlay."""
     frame = material.middle
     colours = (Role.COLOUR, Role.OPAQUE_COLOUR)
-    if all(role in frame for role in colours) and Role.OVERLAY not in (*frame.planes, *frame.guides):
+    if (all(role in frame for role in colours)
+        and Role.OVERLAY not in (*frame.planes, *frame.guides)):
         share = percent((frame[Role.COLOUR] != frame[Role.OPAQUE_COLOUR]).any(2))
-        evidence = (f"colours with and without transparents differ at {share:.3g} % of the pixels, but there is no "
-                    "overlay: the colour with transparents is denoised")
-        yield info(Role.OVERLAY, "overlay-missing", evidence, "an overlay's four channels do not follow from three "
-                   "differences", "write transparent objects as 'overlay', premultiplied RGBA")
+        evidence = (f"colours with and without transparents differ at {share:.3g} % of the pixels, "
+                    "but there is no overlay: the colour with transparents is denoised")
+        yield info(Role.OVERLAY, "overlay-missing", evidence,
+                   "an overlay's four channels do not follow from three differences",
+                   "write transparent objects as 'overlay', premultiplied RGBA")
 
 
 def _slope(overlay: np.ndarray, least_change: float = LEAST_CHANGE) -> tuple[float, int]:
-    """Slope of the logarithm of light over the logarithm of coverage from pixel to pixel, and the number of pairs used.
+    """Slope of the logarithm of light over the logarithm of coverage from pixel to pixel, and the
+    number of pairs used.
 
     The slope is 1 for premultiplied colour and 0 for straight colour.
     """
     light, alpha = luminance(np.maximum(overlay[..., :3], 0)), overlay[..., 3]
     used = (alpha > LEAST_COVERAGE) & (light > 1e-4)
     logs = [np.log2(np.where(used, plane, 1)) for plane in (light, alpha)]
-    lit, covered = (np.concatenate([np.diff(log, axis=axis).ravel() for axis in (0, 1)]) for log in logs)
+    lit, covered = (np.concatenate([np.diff(log, axis=axis).ravel() for axis in (0, 1)])
+                    for log in logs)
     both = np.concatenate([(used[1:] & used[:-1]).ravel(), (used[:, 1:] & used[:, :-1]).ravel()])
     both &= np.abs(covered) > least_change
     lit, covered = lit[both], covered[both]
@@ -385,7 +446,8 @@ def _slope(overlay: np.ndarray, least_change: float = LEAST_CHANGE) -> tuple[flo
 
 def _detail(plane: np.ndarray) -> np.ndarray:
     """Detail of medium size: without noise, which is finer, and shading, which is coarser."""
-    result: np.ndarray = local_mean(plane[..., None], NARROW_WINDOW_PX) - local_mean(plane[..., None], WIDE_WINDOW_PX)
+    result: np.ndarray = (local_mean(plane[..., None], NARROW_WINDOW_PX)
+                          - local_mean(plane[..., None], WIDE_WINDOW_PX))
     return result
 
 
@@ -401,13 +463,14 @@ def check_reactive_everywhere(material: Material) -> Iterator[Finding]:
     frame = material.middle
     if Role.REACTIVE in frame and (share := percent(frame[Role.REACTIVE] > 0.5)) > MOST_REACTIVE:
         evidence = f"{share:.3g} % of the pixels ignore more than half of their history"
-        yield warning(Role.REACTIVE, "reactive-everywhere", evidence, "stored the other way round, 1 where the history "
-                      "is used", "store 0 to use the history and 1 to ignore it")
+        yield warning(Role.REACTIVE, "reactive-everywhere", evidence,
+                      "stored the other way round, 1 where the history is used",
+                      "store 0 to use the history and 1 to ignore it")
 
 
 def check_opaque_samples(material: Material) -> Iterator[Finding]:
-    """Colour before transparency with other noise than the colour: it is brighter here and darker next to it, where a
-    transparent object would change neighbours alike."""
+    """Colour before transparency with other noise than the colour: it is brighter here and darker
+    next to it, where a transparent object would change neighbours alike."""
     frame = material.middle
     if Role.COLOUR not in frame or Role.OPAQUE_COLOUR not in frame:
         return
@@ -415,13 +478,16 @@ def check_opaque_samples(material: Material) -> Iterator[Finding]:
     change = frame[Role.COLOUR].sum(axis=2) - before
     sign = np.where(np.abs(change) > 0.1 * np.abs(before), np.sign(change), 0)
     both = (sign[:, 1:] != 0) & (sign[:, :-1] != 0)
-    share, alike = percent(sign != 0), percent((sign[:, 1:] == sign[:, :-1])[both]) if both.any() else 100.0
+    share, alike = (percent(sign != 0),
+                    percent((sign[:, 1:] == sign[:, :-1])[both]) if both.any() else 100.0)
     if share > DIFFERENT and alike < ALIKE_NEIGHBOURS:
-        evidence = (f"{share:.3g} % of the pixels differ from the colour by more than a tenth, and {alike:.3g} % of "
-                    "neighbours in the same direction")
-        yield warning(Role.OPAQUE_COLOUR, "opaque-samples", evidence, "rendered with other samples than the colour, so "
-                      "the reactive mask holds noise", "write both colours from the same samples, or an AOV "
-                      "'reactive'; --reactive none ignores it")
+        evidence = (f"{share:.3g} % of the pixels differ from the colour by more than a tenth, and "
+                    f"{alike:.3g} % of neighbours in the same direction")
+        yield warning(Role.OPAQUE_COLOUR, "opaque-samples", evidence,
+                      "rendered with other samples than the colour, so the reactive mask holds "
+                      "noise",
+                      "write both colours from the same samples, or an AOV 'reactive'; --reactive "
+                      "none ignores it")
 
 
 MISMATCH_EV = 2.0
@@ -430,44 +496,57 @@ UNUSUAL_EV = 8.0
 
 
 def _jumps(frames: list[Frame], metered: dict[int, float]) -> Iterator[Finding]:
-    """Frames of one shot that are suddenly brighter or darker, by colour or by the header's exposure."""
-    bright = {frame.number: frame.exposure if frame.exposure is not None and math.isfinite(frame.exposure) else 0.0
-              for frame in frames}
+    """Frames of one shot that are suddenly brighter or darker, by colour or by the header's
+    exposure."""
+    bright = {frame.number: frame.exposure if frame.exposure is not None
+                            and math.isfinite(frame.exposure) else 0.0 for frame in frames}
     for before, now in zip(frames, frames[1:], strict=False):
         if now.reset or before.number not in metered or now.number not in metered:
             continue
-        header, colour = bright[now.number] - bright[before.number], metered[before.number] - metered[now.number]
+        header, colour = (bright[now.number] - bright[before.number],
+                          metered[before.number] - metered[now.number])
         if abs(header + colour) > JUMP_EV:
             role = "sequence" if abs(header) > abs(colour) else Role.COLOUR
-            yield warning(role, "exposure-jump", f"from frame {before.number} to {now.number} the picture becomes "
-                          f"{header + colour:+.2f} EV brighter ({colour:+.2f} by its colour, {header:+.2f} by the "
-                          "header)", "a light was switched, the renderer exposes automatically, or the header does not "
-                          "follow the colour", "render with one exposure; mark a cut with postfx:reset = 1")
+            yield warning(role, "exposure-jump",
+                          f"from frame {before.number} to {now.number} the picture becomes "
+                          f"{header + colour:+.2f} EV brighter ({colour:+.2f} by its colour, "
+                          f"{header:+.2f} by the header)",
+                          "a light was switched, the renderer exposes automatically, or the header "
+                          "does not follow the colour",
+                          "render with one exposure; mark a cut with postfx:reset = 1")
             return
 
 
 def check_exposure_mismatch(material: Material) -> Iterator[Finding]:
-    """An exposure in the header that differs from metering, which brings the picture to mid grey."""
+    """An exposure in the header that differs from metering, which brings the picture to mid
+    grey."""
     frames = [frame for frame in material.frames if Role.COLOUR in frame]
-    metered = {frame.number: ev for frame in frames if (ev := measure(frame[Role.COLOUR])) is not None}
+    metered = {frame.number: ev
+               for frame in frames if (ev := measure(frame[Role.COLOUR])) is not None}
     if frames and not metered:
-        yield warning(Role.COLOUR, "colour-black", f"black in all of {len(frames)} frames", "lights off, or another "
-                      "layer's colour", "check that the colour AOV is the beauty pass")
+        yield warning(Role.COLOUR, "colour-black", f"black in all of {len(frames)} frames",
+                      "lights off, or another layer's colour",
+                      "check that the colour AOV is the beauty pass")
     yield from _jumps(frames, metered)
     headers = {frame.number: frame.exposure for frame in frames if frame.exposure is not None}
     if any(not math.isfinite(value) for value in headers.values()):
-        yield error("sequence", "exposure-invalid", f"exposure in the header: {next(iter(headers.values()))} EV",
-                    "stops were written as postfx:exposure, which is a factor", "write stops as postfx:exposureEV")
+        yield error("sequence", "exposure-invalid",
+                    f"exposure in the header: {next(iter(headers.values()))} EV",
+                    "stops were written as postfx:exposure, which is a factor",
+                    "write stops as postfx:exposureEV")
         return
     offs = [headers[number] - metered[number] for number in metered if number in headers]
     if offs and abs(off := float(np.median(offs))) > MISMATCH_EV:
         number = next(number for number in metered if number in headers)
-        evidence = (f"the header's exposure is {headers[number]:+.2f} EV, metering wants {metered[number]:+.2f} EV: "
-                    f"{off:+.2f} EV")
+        evidence = (f"the header's exposure is {headers[number]:+.2f} EV, metering wants "
+                    f"{metered[number]:+.2f} EV: {off:+.2f} EV")
         result = "bright" if off > 0 else "dark"
-        yield warning("sequence", "exposure-mismatch", evidence, f"pictures would be too {result}: colour was scaled "
-                      "after the exposure was set, or the exposure belongs to another camera", "write the stops that "
-                      "bring mid grey to 0.18, or use --exposure auto")
-    elif not headers and metered and abs(ev := float(np.median(list(metered.values())))) > UNUSUAL_EV:
-        yield info("sequence", "exposure-unusual", f"metering wants {ev:+.2f} EV", "physical light units without a "
-                   "camera's exposure", "nothing to do with --exposure auto; else write postfx:exposureEV")
+        yield warning("sequence", "exposure-mismatch", evidence,
+                      f"pictures would be too {result}: colour was scaled after the exposure was "
+                      "set, or the exposure belongs to another camera",
+                      "write the stops that bring mid grey to 0.18, or use --exposure auto")
+    elif (not headers and metered
+          and abs(ev := float(np.median(list(metered.values())))) > UNUSUAL_EV):
+        yield info("sequence", "exposure-unusual", f"metering wants {ev:+.2f} EV",
+                   "physical light units without a camera's exposure",
+                   "nothing to do with --exposure auto; else write postfx:exposureEV")

@@ -1,8 +1,10 @@
-"""Exposure metering: one multiplier a frame, from the picture, from its header or fixed; or from the whole sequence.
+"""Exposure metering: one multiplier a frame, from the picture, from its header or fixed; or from
+the whole sequence.
 
-The tone mapper and the eye should see colour times the multiplier; mid grey is 0.18. `ExposureMeter` uses only this
-frame and earlier ones, so a sequence gives the same numbers in one run and frame by frame. `SmoothExposure` meters the
-whole sequence first, then fits a smooth curve that looks both ways in time.
+The tone mapper and the eye should see colour times the multiplier; mid grey is 0.18.
+`ExposureMeter` uses only this frame and earlier ones, so a sequence gives the same numbers in one
+run and frame by frame. `SmoothExposure` meters the whole sequence first, then fits a smooth curve
+that looks both ways in time.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ DARKEN_SECONDS = 0.4
 FRAMES_PER_SECOND = 24.0
 MODES = ("auto", "lit", "metadata")
 USED_EXPOSURE_ATTRIBUTE = "postfx:exposureUsedEV"
-"""Header attribute with the stops that a run used, for later programs; the author's own is postfx:exposureEV."""
+"""Header attribute with the stops that a run used, for later programs; the author's own is
+postfx:exposureEV."""
 APPLIED = "postfx:exposureAppliedEV"
 """The attribute's name if the pixels already include the exposure."""
 USED_FACTOR = "postfx:exposureUsed"
@@ -53,9 +56,9 @@ REACH_DEVIATIONS = 4  # standard deviations; frames further away have no weight
 def measure(colour: np.ndarray) -> float | None:
     """EV that brings a picture to mid grey, or None when it is black.
 
-    colour: (height, width, 3) scene-linear Rec.709. The mean of log2 luminance over blocks of pixels, between the
-    2nd and the 98th percentile, is brought to log2(0.18); values more than 9 stops below the 98th percentile count
-    as 9 stops below. The result is limited to +-40 EV.
+    colour: (height, width, 3) scene-linear Rec.709. The mean of log2 luminance over blocks of
+    pixels, between the 2nd and the 98th percentile, is brought to log2(0.18); values more than 9
+    stops below the 98th percentile count as 9 stops below. The result is limited to +-40 EV.
     """
     height, width = colour.shape[:2]
     block = max(METERED_BLOCK_PX, math.ceil(max(height, width) / MOST_METERED_BLOCKS))
@@ -63,20 +66,25 @@ def measure(colour: np.ndarray) -> float | None:
     if not (means > BLACK_LUMINANCE).any():
         return None
     bright = float(np.percentile(means[means > 0], PERCENTILES[1]))
-    log = np.log2(means[means > BLACK_LUMINANCE * min(bright, 1.0)])  # dim pictures have dimmer blocks that count
-    in_order, low_at, high_at = np.sort(log), *[(log.size - 1) * (percent / 100) for percent in PERCENTILES]
-    low, high = in_order[math.floor(low_at)], in_order[math.ceil(high_at)]  # members: two blocks have no inside
+    # dim pictures have dimmer blocks that count
+    log = np.log2(means[means > BLACK_LUMINANCE * min(bright, 1.0)])
+    in_order, low_at, high_at = np.sort(log), *[(log.size - 1) * (percent / 100)
+                                                for percent in PERCENTILES]
+    # members: two blocks have no inside
+    low, high = in_order[math.floor(low_at)], in_order[math.ceil(high_at)]
     inner = np.maximum(log[(log >= low) & (log <= high)], high - RANGE_EV)
     return min(max(float(math.log2(KEY) - inner.sum() / inner.size), LIMITS_EV[0]), LIMITS_EV[1])
 
 
 class ExposureMeter:
-    """Stateful exposure: call it with each frame in order to get the multiplier (> 0) for that frame.
+    """Stateful exposure: call it with each frame in order to get the multiplier (> 0) for that
+    frame.
 
-    mode: 'auto' meters each picture and follows it smoothly in EV, slower towards brighter (1 s) than towards
-    darker (0.4 s), but at once on the first frame and at cuts (`frame.reset`); a black frame keeps the shot's last
-    value. 'lit' shows the light as its author made it: `frame.exposure`, or 0 if the header has none. 'metadata' is an
-    error if the header has none, unless an earlier run wrote the frame: then it takes that run's stops
+    mode: 'auto' meters each picture and follows it smoothly in EV, slower towards brighter (1 s)
+    than towards darker (0.4 s), but at once on the first frame and at cuts (`frame.reset`); a black
+    frame keeps the shot's last value. 'lit' shows the light as its author made it:
+    `frame.exposure`, or 0 if the header has none. 'metadata' is an error if the header has none,
+    unless an earlier run wrote the frame: then it takes that run's stops
     (`USED_EXPOSURE_ATTRIBUTE`). A number is an EV: the multiplier is 2 ** EV.
     """
 
@@ -102,7 +110,8 @@ class ExposureMeter:
         self._ev = float(history["ev"]) if history else None
 
     def __call__(self, frame: Frame) -> float:
-        """Multiplier for `frame`; ExposureError if the mode is 'metadata' and the header has none."""
+        """Multiplier for `frame`; ExposureError if the mode is 'metadata' and the header has
+        none."""
         if self.mode == "lit" and frame.exposure is None:
             return 1.0
         if self.mode in ("lit", "metadata"):
@@ -131,11 +140,13 @@ def frame_rate(frame: Frame) -> float:
 
 def _share(frame: Frame, brighter: bool) -> float:
     """Share of the way to the metered EV that one frame covers."""
-    return 1.0 - math.exp(-1.0 / (frame_rate(frame) * (BRIGHTEN_SECONDS if brighter else DARKEN_SECONDS)))
+    return 1.0 - math.exp(-1.0 / (frame_rate(frame) * (BRIGHTEN_SECONDS if brighter
+                                                       else DARKEN_SECONDS)))
 
 
 def factor_of(stops: str | float) -> float:
-    """The multiplier of an exposure in stops. Raises ExposureError for what is not a number within -64..64."""
+    """The multiplier of an exposure in stops. Raises ExposureError for what is not a number within
+    -64..64."""
     return float(2.0 ** _fixed_ev(stops))
 
 
@@ -146,8 +157,8 @@ def _fixed_ev(mode: str | float) -> float:
         ev = math.nan
     if not abs(ev) <= 64:
         raise ExposureError(
-            f"exposure '{mode}': use auto, lit, metadata or a number of stops (EV) within -64..64; for sequences "
-            "smooth too"
+            f"exposure '{mode}': use auto, lit, metadata or a number of stops (EV) within -64..64; "
+            "for sequences smooth too"
         )
     return ev
 
@@ -156,11 +167,11 @@ def _header_factor(frame: Frame) -> float:
     name = frame.source or f"frame {frame.number}"
     factor = _factor_used(frame) if frame.exposure is None else frame.exposure_factor
     if factor is None:
-        raise ExposureError(f"{name}: no exposure in its header (postfx:exposureEV): use --exposure auto or an EV "
-                            "number")
+        raise ExposureError(f"{name}: no exposure in its header (postfx:exposureEV): use "
+                            "--exposure auto or an EV number")
     if not 0 < factor < math.inf:
-        raise ExposureError(f"{name}: exposure {frame.exposure} in its header is no number of stops: use --exposure "
-                            "auto")
+        raise ExposureError(f"{name}: exposure {frame.exposure} in its header is no number of "
+                            "stops: use --exposure auto")
     return factor
 
 
@@ -189,9 +200,10 @@ class MeterReading(NamedTuple):
 class SmoothExposure:
     """Exposure that meters the whole sequence first; use it in place of an `ExposureMeter`.
 
-    frames: the sequence, which is read once, when the first multiplier is needed. Within each shot, from cut to cut
-    (`frame.reset`), a straight line is fitted around each frame, weighted by a Gaussian of `seconds` in time (Cleveland
-    1979); it does not lag. A frame that was not metered gets the multiplier of the nearest frame number.
+    frames: the sequence, which is read once, when the first multiplier is needed. Within each shot,
+    from cut to cut (`frame.reset`), a straight line is fitted around each frame, weighted by a
+    Gaussian of `seconds` in time (Cleveland 1979); it does not lag. A frame that was not metered
+    gets the multiplier of the nearest frame number.
     """
 
     def __init__(self, frames: Iterable[Frame], seconds: float = SECONDS) -> None:
@@ -232,7 +244,9 @@ def colours_of(sequence: FrameSequence, lenient: bool = False) -> Iterator[Frame
     """
     own = sequence.reader()  # cuts depend on the frame that was read last
     own.rewind()
-    return (frame for _, frame in read_ahead(own.numbers, lambda number: _colour_of(own, number, lenient)) if frame)
+    return (frame
+            for _, frame in read_ahead(own.numbers, lambda number: _colour_of(own, number, lenient))
+            if frame)
 
 
 def _colour_of(sequence: FrameSequence, number: int, lenient: bool) -> Frame | None:
@@ -251,11 +265,13 @@ def shots(cuts: Sequence[bool]) -> list[slice]:
 
 
 def smooth_ev(readings: Sequence[MeterReading], width: float) -> dict[int, float]:
-    """Frame number -> smooth EV. width: standard deviation in frames; an all-black shot has 0 EV."""
+    """Frame number -> smooth EV. width: standard deviation in frames; an all-black shot has 0
+    EV."""
     curve: dict[int, float] = {}
     for shot in shots([reading.cut for reading in readings]):
         ev = np.array([np.nan if reading.ev is None else reading.ev for reading in readings[shot]])
-        curve |= zip((reading.number for reading in readings[shot]), _smooth(ev, width), strict=True)
+        curve |= zip((reading.number for reading in readings[shot]), _smooth(ev, width),
+                     strict=True)
     return curve
 
 

@@ -1,4 +1,5 @@
-"""The exposure debugger: is the exposure of a sequence right, steady and applied? If not, by how much, and why?"""
+"""The exposure debugger: is the exposure of a sequence right, steady and applied? If not, by how
+much, and why?"""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ from postfx.passes import Pass
 from postfx.runtime import Device
 
 TOLERANCE_EV = 0.2
-"""Largest mean mismatch that counts as right: below a quarter of a stop, above the meter's noise."""
+"""Largest mean mismatch that counts as right: below a quarter of a stop, above the meter's
+noise."""
 
 # Largest drift from the darkest to the brightest frame, of a steady scene and of one that
 # changes: exposure need not follow such a change fully.
@@ -62,7 +64,8 @@ class Reading(NamedTuple):
         reference_ev: stops of the right exposure, by which the checkerboard is divided.
         picture_ev: stops that the picture itself needs, metered and smooth.
         level: level of the board's mid grey, 0..1.
-        mismatch_ev: stops by which the level is too bright, within the limits of the view's response.
+        mismatch_ev: stops by which the level is too bright, within the limits of the view's
+            response.
         expected_ev: the mismatch of a view that applies the exposure as told.
     """
 
@@ -106,7 +109,8 @@ class Report:
 
     Attributes:
         grey: level of mid grey at the right exposure.
-        limits_ev: smallest and largest mismatch that the level can show; a mismatch at a limit may be larger.
+        limits_ev: smallest and largest mismatch that the level can show; a mismatch at a limit may
+            be larger.
         curve: whose curve levels were compared with: the view's or the chain's own.
         remark: what else that curve shows; it never changes a verdict.
     """
@@ -120,7 +124,8 @@ class Report:
 
     @property
     def verdict(self) -> str:
-        """The verdict on all shots: drifting if one drifts, else the verdict on the shot with the largest mismatch."""
+        """The verdict on all shots: drifting if one drifts, else the verdict on the shot with the
+        largest mismatch."""
         drifting = [shot for shot in self.shots if shot.verdict == DRIFTING_VERDICT]
         return (drifting or [max(self.shots, key=lambda shot: abs(shot.mismatch_ev))])[0].verdict
 
@@ -136,14 +141,16 @@ def debug(
     """Measure the exposure of frames; reads them once, in order, and needs only their colour.
 
     Args:
-        view: passes that show exposed scene-linear colour on a display, such as `[ToneMap()]`, or your own.
-        exposure: the mode under test: 'auto', 'smooth', 'lit', 'metadata' or stops, as in `postfx run`.
+        view: passes that show exposed scene-linear colour on a display, such as `[ToneMap()]`, or
+            your own.
+        exposure: the mode under test: 'auto', 'smooth', 'lit', 'metadata' or stops, as in `postfx
+            run`.
         reference: the mode that is right; 'smooth' meters the pictures.
         chain: the passes after the upscaler, if they are not `view`.
 
-    Passes of your own are judged by their own response, sampled on a ramp of light at 0 EV, so any curve is right if it
-    applies the exposure that it is told. A `chain` with the curve of `view` is judged by `view`: a gain over it is a
-    mistake, too. A gain over a known curve is a remark.
+    Passes of your own are judged by their own response, sampled on a ramp of light at 0 EV, so any
+    curve is right if it applies the exposure that it is told. A `chain` with the curve of `view` is
+    judged by `view`: a gain over it is a mistake, too. A gain over a known curve is a remark.
 
     Raises ExposureError if a mode has no exposure for a frame, or if there is no frame.
     """
@@ -151,11 +158,14 @@ def debug(
     seen = Board(view, told.aspect, device)
     tested = seen if chain is None else Board(chain, told.aspect, device)
     judged = _judge_chain(view, seen, tested)
-    levels = [tested.level(frame.exposure_ev, frame.reference_ev, frame.begins) for frame in told.frames]
-    expected = [float(np.clip(frame.ordered_ev, *judged.response.limits_ev)) for frame in told.frames]
+    levels = [tested.level(frame.exposure_ev, frame.reference_ev, frame.begins)
+              for frame in told.frames]
+    expected = [float(np.clip(frame.ordered_ev, *judged.response.limits_ev))
+                for frame in told.frames]
     if judged.curve == VIEW_CURVE:  # the view's own history is no mistake
-        wanted = levels if tested is seen else [
-            seen.level(frame.exposure_ev, frame.reference_ev, frame.begins) for frame in told.frames]
+        wanted = (levels if tested is seen else [
+            seen.level(frame.exposure_ev, frame.reference_ev, frame.begins)
+            for frame in told.frames])
         expected = [judged.response.ev_of(level) for level in wanted]
     return _report(told.frames, levels, judged, list(map(judged.response.ev_of, levels)), expected)
 
@@ -173,14 +183,16 @@ def debug_graded(
         frames: the render's frames, as for `debug`.
         level: frame number -> level of mid grey on its graded board, such as
             `postfx.exposure.response.GradedBoards.level`.
-        judged: the response that levels are compared with: `postfx.exposure.response.read_response` or `judge_view`.
+        judged: the response that levels are compared with: `postfx.exposure.response.read_response`
+            or `judge_view`.
         exposure: mode or stops of the run that wrote the boards, by which it divided them.
 
     Raises ExposureError as `debug` does, and if a frame has no board.
     """
     told = _Told(frames, exposure, reference)
     levels = [level(frame.number) for frame in told.frames]
-    found = [judged.response.ev_of(one) + frame.ordered_ev for one, frame in zip(levels, told.frames, strict=True)]
+    found = [judged.response.ev_of(one) + frame.ordered_ev
+             for one, frame in zip(levels, told.frames, strict=True)]
     return _report(told.frames, levels, judged, found, [frame.ordered_ev for frame in told.frames])
 
 
@@ -190,17 +202,20 @@ def judge_view(view: Sequence[Pass], device: Device | None = None) -> Calibratio
 
 
 def _judge_chain(view: Sequence[Pass], seen: Board, tested: Board) -> Calibration:
-    """A chain with the view's curve is judged by the view, gain included; any other one by its own response."""
+    """A chain with the view's curve is judged by the view, gain included; any other one by its own
+    response."""
     response = Response.of_board(tested)
     if tested is seen:
         return Calibration(response, VIEW_CURVE) if is_built_in(view) else calibrate(response)
     shown = Response.of_board(seen)
-    return calibrate(response) if response.gain_over(shown) is None else Calibration(shown, VIEW_CURVE)
+    return (calibrate(response) if response.gain_over(shown) is None
+            else Calibration(shown, VIEW_CURVE))
 
 
 class _Frame(NamedTuple):
-    """Stops of a frame: those that the chain is told, those that are right, and those that the meter reads; and whether
-    a shot begins, because its file says so or because it is the first frame."""
+    """Stops of a frame: those that the chain is told, those that are right, and those that the
+    meter reads; and whether a shot begins, because its file says so or because it is the first
+    frame."""
 
     number: int
     cut: bool
@@ -218,7 +233,8 @@ class _Frame(NamedTuple):
 class _Told:
     """The exposures that a chain is told, frame by frame; reads the frames once."""
 
-    def __init__(self, frames: Iterable[Frame], exposure: str | float, reference: str | float) -> None:
+    def __init__(self, frames: Iterable[Frame], exposure: str | float,
+                 reference: str | float) -> None:
         told, right = _Mode(exposure), _Mode(reference)
         found, width, self.aspect = [], 1.0, 1.0
         for frame in frames:
@@ -229,19 +245,22 @@ class _Told:
         if not found:
             raise ExposureError("there is no frame to measure: give at least one")
         smooth = smooth_ev(found, width)
-        self.frames = [_Frame(number, cut, cut or index == 0, told.ev(number, smooth), right.ev(number, smooth),
-                              smooth[number]) for index, (number, _, cut) in enumerate(found)]
+        self.frames = [_Frame(number, cut, cut or index == 0, told.ev(number, smooth),
+                              right.ev(number, smooth), smooth[number])
+                       for index, (number, _, cut) in enumerate(found)]
 
 
-def _report(frames: Sequence[_Frame], levels: Sequence[float], judged: Calibration, found: Sequence[float],
-            expected: Sequence[float]) -> Report:
-    """The report of frames from the stops by which each is too bright: as found, and as expected."""
-    readings = [Reading(frame.number, frame.cut, frame.exposure_ev, frame.reference_ev, frame.picture_ev, level,
-                        mismatch, wanted)
-                for frame, level, mismatch, wanted in zip(frames, levels, found, expected, strict=True)]
+def _report(frames: Sequence[_Frame], levels: Sequence[float], judged: Calibration,
+            found: Sequence[float], expected: Sequence[float]) -> Report:
+    """The report of frames from the stops by which each is too bright: as found, and as
+    expected."""
+    readings = [Reading(
+        frame.number, frame.cut, frame.exposure_ev, frame.reference_ev, frame.picture_ev, level,
+        mismatch, wanted
+    ) for frame, level, mismatch, wanted in zip(frames, levels, found, expected, strict=True)]
     judged_shots = [_judge(readings[shot]) for shot in shots([item.cut for item in readings])]
-    return Report(readings, judged_shots, judged.response.grey, judged.response.limits_ev, judged.curve,
-                  judged.remark)
+    return Report(readings, judged_shots, judged.response.grey, judged.response.limits_ev,
+                  judged.curve, judged.remark)
 
 
 class _Mode:
@@ -269,8 +288,10 @@ def _judge(readings: Sequence[Reading]) -> Shot:
         mismatch_ev=float(mismatch.mean()),
         drift_ev=float(np.ptp(mismatch)),
         level=float(np.mean([reading.level for reading in readings])),
-        right_ev=float(np.mean([reading.exposure_ev - reading.mismatch_ev for reading in readings])),
-        cause=None if verdict == RIGHT_VERDICT else likely_cause(readings, verdict == DRIFTING_VERDICT),
+        right_ev=float(np.mean([reading.exposure_ev - reading.mismatch_ev
+                                for reading in readings])),
+        cause=None if verdict == RIGHT_VERDICT
+              else likely_cause(readings, verdict == DRIFTING_VERDICT),
     )
 
 
@@ -283,7 +304,8 @@ def _verdict(mismatch: np.ndarray, scene_moves: float) -> str:
 
 
 def likely_cause(readings: Sequence[Reading], drifting: bool) -> str | None:
-    """A sentence with the mistake and its fix; None if no mistake fits and the exposure may be intended."""
+    """A sentence with the mistake and its fix; None if no mistake fits and the exposure may be
+    intended."""
     told, picture, found, expected = (
         np.array([getattr(reading, name) for reading in readings])
         for name in ("exposure_ev", "picture_ev", "mismatch_ev", "expected_ev")
@@ -296,17 +318,19 @@ def likely_cause(readings: Sequence[Reading], drifting: bool) -> str | None:
 
 
 def _otherwise_applied(extra: np.ndarray) -> str | None:
-    """Exposure that the passes after the upscaler apply in addition to the one that they are told."""
+    """Exposure that the passes after the upscaler apply in addition to the one that they are
+    told."""
     if abs(extra).max() <= APPLIED_EV:
         return None
     if np.ptp(extra) > STEADY_EV:
         return (
-            f"after the upscaler the chain adds {extra.min():+.2f} to {extra.max():+.2f} EV to the exposure that it is "
-            "told: it meters for itself or lags; give the tone mapper the frame's exposure"
+            f"after the upscaler the chain adds {extra.min():+.2f} to {extra.max():+.2f} EV to "
+            "the exposure that it is told: it meters for itself or lags; give the tone mapper the "
+            "frame's exposure"
         )
     return (
-        f"after the upscaler the chain adds {extra.mean():+.2f} EV to the exposure that it is told: give the tone "
-        "mapper the frame's exposure and nothing else"
+        f"after the upscaler the chain adds {extra.mean():+.2f} EV to the exposure that it is "
+        "told: give the tone mapper the frame's exposure and nothing else"
     )
 
 
@@ -314,15 +338,16 @@ def _pattern(told: np.ndarray, picture: np.ndarray) -> str | None:
     """Mistakes in the kind of number: applied twice, not passed on, inverted, or stops."""
     if abs(picture).max() <= NEAR_EV < abs(told).max():
         return (
-            "the colour is at mid grey before it is exposed: if it already includes the exposure, it is exposed a "
-            "second time; divide the colour by it, or give an exposure of 1 (0 EV)"
+            "the colour is at mid grey before it is exposed: if it already includes the exposure, "
+            "it is exposed a second time; divide the colour by it, or give an exposure of 1 (0 EV)"
         )
     if not told.any():
         return "the exposure is 1 (0 EV) throughout: it is probably not passed on"
     if abs(told + picture).max() <= SAME_EV:
         return "the exposure is inverted: give the multiplier, not its inverse"
     if (picture > 0).all() and abs(np.exp2(told) - picture).max() <= SAME_EV:
-        return "the exposure is the number of stops that the picture needs: give 2 to the power of it"
+        return ("the exposure is the number of stops that the picture needs: give 2 to the power "
+                "of it")
     return None
 
 
@@ -332,10 +357,11 @@ def _movement(told: np.ndarray, picture: np.ndarray) -> str:
     if told_moves and not picture_moves:
         return "the exposure changes while the picture does not"
     if picture_moves and not told_moves:
-        return "the picture's brightness changes and the exposure does not follow, which may be intended"
+        return ("the picture's brightness changes and the exposure does not follow, which may be "
+                "intended")
     if told_moves and np.corrcoef(told, picture)[0, 1] < OPPOSED:
         return (
-            "the picture gets brighter as the exposure rises, so the meter sees colour that is already exposed, and "
-            "feeds back; meter before exposing"
+            "the picture gets brighter as the exposure rises, so the meter sees colour that is "
+            "already exposed, and feeds back; meter before exposing"
         )
     return "the exposure follows the picture late or not far enough; --exposure smooth looks ahead"

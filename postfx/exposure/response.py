@@ -1,7 +1,8 @@
-"""Response of a chain: its level of mid grey by how many stops the light is too bright, measured and not assumed.
+"""Response of a chain: its level of mid grey by how many stops the light is too bright, measured
+and not assumed.
 
-A chain of passes is sampled here, on a ramp of light. A tone mapper or a grade in another program is sampled by a chart
-that goes through it; its boards are then read by that response.
+A chain of passes is sampled here, on a ramp of light. A tone mapper or a grade in another program
+is sampled by a chart that goes through it; its boards are then read by that response.
 """
 
 from __future__ import annotations
@@ -49,18 +50,21 @@ _BUILT_IN = (Display, ToneMap, View)
 class Board:
     """A chain of passes that processes nothing but the checkerboard.
 
-    passes: the passes after the upscaler. aspect: width over height of the frames. The board always has 180 rows: it
-    looks the same at every size, and the picture under it does not matter.
+    passes: the passes after the upscaler. aspect: width over height of the frames. The board always
+    has 180 rows: it looks the same at every size, and the picture under it does not matter.
     """
 
-    def __init__(self, passes: Sequence[Pass], aspect: float = 16 / 9, device: Device | None = None) -> None:
+    def __init__(self, passes: Sequence[Pass], aspect: float = 16 / 9,
+                 device: Device | None = None) -> None:
         self._reference: dict[int, float] = {}
-        self._blank = np.zeros((BOARD_HEIGHT_PX, max(round(BOARD_HEIGHT_PX * aspect), 1), 3), np.float32)
+        self._blank = np.zeros((BOARD_HEIGHT_PX, max(round(BOARD_HEIGHT_PX * aspect), 1), 3),
+                               np.float32)
         tool = ExposureTool(reference=self._reference)
         self._pipeline = Pipeline([tool, *passes], device, "metadata")
 
     def level(self, exposure: float, reference: float, cut: bool) -> float:
-        """Level of mid grey on the board for `reference` stops, when the chain is told of `exposure` stops."""
+        """Level of mid grey on the board for `reference` stops, when the chain is told of
+        `exposure` stops."""
         number = len(self._reference)
         self._reference[number] = 2.0**reference
         frame = Frame({Role.COLOUR: self._blank}, number=number, exposure=exposure, reset=cut)
@@ -68,7 +72,8 @@ class Board:
 
 
 def grey_level(picture: np.ndarray) -> float:
-    """Mean of the levels of a board's two greys; picture: (height, width, 3) as it leaves the chain."""
+    """Mean of the levels of a board's two greys; picture: (height, width, 3) as it leaves the
+    chain."""
     rows, columns = cells(*picture.shape[:2])
     dark = rows[:, None] == columns[None, :]
     level = luma(picture)
@@ -80,11 +85,13 @@ class Response:
 
     Args:
         ev: stops, rising.
-        levels: levels of the board at these stops. Where levels fall, the curve stays at the highest before.
+        levels: levels of the board at these stops. Where levels fall, the curve stays at the
+            highest before.
 
     Attributes:
         grey: level of the board at the right exposure.
-        limits_ev: stops between which the level shows the exposure; beyond, a view is black or white.
+        limits_ev: stops between which the level shows the exposure; beyond, a view is black or
+            white.
 
     Raises ExposureError if all levels are alike.
     """
@@ -92,8 +99,9 @@ class Response:
     def __init__(self, ev: np.ndarray, levels: Iterable[float]) -> None:
         self._levels, rising = np.unique(np.maximum.accumulate([*levels]), return_index=True)
         if np.ptp(self._levels) < FLAT_RESPONSE_DIFFERENCE:
-            raise ExposureError(f"the chain shows light of any brightness at the same level, {self._levels[0]:.0%} of "
-                                "the signal: it meters for itself: switch that off, and give it the frame's exposure")
+            raise ExposureError("the chain shows light of any brightness at the same level, "
+                                f"{self._levels[0]:.0%} of the signal: it meters for itself: "
+                                "switch that off, and give it the frame's exposure")
         self._ev = ev[rising]
         self.grey = self.level_at(0.0)
         self.limits_ev = float(self._ev[0]), float(self._ev[-1])
@@ -106,7 +114,8 @@ class Response:
     @classmethod
     def of_curve(cls, curve: Callable[[np.ndarray], np.ndarray]) -> Response:
         """The response of a function of exposed light (n,) to levels (n,) 0..1."""
-        dark, light = (np.clip(curve(KEY * np.exp2(STEPS_EV + stops)), 0, 1) for stops in (-STOPS, STOPS))
+        dark, light = (np.clip(curve(KEY * np.exp2(STEPS_EV + stops)), 0, 1)
+                       for stops in (-STOPS, STOPS))
         return cls(STEPS_EV, (dark + light) / 2)
 
     def level_at(self, ev: float) -> float:
@@ -118,12 +127,14 @@ class Response:
         return float(np.interp(level, self._levels, self._ev))
 
     def gain_over(self, other: Response) -> float | None:
-        """Stops by which this response is brighter than another one throughout; None if it is another curve."""
+        """Stops by which this response is brighter than another one throughout; None if it is
+        another curve."""
         tells = (self._levels > TELLING_LEVELS[0]) & (self._levels < TELLING_LEVELS[1])
         ev, levels = self._ev[tells], self._levels[tells]
         if len(ev) < 8:
             return None
-        off = [np.abs(np.interp(ev + shift, other._ev, other._levels) - levels).max() for shift in SHIFTS_EV]
+        off = [np.abs(np.interp(ev + shift, other._ev, other._levels) - levels).max()
+               for shift in SHIFTS_EV]
         best = int(np.argmin(off))
         return float(SHIFTS_EV[best]) if off[best] <= ALIKE_LEVEL_DIFFERENCE else None
 
@@ -134,7 +145,8 @@ def _narkowicz(light: np.ndarray) -> np.ndarray:
 
 
 def _hable(light: np.ndarray) -> np.ndarray:
-    """J. Hable, "Filmic Tonemapping Operators", 2010, with its exposure bias of 2 and white at 11.2."""
+    """J. Hable, "Filmic Tonemapping Operators", 2010, with its exposure bias of 2 and white at
+    11.2."""
     def curve(x: np.ndarray) -> np.ndarray:
         return (x * (0.15 * x + 0.05) + 0.004) / (x * (0.15 * x + 0.5) + 0.06) - 0.02 / 0.3
 
@@ -151,17 +163,19 @@ _LIGHT_OF_CURVES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
     "Hable": _hable,
 }
 _ENCODINGS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
-    "sRGB": SRGB.encode, "gamma 2.2": lambda light: light ** (1 / 2.2), "gamma 2.4": lambda light: light ** (1 / 2.4),
+    "sRGB": SRGB.encode, "gamma 2.2": lambda light: light ** (1 / 2.2),
+    "gamma 2.4": lambda light: light ** (1 / 2.4),
 }
 
 
 def known_curves() -> dict[str, Response]:
     """Responses of tone curves that many chains use, by name."""
-    def response_of(curve: Callable[[np.ndarray], np.ndarray], encode: Callable[[np.ndarray], np.ndarray]) -> Response:
+    def response_of(curve: Callable[[np.ndarray], np.ndarray],
+                    encode: Callable[[np.ndarray], np.ndarray]) -> Response:
         return Response.of_curve(lambda light: np.asarray(encode(np.clip(curve(light), 0, 1))))
 
-    return {f"{name}, {encoding}": response_of(curve, encode) for name, curve in _LIGHT_OF_CURVES.items()
-            for encoding, encode in _ENCODINGS.items()}
+    return {f"{name}, {encoding}": response_of(curve, encode)
+            for name, curve in _LIGHT_OF_CURVES.items() for encoding, encode in _ENCODINGS.items()}
 
 
 class Calibration(NamedTuple):
@@ -179,15 +193,17 @@ class Calibration(NamedTuple):
 
 
 def calibrate(own: Response, known: Mapping[str, Response] | None = None) -> Calibration:
-    """Judge a chain by its own response, which is the truth: what else is measured is compared with it.
+    """Judge a chain by its own response, which is the truth: what else is measured is compared with
+    it.
 
-    A response that is a known curve but for a gain has a remark. It is no mistake: curves of different authors may be
-    one curve at two exposures, so a gain is as likely a part of the look.
+    A response that is a known curve but for a gain has a remark. It is no mistake: curves of
+    different authors may be one curve at two exposures, so a gain is as likely a part of the look.
 
     known: responses by name; default `known_curves()`.
     """
     others = known_curves() if known is None else known
-    gains = {name: gain for name, other in others.items() if (gain := own.gain_over(other)) is not None}
+    gains = {name: gain
+             for name, other in others.items() if (gain := own.gain_over(other)) is not None}
     if not gains:
         return Calibration(own, OWN_CURVE)
     name = min(gains, key=lambda name: abs(gains[name]))
@@ -195,8 +211,10 @@ def calibrate(own: Response, known: Mapping[str, Response] | None = None) -> Cal
     if abs(gain) <= SAME_GAIN_EV:
         return Calibration(own, OWN_CURVE, f"its curve is that of {name}")
     brighter = "brighter" if gain > 0 else "darker"
-    return Calibration(own, OWN_CURVE, f"its curve is like that of {name}, {abs(gain):.2f} EV {brighter} throughout: "
-                                       "this counts as its look, not as a mistake")
+    return Calibration(own, OWN_CURVE,
+                                       f"its curve is like that of {name}, {abs(gain):.2f} EV "
+                                       f"{brighter} throughout: this counts as its look, not as a "
+                                       "mistake")
 
 
 def is_built_in(passes: Sequence[Pass]) -> bool:
@@ -217,31 +235,35 @@ LEAST_GREY_DIFFERENCE = 0.01
 
 
 def write_chart(path: str | PathLike[str]) -> Path:
-    """Write the chart as an EXR: mid grey times 2^-8 to 2^8 in steps of a quarter stop from left to right.
+    """Write the chart as an EXR: mid grey times 2^-8 to 2^8 in steps of a quarter stop from left to
+    right.
 
     Its header gives an exposure of 0 stops. Raises WriteError.
     """
     steps = np.repeat(KEY * np.exp2(STEPS_EV), CHART_STEP_PX).astype(np.float32)
-    colour = np.ascontiguousarray(np.broadcast_to(steps[None, :, None], (CHART_HEIGHT_PX, steps.size, 3)))
+    colour = np.ascontiguousarray(np.broadcast_to(steps[None, :, None],
+                                                  (CHART_HEIGHT_PX, steps.size, 3)))
     frame = Frame({Role.COLOUR: colour}, metadata={"postfx:exposureEV": 0.0})
     return write_frame(path, frame, bits=32, provenance={USED_EXPOSURE_ATTRIBUTE: 0.0})
 
 
 def read_response(path: str | PathLike[str]) -> Calibration:
-    """Calibration from a picture of the chart that went through a tone mapper at an exposure of 1; its other pictures
-    are judged by that. Raises ExposureError if the file does not show the chart."""
+    """Calibration from a picture of the chart that went through a tone mapper at an exposure of 1;
+    its other pictures are judged by that. Raises ExposureError if the file does not show the
+    chart."""
     level = luma(load_picture(Path(path)))
     height, width = level.shape
     if width < 4 * STEPS_EV.size:
-        raise ExposureError(f"{path}: {width} pixels for {STEPS_EV.size} steps of the chart: write it at its own size")
+        raise ExposureError(f"{path}: {width} pixels for {STEPS_EV.size} steps of the chart: write "
+                            "it at its own size")
     edges = np.linspace(0, width, STEPS_EV.size + 1)
     middle = slice(height // 4, max(height // 4 + 1, height * 3 // 4))
     columns = [slice(round(first + (last - first) / 4), round(last - (last - first) / 4))
                for first, last in zip(edges, edges[1:], strict=False)]
     steps = np.array([level[middle, column].mean() for column in columns])
     if (np.diff(steps) < -LEAST_GREY_DIFFERENCE).any():
-        raise ExposureError(f"{path}: gets darker where the chart gets brighter: give the chart that --chart wrote, "
-                            "after the tone mapper and nothing else")
+        raise ExposureError(f"{path}: gets darker where the chart gets brighter: give the chart "
+                            "that --chart wrote, after the tone mapper and nothing else")
     board = (steps[:-2] + steps[2:]) / 2  # the board's greys are a quarter stop below and above
     return calibrate(Response(STEPS_EV[1:-1], board))
 
@@ -249,20 +271,23 @@ def read_response(path: str | PathLike[str]) -> Calibration:
 class GradedBoards:
     """Pictures of a sequence's boards after the chain.
 
-    source: pattern of PNG, TIFF, JPEG or EXR files with display code values, numbered like the render.
+    source: pattern of PNG, TIFF, JPEG or EXR files with display code values, numbered like the
+    render.
     """
 
     def __init__(self, source: str) -> None:
         self.pattern, _ = locate(source)
-        self._files = {number: next(iter(files.values())) for number, files in self.pattern.find_frames().items()}
+        self._files = {number: next(iter(files.values()))
+                       for number, files in self.pattern.find_frames().items()}
         if not self._files:
             raise ExposureError(f"{source}: no such file: check the folder and the frame pattern")
 
     def level(self, number: int) -> float:
-        """Level of mid grey on a frame's board. Raises ExposureError if it is missing or shows no board."""
+        """Level of mid grey on a frame's board. Raises ExposureError if it is missing or shows no
+        board."""
         if number not in self._files:
-            raise ExposureError(f"{self.pattern.path(number)}: frame {number} is missing: grade it, or leave it out "
-                                "with --frames")
+            raise ExposureError(f"{self.pattern.path(number)}: frame {number} is missing: grade "
+                                "it, or leave it out with --frames")
         path = self._files[number]
         return board_level(load_picture(path), str(path))
 
@@ -273,17 +298,19 @@ def board_level(picture: np.ndarray, name: str) -> float:
     Raises ExposureError if the picture shows no board.
     """
     level = luma(picture)
-    halves = [_halves(level[board_area(level.shape[0], level.shape[1], part)]) for part in (True, False)]
+    halves = [_halves(level[board_area(level.shape[0], level.shape[1], part)])
+              for part in (True, False)]
     for dark, light in halves:
         greys = float(np.median(dark)), float(np.median(light))
-        spread = max(np.percentile(np.abs(half - grey), 75) for half, grey in zip((dark, light), greys, strict=True))
+        spread = max(np.percentile(np.abs(half - grey), 75)
+                     for half, grey in zip((dark, light), greys, strict=True))
         if (greys[1] - greys[0] > LEAST_GREY_DIFFERENCE
             and spread <= max(MOST_GREY_SPREAD * (greys[1] - greys[0]), LEAST_GREY_DIFFERENCE)):
             return (greys[0] + greys[1]) / 2
     if np.ptp(level) <= 2 * LEAST_GREY_DIFFERENCE:  # all black or all white
         return float(level.mean())
-    raise ExposureError(f"{name}: shows no checkerboard: give the frames of 'POSTFX_EXPOSURE_TOOL=1 postfx run' "
-                        "after your program, not cropped")
+    raise ExposureError(f"{name}: shows no checkerboard: give the frames of "
+                        "'POSTFX_EXPOSURE_TOOL=1 postfx run' after your program, not cropped")
 
 
 def _halves(level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -294,14 +321,17 @@ def _halves(level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def load_picture(path: Path) -> np.ndarray:
-    """A picture's code values, (height, width, 3) float32, 0..1 where the file holds whole numbers."""
+    """A picture's code values, (height, width, 3) float32, 0..1 where the file holds whole
+    numbers."""
     image = oiio.ImageInput.open(str(path))
     if image is None:
-        raise ExposureError(f"{path}: cannot be read: {reason_of(oiio.geterror)}; give a PNG, TIFF, JPEG or EXR")
+        raise ExposureError(f"{path}: cannot be read: {reason_of(oiio.geterror)}; give a PNG, "
+                            "TIFF, JPEG or EXR")
     pixels = image.read_image(0, 0, 0, min(3, image.spec().nchannels), oiio.FLOAT)
     reason = image.geterror()
     image.close()
     if pixels is None:
         raise ExposureError(f"{path}: broken file: {reason}; grade this frame again")
-    found: np.ndarray = np.nan_to_num(pixels if pixels.shape[2] == 3 else np.repeat(pixels[..., :1], 3, 2))
+    found: np.ndarray = np.nan_to_num(pixels if pixels.shape[2] == 3
+                                      else np.repeat(pixels[..., :1], 3, 2))
     return found

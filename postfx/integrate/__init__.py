@@ -1,4 +1,5 @@
-"""For writers of renderers: every plane that postfx reads, from what a renderer has; NumPy in, NumPy out.
+"""For writers of renderers: every plane that postfx reads, from what a renderer has; NumPy in,
+NumPy out.
 
 docs/howto/integration.md goes through all of it; samples/ray_caster.py is a renderer that uses it.
 """

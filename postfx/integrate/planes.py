@@ -35,9 +35,10 @@ PLANE_CHANNELS = {
 }
 """Channel names of each plane."""
 
-FULL_FLOAT = (Role.DEPTH, Role.SPECULAR_HIT_DISTANCE, Role.VARIANCE_OF_MEAN, Role.SAMPLE_VARIANCE, Role.SECOND_MOMENT)
-"""Planes that half floats cannot hold: a miss is 1e10, and squares of radiance are tiny or huge. Motion would only lose
-fractions beyond 2048 pixels."""
+FULL_FLOAT = (Role.DEPTH, Role.SPECULAR_HIT_DISTANCE, Role.VARIANCE_OF_MEAN, Role.SAMPLE_VARIANCE,
+              Role.SECOND_MOMENT)
+"""Planes that half floats cannot hold: a miss is 1e10, and squares of radiance are tiny or huge.
+Motion would only lose fractions beyond 2048 pixels."""
 
 _HALF_MAX = 65504.0
 
@@ -45,17 +46,19 @@ _HALF_MAX = 65504.0
 def write_planes(path: str | PathLike[str], frame: Frame) -> Path:
     """Write all planes of a frame and its headers into one EXR file; returns the path.
 
-    Half floats, those of `FULL_FLOAT` 32 bit, ZIP. Headers: `frame_header`. The file appears under its name only when
-    it is complete; folders are made. Raises WriteError when it cannot be written or is not named .exr.
+    Half floats, those of `FULL_FLOAT` 32 bit, ZIP. Headers: `frame_header`. The file appears under
+    its name only when it is complete; folders are made. Raises WriteError when it cannot be written
+    or is not named .exr.
     """
     path = Path(path)
     if path.suffix.lower() != ".exr":
         raise WriteError(f"{path}: planes can only be written as OpenEXR: name it .exr")
     roles = [role for role in Role if role in frame]
     storage = {role: oiio.FLOAT if role in FULL_FLOAT else oiio.HALF for role in roles}
-    pixels = [frame[role] if role in FULL_FLOAT else np.clip(frame[role], -_HALF_MAX, _HALF_MAX) for role in roles]
-    spec = oiio.ImageSpec(frame.spec.width, frame.spec.height, sum(len(PLANE_CHANNELS[role]) for role in roles),
-                          oiio.HALF)
+    pixels = [frame[role] if role in FULL_FLOAT else np.clip(frame[role], -_HALF_MAX, _HALF_MAX)
+              for role in roles]
+    spec = oiio.ImageSpec(frame.spec.width, frame.spec.height,
+                          sum(len(PLANE_CHANNELS[role]) for role in roles), oiio.HALF)
     spec.channelnames = [name for role in roles for name in PLANE_CHANNELS[role]]
     spec.channelformats = [storage[role] for role in roles for _ in PLANE_CHANNELS[role]]
     spec.attribute("compression", "zip")
@@ -69,8 +72,8 @@ def write_planes(path: str | PathLike[str], frame: Frame) -> Path:
 def frame_header(frame: Frame) -> dict[str, Any]:
     """Header attributes that tell postfx about a frame: name -> number, pair or (4, 4) matrix.
 
-    `postfx:jitter` and `postfx:reset` always; `postfx:exposureEV` (stops), `postfx:spp`, `postfx:fovX` (degrees) and
-    `worldToCamera` (row vectors) where the frame has them.
+    `postfx:jitter` and `postfx:reset` always; `postfx:exposureEV` (stops), `postfx:spp`,
+    `postfx:fovX` (degrees) and `worldToCamera` (row vectors) where the frame has them.
     """
     known = {
         "postfx:exposureEV": frame.exposure,

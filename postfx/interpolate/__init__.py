@@ -1,9 +1,10 @@
 """Frames between frames: what a sequence shows at times at which no frame was rendered.
 
-Steps: `paths` lead both frames through the time between them, for cells of a few pixels, and are splatted to the time
-that is asked for; `flow` estimates motion where vectors tell nothing; `choose` decides between the paths that meet, and
-`blend` takes the picture from both frames along them. `timing` says which times, numbers and time codes a sequence
-gets, how light goes on through four of its frames, and keeps that of sparks. docs/lab/interpolation.md.
+Steps: `paths` lead both frames through the time between them, for cells of a few pixels, and are
+splatted to the time that is asked for; `flow` estimates motion where vectors tell nothing; `choose`
+decides between the paths that meet, and `blend` takes the picture from both frames along them.
+`timing` says which times, numbers and time codes a sequence gets, how light goes on through four of
+its frames, and keeps that of sparks. docs/lab/interpolation.md.
 """
 
 from __future__ import annotations
@@ -73,7 +74,8 @@ DATA = (Role.DEPTH, Role.NORMAL, Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role
 LEAST_OF_CELLS = 64
 """Pixels along a picture's shorter side from which paths are found for cells of 2x2 pixels."""
 LEAST_SEARCHED = 240
-"""Pixels along the shorter side of the picture in which motion is estimated, at least where there are as many."""
+"""Pixels along the shorter side of the picture in which motion is estimated, at least where there
+are as many."""
 MOST_COUNTED_LIGHT = np.float32(1e18)
 """Light that is counted at most: sums of its squares are finite."""
 MOST_GROWN_PX = 64
@@ -91,32 +93,36 @@ class Between:
 
     Args:
         before, after: the two frames, scene-linear.
-        later: the frame that follows, if there is one. It bends the paths of what turns or speeds up, and so does the
-            motion of the frame before.
-        flow: whether motion is also estimated where there are vectors, as shadows do not move along with their surface,
-            and light that changes from one frame to the other is evened out. Where the estimated motion fits better
-            than the vectors in the picture as a whole, these are not used.
+        later: the frame that follows, if there is one. It bends the paths of what turns or speeds
+            up, and so does the motion of the frame before.
+        flow: whether motion is also estimated where there are vectors, as shadows do not move along
+            with their surface, and light that changes from one frame to the other is evened out.
+            Where the estimated motion fits better than the vectors in the picture as a whole, these
+            are not used.
         overlay: 'mix' or 'hold' (keep the earlier one's) the plane overlay.
-        composited: whether the overlay is in the colour, too. It is taken out, and put over the result.
-        is_cut: whether another shot begins between the two, as `reset` of the frame after says, too.
-        last: the time before this one, whose findings about frames of both are taken over. With `later`, too, light
-            that changes where nothing moves goes on through four frames.
+        composited: whether the overlay is in the colour, too. It is taken out, and put over the
+            result.
+        is_cut: whether another shot begins between the two, as `reset` of the frame after says,
+            too.
+        last: the time before this one, whose findings about frames of both are taken over. With
+            `later`, too, light that changes where nothing moves goes on through four frames.
 
     Attributes:
-        reason: why there is nothing to interpolate, or None: `frame` then gives the nearer one of the two.
+        reason: why there is nothing to interpolate, or None: `frame` then gives the nearer one of
+            the two.
 
     Raises FrameError for a frame without scene-linear colour.
     """
 
-    def __init__(self, before: Frame, after: Frame, later: Frame | None = None, *, flow: bool = True,
-                 overlay: str = "mix", composited: bool = False, is_cut: bool = False, last: Between | None = None
-                 ) -> None:
+    def __init__(self, before: Frame, after: Frame, later: Frame | None = None, *,
+                 flow: bool = True, overlay: str = "mix", composited: bool = False,
+                 is_cut: bool = False, last: Between | None = None) -> None:
         if overlay not in OVERLAYS:
             raise FrameError(f"overlay '{overlay}' between frames: use {' or '.join(OVERLAYS)}")
         for frame in (before, after):
             if Role.COLOUR not in frame or frame.encoding != "scene-linear":
-                raise FrameError(f"frame {frame.number} ({frame.source or 'of no file'}) has no scene-linear colour: "
-                                 "interpolate before the display transform")
+                raise FrameError(f"frame {frame.number} ({frame.source or 'of no file'}) has no "
+                                 "scene-linear colour: interpolate before the display transform")
         self.before, self.after, self._later, self._memory = before, after, later, reuse_memory()
         self._gathered: list[tuple[Frame, Pair]] = [] if last is None else [
             one for one in last._gathered if one[0] is before or one[0] is after]
@@ -124,46 +130,56 @@ class Between:
         self._inverted: list[tuple[Frame, Frame, np.ndarray]] = [] if last is None else [
             one for one in last._inverted if one[0] is before]
         self._options: dict[str, Any] = {"flow": flow, "overlay": overlay, "composited": composited}
-        self._flow, self._overlay, self._composited = flow, overlay, composited and self._both_have(Role.OVERLAY)
+        self._flow, self._overlay, self._composited = (flow, overlay,
+                                                       composited and self._both_have(Role.OVERLAY))
         self.reason = self._find_reason(is_cut)
 
     def frame(self, t: float, number: int | None = None, previous: float = 0.0) -> Frame:
-        """What is seen at a time t: 0 is the frame before, 1 the one after; those are given as they are.
+        """What is seen at a time t: 0 is the frame before, 1 the one after; those are given as they
+        are.
 
-        number: of the new frame. previous: the time to which the plane motion leads, -1 to t. Planes that only one of
-        the two frames has are left out, and so are guides.
+        number: of the new frame. previous: the time to which the plane motion leads, -1 to t.
+        Planes that only one of the two frames has are left out, and so are guides.
 
         Raises FrameError for another time.
         """
         if not (0 <= t <= 1 and -1 <= previous <= t):
-            raise FrameError(f"time {t} with motion to {previous}: give 0 <= t <= 1 and -1 <= previous <= t")
+            raise FrameError(f"time {t} with motion to {previous}: give 0 <= t <= 1 and -1 <= "
+                             "previous <= t")
         nearer = self.before if t < 0.5 else self.after
         number = nearer.number if number is None else number
         if self.reason is not None or t in (0, 1):
             return replace(nearer, number=number)
-        views = {name: Between(view, self.after.views[name], **self._options).frame(t, number, previous)
+        views = {name: Between(view, self.after.views[name], **self._options)
+                       .frame(t, number, previous)
                  for name, view in self.before.views.items() if name in self.after.views}
         planes, parts = self._make_planes(t, previous)
         camera = camera_between(self.before.world_to_camera, self.after.world_to_camera, t)
-        metadata = {name: value for name, value in self.before.metadata.items() if name not in CAMERA_ATTRIBUTES}
+        metadata = {name: value for name, value in self.before.metadata.items()
+                    if name not in CAMERA_ATTRIBUTES}
         if camera is not None and CAMERA_ATTRIBUTES[0] in self.before.metadata:
             metadata[CAMERA_ATTRIBUTES[0]] = tuple(camera.ravel().tolist())
-        return replace(self.before, planes=planes, parts=parts, number=number, jitter=(0.0, 0.0), reset=False,
+        return replace(self.before, planes=planes, parts=parts, number=number, jitter=(0.0, 0.0),
+                       reset=False,
                        metadata=metadata, guides={}, guide_size=None, samples=None, views=views,
                        world_to_camera=camera)
 
     def motion_of_after(self, previous: float) -> np.ndarray:
-        """Motion (h, w, 2) of the frame after to a time between, `previous`: what its plane is once a frame is there.
+        """Motion (h, w, 2) of the frame after to a time between, `previous`: what its plane is once
+        a frame is there.
         """
         _, last = self._paths
-        whole = last.ends[..., :2] - np.array(self.after.jitter, np.float32) / np.float32(self._scale)
+        whole = (last.ends[..., :2]
+                 - np.array(self.after.jitter, np.float32) / np.float32(self._scale))
         bend = last.bend
         if self._scale > 1:
-            whole, bend = (enlarge_motion(np.ascontiguousarray(one), *self._size) for one in (whole, bend))
+            whole, bend = (enlarge_motion(np.ascontiguousarray(one), *self._size)
+                           for one in (whole, bend))
         if self._has_vectors:
             given = _without_lost(self.after[Role.MOTION], self._longest)
             whole = np.where(np.isnan(given), whole, given)
-        motion: np.ndarray = whole * np.float32(1 - previous) + bend * np.float32(previous * (previous - 1))
+        motion: np.ndarray = (whole * np.float32(1 - previous)
+                              + bend * np.float32(previous * (previous - 1)))
         return motion
 
     def _both_have(self, role: Role) -> bool:
@@ -210,7 +226,8 @@ class Between:
     @cached_property
     def _colours(self) -> tuple[np.ndarray, np.ndarray]:
         """Colours as they are in the frames."""
-        first, last = at_once([lambda: _finite(self.before[Role.COLOUR]), lambda: _finite(self.after[Role.COLOUR])])
+        first, last = at_once([lambda: _finite(self.before[Role.COLOUR]),
+                               lambda: _finite(self.after[Role.COLOUR])])
         return first, last
 
     @cached_property
@@ -220,7 +237,8 @@ class Between:
             return _finite(self.before[Role.OPAQUE_COLOUR]), _finite(self.after[Role.OPAQUE_COLOUR])
         if not self._composited:
             return self._colours
-        first, last = (remove_overlay(*both) for both in zip(self._colours, self._overlays, strict=True))
+        first, last = (remove_overlay(*both)
+                       for both in zip(self._colours, self._overlays, strict=True))
         return first, last
 
     @cached_property
@@ -239,7 +257,8 @@ class Between:
         """How light changes from the frame before to the one after; None where it does not."""
         if Role.MOTION in self.after and not self._flow:
             return None
-        return change_of_light(*self._pictures, self.after.planes.get(Role.MOTION), float(self._longest))
+        return change_of_light(*self._pictures, self.after.planes.get(Role.MOTION),
+                               float(self._longest))
 
     def _lit(self, t: float) -> tuple[np.ndarray, np.ndarray]:
         """Colours without overlays, in the light of a time."""
@@ -252,10 +271,12 @@ class Between:
 
     @cached_property
     def _sparks(self) -> Sparks | None:
-        """Sparks of both frames; None without, without flow, and where overlays left black pixels."""
+        """Sparks of both frames; None without, without flow, and where overlays left black
+        pixels."""
         if not self._flow or self._composited or not self._has_vectors:
             return None
-        marks = [find_sparks(picture, self._scale, float(self._dim), self._grid) for picture in self._pictures]
+        marks = [find_sparks(picture, self._scale, float(self._dim), self._grid)
+                 for picture in self._pictures]
         is_there = marks[0].any() or marks[1].any()
         return Sparks(self._pictures, marks, self._scale, float(self._dim)) if is_there else None
 
@@ -268,7 +289,8 @@ class Between:
     def _small(self) -> tuple[np.ndarray, np.ndarray]:
         """The grey pictures at one pixel a cell."""
         first, last = (halve(toned, MARGIN) if self._scale == 2 else
-                       np.ascontiguousarray(toned[MARGIN:-MARGIN, MARGIN:-MARGIN]) for toned in self._toned)
+                       np.ascontiguousarray(toned[MARGIN:-MARGIN, MARGIN:-MARGIN])
+                       for toned in self._toned)
         return first, last
 
     @cached_property
@@ -276,7 +298,8 @@ class Between:
         """Depth (h, w, 1) of both frames; empty where one has none."""
         if not self._has_depth:
             return np.empty((0, 0, 1), np.float32), np.empty((0, 0, 1), np.float32)
-        return np.ascontiguousarray(self.before[Role.DEPTH]), np.ascontiguousarray(self.after[Role.DEPTH])
+        return (np.ascontiguousarray(self.before[Role.DEPTH]),
+                np.ascontiguousarray(self.after[Role.DEPTH]))
 
     @cached_property
     def _known(self) -> tuple[np.ndarray, np.ndarray]:
@@ -285,11 +308,13 @@ class Between:
             first, last = (overlay[..., 3] < COVERED for overlay in self._overlays)
             return first, last
         known = np.ones(self._size, np.bool_)
-        if self._both_have(Role.MOTION) and self._has_vectors and not self._both_have(Role.OPAQUE_COLOUR):
+        if (self._both_have(Role.MOTION) and self._has_vectors
+            and not self._both_have(Role.OPAQUE_COLOUR)):
             motion = _without_lost(self.after[Role.MOTION], self._longest)
             some = _finite(motion[::4, ::4])
             size = np.abs(some[..., 0]) + np.abs(some[..., 1])
-            find_overlay(*self._pictures, motion, min(MOST_GROWN_PX, math.ceil(float(np.quantile(size, 0.99)))), known)
+            find_overlay(*self._pictures, motion,
+                         min(MOST_GROWN_PX, math.ceil(float(np.quantile(size, 0.99)))), known)
         return known, known
 
     @cached_property
@@ -300,8 +325,8 @@ class Between:
 
     @cached_property
     def _estimated(self) -> tuple[np.ndarray, np.ndarray]:
-        """Motion of both frames to the other one, estimated from the pictures, in pixels of a picture that is halved
-        as often as it keeps enough of them."""
+        """Motion of both frames to the other one, estimated from the pictures, in pixels of a
+        picture that is halved as often as it keeps enough of them."""
         pictures = self._small
         while min(pictures[0].shape) >= 2 * LEAST_SEARCHED:
             pictures = halve(pictures[0]), halve(pictures[1])
@@ -311,13 +336,15 @@ class Between:
 
     @cached_property
     def _has_vectors(self) -> bool:
-        """Whether the frame after has motion that fits the pictures at least as well as what is estimated."""
+        """Whether the frame after has motion that fits the pictures at least as well as what is
+        estimated."""
         ways = self._ways
         return Role.MOTION in self.after if ways is None else ways.vectors_fit
 
     @cached_property
     def _ways(self) -> Ways | None:
-        """How well vectors and estimated motion explain the pictures; None where nothing is to be compared."""
+        """How well vectors and estimated motion explain the pictures; None where nothing is to be
+        compared."""
         if Role.MOTION not in self.after or not self._flow:
             return None
         motion, _ = self._cells_of(self.after)
@@ -325,21 +352,22 @@ class Between:
 
     @cached_property
     def _share_of_mean(self) -> float:
-        """How much the mean of both frames counts, 0 to 1: all where one of them is black, as nothing shows how its
-        light changed."""
+        """How much the mean of both frames counts, 0 to 1: all where one of them is black, as
+        nothing shows how its light changed."""
         if not all(picture.any() for picture in self._pictures):
             return 1.0
         return 0.0 if self._ways is None else self._ways.share_of_mean
 
     @cached_property
     def _has_depth(self) -> bool:
-        """Whether depth tells what is in front, for all but what is estimated in place of vectors."""
+        """Whether depth tells what is in front, for all but what is estimated in place of
+        vectors."""
         return self._both_have(Role.DEPTH) and (self._has_vectors or Role.MOTION not in self.after)
 
     @cached_property
     def _flows(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same for cells (rows, columns, 2) in pixels, NaN where the way there and back does not end where it
-        began; empty if not asked for."""
+        """The same for cells (rows, columns, 2) in pixels, NaN where the way there and back does
+        not end where it began; empty if not asked for."""
         if not self._flow or not self._has_vectors:
             return np.empty((0, 0, 2), np.float32), np.empty((0, 0, 2), np.float32)
         found = consistent_motion(*self._estimated, self._scale)
@@ -348,27 +376,31 @@ class Between:
 
     @cached_property
     def _mirrored(self) -> np.ndarray:
-        """Motion of what the frame after reflects, for cells, in pixels; empty where nothing tells of it."""
+        """Motion of what the frame after reflects, for cells, in pixels; empty where nothing tells
+        of it."""
         needed = (Role.MOTION, Role.DEPTH, Role.SPECULAR_HIT_DISTANCE)
         if not (self._has_vectors and all(role in self.after for role in needed)):
             return np.empty((0, 0, 2), np.float32)
         motion, depth = self._cells_of(self.after)
         length = _finite(self.after[Role.SPECULAR_HIT_DISTANCE])[::self._scale, ::self._scale]
-        found: np.ndarray = self._scale * paths.motion_of_reflections(motion, depth, length, self.after.fov_x)
+        found: np.ndarray = self._scale * paths.motion_of_reflections(motion, depth, length,
+                                                                      self.after.fov_x)
         return found
 
     def _enlarge(self, motion: np.ndarray) -> np.ndarray:
-        """Motion of a smaller picture for cells: in pixels of the picture if they were that of cells."""
+        """Motion of a smaller picture for cells: in pixels of the picture if they were that of
+        cells."""
         return enlarge_motion(motion, *self._grid)
 
     def _guess(self, side: int, is_lost: np.ndarray) -> np.ndarray:
-        """Motion (rows, columns, 2) of the frame before (0) or after (1) to the other one, in cells, for those that
-        lost their vectors."""
+        """Motion (rows, columns, 2) of the frame before (0) or after (1) to the other one, in
+        cells, for those that lost their vectors."""
         consistent = self._flows[side] / np.float32(self._scale)
         return motion_of_lost(self._enlarge(self._estimated[side]), consistent, is_lost)
 
     def _cells_of(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        """Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of a frame that has either."""
+        """Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of a frame that has
+        either."""
         for known, cells in self._gathered:
             if known is frame:
                 return cells
@@ -382,7 +414,8 @@ class Between:
     def _invert(self, motions: list[tuple[Frame, Frame, Three]]) -> list[np.ndarray]:
         """Motion of frames to the ones after them, by those, their motion and depth of both."""
         def find(before: Frame, after: Frame) -> np.ndarray | None:
-            return next((way for one, other, way in self._inverted if one is before and other is after), None)
+            return next((way for one, other, way in self._inverted
+                         if one is before and other is after), None)
 
         new = [motion for motion in motions if find(*motion[:2]) is None]
         found = at_once([partial(invert_motion, *planes) for _, _, planes in new])
@@ -394,11 +427,13 @@ class Between:
     @cached_property
     def _paths(self) -> tuple[paths.Paths, paths.Paths]:
         has_depth, later = self._has_depth, self._later
-        if later is not None and (not has_depth or later.reset or any(
-                role not in later or later[role].shape[:2] != self._size for role in (Role.MOTION, Role.DEPTH))):
+        if (later is not None and (not has_depth or later.reset or any(
+                role not in later or later[role].shape[:2] != self._size
+                for role in (Role.MOTION, Role.DEPTH)))):
             later = None
         frames = [self.before, self.after, *([] if later is None else [later])]
-        (came, near), (motion, far), *beyond = at_once([partial(self._cells_of, frame) for frame in frames])
+        (came, near), (motion, far), *beyond = at_once([partial(self._cells_of, frame)
+                                                        for frame in frames])
         if not self._has_vectors:
             motion, later, beyond = self._enlarge(self._estimated[1]), None, []
         elif self._flow and (is_lost := np.isnan(motion[..., 0])).any():
@@ -407,11 +442,13 @@ class Between:
             came = np.where(no_way[..., None], -self._guess(0, no_way), came)
         if not has_depth:
             near, far = self._rank(motion)
-        known_from_before = self._has_vectors and Role.MOTION in self.before and not self.before.reset
+        known_from_before = (self._has_vectors and Role.MOTION in self.before
+                             and not self.before.reset)
         motions: list[tuple[Frame, Frame, Three]] = [(self.before, self.after, (motion, far, near))]
         motions += [(self.after, frames[2], (onward, farther, far)) for onward, farther in beyond]
         ahead, *goes = self._invert(motions)
-        first, last = paths.paths_of(motion, ahead, near, far, came if known_from_before else None, *goes)
+        first, last = paths.paths_of(motion, ahead, near, far, came if known_from_before else None,
+                                     *goes)
         for side, frame in ((first, self.before), (last, self.after)):
             if any(frame.jitter):
                 side.ends += np.array(frame.jitter * 2, np.float32) / np.float32(self._scale)
@@ -435,9 +472,10 @@ class Between:
     # What is made for a time
 
     def _choose(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """What `compose` takes of the cells at a time, their paths by planes alone, and marks of `settle_sparks`, None
-        without sparks."""
-        _ = self._grid if self._both_have(Role.DEPTH) and Role.MOTION in self.after and not self._flow else self._toned
+        """What `compose` takes of the cells at a time, their paths by planes alone, and marks of
+        `settle_sparks`, None without sparks."""
+        _ = (self._grid if self._both_have(Role.DEPTH) and Role.MOTION in self.after
+             and not self._flow else self._toned)
         leading = begin(lambda: self._paths)
         _ = self._toned
         looking = begin(lambda: self._sparks)
@@ -445,8 +483,10 @@ class Between:
         first, last = leading.result()
         (one, near), (other, far), ahead, back = at_once([
             lambda: paths.splat_paths(first, t), lambda: paths.splat_paths(last, t),
-            lambda: bring_to_time(self._flows[0], first.ends[..., 2:], *self._small, self._scale, t),
-            lambda: bring_to_time(self._flows[1], last.ends[..., :2], *self._small[::-1], self._scale, 1 - t)])
+            lambda: bring_to_time(self._flows[0], first.ends[..., 2:], *self._small, self._scale,
+                                  t),
+            lambda: bring_to_time(self._flows[1], last.ends[..., :2], *self._small[::-1],
+                                  self._scale, 1 - t)])
         arrived = Arrived(one, other, near, far)
         own = merge_sides(arrived, self._scale)
         if any((*self.before.jitter, *self.after.jitter)):
@@ -456,36 +496,42 @@ class Between:
                 side[..., :4] -= shift / np.float32(self._scale)
         at_once([lambda: paths.fill_holes(own, np.minimum(near, far)), lambda: self._noise])
         measure_change(arrived, self._scale, own)
-        cells = choose_paths(self._compared, own, arrived, Flows(ahead, back, self._mirrored), (first, last),
-                             (t, float(self._noise)))
+        cells = choose_paths(self._compared, own, arrived, Flows(ahead, back, self._mirrored),
+                             (first, last), (t, float(self._noise)))
         sparks = looking.result()
         marks = None if sparks is None else settle_sparks(sparks, t, own, cells)
         join_cells(cells)
         measure_detail(self._compared, float(self._noise), cells)
         return cells, own, marks
 
-    def _make_planes(self, t: float, previous: float) -> tuple[dict[Role, np.ndarray], dict[str, np.ndarray]]:
+    def _make_planes(self, t: float,
+                     previous: float) -> tuple[dict[Role, np.ndarray], dict[str, np.ndarray]]:
         """Planes and parts at a time."""
         before, after = self.before, self.after
         cells, own, marks = self._choose(t)
         shared = [name for name, part in before.parts.items()
                   if name in after.parts and part.shape == after.parts[name].shape]
-        exact = [name for name in shared if name in before.part_sources and before.part_sources[name].exact]
-        light: dict[Role | str, Pair] = {role: (_finite(before[role]), _finite(after[role])) for role in MIXED_PLANES
-                                         if self._both_have(role)}
+        exact = [name for name in shared
+                 if name in before.part_sources and before.part_sources[name].exact]
+        light: dict[Role | str, Pair] = {role: (_finite(before[role]), _finite(after[role]))
+                                         for role in MIXED_PLANES if self._both_have(role)}
         light |= {name: (_finite(before.parts[name]), _finite(after.parts[name])) for name in shared
                   if name not in exact}
-        data: dict[Role | str, Pair] = {role: (before[role], after[role]) for role in DATA if self._both_have(role)}
+        data: dict[Role | str, Pair] = {role: (before[role], after[role])
+                                        for role in DATA if self._both_have(role)}
         data |= {name: (before.parts[name], after.parts[name]) for name in exact}
         stacks = [(stack_planes([pair[0] for pair in group.values()], self._size),
-                   stack_planes([pair[1] for pair in group.values()], self._size)) for group in (light, data)]
-        # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and 1
+                   stack_planes([pair[1] for pair in group.values()], self._size))
+                  for group in (light, data)]
+        # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and
+        # 1
         back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
         planes = Planes(self._lit(t), self._known, self._depths, *stacks)
         mixture = Mixture(t, self._scale, float(self._level), self._masked, back)
         picture, mixed, taken, motion = compose(cells, planes, mixture, Role.MOTION in after)
         if self._share_of_mean > 0:
-            picture, mixed = self._with_mean(t, picture, self._pictures), self._with_mean(t, mixed, stacks[0])
+            picture, mixed = (self._with_mean(t, picture, self._pictures),
+                              self._with_mean(t, mixed, stacks[0]))
         if self._pictures is self._colours:
             follow_light((self._earlier, before, after, self._later), t, picture)
         if self._sparks is not None and marks is not None:
@@ -531,13 +577,15 @@ class Between:
 class Interpolator:
     """Frames between the last two frames of a stream, for live use. Stateful: push frames in order.
 
-    Options are those of `Between`. `push` finds cuts. The frame before the last two bends motion, a later one does not.
+    Options are those of `Between`. `push` finds cuts. The frame before the last two bends motion, a
+    later one does not.
 
     Attributes:
         between: the time between the last two frames; None before there are two.
     """
 
-    def __init__(self, *, flow: bool = True, overlay: str = "mix", composited: bool = False) -> None:
+    def __init__(self, *, flow: bool = True, overlay: str = "mix",
+                 composited: bool = False) -> None:
         self._options: dict[str, Any] = {"flow": flow, "overlay": overlay, "composited": composited}
         self._detector, self._times = CutDetector(), [0.0, 0.0]
         self._last: Frame | None = None
@@ -556,14 +604,17 @@ class Interpolator:
     def push(self, frame: Frame, delta: float = 1.0) -> None:
         """Take the next frame, `delta` after the one before it, in any unit of time above 0."""
         if not delta > 0:
-            raise FrameError(f"frame {frame.number} comes {delta} after the one before: give a time above 0")
+            raise FrameError(f"frame {frame.number} comes {delta} after the one before: give a "
+                             "time above 0")
         is_cut = self._detector(frame)
         if self._last is not None:
-            self.between = Between(self._last, frame, is_cut=is_cut, last=self.between, **self._options)
+            self.between = Between(self._last, frame, is_cut=is_cut, last=self.between,
+                                   **self._options)
         self._last, self._times = frame, [self._times[1], self._times[1] + delta]
 
     def frame(self, t: float, number: int | None = None) -> Frame:
-        """What is seen at a time between the last two frames, 0 to 1. FrameError before there are two."""
+        """What is seen at a time between the last two frames, 0 to 1. FrameError before there are
+        two."""
         if self.between is None:
             raise FrameError("nothing to interpolate: push two frames first")
         return self.between.frame(t, number)
@@ -581,10 +632,11 @@ def _without_lost(motion: np.ndarray, longest: np.float32) -> np.ndarray:
 
 
 def _finite(plane: np.ndarray) -> np.ndarray:
-    """The plane with 0 for what is not finite, within MOST_COUNTED_LIGHT; itself if all of it is and it lies in one
-    piece."""
+    """The plane with 0 for what is not finite, within MOST_COUNTED_LIGHT; itself if all of it is
+    and it lies in one piece."""
     plane = np.ascontiguousarray(plane)
     if largest_bits_of(plane) <= MOST_COUNTED_LIGHT.view(np.uint32):
         return plane
-    found: np.ndarray = np.nan_to_num(plane, nan=0, posinf=0, neginf=0).clip(-MOST_COUNTED_LIGHT, MOST_COUNTED_LIGHT)
+    found: np.ndarray = np.nan_to_num(plane, nan=0, posinf=0, neginf=0).clip(-MOST_COUNTED_LIGHT,
+                                                                             MOST_COUNTED_LIGHT)
     return found

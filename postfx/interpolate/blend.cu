@@ -36,18 +36,26 @@ __device__ inline Corner corner_of(float y, float x, int h, int w) {
     return {j, i, y - j, x - i};
 }
 
-// Weights of four taps around a place after the second one: cubics where sharp is 1, B-splines where it is 0.
+// Weights of four taps around a place after the second one: cubics where sharp is 1, B-splines
+// where it is 0.
 __device__ inline Four taps_at(float t, float sharp) {
     const float k = 1.0f - sharp;
-    const float squares_soft[4] = {0.5f, -1.0f, 0.5f, 0.0f}, squares[4] = {1.0f, -2.5f, 2.0f, -0.5f};
-    const float cubes_soft[4] = {-1.0f / 6.0f, 0.5f, -0.5f, 1.0f / 6.0f}, cubes[4] = {-0.5f, 1.5f, -1.5f, 0.5f};
-    const float ones_soft[4] = {1.0f / 6.0f, 2.0f / 3.0f, 1.0f / 6.0f, 0.0f}, ones[4] = {0.0f, 1.0f, 0.0f, 0.0f};
+    const float squares_soft[4] = {0.5f, -1.0f, 0.5f, 0.0f},
+                squares[4] = {1.0f, -2.5f, 2.0f, -0.5f};
+    const float cubes_soft[4] = {-1.0f / 6.0f, 0.5f, -0.5f, 1.0f / 6.0f},
+                cubes[4] = {-0.5f, 1.5f, -1.5f, 0.5f};
+    const float ones_soft[4] = {1.0f / 6.0f, 2.0f / 3.0f, 1.0f / 6.0f, 0.0f},
+                ones[4] = {0.0f, 1.0f, 0.0f, 0.0f};
     const float first[4] = {-0.5f, 0.0f, 0.5f, 0.0f};
     float found[4];
 #pragma unroll
     for (int i = 0; i < 4; i++)
-        found[i] = (((k * cubes_soft[i] + sharp * cubes[i]) * t + k * squares_soft[i] + sharp * squares[i]) * t
-                    + first[i]) * t + k * ones_soft[i] + sharp * ones[i];
+        found[i] =
+            (((k * cubes_soft[i] + sharp * cubes[i]) * t + k * squares_soft[i] + sharp * squares[i])
+                 * t
+             + first[i])
+                * t
+            + k * ones_soft[i] + sharp * ones[i];
     return {found[0], found[1], found[2], found[3]};
 }
 
@@ -77,14 +85,17 @@ __device__ inline Colour colour_at(const View& picture, float y, float x, float 
         const size_t row = size_t(within(at.j - 1 + b, h)) * w;
         const Four q = four(picture, row + columns[1]), r = four(picture, row + columns[2]);
         Colour line = plus({0.0f, 0.0f, 0.0f}, across.x, four(picture, row + columns[0]));
-        line = plus(plus(plus(line, across.y, q), across.z, r), across.w, four(picture, row + columns[3]));
-        sum = {sum.r + weights[b] * line.r, sum.g + weights[b] * line.g, sum.b + weights[b] * line.b};
+        line = plus(plus(plus(line, across.y, q), across.z, r), across.w,
+                    four(picture, row + columns[3]));
+        sum = {sum.r + weights[b] * line.r, sum.g + weights[b] * line.g,
+               sum.b + weights[b] * line.b};
         if (b == 1 || b == 2) {
             low = least(least(low, q), r);
             high = most(most(high, q), r);
         }
     }
-    return {fminf(fmaxf(sum.r, low.r), high.r), fminf(fmaxf(sum.g, low.g), high.g), fminf(fmaxf(sum.b, low.b), high.b)};
+    return {fminf(fmaxf(sum.r, low.r), high.r), fminf(fmaxf(sum.g, low.g), high.g),
+            fminf(fmaxf(sum.b, low.b), high.b)};
 }
 
 // Weights of the two frames for a path of a pixel, 1 together, by whether they show its point.
@@ -101,25 +112,29 @@ __device__ inline float depth_of(const View& picture, size_t pixel) {
     return picture.at[4 * pixel + 3];
 }
 
-// Depth of the surface that a path shows at a pixel, 0 where it leads to another one, and whether both frames show it.
+// Depth of the surface that a path shows at a pixel, 0 where it leads to another one, and whether
+// both frames show it.
 struct Surface {
     float depth;
     bool is_shown;
 };
 
-__device__ inline Surface surface_of(const View& before, const View& after, const Path& path, int y, int x) {
+__device__ inline Surface surface_of(const View& before, const View& after, const Path& path, int y,
+                                     int x) {
     const int h = before.size[0], w = before.size[1];
     const Corner a = corner_of(y + 0.5f + path.ay, x + 0.5f + path.ax, h, w);
     const Corner b = corner_of(y + 0.5f + path.by, x + 0.5f + path.bx, h, w);
-    const float one = depth_of(before, size_t(a.j) * w + a.i), other = depth_of(after, size_t(b.j) * w + b.i);
+    const float one = depth_of(before, size_t(a.j) * w + a.i),
+                other = depth_of(after, size_t(b.j) * w + b.i);
     if (path.first == 0.0f || path.last == 0.0f) return {path.first == 0.0f ? other : one, false};
     const bool is_one = fabsf(one - other) <= NEARER * fminf(one, other);
     return {is_one ? 0.5f * (one + other) : 0.0f, is_one};
 }
 
-// Shares of four cells in a pixel, by its place between them; of cells that follow one path one has it all.
-__device__ inline void share_cells(const View& cells, const int (&places)[4], float across, float down,
-                                   float (&shares)[4]) {
+// Shares of four cells in a pixel, by its place between them; of cells that follow one path one has
+// it all.
+__device__ inline void share_cells(const View& cells, const int (&places)[4], float across,
+                                   float down, float (&shares)[4]) {
     Path paths[4];
 #pragma unroll
     for (int k = 0; k < 4; k++) {
@@ -147,21 +162,29 @@ struct Shown {
     Pair weights;
 };
 
-__device__ inline Shown shown_by(const Led& led, const View& before, const View& after, int y, int x, float t) {
+__device__ inline Shown shown_by(const Led& led, const View& before, const View& after, int y,
+                                 int x, float t) {
     const Path& path = led.path;
-    Shown found = {{0.0f, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}, weights_of(path, before.size[0], before.size[1], y, x, t)};
-    if (found.weights.x > 0.0f) found.before = colour_at(before, y + path.ay, x + path.ax, led.sharp);
+    Shown found = {{0.0f, 0.0f, 0.0f},
+                   {0.0f, 0.0f, 0.0f},
+                   weights_of(path, before.size[0], before.size[1], y, x, t)};
+    if (found.weights.x > 0.0f)
+        found.before = colour_at(before, y + path.ay, x + path.ax, led.sharp);
     if (found.weights.y > 0.0f) found.after = colour_at(after, y + path.by, x + path.bx, led.sharp);
     return found;
 }
 
-// Their mean: the nearer frame's alone where light differs that much that it is something else, such as a spark.
+// Their mean: the nearer frame's alone where light differs that much that it is something else,
+// such as a spark.
 __device__ inline Colour settled(const Shown& by, float dim) {
-    const float first = by.before.r + by.before.g + by.before.b, last = by.after.r + by.after.g + by.after.b;
+    const float first = by.before.r + by.before.g + by.before.b,
+                last = by.after.r + by.after.g + by.after.b;
     Pair weights = by.weights;
-    if (fminf(weights.x, weights.y) > 0.0f && fmaxf(first, last) > ELSE * fmaxf(fminf(first, last), dim))
+    if (fminf(weights.x, weights.y) > 0.0f
+        && fmaxf(first, last) > ELSE * fmaxf(fminf(first, last), dim))
         weights = weights.x >= weights.y ? Pair{1.0f, 0.0f} : Pair{0.0f, 1.0f};
-    return {weights.x * by.before.r + weights.y * by.after.r, weights.x * by.before.g + weights.y * by.after.g,
+    return {weights.x * by.before.r + weights.y * by.after.r,
+            weights.x * by.before.g + weights.y * by.after.g,
             weights.x * by.before.b + weights.y * by.after.b};
 }
 
@@ -183,7 +206,9 @@ __device__ inline Around around_of(const View& cells, float scale, int y, int x)
     const float size = 1.0f / scale;
     const Between down = between_cells(y, size, rows), across = between_cells(x, size, columns);
     return {{down.first * columns + across.first, down.first * columns + across.second,
-             down.second * columns + across.first, down.second * columns + across.second}, down.share, across.share};
+             down.second * columns + across.first, down.second * columns + across.second},
+            down.share,
+            across.share};
 }
 
 // What is mixed. dim: light that counts as dark.
@@ -195,8 +220,8 @@ struct Mixed {
 // A pixel among cells that follow one path, interpolated between them.
 __device__ inline Made joined_pixel(const Mixed& of, const Around& around, int y, int x) {
     const float down = around.down, across = around.across;
-    const float shares[4] = {(1.0f - down) * (1.0f - across), (1.0f - down) * across, down * (1.0f - across),
-                             down * across};
+    const float shares[4] = {(1.0f - down) * (1.0f - across), (1.0f - down) * across,
+                             down * (1.0f - across), down * across};
     Led one = {{0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f}, 0.0f};
     float sharpest = 0.0f;
 #pragma unroll
@@ -207,7 +232,8 @@ __device__ inline Made joined_pixel(const Mixed& of, const Around& around, int y
         one.path.ay += shares[k] * path.y;
         one.path.bx += shares[k] * path.z;
         one.path.by += shares[k] * path.w;
-        if (k == 0) one.path.first = rest.x, one.path.last = rest.y;  // where they differ, cells are not joined
+        // where they differ, cells are not joined
+        if (k == 0) one.path.first = rest.x, one.path.last = rest.y;
         one.sharp += shares[k] * rest.z;
         sharpest = fmaxf(sharpest, rest.z);
     }
@@ -231,9 +257,9 @@ __device__ inline float largest_of_four(float value) {
     return fmaxf(value, of_four(value, 2));
 }
 
-// A pixel of several paths, made by four lanes, each of which has one of the paths; in all of them, but for the path,
-// which is that of the lane `best`. A path whose surface lies behind one that both frames show there loses most of its
-// share.
+// A pixel of several paths, made by four lanes, each of which has one of the paths; in all of them,
+// but for the path, which is that of the lane `best`. A path whose surface lies behind one that
+// both frames show there loses most of its share.
 __device__ inline Made mixed_pixel(const Mixed& of, const Around& around, int y, int x, int& best) {
     const int lane = threadIdx.x % 4;
     float shares[4];
@@ -242,14 +268,16 @@ __device__ inline Made mixed_pixel(const Mixed& of, const Around& around, int y,
     const Led one = cell_of(of.cells, lane == 0 ? around.places[0] : lane == 1 ? around.places[1]
                             : lane == 2 ? around.places[2] : around.places[3]);
     const Surface surface = surface_of(of.before, of.after, one.path, y, x);
-    const float nearest = -largest_of_four(share > 0.0f && surface.is_shown ? -surface.depth : -LARGEST_FLOAT);
+    const float nearest = -largest_of_four(share > 0.0f && surface.is_shown ? -surface.depth
+                                                                            : -LARGEST_FLOAT);
     if (surface.depth > (1.0f + NEARER) * nearest) share *= HIDDEN;
     Colour mean = {0.0f, 0.0f, 0.0f};
     float led = 0.0f;
     if (share > 0.0f) {
         const Shown found = shown_by(one, of.before, of.after, y, x, of.t);
         const Colour &a = found.before, &b = found.after;
-        const float light = fabsf(a.r) + fabsf(a.g) + fabsf(a.b) + fabsf(b.r) + fabsf(b.g) + fabsf(b.b);
+        const float light = fabsf(a.r) + fabsf(a.g) + fabsf(a.b) + fabsf(b.r) + fabsf(b.g)
+                            + fabsf(b.b);
         const float apart = found.weights.x == 0.0f || found.weights.y == 0.0f ? UNSURE
             : (fabsf(a.r - b.r) + fabsf(a.g - b.g) + fabsf(a.b - b.b)) / (light + TINY);
         share /= ALIKE + apart * apart;
@@ -257,12 +285,14 @@ __device__ inline Made mixed_pixel(const Mixed& of, const Around& around, int y,
         led = found.weights.x;
     }
     const float whole = sum_of_four(share), largest = largest_of_four(share);
-    best = int(-largest_of_four(share == largest ? -float(lane) : -4.0f));  // the first of equal ones
+    // the first of equal ones
+    best = int(-largest_of_four(share == largest ? -float(lane) : -4.0f));
     return {{sum_of_four(share * mean.r) / whole, sum_of_four(share * mean.g) / whole,
              sum_of_four(share * mean.b) / whole}, one.path, led};
 }
 
-// The pixel whose data counts at a pixel: the nearest one in the frame that counts more, and whether that is the first.
+// The pixel whose data counts at a pixel: the nearest one in the frame that counts more, and
+// whether that is the first.
 struct Taken {
     size_t pixel;
     bool is_first;
@@ -270,12 +300,14 @@ struct Taken {
 
 __device__ inline Taken taken_at(const Four& path, float led, int h, int w, int y, int x) {
     const bool is_first = led >= 1.0f - led;
-    const Corner at = corner_of(y + 0.5f + (is_first ? path.y : path.w), x + 0.5f + (is_first ? path.x : path.z), h, w);
+    const Corner at = corner_of(y + 0.5f + (is_first ? path.y : path.w),
+                                x + 0.5f + (is_first ? path.x : path.z), h, w);
     return {size_t(at.j) * w + at.i, is_first};
 }
 
-// Where planes of the picture go: colour (h, w, 3), motion (h, w, 2), depth (h, w, 1), and, for planes that follow, the
-// path that counts most (h, w, 4), and the weight of the frame before, `led` (h, w, 1).
+// Where planes of the picture go: colour (h, w, 3), motion (h, w, 2), depth (h, w, 1), and, for
+// planes that follow, the path that counts most (h, w, 4), and the weight of the frame before,
+// `led` (h, w, 1).
 struct Results {
     View motion, depth, paths, led, colour;
 };
@@ -286,28 +318,31 @@ __device__ inline void put_colour(float* to, const Colour& colour) {
 
 // All but the colour.
 template <bool ALL>
-__device__ inline void put_planes(const Mixed& of, const Made& made, const View& shares, const Results& to, int y,
-                                 int x) {
+__device__ inline void put_planes(const Mixed& of, const Made& made, const View& shares,
+                                  const Results& to, int y, int x) {
     const int h = to.colour.size[0], w = to.colour.size[1];
     const Path& path = made.path;
     const Four ends = {path.ax, path.ay, path.bx, path.by};
     const size_t pixel = size_t(y) * w + x;
     const Taken taken = taken_at(ends, made.led, h, w, y, x);
     const float by_first = shares.at[0], by_last = shares.at[1];
-    pair(to.motion, pixel) = {by_first * path.ax + by_last * path.bx, by_first * path.ay + by_last * path.by};
+    pair(to.motion, pixel) = {by_first * path.ax + by_last * path.bx,
+                              by_first * path.ay + by_last * path.by};
     to.depth.at[pixel] = (taken.is_first ? of.before.at : of.after.at)[4 * taken.pixel + 3];
     if (!ALL) return;
     four(to.paths, pixel) = ends;
     to.led.at[pixel] = made.led;
 }
 
-// The picture; its motion is shares[0] and shares[1] of what leads to both frames. A block makes 32x8 pixels: those of
-// one path first, then the others, which it lists.
+// The picture; its motion is shares[0] and shares[1] of what leads to both frames. A block makes
+// 32x8 pixels: those of one path first, then the others, which it lists.
 template <bool ALL>
-__device__ inline void compose(const Mixed& of, const View& scale, const View& shares, const Results& to) {
+__device__ inline void compose(const Mixed& of, const View& scale, const View& shares,
+                               const Results& to) {
     __shared__ int listed[256], count;
     __shared__ float colours[8][96];
-    const int h = to.colour.size[0], w = to.colour.size[1], left = 32 * blockIdx.x, lane = threadIdx.x % 32;
+    const int h = to.colour.size[0], w = to.colour.size[1], left = 32 * blockIdx.x,
+              lane = threadIdx.x % 32;
     const int x = left + lane, y = 8 * blockIdx.y + threadIdx.x / 32;
     float* const row = colours[threadIdx.x / 32];
     if (threadIdx.x == 0) count = 0;
@@ -324,7 +359,8 @@ __device__ inline void compose(const Mixed& of, const View& scale, const View& s
     }
     __syncwarp();
     if (y < h)  // neighbouring lanes write neighbouring floats; listed pixels are written once more
-        for (int i = lane; i < 3 * min(32, w - left); i += 32) to.colour.at[3 * (size_t(y) * w + left) + i] = row[i];
+        for (int i = lane; i < 3 * min(32, w - left); i += 32)
+            to.colour.at[3 * (size_t(y) * w + left) + i] = row[i];
     __syncthreads();
     for (int k = threadIdx.x / 4; k < count; k += 64) {
         const int j = listed[k] / w, i = listed[k] - j * w;
@@ -352,7 +388,8 @@ extern "C" __global__ void __launch_bounds__(256, 4) interpolate_compose_all(
 }
 
 // Data (h, w, m) that is taken from the nearest pixel in the frame that counts more.
-extern "C" __global__ void interpolate_take(View before, View after, View paths, View led, View data) {
+extern "C" __global__ void interpolate_take(View before, View after, View paths, View led,
+                                            View data) {
     const int h = data.size[0], w = data.size[1], count = data.size[2];
     PIXEL(w, h);
     const size_t pixel = size_t(y) * w + x;

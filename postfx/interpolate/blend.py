@@ -1,11 +1,13 @@
 """The picture that the paths make, of planes of both frames.
 
-Each pixel is taken from both frames, by time, or from the one that shows its point. Where the four cells around it
-follow one path, that is interpolated between them; else the pixel is the mean over their paths (overlapped block motion
-compensation; Orchard and Sullivan 1994). The cubics by which pictures are sampled keep detail where
-both frames show the same, and average over noise where they do not.
+Each pixel is taken from both frames, by time, or from the one that shows its point. Where the four
+cells around it follow one path, that is interpolated between them; else the pixel is the mean over
+their paths (overlapped block motion compensation; Orchard and Sullivan 1994). The cubics by which
+pictures are sampled keep detail where both frames show the same, and average over noise where they
+do not.
 
-Cells are (rows, columns, 8) float32: a path as in `choose`, the share k of its detail that both frames show, and 0.
+Cells are (rows, columns, 8) float32: a path as in `choose`, the share k of its detail that both
+frames show, and 0.
 """
 
 from __future__ import annotations
@@ -38,8 +40,8 @@ NEARER = np.float32(0.1)
 HIDDEN = np.float32(0.2)
 
 CRISP = np.float32(0.97)
-"""Share of detail that both frames show from which a cell keeps all of it, up to the middles of those beside: light
-does not leak over an edge."""
+"""Share of detail that both frames show from which a cell keeps all of it, up to the middles of
+those beside: light does not leak over an edge."""
 
 # How many times as bright as in the other frame something is that only one of them shows, and the
 # share of the middle light, summed over channels, that counts as dark there.
@@ -54,13 +56,15 @@ def stack_planes(planes: list[np.ndarray], size: tuple[int, ...]) -> np.ndarray:
     """All channels (h, w, n) of planes of this size, of which there may be none."""
     if len(planes) == 1:
         return np.ascontiguousarray(planes[0], np.float32)
-    return np.concatenate(planes, -1, dtype=np.float32) if planes else np.empty((*size, 0), np.float32)
+    return (np.concatenate(planes, -1, dtype=np.float32) if planes
+            else np.empty((*size, 0), np.float32))
 
 
 def split_planes(stack: np.ndarray, group: dict[Role | str, Pair]) -> dict[Role | str, np.ndarray]:
     """The planes in a stack of them."""
     ends = np.cumsum([pair[0].shape[2] for pair in group.values()])
-    return {key: stack[..., end - pair[0].shape[2]:end] for (key, pair), end in zip(group.items(), ends, strict=True)}
+    return {key: stack[..., end - pair[0].shape[2]:end]
+            for (key, pair), end in zip(group.items(), ends, strict=True)}
 
 
 # Kernels: postfx/kernels/interpolate/blend.cpp
@@ -70,8 +74,8 @@ _compose = Rows("compose")
 
 
 def join_cells(cells: np.ndarray) -> None:
-    """Mark cells (rows, columns, 8) that follow one path with those to the right and below by 1, and by 2 where it
-    changes evenly, as on what turns: their last number."""
+    """Mark cells (rows, columns, 8) that follow one path with those to the right and below by 1,
+    and by 2 where it changes evenly, as on what turns: their last number."""
     in_bands(len(cells), _join.bind((cells,)))
 
 
@@ -103,7 +107,8 @@ class Mixture:
         scale: pixels of a cell.
         level: light in the middle between dark and bright.
         masked: whether anything is not known.
-        back: how much motion is of what leads to the frame before, and of what leads to the one after.
+        back: how much motion is of what leads to the frame before, and of what leads to the one
+            after.
     """
 
     time: float
@@ -113,17 +118,21 @@ class Mixture:
     back: tuple[float, float]
 
 
-def compose(cells: np.ndarray, planes: Planes, mixture: Mixture, has_motion: bool) -> tuple[np.ndarray, ...]:
-    """The planes between: colour (h, w, 3), light (h, w, n), data (h, w, m), and motion (h, w, 2) in pixels, which is
-    empty where it is not asked for.
+def compose(cells: np.ndarray, planes: Planes, mixture: Mixture,
+            has_motion: bool) -> tuple[np.ndarray, ...]:
+    """The planes between: colour (h, w, 3), light (h, w, n), data (h, w, m), and motion (h, w, 2)
+    in pixels, which is empty where it is not asked for.
 
-    Light is mixed, data is that of the nearest pixel in the frame that counts more. cells: (rows, columns, 8).
+    Light is mixed, data is that of the nearest pixel in the frame that counts more. cells: (rows,
+    columns, 8).
     """
     h, w = planes.pictures[0].shape[:2]
     made = [new_array(pair[0].shape) for pair in (planes.pictures, planes.light, planes.data)]
     made.append(new_array((h, w, 2) if has_motion else (0, 0, 2)))
-    numbers = (mixture.time, mixture.scale, DARK * np.float32(mixture.level), mixture.masked, *mixture.back)
-    given = [plane for pair in (planes.pictures, planes.known, planes.depth, planes.light, planes.data)
+    numbers = (mixture.time, mixture.scale, DARK * np.float32(mixture.level), mixture.masked,
+               *mixture.back)
+    given = [plane
+             for pair in (planes.pictures, planes.known, planes.depth, planes.light, planes.data)
              for plane in pair]
     in_bands(h, _compose.bind((cells, *given, np.array(numbers, np.float32), *made)))
     return tuple(made)

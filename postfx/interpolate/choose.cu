@@ -1,5 +1,6 @@
-// Which path shows what is at a cell, as choose.py chooses it. Pictures are held as (h, w, 4) without what is not
-// finite, the fourth number is depth; toned ones are (h + 2 MARGIN, w + 2 MARGIN, 1). Cells are (rows, columns, 8).
+// Which path shows what is at a cell, as choose.py chooses it. Pictures are held as (h, w, 4)
+// without what is not finite, the fourth number is depth; toned ones are (h + 2 MARGIN, w + 2
+// MARGIN, 1). Cells are (rows, columns, 8).
 
 // A picture (h, w, 3) and its depth (h, w, 1) as they are held.
 extern "C" __global__ void interpolate_hold(View picture, View depth, View held) {
@@ -22,14 +23,16 @@ __device__ inline float block_sum(float value) {
     return total;
 }
 
-// Sums over pixels of both pictures, one of each block (parts, 1): of their light, or of its logarithm.
+// Sums over pixels of both pictures, one of each block (parts, 1): of their light, or of its
+// logarithm.
 __device__ inline float light_of(const View& picture, int j, int i, int step) {
     const Four p = four(picture, size_t(j) * step * picture.size[1] + size_t(i) * step);
     return fmaxf(RED * p.x + GREEN * p.y + BLUE * p.z, 0.0f);
 }
 
 template <class Of>
-__device__ inline void sum_lights(const View& before, const View& after, const View& sums, const Of& of) {
+__device__ inline void sum_lights(const View& before, const View& after, const View& sums,
+                                  const Of& of) {
     const int h = before.size[0], w = before.size[1], step = min(h, w) >= 256 ? 4 : 1;
     const int rows = (h + step - 1) / step, columns = (w + step - 1) / step;
     float total = 0.0f;
@@ -62,12 +65,15 @@ extern "C" __global__ void interpolate_level(View sums, View level) {
 }
 
 __device__ inline float toned_at(const View& picture, int y, int x, float level) {
-    const Four p = four(picture, size_t(within(y, picture.size[0])) * picture.size[1] + within(x, picture.size[1]));
+    const Four p = four(
+        picture, size_t(within(y, picture.size[0])) * picture.size[1] + within(x, picture.size[1]));
     const float r = fmaxf(p.x, 0.0f), g = fmaxf(p.y, 0.0f), b = fmaxf(p.z, 0.0f);
-    return (sqrtf(r / (r + level)) + sqrtf(g / (g + level)) + sqrtf(b / (b + level))) * (1.0f / 3.0f);
+    return (sqrtf(r / (r + level)) + sqrtf(g / (g + level)) + sqrtf(b / (b + level)))
+           * (1.0f / 3.0f);
 }
 
-extern "C" __global__ void interpolate_tone(View before, View after, View level, View toned_before, View toned_after) {
+extern "C" __global__ void interpolate_tone(View before, View after, View level, View toned_before,
+                                            View toned_after) {
     const int width = toned_before.size[1];
     PIXEL(width, toned_before.size[0]);
     const size_t at = size_t(y) * width + x;
@@ -82,7 +88,8 @@ struct Toned {
 };
 
 __device__ inline Toned toned_of(const View& before, const View& after) {
-    return {before.at, after.at, before.size[0] - 2 * MARGIN, before.size[1] - 2 * MARGIN, before.size[1]};
+    return {before.at, after.at, before.size[0] - 2 * MARGIN, before.size[1] - 2 * MARGIN,
+            before.size[1]};
 }
 
 __device__ inline float taper(int i) {
@@ -106,16 +113,20 @@ __device__ inline float across_at(const Place& place, int stride, int row, int c
     return at[0] + place.across * (at[1] - at[0]);
 }
 
-// Mean difference of two toned pictures around the places that a path leads to; -1 where one is not in its picture.
+// Mean difference of two toned pictures around the places that a path leads to; -1 where one is not
+// in its picture.
 __device__ inline float misfit(const Toned& by, float y, float x, const Path& path) {
-    if (!(is_inside(by.h, by.w, y + path.ay, x + path.ax) && is_inside(by.h, by.w, y + path.by, x + path.bx)))
+    if (!(is_inside(by.h, by.w, y + path.ay, x + path.ax)
+          && is_inside(by.h, by.w, y + path.by, x + path.bx)))
         return -1.0f;
     const Place one = window_at(by.before, by.stride, y + path.ay, x + path.ax);
     const Place other = window_at(by.after, by.stride, y + path.by, x + path.bx);
-    float upper = across_at(one, by.stride, 0, 0), upper_after = across_at(other, by.stride, 0, 0), total = 0.0f;
+    float upper = across_at(one, by.stride, 0, 0), upper_after = across_at(other, by.stride, 0, 0),
+          total = 0.0f;
 #pragma unroll
     for (int j = 1; j <= ROWS; j++) {
-        const float lower = across_at(one, by.stride, j, 0), lower_after = across_at(other, by.stride, j, 0);
+        const float lower = across_at(one, by.stride, j, 0),
+                    lower_after = across_at(other, by.stride, j, 0);
         const float a = upper + one.down * (lower - upper);
         total += fabsf(a - (upper_after + other.down * (lower_after - upper_after)));
         upper = lower;
@@ -124,7 +135,8 @@ __device__ inline float misfit(const Toned& by, float y, float x, const Path& pa
     return sum_of_eight(taper(threadIdx.x % 8) * total) / COUNT;
 }
 
-// Sums of squares of the slopes, across and down: of the difference of two windows, and of their sum.
+// Sums of squares of the slopes, across and down: of the difference of two windows, and of their
+// sum.
 __device__ inline Pair window_detail(const Toned& by, const Place& one, const Place& other) {
     float upper[2], upper_after[2], apart = 0.0f, common = 0.0f;
 #pragma unroll
@@ -138,7 +150,8 @@ __device__ inline Pair window_detail(const Toned& by, const Place& one, const Pl
         float less[2], more[2];
 #pragma unroll
         for (int i = 0; i < 2; i++) {
-            const float lower = across_at(one, by.stride, j + 1, i), lower_after = across_at(other, by.stride, j + 1, i);
+            const float lower = across_at(one, by.stride, j + 1, i),
+                        lower_after = across_at(other, by.stride, j + 1, i);
             const float a = upper[i] + one.down * (lower - upper[i]);
             const float b = upper_after[i] + other.down * (lower_after - upper_after[i]);
             less[i] = a - b;
@@ -153,11 +166,13 @@ __device__ inline Pair window_detail(const Toned& by, const Place& one, const Pl
         apart = less[0];
         common = more[0];
     }
-    return {sum_of_eight(taper(threadIdx.x % 8) * sums.x), sum_of_eight(taper(threadIdx.x % 8) * sums.y)};
+    return {sum_of_eight(taper(threadIdx.x % 8) * sums.x),
+            sum_of_eight(taper(threadIdx.x % 8) * sums.y)};
 }
 
 __device__ inline bool is_still(const Path& path) {
-    return fmaxf(fmaxf(fabsf(path.ax), fabsf(path.ay)), fmaxf(fabsf(path.bx), fabsf(path.by))) < STILL;
+    return fmaxf(fmaxf(fabsf(path.ax), fabsf(path.ay)), fmaxf(fabsf(path.bx), fabsf(path.by)))
+           < STILL;
 }
 
 // A toned picture between four pixels.
@@ -171,30 +186,36 @@ __device__ inline float value_at(const Toned& by, const float* toned, float y, f
 }
 
 __device__ inline float difference(const Toned& by, float y, float x, const Path& path) {
-    return fabsf(value_at(by, by.before, y + path.ay, x + path.ax) - value_at(by, by.after, y + path.by, x + path.bx));
+    return fabsf(value_at(by, by.before, y + path.ay, x + path.ax)
+                 - value_at(by, by.after, y + path.by, x + path.bx));
 }
 
-__device__ inline float contrast(const Toned& by, float y, float x, const Path& path, const Path& other) {
+__device__ inline float contrast(const Toned& by, float y, float x, const Path& path,
+                                 const Path& other) {
     return fminf(fabsf(value_at(by, by.before, y + path.ay, x + path.ax)
                        - value_at(by, by.before, y + other.ay, x + other.ax)),
                  fabsf(value_at(by, by.after, y + path.by, x + path.bx)
                        - value_at(by, by.after, y + other.by, x + other.bx)));
 }
 
-// Misfit of one of 4x4 cells of the frame after (rows / 4, columns / 4, 1) that the frame before shows too, else -1.
-extern "C" __global__ void interpolate_misfits(View before, View after, View ends, View seen, View scale, View found) {
+// Misfit of one of 4x4 cells of the frame after (rows / 4, columns / 4, 1) that the frame before
+// shows too, else -1.
+extern "C" __global__ void interpolate_misfits(View before, View after, View ends, View seen,
+                                               View scale, View found) {
     const int y = blockIdx.y, x = 32 * blockIdx.x + threadIdx.x / 8;
     if (x >= found.size[1]) return;
     const int cell = (4 * y + 2) * seen.size[1] + 4 * x + 2;
     const float size = scale.at[0], middle = 0.5f * (size - 1.0f);
     const Four end = four(ends, cell);
     const Path path = {size * end.x, size * end.y, size * end.z, size * end.w, 1.0f, 1.0f};
-    const float fit = misfit(toned_of(before, after), size * (4 * y + 2) + middle, size * (4 * x + 2) + middle, path);
+    const float fit = misfit(toned_of(before, after), size * (4 * y + 2) + middle,
+                             size * (4 * x + 2) + middle, path);
     if (threadIdx.x % 8 == 0) found.at[y * found.size[1] + x] = seen.at[cell] > 0.0f ? fit : -1.0f;
 }
 
-// The median of misfits that are 0 or more, by a block: eleven bits by eleven, as positive floats have the order of
-// whole numbers. The mean of the middle two if their count is even, 0 without any.
+// The median of misfits that are 0 or more, by a block: eleven bits by eleven, as positive floats
+// have the order of whole numbers. The mean of the middle two if their count is even, 0 without
+// any.
 extern "C" __global__ void __launch_bounds__(1024) interpolate_noise(View found, View noise) {
     __shared__ int digits[2048], before[32], rank, above;
     __shared__ unsigned prefix;
@@ -205,7 +226,8 @@ extern "C" __global__ void __launch_bounds__(1024) interpolate_noise(View found,
         digits[own] = digits[own + 1] = 0;
         __syncthreads();
         for (int k = threadIdx.x; k < count; k += blockDim.x) {
-            const unsigned bits = __float_as_uint(found.at[k]);  // of a number below 0, the first bit is set
+            // of a number below 0, the first bit is set
+            const unsigned bits = __float_as_uint(found.at[k]);
             if (bits >> 31 == 0 && (shift == 22 || bits >> (shift + 11) == prefix))
                 atomicAdd(&digits[bits >> shift & 2047], 1);
         }
@@ -224,7 +246,8 @@ extern "C" __global__ void __launch_bounds__(1024) interpolate_noise(View found,
             total += before[k];
         }
         if (shift == 22) all = total;
-        const int wanted = shift == 22 ? (all - 1) / 2 : rank, first = up_to - digits[own + 1] - digits[own];
+        const int wanted = shift == 22 ? (all - 1) / 2 : rank,
+                  first = up_to - digits[own + 1] - digits[own];
         __syncthreads();
         if (first <= wanted && wanted < up_to) {
             const int digit = wanted < first + digits[own] ? own : own + 1;
@@ -240,7 +263,8 @@ extern "C" __global__ void __launch_bounds__(1024) interpolate_noise(View found,
     for (int k = threadIdx.x; k < count; k += blockDim.x)
         if (found.at[k] > low) atomicMin(&above, __float_as_int(found.at[k]));
     __syncthreads();
-    if (threadIdx.x == 0) noise.at[0] = all % 2 || is_twice || !all ? low : 0.5f * (low + __int_as_float(above));
+    if (threadIdx.x == 0)
+        noise.at[0] = all % 2 || is_twice || !all ? low : 0.5f * (low + __int_as_float(above));
 }
 
 // Whether around a cell one frame is turned or stretched evenly against the other one, by much.
@@ -253,22 +277,25 @@ __device__ inline bool is_turning(const View& own, int y, int x, float size) {
         const int step = k ? columns : 1;
         const Four p = four(own, 2 * (cell - step)), q = four(own, 2 * (cell + step));
         most = fmaxf(most, fmaxf(fabsf(q.z - p.z - q.x + p.x), fabsf(q.w - p.w - q.y + p.y)));
-        uneven = fmaxf(uneven, fmaxf(fmaxf(fabsf(p.x + q.x - 2.0f * here.x), fabsf(p.y + q.y - 2.0f * here.y)),
-                                     fmaxf(fabsf(p.z + q.z - 2.0f * here.z), fabsf(p.w + q.w - 2.0f * here.w))));
+        uneven = fmaxf(
+            uneven,
+            fmaxf(fmaxf(fabsf(p.x + q.x - 2.0f * here.x), fabsf(p.y + q.y - 2.0f * here.y)),
+                  fmaxf(fabsf(p.z + q.z - 2.0f * here.z), fabsf(p.w + q.w - 2.0f * here.w))));
     }
     return 2.0f * TWIST * size < most && uneven < EVEN;
 }
 
-// Whether no path of both sides at a cell and at the four beside it differs from its own: known by how far they are
-// from those cells' own ones.
+// Whether no path of both sides at a cell and at the four beside it differs from its own: known by
+// how far they are from those cells' own ones.
 __device__ inline bool is_alone(const View& own, int y, int x, const Path& mine) {
     const int rows = own.size[0], columns = own.size[1], cell = y * columns + x;
-    const int beside[4] = {y > 0 ? cell - columns : cell, y < rows - 1 ? cell + columns : cell, x > 0 ? cell - 1 : cell,
-                           x < columns - 1 ? cell + 1 : cell};
+    const int beside[4] = {y > 0 ? cell - columns : cell, y < rows - 1 ? cell + columns : cell,
+                           x > 0 ? cell - 1 : cell, x < columns - 1 ? cell + 1 : cell};
     float most = own.at[8 * size_t(cell) + 6];
 #pragma unroll
     for (int k = 0; k < 4; k++)
-        most = fmaxf(most, most_apart(path_of(own, beside[k]), mine) + own.at[8 * size_t(beside[k]) + 6]);
+        most = fmaxf(most,
+                     most_apart(path_of(own, beside[k]), mine) + own.at[8 * size_t(beside[k]) + 6]);
     return most <= 0.99f * OTHER;
 }
 
@@ -278,19 +305,25 @@ struct Tried {
     float depth;
 };
 
-__device__ inline Tried tried_at(const View& own, const View& sides, const View& depths, int cell, int k, float size) {
-    const int columns = own.size[1], y = cell / columns, x = cell - y * columns, step = k % 5, side = k / 5;
-    const int j = y + (step == 2) - (step == 4), i = x + (step == 1) - (step == 3), there = j * columns + i;
-    if (!(0 <= j && j < own.size[0] && 0 <= i && i < columns)) return {{__int_as_float(0x7fc00000)}, FAR};
+__device__ inline Tried tried_at(const View& own, const View& sides, const View& depths, int cell,
+                                 int k, float size) {
+    const int columns = own.size[1], y = cell / columns, x = cell - y * columns, step = k % 5,
+              side = k / 5;
+    const int j = y + (step == 2) - (step == 4), i = x + (step == 1) - (step == 3),
+              there = j * columns + i;
+    if (!(0 <= j && j < own.size[0] && 0 <= i && i < columns))
+        return {{__int_as_float(0x7fc00000)}, FAR};
     const int seen = int(own.at[8 * size_t(there) + 7]);
     const Pair both = pair(depths, there);
-    return {side_path(four(sides, 2 * size_t(there) + side), float(seen >> side & 1), side == 1, size),
-            side ? both.y : both.x};
+    return {
+        side_path(four(sides, 2 * size_t(there) + side), float(seen >> side & 1), side == 1, size),
+        side ? both.y : both.x};
 }
 
-// The path of a cell, found by eight lanes: its own, or another one around it that fits much better.
-__device__ inline Path chosen_at(const Toned& toned, const View& own, const View& sides, const View& depths, int cell,
-                                 float least, float size) {
+// The path of a cell, found by eight lanes: its own, or another one around it that fits much
+// better.
+__device__ inline Path chosen_at(const Toned& toned, const View& own, const View& sides,
+                                 const View& depths, int cell, float least, float size) {
     const int columns = own.size[1], y = cell / columns, x = cell - y * columns;
     const float middle = 0.5f * (size - 1.0f), v = size * y + middle, u = size * x + middle;
     const float unseen = UNSEEN + UNSEEN_NOISE * least;
@@ -304,7 +337,8 @@ __device__ inline Path chosen_at(const Toned& toned, const View& own, const View
         const Path path = tried_at(own, sides, depths, cell, k, size).path;
         if (path.ax == path.ax && differ(path, mine, OTHER)) others |= 1 << k;
     }
-    for (int mask = 4; mask; mask /= 2) others |= __shfl_xor_sync(0xffu << (threadIdx.x & 24), others, mask);
+    for (int mask = 4; mask; mask /= 2)
+        others |= __shfl_xor_sync(0xffu << (threadIdx.x & 24), others, mask);
     bool is_seen = false;
     float best = -2.0f;  // not looked at yet: many cells have no other path around them
     for (int k = 0; k < 10; k++) {
@@ -337,18 +371,21 @@ __device__ inline Path chosen_at(const Toned& toned, const View& own, const View
     return taken;
 }
 
-// Cells that keep their own path, and a list of the others, as indices count[0] of them, which begins as 0.
-extern "C" __global__ void __launch_bounds__(256) interpolate_list(View own, View scale, View count, View list,
-                                                                   View cells) {
+// Cells that keep their own path, and a list of the others, as indices count[0] of them, which
+// begins as 0.
+extern "C" __global__ void __launch_bounds__(256)
+    interpolate_list(View own, View scale, View count, View list, View cells) {
     __shared__ int listed[256], known, first;
     const int rows = own.size[0], columns = own.size[1];
-    const int x = 32 * blockIdx.x + threadIdx.x % 32, y = 8 * blockIdx.y + threadIdx.x / 32, cell = y * columns + x;
+    const int x = 32 * blockIdx.x + threadIdx.x % 32, y = 8 * blockIdx.y + threadIdx.x / 32,
+              cell = y * columns + x;
     if (threadIdx.x == 0) known = 0;
     __syncthreads();
     if (y < rows && x < columns) {
         const Path mine = path_of(own, cell);
         // no window that is moved alone can fit what turns
-        if (is_alone(own, y, x, mine) || (mine.first + mine.last == 2.0f && is_turning(own, y, x, scale.at[0])))
+        if (is_alone(own, y, x, mine)
+            || (mine.first + mine.last == 2.0f && is_turning(own, y, x, scale.at[0])))
             put_path(cells, cell, mine);
         else
             listed[atomicAdd(&known, 1)] = cell;
@@ -356,13 +393,14 @@ extern "C" __global__ void __launch_bounds__(256) interpolate_list(View own, Vie
     __syncthreads();
     if (threadIdx.x == 0) first = atomicAdd(reinterpret_cast<int*>(count.at), known);
     __syncthreads();
-    if (int(threadIdx.x) < known) reinterpret_cast<int*>(list.at)[first + threadIdx.x] = listed[threadIdx.x];
+    if (int(threadIdx.x) < known)
+        reinterpret_cast<int*>(list.at)[first + threadIdx.x] = listed[threadIdx.x];
 }
 
 // The paths of the listed cells.
-extern "C" __global__ void __launch_bounds__(256) interpolate_choose(View before, View after, View own, View sides,
-                                                                     View depths, View noise, View scale, View count,
-                                                                     View list, View cells) {
+extern "C" __global__ void __launch_bounds__(256)
+    interpolate_choose(View before, View after, View own, View sides, View depths, View noise,
+                       View scale, View count, View list, View cells) {
     const Toned toned = toned_of(before, after);
     const int all = *reinterpret_cast<const int*>(count.at), groups = blockDim.x / 8;
     for (int k = groups * blockIdx.y + threadIdx.x / 8; k < all; k += groups * gridDim.y) {
@@ -373,8 +411,10 @@ extern "C" __global__ void __launch_bounds__(256) interpolate_choose(View before
 }
 
 // Share of what two pictures show around the places of a path that both show (Wiener).
-__device__ inline float sharpness(const Toned& by, float y, float x, const Path& path, float noise) {
-    if (!(is_inside(by.h, by.w, y + path.ay, x + path.ax) && is_inside(by.h, by.w, y + path.by, x + path.bx)))
+__device__ inline float sharpness(const Toned& by, float y, float x, const Path& path,
+                                  float noise) {
+    if (!(is_inside(by.h, by.w, y + path.ay, x + path.ax)
+          && is_inside(by.h, by.w, y + path.by, x + path.bx)))
         return 1.0f;
     const Pair sums = window_detail(by, window_at(by.before, by.stride, y + path.ay, x + path.ax),
                                     window_at(by.after, by.stride, y + path.by, x + path.bx));
@@ -384,10 +424,11 @@ __device__ inline float sharpness(const Toned& by, float y, float x, const Path&
 }
 
 // The same over 8x6 places whose paths change from place to place as from a cell to the next ones.
-__device__ inline float turned_sharpness(const Toned& by, float y, float x, const View& cells, int cell, float scale,
-                                         float noise) {
+__device__ inline float turned_sharpness(const Toned& by, float y, float x, const View& cells,
+                                         int cell, float scale, float noise) {
     const int columns = cells.size[1], i = threadIdx.x % 8;
-    const Four p = four(cells, 2 * cell), q = four(cells, 2 * (cell + 1)), r = four(cells, 2 * (cell + columns));
+    const Four p = four(cells, 2 * cell), q = four(cells, 2 * (cell + 1)),
+               r = four(cells, 2 * (cell + columns));
     const float size = 1.0f / scale, across = (i - 3.5f) * size, u = x + (i - 3.5f);
     float apart = 0.0f, common = 0.0f, above = 0.0f, above_after = 0.0f;
     for (int j = 0; j <= ROWS; j++) {
@@ -396,13 +437,16 @@ __device__ inline float turned_sharpness(const Toned& by, float y, float x, cons
         const float ay = p.y + across * (q.y - p.y) + down * (r.y - p.y);
         const float bx = p.z + across * (q.z - p.z) + down * (r.z - p.z);
         const float by_ = p.w + across * (q.w - p.w) + down * (r.w - p.w);
-        const float one = value_at(by, by.before, v + ay, u + ax), other = value_at(by, by.after, v + by_, u + bx);
+        const float one = value_at(by, by.before, v + ay, u + ax),
+                    other = value_at(by, by.after, v + by_, u + bx);
         const float left = left_lane(one), left_after = left_lane(other);
         if (i && j) {
             const float right = one - left, right_after = other - left_after;
             const float under = one - above, under_after = other - above_after;
-            apart += (right - right_after) * (right - right_after) + (under - under_after) * (under - under_after);
-            common += (right + right_after) * (right + right_after) + (under + under_after) * (under + under_after);
+            apart += (right - right_after) * (right - right_after)
+                     + (under - under_after) * (under - under_after);
+            common += (right + right_after) * (right + right_after)
+                      + (under + under_after) * (under + under_after);
         }
         above = one;
         above_after = other;
@@ -412,42 +456,55 @@ __device__ inline float turned_sharpness(const Toned& by, float y, float x, cons
     return common > 0.0f ? fmaxf(1.0f - apart / common, 0.0f) : 1.0f;
 }
 
-// Whether from a cell to the one (j, i) on a path's number changes about as much as to the next one, or from the last.
+// Whether from a cell to the one (j, i) on a path's number changes about as much as to the next
+// one, or from the last.
 __device__ inline bool is_line(const View& cells, int y, int x, int j, int i, int c) {
     const int rows = cells.size[0], columns = cells.size[1];
     const float* const at = cells.at + c;
     const float here = at[8 * (y * columns + x)], next = at[8 * ((y + j) * columns + x + i)];
-    const float step = next - here, last = step - here + at[8 * (max(y - j, 0) * columns + max(x - i, 0))];
-    const float coming = at[8 * (min(y + 2 * j, rows - 1) * columns + min(x + 2 * i, columns - 1))] - next - step;
+    const float step = next - here,
+                last = step - here + at[8 * (max(y - j, 0) * columns + max(x - i, 0))];
+    const float coming = at[8 * (min(y + 2 * j, rows - 1) * columns + min(x + 2 * i, columns - 1))]
+                         - next - step;
     return fminf(fabsf(last), fabsf(coming)) <= SMOOTH;
 }
 
-// 1 for cells that follow one path with those to the right and below, 2 where it changes evenly, else 0.
+// 1 for cells that follow one path with those to the right and below, 2 where it changes evenly,
+// else 0.
 __device__ inline int joined_at(const View& cells, int y, int x) {
     const int rows = cells.size[0], columns = cells.size[1], cell = y * columns + x;
     const int j = min(y + 1, rows - 1) - y, i = min(x + 1, columns - 1) - x;
-    const Path own = path_of(cells, cell), right = path_of(cells, cell + i), low = path_of(cells, cell + j * columns);
+    const Path own = path_of(cells, cell), right = path_of(cells, cell + i),
+               low = path_of(cells, cell + j * columns);
     const Path beyond = path_of(cells, cell + j * columns + i);
-    if (!(own.first == right.first && own.last == right.last && own.first == low.first && own.last == low.last
-          && own.first == beyond.first && own.last == beyond.last)) return 0;
-    if (!(differ(own, right, JOINED) || differ(own, low, JOINED) || differ(own, beyond, JOINED))) return 1;
-    if (differ(own, right, TURNING) || differ(own, low, TURNING) || differ(own, beyond, TURNING)) return 0;
-    if (!(fabsf(own.ax - right.ax - low.ax + beyond.ax) <= SMOOTH && fabsf(own.ay - right.ay - low.ay + beyond.ay) <= SMOOTH
+    if (!(own.first == right.first && own.last == right.last && own.first == low.first
+          && own.last == low.last && own.first == beyond.first && own.last == beyond.last))
+        return 0;
+    if (!(differ(own, right, JOINED) || differ(own, low, JOINED) || differ(own, beyond, JOINED)))
+        return 1;
+    if (differ(own, right, TURNING) || differ(own, low, TURNING) || differ(own, beyond, TURNING))
+        return 0;
+    if (!(fabsf(own.ax - right.ax - low.ax + beyond.ax) <= SMOOTH
+          && fabsf(own.ay - right.ay - low.ay + beyond.ay) <= SMOOTH
           && fabsf(own.bx - right.bx - low.bx + beyond.bx) <= SMOOTH
-          && fabsf(own.by - right.by - low.by + beyond.by) <= SMOOTH)) return 0;
+          && fabsf(own.by - right.by - low.by + beyond.by) <= SMOOTH))
+        return 0;
     for (int c = 0; c < 4; c++)
-        if (!(is_line(cells, y, x, 0, i, c) && is_line(cells, y, x, j, 0, c) && is_line(cells, y + j, x, 0, i, c)
-              && is_line(cells, y, x + i, j, 0, c))) return 0;
+        if (!(is_line(cells, y, x, 0, i, c) && is_line(cells, y, x, j, 0, c)
+              && is_line(cells, y + j, x, 0, i, c) && is_line(cells, y, x + i, j, 0, c)))
+            return 0;
     return 2;
 }
 
-// How sharp the pictures are at cells, written to their seventh number: once for two by two that follow one path; and
-// how they are joined, to the eighth one. A block lists the windows that its 32x8 cells need.
-extern "C" __global__ void __launch_bounds__(256) interpolate_detail(View before, View after, View noise, View scale,
-                                                                     View cells) {
+// How sharp the pictures are at cells, written to their seventh number: once for two by two that
+// follow one path; and how they are joined, to the eighth one. A block lists the windows that its
+// 32x8 cells need.
+extern "C" __global__ void __launch_bounds__(256)
+    interpolate_detail(View before, View after, View noise, View scale, View cells) {
     __shared__ int listed[256], count;
     const int rows = cells.size[0], columns = cells.size[1];
-    const int x = 32 * blockIdx.x + threadIdx.x % 32, y = 8 * blockIdx.y + threadIdx.x / 32, cell = y * columns + x;
+    const int x = 32 * blockIdx.x + threadIdx.x % 32, y = 8 * blockIdx.y + threadIdx.x / 32,
+              cell = y * columns + x;
     if (threadIdx.x == 0) count = 0;
     __syncthreads();
     if (y < rows && x < columns) {
@@ -455,21 +512,27 @@ extern "C" __global__ void __launch_bounds__(256) interpolate_detail(View before
         const Path path = path_of(cells, cell), one = path_of(cells, leader);
         cells.at[8 * size_t(cell) + 7] = float(joined);
         // else its leader writes to it, too
-        if (cell == leader || differ(path, one, OTHER) || path.first + path.last != one.first + one.last)
-            listed[atomicAdd(&count, 1)] = 2 * cell + (joined == 2 && y < rows - 1 && x < columns - 1);
+        if (cell == leader || differ(path, one, OTHER)
+            || path.first + path.last != one.first + one.last)
+            listed[atomicAdd(&count, 1)] = 2 * cell
+                                           + (joined == 2 && y < rows - 1 && x < columns - 1);
     }
     __syncthreads();
     const Toned toned = toned_of(before, after);
     const float size = scale.at[0], middle = 0.5f * (size - 1.0f);
     for (int k = threadIdx.x / 8; k < count; k += 32) {
-        const int own = listed[k] / 2, j = own / columns, i = own - j * columns, lane = threadIdx.x % 8;
+        const int own = listed[k] / 2, j = own / columns, i = own - j * columns,
+                  lane = threadIdx.x % 8;
         const bool is_leader = j % 2 == 0 && i % 2 == 0, is_turned = listed[k] % 2;
         const Path path = path_of(cells, own);
         const float at = is_leader && !is_turned ? size - 0.5f : middle;
         const float share = path.first + path.last < 2.0f ? 1.0f
-            : is_turned ? turned_sharpness(toned, size * j + at, size * i + at, cells, own, size, noise.at[0])
-            : sharpness(toned, size * j + at, size * i + at, path, noise.at[0]);
-        if (lane >= (is_leader ? 4 : 1) || j + lane / 2 >= rows || i + lane % 2 >= columns) continue;
+                            : is_turned
+                                ? turned_sharpness(toned, size * j + at, size * i + at, cells, own,
+                                                   size, noise.at[0])
+                                : sharpness(toned, size * j + at, size * i + at, path, noise.at[0]);
+        if (lane >= (is_leader ? 4 : 1) || j + lane / 2 >= rows || i + lane % 2 >= columns)
+            continue;
         const int other = own + lane / 2 * columns + lane % 2;
         const Path its = path_of(cells, other);
         if (!differ(its, path, OTHER) && its.first + its.last == path.first + path.last)

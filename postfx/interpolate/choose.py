@@ -1,12 +1,14 @@
 """Which path shows what is at a cell between two frames.
 
-Cells are squares of pixels. `choose_paths` compares what a path shows in both frames, over 8x6 pixels of toned grey
-pictures around a cell. A cell keeps the path that arrived at it unless a neighbour's, or the flow's,
-agrees much better: edges of planes are coarse, averaged over samples or noisy. A path that only one frame shows cannot
-be compared; it counts as a fair match, for it is there by geometry.
+Cells are squares of pixels. `choose_paths` compares what a path shows in both frames, over 8x6
+pixels of toned grey pictures around a cell. A cell keeps the path that arrived at it unless a
+neighbour's, or the flow's, agrees much better: edges of planes are coarse, averaged over samples or
+noisy. A path that only one frame shows cannot be compared; it counts as a fair match, for it is
+there by geometry.
 
-Fields of paths are (rows, columns, 6) float32: in pixels of the pictures from the cell to its place in the frame before
-(x, y) and in the one after (x, y), and whether each of the two shows the point, 0 or 1. NaN: no path.
+Fields of paths are (rows, columns, 6) float32: in pixels of the pictures from the cell to its place
+in the frame before (x, y) and in the one after (x, y), and whether each of the two shows the point,
+0 or 1. NaN: no path.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ ROWS = 6
 OTHER = np.float32(0.3)
 """Pixels by which paths must differ to be worth a comparison."""
 BETTER = np.float32(1.5)
-"""How many times as well another path must fit to be taken; one of a cell beside, by the misfit of noise more."""
+"""How many times as well another path must fit to be taken; one of a cell beside, by the misfit of
+noise more."""
 
 # Pixels below which a path stands still, and how much better another one must fit than that: it
 # is compared between pixels, where noise is averaged.
@@ -50,15 +53,18 @@ TWIST = np.float32(0.15)
 EVEN = np.float32(0.5)
 
 BEFORE = np.float32(0.85)
-"""Share of the depth of what lies behind a thing that keeps its cell if both frames show it there."""
+"""Share of the depth of what lies behind a thing that keeps its cell if both frames show it
+there."""
 ONE_THING = np.float32(0.7)
-"""Share of the difference to what lies behind it up to which a thing in front may differ from frame to frame."""
+"""Share of the difference to what lies behind it up to which a thing in front may differ from frame
+to frame."""
 MOSTLY = np.float32(0.4)
 """Share of detail from which what stands still is left as it is."""
 APART = np.float32(0.15)
 """Misfit from which what stands still must be something else."""
 JOINED = np.float32(0.6)
-"""Pixels by which paths of cells beside each other may differ for there to be others between them."""
+"""Pixels by which paths of cells beside each other may differ for there to be others between
+them."""
 
 # The same where paths change evenly from cell to cell, and how much that change itself may
 # change.
@@ -149,23 +155,24 @@ class Flows:
 
 
 def merge_sides(arrived: Arrived, scale: int) -> np.ndarray:
-    """The nearer path of both sides at each cell (rows, columns, 8), or their mean where they are alike; NaN without.
-    The last two numbers are left. scale: pixels of a cell."""
+    """The nearer path of both sides at each cell (rows, columns, 8), or their mean where they are
+    alike; NaN without. The last two numbers are left. scale: pixels of a cell."""
     own = new_array(arrived.before.shape)
     in_bands(len(own), _merge.bind((*arrived.planes, np.array([scale], np.float32), own)))
     return own
 
 
 def measure_change(arrived: Arrived, scale: int, own: np.ndarray) -> None:
-    """How much both sides' paths differ from a cell's own one, and that from those to the right and below, in pixels:
-    its last two numbers. own: (rows, columns, 8)."""
-    in_bands(len(own), _change.bind((arrived.before, arrived.after, np.array([scale], np.float32), own)))
+    """How much both sides' paths differ from a cell's own one, and that from those to the right and
+    below, in pixels: its last two numbers. own: (rows, columns, 8)."""
+    in_bands(len(own),
+             _change.bind((arrived.before, arrived.after, np.array([scale], np.float32), own)))
 
 
-def choose_paths(toned: Toned, own: np.ndarray, arrived: Arrived, flows: Flows, sides: Sequence[Paths],
-                 numbers: tuple[float, float]) -> np.ndarray:
-    """The path of each cell (rows, columns, 8): its own, or another one around it or of the flow that fits much better;
-    the last two numbers are left.
+def choose_paths(toned: Toned, own: np.ndarray, arrived: Arrived, flows: Flows,
+                 sides: Sequence[Paths], numbers: tuple[float, float]) -> np.ndarray:
+    """The path of each cell (rows, columns, 8): its own, or another one around it or of the flow
+    that fits much better; the last two numbers are left.
 
     Args:
         own: (rows, columns, 8), as `measure_change` leaves it.
@@ -183,15 +190,18 @@ def choose_paths(toned: Toned, own: np.ndarray, arrived: Arrived, flows: Flows, 
 
 
 def measure_detail(toned: Toned, noise: float, cells: np.ndarray) -> None:
-    """How sharp the pictures are at cells (rows, columns, 8), which are joined, measured once for two by two that
-    follow one path: the last but one of their numbers, 0 to 1. noise: misfit of paths that are right."""
+    """How sharp the pictures are at cells (rows, columns, 8), which are joined, measured once for
+    two by two that follow one path: the last but one of their numbers, 0 to 1. noise: misfit of
+    paths that are right."""
     planes = (toned.before, toned.after, toned.known_before, toned.known_before)
-    in_bands(len(cells), _detail.bind((*planes, np.array((0, toned.scale, noise), np.float32), cells)))
+    in_bands(len(cells),
+             _detail.bind((*planes, np.array((0, toned.scale, noise), np.float32), cells)))
 
 
 def measure_misfits(toned: Toned, side: Paths) -> np.ndarray:
-    """Misfit of one of 4x4 cells of the frame after, whose paths these are, that the frame before shows too; -1
-    elsewhere."""
+    """Misfit of one of 4x4 cells of the frame after, whose paths these are, that the frame before
+    shows too; -1 elsewhere."""
     found = np.empty([length // 4 for length in side.seen.shape], np.float32)
-    _misfits(0, len(found), *toned.planes, side.ends, side.seen, np.array([toned.scale], np.float32), found)
+    _misfits(0, len(found), *toned.planes, side.ends, side.seen,
+             np.array([toned.scale], np.float32), found)
     return found

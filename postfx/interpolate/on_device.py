@@ -1,13 +1,14 @@
 """Frames between frames on a GPU: planes lie in its memory from the first command to the last.
 
     between = postfx.DeviceInterpolator(postfx.Device("cuda"))
-    between.push({"colour": colour, "depth": depth, "motion": motion})      # arrays of any library, on the GPU
+    between.push({"colour": colour, "depth": depth, "motion": motion})  # arrays of any library
     between.push({"colour": colour, "depth": depth, "motion": motion})
     picture = torch.from_dlpack(between.frame(0.5)["colour"])
 
-The kernels lie beside the modules that they are the CUDA form of: paths.cu, choose.cu and blend.cu. `PUSH`, `PAIR` and
-`FRAME_STEPS` list them in the order in which they run: what each frame, each two frames and each time needs. A step
-names a kernel and the buffer of each of its bindings; those of one group do not depend on each other.
+The kernels lie beside the modules that they are the CUDA form of: paths.cu, choose.cu and blend.cu.
+`PUSH`, `PAIR` and `FRAME_STEPS` list them in the order in which they run: what each frame, each two
+frames and each time needs. A step names a kernel and the buffer of each of its bindings; those of
+one group do not depend on each other.
 """
 
 from __future__ import annotations
@@ -33,22 +34,25 @@ TAKEN = (Role.NORMAL,)
 SUMMING_BLOCKS = 132
 """Blocks that sum up light: as many as an H100 has multiprocessors."""
 FACT_COUNT = 9
-"""Numbers of `facts`: whether motion of the frame before is known, four that its jitter adds to the ends of a frame's
-paths, and four that both frames' jitter takes off them."""
+"""Numbers of `facts`: whether motion of the frame before is known, four that its jitter adds to the
+ends of a frame's paths, and four that both frames' jitter takes off them."""
 
 
 def _no_rows(*_: Any) -> None:
-    raise DeviceError("kernels of the interpolation on a device are written for CUDA: on the CPU use Interpolator")
+    raise DeviceError("kernels of the interpolation on a device are written for CUDA: on the CPU "
+                      "use Interpolator")
 
 
 _IMAGE = ("height", "width")
 _CELLS = ("rows", "columns")
 _SHAPES_BY_KIND: dict[str, tuple[int | str, ...]] = {
-    "picture": (*_IMAGE, 3), "held": (*_IMAGE, 4), "colour": (*_IMAGE, 3), "pixel_motion": (*_IMAGE, 2),
-    "pixel_depth": (*_IMAGE, 1), "paths": (*_IMAGE, 4), "led": (*_IMAGE, 1), "plane": (*_IMAGE, "channels"),
-    "toned": ("tall", "wide", 1), "misfits": ("few_rows", "few_columns", 1), "sums": (SUMMING_BLOCKS,), "number": (1,),
-    "two": (2,), "facts": (FACT_COUNT,), "motion": (*_CELLS, 2), "depth": (*_CELLS, 1), "ends": (*_CELLS, 4),
-    "cells": (*_CELLS, 8), "nearest": ("both_rows", "columns", 1), "arrived": ("both_rows", "columns", 8)}
+    "picture": (*_IMAGE, 3), "held": (*_IMAGE, 4), "colour": (*_IMAGE, 3),
+    "pixel_motion": (*_IMAGE, 2), "pixel_depth": (*_IMAGE, 1), "paths": (*_IMAGE, 4),
+    "led": (*_IMAGE, 1), "plane": (*_IMAGE, "channels"), "toned": ("tall", "wide", 1),
+    "misfits": ("few_rows", "few_columns", 1), "sums": (SUMMING_BLOCKS,), "number": (1,),
+    "two": (2,), "facts": (FACT_COUNT,), "motion": (*_CELLS, 2), "depth": (*_CELLS, 1),
+    "ends": (*_CELLS, 4), "cells": (*_CELLS, 8), "nearest": ("both_rows", "columns", 1),
+    "arrived": ("both_rows", "columns", 8)}
 """Shapes by kind."""
 
 
@@ -68,37 +72,47 @@ GATHER_KERNEL = _kernel("gather", "motion:pixel_motion depth:pixel_depth scale:n
 LIGHTS_KERNEL = _kernel("lights", "before:held after:held", "sums:sums", _SUMMING)
 LOGS_KERNEL = _kernel("logs", "before:held after:held lights:sums", "sums:sums", _SUMMING)
 LEVEL_KERNEL = _kernel("level", "sums:sums", "level:number")
-TONE = _kernel("tone", "before:held after:held level:number", "toned_before:toned toned_after:toned")
+TONE = _kernel("tone", "before:held after:held level:number",
+               "toned_before:toned toned_after:toned")
 ARRIVE = _kernel("arrive", "motion:motion depth:depth keys:motion", "keys:motion")
 INVERT = _kernel("invert", "keys:motion motion:motion depth:depth", "inverse:motion")
 REFINE = _kernel("refine", "inverse:motion motion:motion depth:depth", "ahead:motion")
-LEAD_BACK = _kernel("lead_back", "motion:motion ahead:motion depth_before:depth depth_after:depth came:motion "
+LEAD_BACK = _kernel("lead_back",
+                    "motion:motion ahead:motion depth_before:depth depth_after:depth came:motion "
                     "facts:facts", "ends:ends bend:motion seen:depth")
-LEAD_AHEAD = _kernel("lead_ahead", "ahead:motion motion:motion depth_before:depth depth_after:depth came:motion "
+LEAD_AHEAD = _kernel("lead_ahead",
+                     "ahead:motion motion:motion depth_before:depth depth_after:depth came:motion "
                      "facts:facts bend_after:motion", "ends:ends bend:motion seen:depth")
-MISFITS = _kernel("misfits", "before:toned after:toned ends:ends seen:depth scale:number", "found:misfits",
-                  Blocks(1, 256, columns=32))
+MISFITS = _kernel("misfits", "before:toned after:toned ends:ends seen:depth scale:number",
+                  "found:misfits", Blocks(1, 256, columns=32))
 NOISE_KERNEL = _kernel("noise", "found:misfits", "noise:number", Blocks(1, 1024))
 CLEAR = _kernel("clear", "", "nearest:nearest count:number sums:arrived")
 NEAREST_KERNEL = _kernel("nearest",
-                         "ends_before:ends bend_before:motion depth_before:depth ends_after:ends bend_after:motion "
-                         "depth_after:depth time:number nearest:nearest", "nearest:nearest")
+                         "ends_before:ends bend_before:motion depth_before:depth ends_after:ends "
+                         "bend_after:motion depth_after:depth time:number nearest:nearest",
+                         "nearest:nearest")
 MEANS_KERNEL = _kernel("means",
-                       "ends_before:ends bend_before:motion depth_before:depth seen_before:depth ends_after:ends "
-                       "bend_after:motion depth_after:depth seen_after:depth time:number nearest:nearest sums:arrived",
+                       "ends_before:ends bend_before:motion depth_before:depth seen_before:depth "
+                       "ends_after:ends bend_after:motion depth_after:depth seen_after:depth "
+                       "time:number nearest:nearest sums:arrived",
                        "sums:arrived", Blocks(16, 256, columns=32))
 MERGE_KERNEL = _kernel("merge", "nearest:nearest sums:arrived facts:facts scale:number",
                        "sides:cells depths:motion own:cells")
 FILL = _kernel("fill", "depths:motion own:cells", "own:cells")
-LIST = _kernel("list", "own:cells scale:number count:number", "count:number list:depth cells:cells", _TILES)
-CHOOSE = _kernel("choose", "before:toned after:toned own:cells sides:cells depths:motion noise:number scale:number "
-                 "count:number list:depth cells:cells", "cells:cells", Blocks(1, 256, most=4 * SUMMING_BLOCKS))
-DETAIL_KERNEL = _kernel("detail", "before:toned after:toned noise:number scale:number cells:cells", "cells:cells",
-                        _TILES)
+LIST = _kernel("list", "own:cells scale:number count:number", "count:number list:depth cells:cells",
+               _TILES)
+CHOOSE = _kernel("choose",
+                 "before:toned after:toned own:cells sides:cells depths:motion noise:number "
+                 "scale:number count:number list:depth cells:cells", "cells:cells",
+                 Blocks(1, 256, most=4 * SUMMING_BLOCKS))
+DETAIL_KERNEL = _kernel("detail", "before:toned after:toned noise:number scale:number cells:cells",
+                        "cells:cells", _TILES)
 _COMPOSED = "cells:cells before:held after:held time:number level:number scale:number shares:two"
-COMPOSE = _kernel("compose", _COMPOSED, "motion:pixel_motion depth:pixel_depth colour:colour", _TILES)
-COMPOSE_ALL = _kernel("compose_all", _COMPOSED, "motion:pixel_motion depth:pixel_depth paths:paths led:led "
-                      "colour:colour", _TILES)
+COMPOSE = _kernel("compose", _COMPOSED, "motion:pixel_motion depth:pixel_depth colour:colour",
+                  _TILES)
+COMPOSE_ALL = _kernel("compose_all", _COMPOSED,
+                      "motion:pixel_motion depth:pixel_depth paths:paths led:led colour:colour",
+                      _TILES)
 TAKE = _kernel("take", "before:plane after:plane paths:paths led:led", "data:plane")
 
 Step = tuple[Kernel, dict[str, str]]
@@ -109,22 +123,27 @@ Steps = tuple[tuple[Step, ...], ...]
 
 def _step(kernel: Kernel, buffers: str) -> Step:
     """Buffers in the order of the bindings."""
-    return kernel, dict(zip(dict.fromkeys(kernel.reads + kernel.writes), buffers.split(), strict=True))
+    return kernel, dict(zip(dict.fromkeys(kernel.reads + kernel.writes), buffers.split(),
+                            strict=True))
 
 
 PUSH: Steps = ((
     _step(HOLD, "after.colour after.depth after.held"),
     _step(GATHER_KERNEL, "after.motion after.depth scale after.cells keys after.cell_depth")), )
 PAIR: Steps = (
-    (_step(LIGHTS_KERNEL, "before.held after.held lights"), _step(ARRIVE, "after.cells after.cell_depth keys")),
+    (_step(LIGHTS_KERNEL, "before.held after.held lights"),
+     _step(ARRIVE, "after.cells after.cell_depth keys")),
     (_step(LOGS_KERNEL, "before.held after.held lights logs"),),
-    (_step(LEVEL_KERNEL, "logs level"), _step(INVERT, "keys after.cells before.cell_depth inverse")),
+    (_step(LEVEL_KERNEL, "logs level"),
+     _step(INVERT, "keys after.cells before.cell_depth inverse")),
     (_step(TONE, "before.held after.held level toned_before toned_after"),
      _step(REFINE, "inverse after.cells before.cell_depth ahead")),
-    (_step(LEAD_BACK, "after.cells ahead before.cell_depth after.cell_depth before.cells facts_after ends_after "
-           "bend_after seen_after"),),
-    (_step(LEAD_AHEAD, "ahead after.cells before.cell_depth after.cell_depth before.cells facts_before bend_after "
-           "ends_before bend_before seen_before"),
+    (_step(LEAD_BACK,
+           "after.cells ahead before.cell_depth after.cell_depth before.cells facts_after "
+           "ends_after bend_after seen_after"),),
+    (_step(LEAD_AHEAD,
+           "ahead after.cells before.cell_depth after.cell_depth before.cells facts_before "
+           "bend_after ends_before bend_before seen_before"),
      _step(MISFITS, "toned_before toned_after ends_after seen_after scale misfits")),
     (_step(NOISE_KERNEL, "misfits noise"),))
 _COMPOSED_OF = "chosen before.held after.held time level scale shares new.motion new.depth"
@@ -140,16 +159,19 @@ FRAME_STEPS: Steps = (
     (_step(DETAIL_KERNEL, "toned_before toned_after noise scale chosen"),))
 PICTURE_STEPS: Steps = ((_step(COMPOSE, f"{_COMPOSED_OF} new.colour"),),)
 WITH_PLANES: Steps = ((_step(COMPOSE_ALL, f"{_COMPOSED_OF} paths led new.colour"),),)
-"""The last step of a time, without planes that are taken along the paths of the picture, and with them."""
-TAKE_ALL: Steps = (tuple(_step(TAKE, f"before.{role} after.{role} paths led new.{role}") for role in TAKEN),)
+"""The last step of a time, without planes that are taken along the paths of the picture, and with
+them."""
+TAKE_ALL: Steps = (tuple(_step(TAKE, f"before.{role} after.{role} paths led new.{role}")
+                         for role in TAKEN),)
 
 
 def sizes_of(height: int, width: int) -> dict[str, int]:
     """What the symbols of shapes are for a picture of this size."""
     scale = scale_of(height, width)
     rows, columns = -(-height // scale), -(-width // scale)
-    return {"height": height, "width": width, "rows": rows, "columns": columns, "tall": height + 2 * MARGIN,
-            "wide": width + 2 * MARGIN, "few_rows": rows // 4, "few_columns": columns // 4, "both_rows": 2 * rows}
+    return {"height": height, "width": width, "rows": rows, "columns": columns,
+            "tall": height + 2 * MARGIN, "wide": width + 2 * MARGIN, "few_rows": rows // 4,
+            "few_columns": columns // 4, "both_rows": 2 * rows}
 
 
 def scale_of(height: int, width: int) -> int:
@@ -157,25 +179,29 @@ def scale_of(height: int, width: int) -> int:
     return 2 if min(height, width) >= LEAST_OF_CELLS else 1
 
 
-def shapes_of(steps: Iterable[Iterable[Step]], sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
-    """Shapes of all buffers that steps name; planes that may have any number of channels have three."""
+def shapes_of(steps: Iterable[Iterable[Step]],
+              sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+    """Shapes of all buffers that steps name; planes that may have any number of channels have
+    three."""
     symbols = {"channels": 3, **sizes}
-    return {buffer: tuple(size if isinstance(size, int) else symbols[size] for size in kernel.shapes[binding])
+    return {buffer: tuple(size if isinstance(size, int) else symbols[size]
+                          for size in kernel.shapes[binding])
             for group in steps for kernel, buffers in group for binding, buffer in buffers.items()}
 
 
-def facts_of(jitter: tuple[float, float], both: tuple[float, ...], comes: bool, scale: int) -> list[float]:
-    """`facts` of a frame's paths. jitter: its own. both: that of the frame before and of the one after. comes: whether
-    motion of the frame before is known."""
+def facts_of(jitter: tuple[float, float], both: tuple[float, ...], comes: bool,
+             scale: int) -> list[float]:
+    """`facts` of a frame's paths. jitter: its own. both: that of the frame before and of the one
+    after. comes: whether motion of the frame before is known."""
     return [float(comes), *(offset / scale for offset in (*jitter * 2, *both))]
 
 
 class DeviceInterpolator:
     """Frames between the last two frames of a stream, on a GPU. Stateful: push frames in order.
 
-    What `Interpolator` makes with flow=False, of colour, depth, motion and normals: nothing looks for cuts, overlays or
-    frames that are alike, hit distances are not used, and pixels that are not finite count as black. Frames are of one
-    size.
+    What `Interpolator` makes with flow=False, of colour, depth, motion and normals: nothing looks
+    for cuts, overlays or frames that are alike, hit distances are not used, and pixels that are not
+    finite count as black. Frames are of one size.
 
     Args:
         device: a GPU with CUDA.
@@ -205,23 +231,26 @@ class DeviceInterpolator:
         """Whether two frames of one shot were pushed."""
         return len(self._frames) == 2 and not self._resets[1]
 
-    def push(self, planes: Mapping[Role | str, Any], *, reset: bool = False, jitter: tuple[float, float] = (0.0, 0.0)
-             ) -> None:
+    def push(self, planes: Mapping[Role | str, Any], *, reset: bool = False,
+             jitter: tuple[float, float] = (0.0, 0.0)) -> None:
         """Take the next frame.
 
         Args:
-            planes: colour, depth and motion, (height, width, channels) float32, and normals if the new frames need
-                them. Normals must stay as they are until the second push after; the others are held here.
+            planes: colour, depth and motion, (height, width, channels) float32, and normals if the
+                new frames need them. Normals must stay as they are until the second push after; the
+                others are held here.
             reset: whether another shot begins with it; its motion then counts for nothing.
             jitter: as in `Frame`.
 
-        Raises FrameError for planes that are missing or do not fit, BindingError for arrays that cannot be read.
+        Raises FrameError for planes that are missing or do not fit, BindingError for arrays that
+        cannot be read.
         """
         tensors = share_planes(self._device, "plane", planes)
         spec = spec_of(tensors, {}, "scene-linear")
         missing = [role for role in NEEDED_PLANES if role not in tensors]
         if missing:
-            raise FrameError(f"frames between on a device need {', '.join(missing)}, too: give the planes")
+            raise FrameError(f"frames between on a device need {', '.join(missing)}, too: give the "
+                             "planes")
         size = spec.height, spec.width
         if size != self._size:
             self._allocate(size)
@@ -231,14 +260,15 @@ class DeviceInterpolator:
         commands = [self._record("push", PUSH)]
         if self.ready:
             both = (*self._jitters[0], *self._jitters[1])
-            for name, own in (("facts_before", self._jitters[0]), ("facts_after", self._jitters[1])):
+            for name, own in (("facts_before", self._jitters[0]),
+                              ("facts_after", self._jitters[1])):
                 self._tell(name, *facts_of(own, both, not self._resets[0], scale_of(*size)))
             commands.append(self._known("pair", PAIR, self._count % 2))
         self.milliseconds["push"] = self._run(commands)
 
     def frame(self, t: float, previous: float = 0.0) -> dict[Role, Tensor]:
-        """Colour, motion, depth, and normals where both frames have them, at a time t between 0 and 1. They stay as
-        they are until the second call after.
+        """Colour, motion, depth, and normals where both frames have them, at a time t between 0
+        and 1. They stay as they are until the second call after.
 
         previous: the time to which the motion leads, -1 to t.
 
@@ -247,12 +277,14 @@ class DeviceInterpolator:
         if not self.ready:
             raise FrameError("nothing to interpolate: push two frames of one shot first")
         if not (0 < t < 1 and -1 <= previous <= t):
-            raise FrameError(f"time {t} with motion to {previous}: give 0 < t < 1 and -1 <= previous <= t")
+            raise FrameError(f"time {t} with motion to {previous}: give 0 < t < 1 and -1 <= "
+                             "previous <= t")
         self._made += 1
         back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
         self._tell("time", t)
         self._tell("shares", *back)
-        roles = [role for role in (*NEEDED_PLANES, *TAKEN) if all(role in frame for frame in self._frames)]
+        roles = [role for role in (*NEEDED_PLANES, *TAKEN)
+                 if all(role in frame for frame in self._frames)]
         sets = self._count % 2, self._made % 2
         if len(roles) > len(NEEDED_PLANES):
             commands = [self._known("frame with planes", (*FRAME_STEPS, *WITH_PLANES), *sets),
@@ -263,12 +295,14 @@ class DeviceInterpolator:
         return {role: self._buffer(f"new.{role}") for role in roles}
 
     def _allocate(self, size: tuple[int, int]) -> None:
-        """Buffers for a size of frames: those of the frames themselves and of results are there twice."""
+        """Buffers for a size of frames: those of the frames themselves and of results are there
+        twice."""
         for tensor in self._buffers.values():
             tensor.release()
         self._size, self._frames, self._jitters, self._resets = size, [], [], []
         self._buffers, self._commands, self._numbers = {}, {}, {}
-        for name, shape in shapes_of((*PUSH, *PAIR, *FRAME_STEPS, *WITH_PLANES, *TAKE_ALL), sizes_of(*size)).items():
+        for name, shape in shapes_of((*PUSH, *PAIR, *FRAME_STEPS, *WITH_PLANES, *TAKE_ALL),
+                                     sizes_of(*size)).items():
             side, _, plane = name.rpartition(".")
             if side == "before" or (side == "after" and plane in ROLES):
                 continue

@@ -1,12 +1,14 @@
-"""Where the points of two frames are at a time between them. Pixels are those of the plane of motion here, which may be
-coarser than the picture.
+"""Where the points of two frames are at a time between them. Pixels are those of the plane of
+motion here, which may be coarser than the picture.
 
-A path is a curve from a point's place in the frame before (time 0) to that in the frame after (time 1). Every pixel of
-both frames has one: of the frame after by its motion, of the frame before by that motion turned round, or, where the
-frame after hides the point, by going on as it came. With a frame further back, or one further ahead, paths are bent:
-Lagrange's polynomial through three or four places.
+A path is a curve from a point's place in the frame before (time 0) to that in the frame after (time
+1). Every pixel of both frames has one: of the frame after by its motion, of the frame before by
+that motion turned round, or, where the frame after hides the point, by going on as it came. With a
+frame further back, or one further ahead, paths are bent: Lagrange's polynomial through three or
+four places.
 
-`splat_paths` brings them to a time: of all paths that arrive at a pixel the nearest ones count, and their mean is kept.
+`splat_paths` brings them to a time: of all paths that arrive at a pixel the nearest ones count, and
+their mean is kept.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ SIMILAR = reverse_motion.ALIKE
 SEEN = np.float32(1)
 """Pixels by which motion to the other frame and back may miss."""
 SURE = np.float32(0.7)
-"""Share of the paths that arrive at a cell that must be seen by the other frame: a sample of it has cells around."""
+"""Share of the paths that arrive at a cell that must be seen by the other frame: a sample of it has
+cells around."""
 COVERS = np.float32(0.9)
 """Share of a depth below which what is seen is something else, in front."""
 
@@ -45,15 +48,18 @@ LEAST_POINTS = 64
 FITTING = 0.4
 
 SPRUNG = np.float32(0.5)
-"""Bend, as a share of the motion, from which a path is no curve but a jump and is taken as straight."""
+"""Bend, as a share of the motion, from which a path is no curve but a jump and is taken as
+straight."""
 ROUND = np.float32(0.7)
-"""Relative difference of the bends before and after up to which a path is a curve in any case: what turns by 70 degrees
-a frame, or swings."""
+"""Relative difference of the bends before and after up to which a path is a curve in any case: what
+turns by 70 degrees a frame, or swings."""
 
 EXACT = np.float32(0.05)
-"""Pixels by which motion may differ from one pixel to the next, and there and back, before it matters."""
+"""Pixels by which motion may differ from one pixel to the next, and there and back, before it
+matters."""
 ROUNDLY = np.float32(0.1)
-"""Share of the motion by which that of the frame before or after may miss what it is if a thing turns evenly."""
+"""Share of the motion by which that of the frame before or after may miss what it is if a thing
+turns evenly."""
 LEAST_COSINE = np.float32(0.2)
 """Cosine of the angle by which a thing turns from frame to frame, at least."""
 
@@ -75,7 +81,8 @@ class Paths:
     """Paths of one frame's pixels.
 
     Attributes:
-        ends: (h, w, 4) float32: from the pixel to the point's place in the frame before (x, y) and in the one after.
+        ends: (h, w, 4) float32: from the pixel to the point's place in the frame before (x, y) and
+            in the one after.
         bend: (h, w, 2): half the second difference of the places, in pixels.
         depth: (h, w, 1): what decides between paths that meet; the smaller one is in front.
         seen: (h, w): 1 where the other frame shows the point as well, else 0.
@@ -87,7 +94,8 @@ class Paths:
     seen: np.ndarray
 
 
-def paths_of(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, depth_after: np.ndarray,
+def paths_of(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray,
+             depth_after: np.ndarray,
              came: np.ndarray | None, goes: np.ndarray | None = None) -> tuple[Paths, Paths]:
     """Paths of the pixels of the frame before, and of those of the frame after.
 
@@ -96,22 +104,26 @@ def paths_of(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, de
         ahead: likewise of the frame before, to the frame after; LOST where that hides a point.
         depth_before, depth_after: (h, w, 1), without NaN.
         came: motion of the frame before, from a frame further back; None without.
-        goes: motion from the frame after to one further ahead, LOST where that hides a point; None without.
+        goes: motion from the frame after to one further ahead, LOST where that hides a point; None
+            without.
     """
     h, w = motion.shape[:2]
     first, last = (Paths(new_array((h, w, 4)), filled_array((h, w, 2), 0), depth, new_array((h, w)))
                    for depth in (depth_before, depth_after))
     none = np.zeros((0, 0, 2), np.float32)
     came, goes = none if came is None else came, none if goes is None else goes
-    between = [whole(plane, np.float32) for plane in (motion, ahead, depth_before, depth_after, came)]
-    in_bands(h, _lead_back.bind((*between, whole(goes, np.float32), last.ends, last.bend, last.seen)))
+    between = [whole(plane, np.float32)
+               for plane in (motion, ahead, depth_before, depth_after, came)]
+    in_bands(h,
+             _lead_back.bind((*between, whole(goes, np.float32), last.ends, last.bend, last.seen)))
     in_bands(h, _lead_ahead.bind((*between, last.bend, first.ends, first.bend, first.seen)))
     return first, last
 
 
 def splat_paths(paths: Paths, t: float) -> tuple[np.ndarray, np.ndarray]:
-    """What arrives at each pixel at time t: the nearest surface's mean path (h, w, 8), NaN where there is none, and its
-    depth (h, w), FAR where nothing arrives. After its ends stands the share of paths that the other frame sees."""
+    """What arrives at each pixel at time t: the nearest surface's mean path (h, w, 8), NaN where
+    there is none, and its depth (h, w), FAR where nothing arrives. After its ends stands the share
+    of paths that the other frame sees."""
     h, w = paths.seen.shape
     nearest, found, depth = filled_array((h, w), FAR), filled_array((h, w, 8), 0), new_array((h, w))
     moment, own_depth = np.array((t, t * (t - 1)), np.float32), whole(paths.depth, np.float32)
@@ -121,13 +133,14 @@ def splat_paths(paths: Paths, t: float) -> tuple[np.ndarray, np.ndarray]:
     return found, depth
 
 
-def gather_cells(motion: np.ndarray, depth: np.ndarray, scale: int, most: float, grid: tuple[int, int]
-                 ) -> tuple[np.ndarray, np.ndarray]:
-    """Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of cells of one pixel or 2x2: means of those of
-    the nearest surface.
+def gather_cells(motion: np.ndarray, depth: np.ndarray, scale: int, most: float,
+                 grid: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of cells of one pixel or
+    2x2: means of those of the nearest surface.
 
-    Either plane (h, w, channels) may have one row, which stands for all. Motion beyond `most` pixels, out of any
-    picture, becomes NaN; depth lies between 0 and a miss. scale: pixels of a cell. grid: rows and columns.
+    Either plane (h, w, channels) may have one row, which stands for all. Motion beyond `most`
+    pixels, out of any picture, becomes NaN; depth lies between 0 and a miss. scale: pixels of a
+    cell. grid: rows and columns.
     """
     found = new_array((*grid, 2)), new_array((*grid, 1))
     planes = (whole(plane, np.float32) for plane in (motion, depth))
@@ -136,8 +149,9 @@ def gather_cells(motion: np.ndarray, depth: np.ndarray, scale: int, most: float,
 
 
 def rank_paths(one: np.ndarray, other: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """What stands for depth where there is none (rows, columns, 1): 1 plus the difference of a grey picture to another
-    one (rows, columns) where its motion leads, or 2. A path that fits both pictures is in front of one that does not.
+    """What stands for depth where there is none (rows, columns, 1): 1 plus the difference of a grey
+    picture to another one (rows, columns) where its motion leads, or 2. A path that fits both
+    pictures is in front of one that does not.
     """
     rank = np.empty((*one.shape, 1), np.float32)
     _rank(0, len(rank), one, other, whole(motion, np.float32), rank)
@@ -145,21 +159,25 @@ def rank_paths(one: np.ndarray, other: np.ndarray, motion: np.ndarray) -> np.nda
 
 
 def refine(motion: np.ndarray, inverse: np.ndarray) -> None:
-    """Lead motion (rows, columns, 2) that was inverted for whole pixels to the places between them whose motion leads
-    back: one step of Newton's method, where motion goes on evenly."""
+    """Lead motion (rows, columns, 2) that was inverted for whole pixels to the places between them
+    whose motion leads back: one step of Newton's method, where motion goes on evenly."""
     in_bands(len(inverse), _refine.bind((whole(motion, np.float32), inverse)))
 
 
-def motion_of_reflections(motion: np.ndarray, depth: np.ndarray, length: np.ndarray, fov_x: float | None) -> np.ndarray:
-    """Motion (h, w, 2) of what flat mirrors show; NaN where there is no mirror, all of it where no camera is found.
+def motion_of_reflections(motion: np.ndarray, depth: np.ndarray, length: np.ndarray,
+                          fov_x: float | None) -> np.ndarray:
+    """Motion (h, w, 2) of what flat mirrors show; NaN where there is no mirror, all of it where no
+    camera is found.
 
-    A mirror's image lies along the view ray, as far behind the mirror as the reflected point is from it, and moves like
-    any point at rest: as the camera that fits the motion of surfaces (`camera.fit_camera`).
+    A mirror's image lies along the view ray, as far behind the mirror as the reflected point is
+    from it, and moves like any point at rest: as the camera that fits the motion of surfaces
+    (`camera.fit_camera`).
 
     Args:
         motion, depth: (h, w, 2) and (h, w, 1).
         length: (h, w, 1) from a surface to what it reflects; 0 or less where there is nothing.
-        fov_x: horizontal field of view in degrees, by which depth is told from distance; None if unknown.
+        fov_x: horizontal field of view in degrees, by which depth is told from distance; None if
+            unknown.
     """
     h, w = depth.shape[:2]
     found = np.full((h, w, 2), np.nan, np.float32)
@@ -178,8 +196,8 @@ def motion_of_reflections(motion: np.ndarray, depth: np.ndarray, length: np.ndar
         return found
     rows, columns = np.nonzero(is_mirror)
     now = centre_positions(rows, columns, h, w)
-    ahead = np.ones(rows.size) if not fov_x else 1 / np.hypot(1, np.hypot(now[:, 0], now[:, 1])
-                                                              * 2 * math.tan(math.radians(fov_x) / 2))
+    ahead = (np.ones(rows.size) if not fov_x else 1
+             / np.hypot(1, np.hypot(now[:, 0], now[:, 1]) * 2 * math.tan(math.radians(fov_x) / 2)))
     beyond = depth[rows, columns, 0] + length[rows, columns, 0].astype(float) * ahead
     place = np.append(camera[:8], 1).reshape(3, 3) @ now.T + camera[8:, None] * (median / beyond)
     found[rows, columns] = ((place[:2] / place[2]).T - now[:, :2]) * w
@@ -187,6 +205,7 @@ def motion_of_reflections(motion: np.ndarray, depth: np.ndarray, length: np.ndar
 
 
 def fill_holes(field: np.ndarray, depth: np.ndarray) -> None:
-    """Give cells (rows, columns, 8) without a path that of the farthest of the next ones to the left, to the right,
-    above and below: what is uncovered is background. Without any, the cell stands still. depth: (rows, columns)."""
+    """Give cells (rows, columns, 8) without a path that of the farthest of the next ones to the
+    left, to the right, above and below: what is uncovered is background. Without any, the cell
+    stands still. depth: (rows, columns)."""
     _fill_holes(0, 1, whole(depth, np.float32), field)

@@ -1,8 +1,10 @@
-"""Which frames a sequence gets when frames are put between its own: times, numbers, frame rate, time code and camera;
-and the course of light through the frames around a time: of still surfaces, and of sparks.
+"""Which frames a sequence gets when frames are put between its own: times, numbers, frame rate,
+time code and camera; and the course of light through the frames around a time: of still surfaces,
+and of sparks.
 
-Time codes are those of SMPTE ST 12-1 as OpenEXR stores them: hours, minutes, seconds and frames as decimal digits of 4
-bits in one word. Above 30 frames a second, frames are counted in pairs and a bit tells the second one of a pair.
+Time codes are those of SMPTE ST 12-1 as OpenEXR stores them: hours, minutes, seconds and frames as
+decimal digits of 4 bits in one word. Above 30 frames a second, frames are counted in pairs and a
+bit tells the second one of a pair.
 """
 
 from __future__ import annotations
@@ -52,8 +54,8 @@ class Moment(NamedTuple):
         number: its frame number.
         start: of the frame before it, or of itself, in the old sequence, from 0.
         t: time since that frame, 0 to 1 (not included); 0 for that frame itself.
-        previous: the time of the new frame before, to which its motion leads, counted like t; for t = 0 counted in the
-            interval that ends there.
+        previous: the time of the new frame before, to which its motion leads, counted like t; for
+            t = 0 counted in the interval that ends there.
     """
 
     number: int
@@ -93,13 +95,15 @@ class Times:
         elif self.ratio:
             yield from (count / self.ratio for count in range(int(last * self.ratio) + 1))
 
-    def header(self, metadata: Mapping[str, Any], count: int, first: Mapping[str, Any]) -> dict[str, Any]:
+    def header(self, metadata: Mapping[str, Any], count: int,
+               first: Mapping[str, Any]) -> dict[str, Any]:
         """Metadata of the new frame with this count from 0, in the place of `metadata`.
 
-        first: metadata of the old sequence's first frame. Without an even rate there is no frame rate and no time code,
-        without a known one no time code.
+        first: metadata of the old sequence's first frame. Without an even rate there is no frame
+        rate and no time code, without a known one no time code.
         """
-        found = {name: value for name, value in metadata.items() if name not in ("framesPerSecond", "timeCode")}
+        found = {name: value
+                 for name, value in metadata.items() if name not in ("framesPerSecond", "timeCode")}
         rate = self.rate or as_rate(first.get("framesPerSecond"))
         if self.ratio is None or rate is None:
             return found
@@ -107,7 +111,8 @@ class Times:
         code = first.get("timeCode")
         if code is not None and nominal(rate * self.ratio) <= MOST_RATE:
             frames = math.floor(read_code(code[0], rate) * self.ratio) + count
-            found["timeCode"] = (make_code(frames, rate * self.ratio, bool(code[0] & _DROP)), int(code[1]))
+            found["timeCode"] = (make_code(frames, rate * self.ratio, bool(code[0] & _DROP)),
+                                 int(code[1]))
         return found
 
 
@@ -119,21 +124,25 @@ def parse_times(times: str | None, rates: str | None = None) -> Times:
     old, _, new = (rates or "").partition(":")
     rate = _number(old, f"--fps {rates}") if old else None
     if new and times:
-        raise OptionError(f"--times {times} and --fps {rates} both say how many frames: give --times with --fps {old}")
+        raise OptionError(f"--times {times} and --fps {rates} both say how many frames: give "
+                          f"--times with --fps {old}")
     if new and rate:
         ratio = _number(new, f"--fps {rates}") / rate
         if ratio <= 1:
-            raise OptionError(f"--fps {rates}: {new} is not above {old}: give a higher one, like 24:60")
+            raise OptionError(f"--fps {rates}: {new} is not above {old}: give a higher one, like "
+                              "24:60")
         return Times(ratio=ratio, rate=rate)
     text = times or "2"
     if text.isdigit():
         count = int(text)
         if not 2 <= count <= 64:
-            raise OptionError(f"--times {text}: give 2 to 64 times as many frames, or times like 0.25,0.5")
+            raise OptionError(f"--times {text}: give 2 to 64 times as many frames, or times like "
+                              "0.25,0.5")
         return Times(tuple(Fraction(k, count) for k in range(count)), Fraction(count), rate)
     within = sorted({Fraction(0), *(_number(one, f"--times {text}") for one in text.split(","))})
     if within[-1] >= 1:
-        raise OptionError(f"--times {text}: {float(within[-1]):g} is not between two frames: give times below 1")
+        raise OptionError(f"--times {text}: {float(within[-1]):g} is not between two frames: give "
+                          "times below 1")
     even = all(t == Fraction(k, len(within)) for k, t in enumerate(within))
     return Times(tuple(within), Fraction(len(within)) if even else None, rate)
 
@@ -157,7 +166,8 @@ def as_rate(value: Any) -> Fraction | None:
     if not 0 < rate < MOST_RATE * 1000:
         return None
     whole = round(rate)
-    return Fraction(1000 * whole, 1001) if 5e-4 < whole / rate - 1 < 2e-3 else Fraction(rate).limit_denominator(1001)
+    return (Fraction(1000 * whole, 1001) if 5e-4 < whole / rate - 1 < 2e-3
+            else Fraction(rate).limit_denominator(1001))
 
 
 def nominal(rate: Fraction) -> int:
@@ -179,8 +189,8 @@ def read_code(word: int, rate: Fraction) -> int:
 
 
 def make_code(total: int, rate: Fraction, drop: bool) -> int:
-    """A time code's first word; drop: whether frame numbers are left out to keep up with the clock, as they can be at
-    30 and 60 times 1000/1001 frames a second."""
+    """A time code's first word; drop: whether frame numbers are left out to keep up with the clock,
+    as they can be at 30 and 60 times 1000/1001 frames a second."""
     base = nominal(rate)
     drop = drop and base in (30, 60) and rate != base
     if drop:
@@ -210,8 +220,8 @@ def _digits(word: int, first: int, last: int) -> int:
 
 
 def camera_between(one: np.ndarray | None, other: np.ndarray | None, t: float) -> np.ndarray | None:
-    """World to camera (4, 4) at a time between two: turned about one axis, and moved straight. None where there is
-    none."""
+    """World to camera (4, 4) at a time between two: turned about one axis, and moved straight. None
+    where there is none."""
     if one is None or other is None:
         return None
     try:
@@ -221,7 +231,8 @@ def camera_between(one: np.ndarray | None, other: np.ndarray | None, t: float) -
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or angle > 3:
             return None
         axis = (turn - turn.T) / (2 * math.sin(angle)) if angle > 1e-9 else np.zeros((3, 3))
-        part = np.eye(3) + math.sin(t * angle) * axis + (1 - math.cos(t * angle)) * axis @ axis  # Rodrigues
+        # Rodrigues
+        part = np.eye(3) + math.sin(t * angle) * axis + (1 - math.cos(t * angle)) * axis @ axis
         camera = first.copy()
         camera[:3, :3] = first[:3, :3] @ part
         camera[3] = (1 - t) * first[3] + t * last[3]
@@ -232,22 +243,25 @@ def camera_between(one: np.ndarray | None, other: np.ndarray | None, t: float) -
 
 
 def follow_light(frames: Sequence[Frame | None], t: float, picture: np.ndarray) -> None:
-    """Lead light through four frames, a frame apart, where nothing moves: at time t between the middle two, in place.
+    """Lead light through four frames, a frame apart, where nothing moves: at time t between the
+    middle two, in place.
 
-    Lagrange's cubic, within what the middle two show. It is left out where a frame is missing or has no depth or no
-    motion, a shot begins, or sizes differ. picture: (h, w, 3) of that time.
+    Lagrange's cubic, within what the middle two show. It is left out where a frame is missing or
+    has no depth or no motion, a shot begins, or sizes differ. picture: (h, w, 3) of that time.
     """
     if any(one is None or Role.COLOUR not in one or one[Role.COLOUR].shape != picture.shape or
-           Role.DEPTH not in one or (k > 0 and (one.reset or Role.MOTION not in one)) for k, one in enumerate(frames)):
+           Role.DEPTH not in one or (k > 0 and (one.reset or Role.MOTION not in one))
+           for k, one in enumerate(frames)):
         return
     known = [one for one in frames if one is not None]
     motions, depths = [one[Role.MOTION] for one in known[1:]], [one[Role.DEPTH] for one in known]
     if any(plane.shape[:2] != picture.shape[:2] for plane in (*motions, *depths)) or \
             not (np.abs(motions[1][::8, ::8]).max(-1) < STILL).any():
         return
-    shares = (-t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2, -t * (t + 1) * (t - 2) / 2,
-              t * (t + 1) * (t - 1) / 6)
-    planes = [whole(plane, np.float32) for plane in (*(one[Role.COLOUR] for one in known), *motions, *depths)]
+    shares = (-t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2,
+              -t * (t + 1) * (t - 2) / 2, t * (t + 1) * (t - 1) / 6)
+    planes = [whole(plane, np.float32)
+              for plane in (*(one[Role.COLOUR] for one in known), *motions, *depths)]
     in_bands(len(picture), _curve.bind((*planes, np.array((*shares, t), np.float32), picture)))
 
 
@@ -255,8 +269,8 @@ def follow_light(frames: Sequence[Frame | None], t: float, picture: np.ndarray) 
 
 
 def find_sparks(picture: np.ndarray, scale: int, dim: float, grid: tuple[int, int]) -> np.ndarray:
-    """Marks of cells (rows, columns) of a picture (h, w, 3): 3 and 2 where a pixel is 60 and 32 times as bright
-    as the dark and as what is around it, and 1 up to two cells beside.
+    """Marks of cells (rows, columns) of a picture (h, w, 3): 3 and 2 where a pixel is 60 and 32
+    times as bright as the dark and as what is around it, and 1 up to two cells beside.
 
     scale: pixels of a cell. dim: light that counts as dark, summed over channels.
     """
@@ -290,22 +304,25 @@ class Sparks:
 
 
 def settle_sparks(sparks: Sparks, t: float, own: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Take cells (rows, columns, 8), within a pixel of which only the frame that is farther from a time t shows a
-    spark, from the nearer one alone: also a spark's edge, which a mean would leave as a ring.
+    """Take cells (rows, columns, 8), within a pixel of which only the frame that is farther from a
+    time t shows a spark, from the nearer one alone: also a spark's edge, which a mean would leave
+    as a ring.
 
-    own: (rows, columns, 8), paths of cells by their planes. Gives the mark of the cells to which each path leads; else
-    1 where the cell's own path leads to marked ones: (rows, columns) uint8.
+    own: (rows, columns, 8), paths of cells by their planes. Gives the mark of the cells to which
+    each path leads; else 1 where the cell's own path leads to marked ones: (rows, columns) uint8.
     """
     near = np.empty(cells.shape[:2], np.uint8)
     in_bands(len(cells), _settle.bind((*sparks.arrays(t), own, cells, near)))
     return near
 
 
-def keep_sparks(sparks: Sparks, t: float, own: np.ndarray, near: np.ndarray, picture: np.ndarray) -> None:
-    """Give the light of sparks that the picture of a time t (h, w, 3) has lost to those that it shows, in place.
+def keep_sparks(sparks: Sparks, t: float, own: np.ndarray, near: np.ndarray,
+                picture: np.ndarray) -> None:
+    """Give the light of sparks that the picture of a time t (h, w, 3) has lost to those that it
+    shows, in place.
 
-    Fast sparks have no right path: some of them are hidden where a path of what is behind them fits better. What the
-    two frames show of them, by time, is what the picture should.
+    Fast sparks have no right path: some of them are hidden where a path of what is behind them fits
+    better. What the two frames show of them, by time, is what the picture should.
 
     own: (rows, columns, 8), paths of cells by their planes. near: as `settle_sparks` gives it.
     """

@@ -1,8 +1,9 @@
 """How well vectors and estimated motion explain two pictures, beside standing still.
 
-Where vectors explain much less than estimated motion does, they are not used: those of frames that are held, of a wrong
-sign or unit, of the shot that goes in a dissolve. In the middle of a dissolve neither explains much, and each leads
-another way: the mean of both frames is better then than either.
+Where vectors explain much less than estimated motion does, they are not used: those of frames that
+are held, of a wrong sign or unit, of the shot that goes in a dissolve. In the middle of a dissolve
+neither explains much, and each leads another way: the mean of both frames is better then than
+either.
 """
 
 from __future__ import annotations
@@ -16,17 +17,20 @@ from postfx.sampling import bilinear, is_inside
 LOOKED_AT = 100
 """Rows or columns of the shorter side that are looked at."""
 MOST_APART, LEAST_INSIDE = 0.1, 0.25
-"""Difference of toned light up to which a pixel counts, and the share of pixels that must lead into the picture."""
+"""Difference of toned light up to which a pixel counts, and the share of pixels that must lead into
+the picture."""
 WORSE, LEAST_EXPLAINED = 1.35, 0.5
-"""Misfit of vectors, in that of the flow, beyond which they are not used if they explain less than this share of what
-the flow explains. Right vectors of nine noisy renders have up to 1.7 and at least 0.53, half of them 0.27 to 0.48."""
+"""Misfit of vectors, in that of the flow, beyond which they are not used if they explain less than
+this share of what the flow explains. Right vectors of nine noisy renders have up to 1.7 and at
+least 0.53, half of them 0.27 to 0.48."""
 MUCH_WORSE = 2.2
 """Misfit beyond which they are not used whatever they explain."""
 LIKE_STILL = 0.5, 0.55
-"""Misfit of the better one, in that of standing still, from which the mean of both frames begins to count, and from
-which it does in full. Both numbers below are ranges likewise."""
+"""Misfit of the better one, in that of standing still, from which the mean of both frames begins to
+count, and from which it does in full. Both numbers below are ranges likewise."""
 LEAD_APART = 0.5, 0.6
-"""Difference of what both ways show, in that of standing still: up to 0.48 in renders, 0.63 to 1.2 in dissolves."""
+"""Difference of what both ways show, in that of standing still: up to 0.48 in renders, 0.63 to 1.2
+in dissolves."""
 APART = 0.5
 """Cells by which ways differ."""
 MOSTLY = 0.5
@@ -55,13 +59,15 @@ class Ways:
 
     @property
     def vectors_fit(self) -> bool:
-        """Whether vectors may be used. They are where estimated motion is the same mostly: a thing may have none."""
+        """Whether vectors may be used. They are where estimated motion is the same mostly: a thing
+        may have none."""
         if self.apart < MOSTLY:
             return True
         if self.motion > MUCH_WORSE * self.flow:
             return False
         explained = self.still - self.motion
-        return self.motion <= WORSE * self.flow or explained >= LEAST_EXPLAINED * (self.still - self.flow)
+        return (self.motion <= WORSE * self.flow
+                or explained >= LEAST_EXPLAINED * (self.still - self.flow))
 
     @property
     def share_of_mean(self) -> float:
@@ -73,9 +79,10 @@ class Ways:
                 * _ramp(self.different, DIFFERENT))
 
 
-def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray, motion: np.ndarray) -> Ways | None:
-    """Compare two grey pictures (h, w) along two fields of motion (h, w, 2) of the later one, in pixels, NaN where
-    unknown. None where too little leads into the earlier one."""
+def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
+                 motion: np.ndarray) -> Ways | None:
+    """Compare two grey pictures (h, w) along two fields of motion (h, w, 2) of the later one, in
+    pixels, NaN where unknown. None where too little leads into the earlier one."""
     step = max(2, min(after.shape) // LOOKED_AT)
     y, x = np.mgrid[:after.shape[0]:step, :after.shape[1]:step]
     fields = [one[::step, ::step] for one in (flow, motion)]
@@ -86,7 +93,8 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray, motion
     now, still = (picture[::step, ::step][inside] for picture in (after, before))
     one, other = (bilinear(before, across[inside], down[inside]) for across, down in places)
     misfits = (_misfit(one, now), _misfit(other, now), _misfit(still, now), _misfit(one, other))
-    apart, moving = (np.abs(one).max(-1)[inside] > APART for one in (fields[0] - fields[1], fields[1]))
+    apart, moving = (np.abs(one).max(-1)[inside] > APART
+                     for one in (fields[0] - fields[1], fields[1]))
     return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()))
 
 

@@ -1,9 +1,11 @@
-"""Every channel of a frame's files under all its names, part by part, so that those of one part stay together.
+"""Every channel of a frame's files under all its names, part by part, so that those of one part
+stay together.
 
-A channel goes by its own name ('albedo.R'), by its part's name before it ('albedo' and 'R'), and by its file's name
-where every plane has one. Nuke's and Clarisse's red, green, blue and alpha count as R, G, B and A, and letter case does
-not count. Of stereo files one view is read. Views are told by an attribute of parts, by their names ('rgba.left',
-'rgba_left') or by the last but one word of a channel's name ('left.R', 'forward.left.u').
+A channel goes by its own name ('albedo.R'), by its part's name before it ('albedo' and 'R'), and by
+its file's name where every plane has one. Nuke's and Clarisse's red, green, blue and alpha count as
+R, G, B and A, and letter case does not count. Of stereo files one view is read. Views are told by
+an attribute of parts, by their names ('rgba.left', 'rgba_left') or by the last but one word of a
+channel's name ('left.R', 'forward.left.u').
 """
 
 from __future__ import annotations
@@ -29,25 +31,27 @@ _SHORT_LETTERS = {"red": "r", "green": "g", "blue": "b", "alpha": "a"}
 _VIEW_WORDS = ("main", "left", "right")
 """Views that parts are named after where no attribute tells views."""
 _DATA = re.compile(
-    r"crypto|matte|mask|normal|depth|position|point|motion|vector|velocity|albedo|roughness|variance"
-    r"|(^|[._ ])(n|ng|ns|nn|p|pref|pworld|z|ids?|uv|st)([._ ]|$)|(?-i:[a-z]ID$)",
+    r"crypto|matte|mask|normal|depth|position|point|motion|vector|velocity|albedo|roughness|"
+    r"variance|(^|[._ ])(n|ng|ns|nn|p|pref|pworld|z|ids?|uv|st)([._ ]|$)|(?-i:[a-z]ID$)",
     re.IGNORECASE,
 )
 """Names of parts whose R, G and B are not colours."""
 
 
 def is_plane_word(word: str) -> bool:
-    """Whether a word in file or part names stands for a plane: one for the colour, or a layer that a profile names."""
+    """Whether a word in file or part names stands for a plane: one for the colour, or a layer that
+    a profile names."""
     return bool(word) and word.lower() in _plane_words()
 
 
 @cache
 def _plane_words() -> frozenset[str]:
-    """In lower case. Single letters, which are channels as well, count as the generic profile has them."""
+    """In lower case. Single letters, which are channels as well, count as the generic profile has
+    them."""
     named = {name for rule in load_profile("generic").planes for name in rule.names}
     for profile in map(load_profile, profile_names()):
-        named |= {name for rule in profile.planes if rule.role not in (Role.COLOUR, Role.ALPHA) for name in rule.names
-                  if len(name) > 1 and "*" not in name and "{" not in name}
+        named |= {name for rule in profile.planes if rule.role not in (Role.COLOUR, Role.ALPHA)
+                  for name in rule.names if len(name) > 1 and "*" not in name and "{" not in name}
     return frozenset({*COLOUR_FILES, *(name.lower() for name in named if name)})
 
 
@@ -67,10 +71,11 @@ class Channel(NamedTuple):
 
 @dataclass(eq=False)
 class _Source:
-    """One part of a file, seen from one view: full name in lower case -> the name as it is written, and the channel.
+    """One part of a file, seen from one view: full name in lower case -> the name as it is written,
+    and the channel.
 
-    `rank` tells how likely its R, G and B are the frame's colour, the lowest first; parts of rank `_NAMED` are found by
-    the name of the part only.
+    `rank` tells how likely its R, G and B are the frame's colour, the lowest first; parts of rank
+    `_NAMED` are found by the name of the part only.
     """
 
     rank: int
@@ -97,16 +102,19 @@ _PICTURE, _COLOUR, _UNKNOWN, _NAMED = range(4)
 class ChannelIndex:
     """Channels of a frame's files by full name.
 
-    `files` maps a plane's word ('' where one file holds all planes) to its file's parts. A channel R without more is
-    that of the picture that postfx wrote, else of a part named after the colour, else of the first part that is not
-    named after something else. `view` is one of `views`, or None for the first. `layer` is a layer whose channels also
-    go by their names without it, and come first.
+    `files` maps a plane's word ('' where one file holds all planes) to its file's parts. A channel
+    R without more is that of the picture that postfx wrote, else of a part named after the colour,
+    else of the first part that is not named after something else. `view` is one of `views`, or None
+    for the first. `layer` is a layer whose channels also go by their names without it, and come
+    first.
 
     Attributes:
-        views: of the first file, the one that is looked at first; empty where the file is not of several.
+        views: of the first file, the one that is looked at first; empty where the file is not of
+            several.
     """
 
-    def __init__(self, files: Mapping[str, Parts], view: str | None = None, layer: str = "") -> None:
+    def __init__(self, files: Mapping[str, Parts], view: str | None = None,
+                 layer: str = "") -> None:
         self._files = files
         self.views = _views(next(iter(files.values())))
         view = view or (self.views[0] if self.views else "")
@@ -119,9 +127,11 @@ class ChannelIndex:
     def find(
         self, names: Iterable[str], fits: Callable[[tuple[Channel, ...]], bool] = lambda _: True
     ) -> tuple[Channel, ...] | None:
-        """Channels by full name, * matching anything, all of one part; None unless all are there, () without names.
+        """Channels by full name, * matching anything, all of one part; None unless all are there,
+        () without names.
 
-        The first part counts whose channels fit. They may be spread over parts only where no part has them all.
+        The first part counts whose channels fit. They may be spread over parts only where no part
+        has them all.
         """
         wanted = [name.lower() for name in names]
         if not wanted:
@@ -130,19 +140,23 @@ class ChannelIndex:
         if spread is None:
             return None
         found = (source.find(wanted) for source in self._sources)
-        return next((channels for channels in (*found, spread) if channels and fits(channels)), None)
+        return next((channels for channels in (*found, spread) if channels and fits(channels)),
+                    None)
 
     def matching(self, name: str) -> list[Channel]:
-        """A channel or those of a layer, by full name or the end of it, * matching anything; each once."""
+        """A channel or those of a layer, by full name or the end of it, * matching anything; each
+        once."""
         everything = self._everything.channels.items()
         for pattern in (name, f"{name}.*", f"*.{name}", f"*.{name}.*"):
-            found = [channel for key, (_, channel) in everything if fnmatchcase(key, pattern.lower())]
+            found = [channel
+                     for key, (_, channel) in everything if fnmatchcase(key, pattern.lower())]
             if found:
                 return list(dict.fromkeys(found))
         return []
 
     def layers_like(self, name: str, whole: bool = False) -> list[str]:
-        """Layers by full name, or else the end of it unless only the `whole` name counts, * matching anything."""
+        """Layers by full name, or else the end of it unless only the `whole` name counts, *
+        matching anything."""
         names = [full for full, _ in self._everything.channels.values()]
         layers = list(dict.fromkeys(full.rpartition(".")[0] or full for full in names))
         for pattern in (name,) if whole else (name, f"*.{name}", f"*_{name}"):
@@ -152,11 +166,12 @@ class ChannelIndex:
         return []
 
     def find_lone_picture(self) -> str | None:
-        """The one layer with R, G and B, or else the only layer, with Y, unless its name tells of something else; None
-        where there is none or a choice."""
+        """The one layer with R, G and B, or else the only layer, with Y, unless its name tells of
+        something else; None where there is none or a choice."""
         layers = [layer for layer in self.layers_like("*", whole=True)
                   if not _DATA.search(layer) and not is_plane_word(layer.rpartition(".")[2])]
-        coloured: dict[tuple[Channel, ...], str] = {}  # a layer also goes by its part's name before its own
+        # a layer also goes by its part's name before its own
+        coloured: dict[tuple[Channel, ...], str] = {}
         for layer in layers:
             if channels := self.find(f"{layer}.{letter}" for letter in "RGB"):
                 coloured.setdefault(channels, layer)
@@ -167,10 +182,12 @@ class ChannelIndex:
 
     def pairs_like(self, pattern: re.Pattern[str]) -> Iterator[tuple[str, tuple[Channel, ...]]]:
         """Layers whose full name a pattern is found in, and their channels x and y, or the like."""
-        seen: set[tuple[Channel, ...]] = set()  # a layer also goes by its part's name before its own
+        # a layer also goes by its part's name before its own
+        seen: set[tuple[Channel, ...]] = set()
         for layer in self.layers_like("*", whole=True):
             named = ([f"{layer}.{letter}" for letter in letters] for letters in ("XY", "RG", "UV"))
-            channels = next(filter(None, map(self.find, named)), None) if pattern.search(layer) else None
+            channels = (next(filter(None, map(self.find, named)), None) if pattern.search(layer)
+                        else None)
             if channels and channels not in seen:
                 seen.add(channels)
                 yield layer, channels
@@ -199,8 +216,10 @@ class ChannelIndex:
                     if (id(part), name) in left_out:
                         continue
                     layer, _, letter = name.rpartition(".")
-                    layers.setdefault(layer or (part.name if len(parts) > 1 else ""), []).append(letter)
-        return [make_printable(f"{layer}{'.' * bool(layer)}{','.join(letters)}") for layer, letters in layers.items()]
+                    layers.setdefault(layer or (part.name if len(parts) > 1 else ""),
+                                      []).append(letter)
+        return [make_printable(f"{layer}{'.' * bool(layer)}{','.join(letters)}")
+                for layer, letters in layers.items()]
 
     @cached_property
     def _everything(self) -> _Source:
@@ -213,8 +232,10 @@ class ChannelIndex:
     def _prefer(self, layer: str) -> None:
         start = f"{layer.lower()}."
         for source in self._sources:
-            inner = {key[len(start):]: entry for key, entry in source.channels.items() if key.startswith(start)}
-            source.channels = inner | {key: entry for key, entry in source.channels.items() if key not in inner}
+            inner = {key[len(start):]: entry
+                     for key, entry in source.channels.items() if key.startswith(start)}
+            source.channels = inner | {key: entry for key, entry in source.channels.items()
+                                       if key not in inner}
             source.rank = _PICTURE if inner else source.rank
         self._sources.sort(key=lambda source: source.rank)
 
@@ -240,10 +261,11 @@ def has_siblings(channel: Channel, letters: Iterable[str]) -> bool:
 
 
 def read_channels(
-    files: Mapping[str, ImageFile], fills: Mapping[Channel, float], rows: tuple[int, int] | None = None
+    files: Mapping[str, ImageFile], fills: Mapping[Channel, float],
+    rows: tuple[int, int] | None = None
 ) -> dict[Channel, np.ndarray]:
-    """Every channel, or some of its rows, with one read of each part that holds any. `fills` gives the
-    value for pixels without data; `files` are the open ones of a frame, by their words."""
+    """Every channel, or some of its rows, with one read of each part that holds any. `fills` gives
+    the value for pixels without data; `files` are the open ones of a frame, by their words."""
     wanted: dict[Part, list[Channel]] = {}
     for channel in fills:
         wanted.setdefault(channel.part, []).append(channel)
@@ -259,7 +281,8 @@ def _sources(word: str, parts: Parts, view: str) -> Iterator[_Source]:
     """The parts of a file that hold channels of a view."""
     views = _views(parts)
     holds_colour = word == "" or word.lower() in COLOUR_FILES
-    ranks = _ranks([_name_and_view(part, views)[0] for part in parts], parts) if holds_colour else {}
+    ranks = (_ranks([_name_and_view(part, views)[0] for part in parts], parts) if holds_colour
+             else {})
     is_lone = len(parts) == 1
     for index, part in enumerate(parts):
         name, own = _name_and_view(part, views)
@@ -268,7 +291,8 @@ def _sources(word: str, parts: Parts, view: str) -> Iterator[_Source]:
                   for channel in part.channels]
         named = {short: found for short, seen, found in shorts if seen == "" or len(views) < 2}
         named |= {short: found for short, seen, found in shorts if seen == view}
-        for short, found in (*named.items(), *((_with_letter(short), found) for short, found in named.items())):
+        for short, found in (*named.items(),
+                             *((_with_letter(short), found) for short, found in named.items())):
             for full in _full_names(short, name, word, source.rank < _NAMED):
                 source.add(full, found)
         if source.channels:
@@ -277,11 +301,13 @@ def _sources(word: str, parts: Parts, view: str) -> Iterator[_Source]:
 
 def _full_names(short: str, part: str, word: str, is_plain: bool) -> list[str]:
     own = [short] if is_plain or "." in short or short.lower() == part.lower() else []
-    return own + [f"{head}.{short}" for head in (part, word) if head and not short.startswith(f"{head}.")]
+    return own + [f"{head}.{short}"
+                  for head in (part, word) if head and not short.startswith(f"{head}.")]
 
 
 def _ranks(names: list[str], parts: Parts) -> dict[int, int]:
-    """Ranks of the parts whose channels go by their bare names as well; of all, where none is likely to."""
+    """Ranks of the parts whose channels go by their bare names as well; of all, where none is
+    likely to."""
     ranks = {index: _PICTURE for index, part in enumerate(parts) if part.is_picture}
     for index, name in enumerate(names):
         words = {name.lower(), name.lower().rpartition(".")[2]}
@@ -299,7 +325,8 @@ def _with_letter(name: str) -> str:
 
 
 def _views(parts: Parts) -> tuple[str, ...]:
-    """Views that a file's parts tell, the first one first; of one view or none where it is not of several."""
+    """Views that a file's parts tell, the first one first; of one view or none where it is not of
+    several."""
     if parts[0].views is not None:
         return parts[0].views
     told = [part.view for part in parts if part.view]
@@ -317,8 +344,10 @@ def _name_and_view(part: Part, views: tuple[str, ...]) -> tuple[str, str]:
     return part.name, part.view
 
 
-def _without_view(channel: str, views: tuple[str, ...], view: str, is_by_name: bool) -> tuple[str, str]:
-    """A channel's name without its view, and the view: the part's, else that in its name; '' where it is of all.
+def _without_view(channel: str, views: tuple[str, ...], view: str,
+                  is_by_name: bool) -> tuple[str, str]:
+    """A channel's name without its view, and the view: the part's, else that in its name; '' where
+    it is of all.
 
     Channels without a layer are of the first view where names tell views.
     """

@@ -1,8 +1,9 @@
 """Colours of files: spaces that headers or the user name, and their conversion to linear Rec.709.
 
-Spaces come from identifiers of the Color Interop Forum (header colorInteropID) or from chromaticities. Identifiers and
-formulas follow the forum's recommendation "Color Space Encodings for Texture Assets and CG Rendering" 1.1. Names that
-OpenColorIO added ("ocio:...") are looked up in its built-in config.
+Spaces come from identifiers of the Color Interop Forum (header colorInteropID) or from
+chromaticities. Identifiers and formulas follow the forum's recommendation "Color Space Encodings
+for Texture Assets and CG Rendering" 1.1. Names that OpenColorIO added ("ocio:...") are looked up in
+its built-in config.
 """
 
 from __future__ import annotations
@@ -41,10 +42,12 @@ class ColourSpace:
 
     Attributes:
         title: what messages call it.
-        matrix: 3x3, its linear light -> linear Rec.709, column vectors; white stays white (Bradford).
+        matrix: 3x3, its linear light -> linear Rec.709, column vectors; white stays white
+            (Bradford).
         primaries: of its linear light; None if chromaticities cannot express them.
         linear_id: identifier of its linear light, or None.
-        decode: stored values -> linear light, arrays of any shape (..., 3); None if they are linear.
+        decode: stored values -> linear light, arrays of any shape (..., 3); None if they are
+            linear.
     """
 
     title: str
@@ -71,7 +74,8 @@ def _decode_power(codes: np.ndarray, exponent: float) -> np.ndarray:
 
 
 _PRIMARIES: dict[str, Chromaticities] = {
-    "ap0": ACES2065_1, "ap1": ACESCG, "rec709": REC709, "p3d65": P3_D65, "rec2020": REC2020, "adobergb": ADOBE_RGB,
+    "ap0": ACES2065_1, "ap1": ACESCG, "rec709": REC709, "p3d65": P3_D65, "rec2020": REC2020,
+    "adobergb": ADOBE_RGB,
 }
 _CURVES: dict[str, Decode] = {
     "srgb": _decode_srgb,
@@ -79,8 +83,8 @@ _CURVES: dict[str, Decode] = {
     "g22": partial(_decode_power, exponent=2.2),
     "g24": partial(_decode_power, exponent=2.4),
 }
-_ENCODED = ("srgb_rec709", "g24_rec709", "g22_rec709", "g18_rec709", "srgb_ap1", "g22_ap1", "srgb_p3d65",
-            "g22_adobergb")
+_ENCODED = ("srgb_rec709", "g24_rec709", "g22_rec709", "g18_rec709", "srgb_ap1", "g22_ap1",
+            "srgb_p3d65", "g22_adobergb")
 _ADOBE_EXPONENT = 563 / 256
 """Adobe RGB (1998) Color Image Encoding, 4.3.1.2."""
 SILENT_IDENTIFIERS = ("", "data", "unknown")
@@ -93,12 +97,14 @@ def space_by_primaries(primaries: Chromaticities) -> ColourSpace:
     """Linear light of these primaries. Raises ColourError where they span no colours."""
     key = next((key for key, own in _PRIMARIES.items() if own == primaries), None)
     title = name_of(primaries) or "of primaries without a name"
-    return ColourSpace(title, matrix_between(primaries, REC709), primaries, f"lin_{key}_scene" if key else None)
+    return ColourSpace(title, matrix_between(primaries, REC709), primaries,
+                       f"lin_{key}_scene" if key else None)
 
 
 @cache
 def space_by_id(identifier: str) -> ColourSpace:
-    """Colour space of an identifier. Raises ColourError for those of displays and for unknown ones."""
+    """Colour space of an identifier. Raises ColourError for those of displays and for unknown
+    ones."""
     shown = make_printable(identifier)
     curve, _, rest = identifier.removeprefix(_OCIO).partition("_")
     key = rest.removesuffix("_scene")
@@ -107,16 +113,19 @@ def space_by_id(identifier: str) -> ColourSpace:
     if identifier == f"lin_{key}_scene" and key in _PRIMARIES:
         return space_by_primaries(_PRIMARIES[key])
     if rest.endswith("_scene") and f"{curve}_{key}" in _ENCODED:
-        decode = partial(_decode_power, exponent=_ADOBE_EXPONENT) if key == "adobergb" else _CURVES[curve]
+        decode = (partial(_decode_power, exponent=_ADOBE_EXPONENT) if key == "adobergb"
+                  else _CURVES[curve])
         primaries = _PRIMARIES[key]
-        return ColourSpace(identifier, matrix_between(primaries, REC709), primaries, f"lin_{key}_scene", decode)
+        return ColourSpace(identifier, matrix_between(primaries, REC709), primaries,
+                           f"lin_{key}_scene", decode)
     if identifier.endswith("_display"):
-        raise ColourError(f"colorInteropID '{shown}' is a picture for a display, not light of a scene: give the "
-                          "render before its view transform, or --colourspace if the header is wrong")
+        raise ColourError(f"colorInteropID '{shown}' is a picture for a display, not light of a "
+                          "scene: give the render before its view transform, or --colourspace if "
+                          "the header is wrong")
     if identifier.startswith(_OCIO) and (found := _space_by_ocio(identifier)):
         return found
-    raise ColourError(f"colorInteropID '{shown}' is not known: say what the colours are with --colourspace "
-                      f"({', '.join(LINEAR_SPACES)}), or correct the header")
+    raise ColourError(f"colorInteropID '{shown}' is not known: say what the colours are with "
+                      f"--colourspace ({', '.join(LINEAR_SPACES)}), or correct the header")
 
 
 def _space_by_ocio(identifier: str) -> ColourSpace | None:
@@ -142,8 +151,8 @@ ACES = "acesImageContainerFlag"
 INTEROP = "colorInteropID"
 PRIMARIES = "chromaticities"
 COLOUR_ATTRIBUTES = (ACES, INTEROP, PRIMARIES)
-"""Headers that say what colours are, the one that counts most first (Color Interop Forum, "Identifying the Color Space
-of OpenEXR Files")."""
+"""Headers that say what colours are, the one that counts most first (Color Interop Forum,
+"Identifying the Color Space of OpenEXR Files")."""
 _REFLECTANCES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 _LIGHTS = (Role.COLOUR, Role.OPAQUE_COLOUR, Role.OVERLAY)
 _PIECE_ROWS = 256  # rows
@@ -155,9 +164,10 @@ class InputColours:
     """What is known about the colours of files, and what they become.
 
     Attributes:
-        declared: by the user, which overrides headers; None: headers decide, and without any it is Rec.709,
-            as OpenEXR has it.
-        native: leave them in the primaries that they have. Encoded colours are made linear all the same.
+        declared: by the user, which overrides headers; None: headers decide, and without any it is
+            Rec.709, as OpenEXR has it.
+        native: leave them in the primaries that they have. Encoded colours are made linear all the
+            same.
     """
 
     declared: Chromaticities | None = None
@@ -166,7 +176,8 @@ class InputColours:
     def space(self, attributes: Mapping[str, Any]) -> ColourSpace:
         """Colour space of files with such a header.
 
-        Raises ColourError for chromaticities that span no colours and for an identifier that is not known.
+        Raises ColourError for chromaticities that span no colours and for an identifier that is not
+        known.
         """
         if self.declared:
             return space_by_primaries(self.declared)
@@ -189,9 +200,11 @@ class InputColours:
         return [f"colours are {space.title}: {kept if self.native else 'turned to linear Rec.709'}"]
 
     def apply(self, frame: Frame) -> None:
-        """Convert a frame's colours and reflectances, guides included, in place; its header says what they are then.
+        """Convert a frame's colours and reflectances, guides included, in place; its header says
+        what they are then.
 
-        Light outside the gamut of Rec.709 becomes negative there and is kept; reflectances are cut at 0.
+        Light outside the gamut of Rec.709 becomes negative there and is kept; reflectances are cut
+        at 0.
         """
         space = self.space(frame.metadata)
         matrix = None if self.native or space.is_rec709 else np.asarray(space.matrix, np.float32)
@@ -210,16 +223,19 @@ def is_silent(attributes: Mapping[str, Any]) -> bool:
     return not isinstance(identifier, str) or identifier in SILENT_IDENTIFIERS
 
 
-def gather_attributes(own: Mapping[str, Any], others: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """What headers of a file say of the colours in one part: its own, and an identifier of other parts where it has
-    none."""
+def gather_attributes(own: Mapping[str, Any],
+                      others: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """What headers of a file say of the colours in one part: its own, and an identifier of other
+    parts where it has none."""
     speaking = next((header for header in (own, *others) if not is_silent(header)), own)
-    found = {name: own[name] for name in COLOUR_ATTRIBUTES if name in own and is_given(name, own[name])}
+    found = {name: own[name]
+             for name in COLOUR_ATTRIBUTES if name in own and is_given(name, own[name])}
     return found | ({INTEROP: speaking[INTEROP]} if INTEROP in speaking else {})
 
 
 def is_given(name: str, value: Any) -> bool:
-    """Whether an attribute says anything: programs write primaries of zeros where they know none."""
+    """Whether an attribute says anything: programs write primaries of zeros where they know
+    none."""
     return name != PRIMARIES or bool(np.any(value))
 
 
@@ -228,7 +244,8 @@ def parse_colourspace(text: str | None) -> InputColours:
     if text is None or text == NATIVE:
         return InputColours(native=text == NATIVE)
     if text not in LINEAR_SPACES:
-        raise ColourError(f"unknown colour space '{text}': use one of {', '.join(LINEAR_SPACES)}, all linear")
+        raise ColourError(f"unknown colour space '{text}': use one of {', '.join(LINEAR_SPACES)}, "
+                          "all linear")
     return InputColours(LINEAR_SPACES[text])
 
 
@@ -244,5 +261,6 @@ def _turn(plane: np.ndarray, space: ColourSpace, matrix: np.ndarray | None, posi
         colour = plane[first:first + _PIECE_ROWS, :, :3]
         turned = colour if space.decode is None else space.decode(colour)
         if matrix is not None:
-            turned = np.clip(turned, -_LARGEST, _LARGEST) @ matrix.T  # infinity minus infinity would be NaN
+            # infinity minus infinity would be NaN
+            turned = np.clip(turned, -_LARGEST, _LARGEST) @ matrix.T
         colour[:] = np.maximum(turned, 0) if positive else turned

@@ -29,9 +29,10 @@ class Camera:
         fov_x: horizontal field of view in degrees, or None.
         jitter: sample position minus 0.5 in pixels, x right, y down.
         pixel_aspect: width of a pixel over its height.
-        display_size: width and height of the display window, which the field of view and motion in parts of the image
-            refer to; None where the planes cover just that.
-        shift: from the centre of the display window to that of the planes, in pixels, x right, y down.
+        display_size: width and height of the display window, which the field of view and motion in
+            parts of the image refer to; None where the planes cover just that.
+        shift: from the centre of the display window to that of the planes, in pixels, x right, y
+            down.
         near, far: distances of the near and far plane, or None.
         max_velocity: pixels that motion in unit velocity is 1 for, or None.
         shutter: how long the shutter is open, in frames, or None.
@@ -52,20 +53,23 @@ class Camera:
         """Horizontal field of view, in degrees, of planes of a width."""
         if self.fov_x is None or self.display_size is None:
             return self.fov_x
-        return math.degrees(2 * math.atan(math.tan(math.radians(self.fov_x) / 2) * width / self.display_size[0]))
+        return math.degrees(2 * math.atan(math.tan(math.radians(self.fov_x) / 2) * width
+                                          / self.display_size[0]))
 
 
 _NO_VECTOR = 65000.0
-"""Stored motion from here on is unknown, as NaN is: renderers write the largest half float, or 1e10."""
+"""Stored motion from here on is unknown, as NaN is: renderers write the largest half float, or
+1e10."""
 
 
 def convert(
     plane: np.ndarray, rule: PlaneRule, camera: Camera, first: int = 0, height: int | None = None
 ) -> np.ndarray:
-    """Stored values (height, width, channels) of one plane in postfx's convention, float32; the input may be reused.
+    """Stored values (height, width, channels) of one plane in postfx's convention, float32; the
+    input may be reused.
 
-    Motion that stands for none becomes NaN, both channels. Of a plane of another `height` these are the rows from the
-    `first` on.
+    Motion that stands for none becomes NaN, both channels. Of a plane of another `height` these are
+    the rows from the `first` on.
     """
     height = plane.shape[0] if height is None else height
     if rule.role is Role.DEPTH:
@@ -76,11 +80,13 @@ def convert(
     if missed is not None:
         plane[missed] = 0
     if is_known is not None:
-        plane = _motion_pixels(plane, rule, camera, *(camera.display_size or (plane.shape[1], height)))
+        plane = _motion_pixels(plane, rule, camera,
+                               *(camera.display_size or (plane.shape[1], height)))
         if not is_known.all():
             plane[~is_known] = np.nan
     if rule.role is Role.NORMAL and rule.space != "world":
-        assert camera.world_to_camera is not None, "the AOV is not used without a worldToCamera header"
+        assert camera.world_to_camera is not None, ("the AOV is not used without a worldToCamera "
+                                                    "header")
         if rule.space == "view" and np.linalg.det(camera.world_to_camera[:3, :3]) < 0:
             plane = plane * np.array([1, 1, -1], np.float32)  # the header's camera looks along +z
         plane = normals_to_world(plane, camera.world_to_camera)
@@ -99,18 +105,23 @@ def fill_value(rule: PlaneRule) -> float:
 def _affine(plane: np.ndarray, rule: PlaneRule) -> np.ndarray:
     if any(rule.offset):
         plane = plane + np.asarray(rule.offset, np.float32)
-    return plane * np.asarray(rule.scale, np.float32) if any(scale != 1 for scale in rule.scale) else plane
+    return (plane * np.asarray(rule.scale, np.float32) if any(scale != 1 for scale in rule.scale)
+            else plane)
 
 
-def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int, height: int) -> np.ndarray:
-    as_stored = rule.kind == "planar" and rule.miss is None and not any(rule.offset) and set(rule.scale) == {1}
-    if as_stored and stored.min(initial=1) > 0 and stored.max(initial=0) < DEPTH_MISS:  # surfaces everywhere
+def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int,
+           height: int) -> np.ndarray:
+    as_stored = (rule.kind == "planar" and rule.miss is None and not any(rule.offset)
+                 and set(rule.scale) == {1})
+    # surfaces everywhere
+    if (as_stored and stored.min(initial=1) > 0 and stored.max(initial=0) < DEPTH_MISS):
         return stored
     missed = ~np.isfinite(stored)
     if rule.miss is not None:
         missed |= stored == np.float32(rule.miss)
     if rule.kind in ("planar", "ray") and not any(rule.offset):
-        missed |= stored == 0  # no surface lies in the eye: many renderers write this where nothing was hit
+        # no surface lies in the eye: many renderers write this where nothing was hit
+        missed |= stored == 0
     if missed.any():
         stored[missed] = 0
     plane = _affine(stored, rule)
@@ -121,8 +132,10 @@ def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int, heig
     return np.ascontiguousarray(found, np.float32)
 
 
-def _planar(plane: np.ndarray, rule: PlaneRule, camera: Camera, first: int, height: int) -> np.ndarray:
-    """Depth along the view axis. Numbers of the camera that it needs are checked when the plane is found."""
+def _planar(plane: np.ndarray, rule: PlaneRule, camera: Camera, first: int,
+            height: int) -> np.ndarray:
+    """Depth along the view axis. Numbers of the camera that it needs are checked when the plane is
+    found."""
     fov = camera.fov_over(plane.shape[1])
     if rule.kind == "ray" and fov is not None:
         sample = (camera.jitter[0] + camera.shift[0], camera.jitter[1] + camera.shift[1])
@@ -141,17 +154,18 @@ def _empty(rule: PlaneRule) -> float:
     return math.inf if rule.kind in ("planar", "ray") else 0.0 if rule.reversed else 1.0
 
 
-def _motion_pixels(plane: np.ndarray, rule: PlaneRule, camera: Camera, width: int, height: int) -> np.ndarray:
+def _motion_pixels(plane: np.ndarray, rule: PlaneRule, camera: Camera, width: int,
+                   height: int) -> np.ndarray:
     """Motion from frame to frame in pixels."""
     most = camera.max_velocity or 1.0
-    sizes = {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2), "width": (width, width),
-             "velocity": (most, most)}
+    sizes = {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2),
+             "width": (width, width), "velocity": (most, most)}
     frames = (camera.shutter or 1.0) if rule.per == "shutter" else 1.0
     factors = [size / frames for size in sizes[rule.unit]]
     return plane if factors == [1, 1] else plane * np.asarray(factors, np.float32)
 
 
-# Motion of the background ------------------------------------------------------------------------------------------
+# Motion of the background -------------------------------------------------------------------------
 
 _POINTS = 2000
 """Points that the fit takes."""
@@ -172,14 +186,16 @@ _LEAST_UNMOVED = 0.75
 
 
 def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
-    """Give misses the motion of a background that is infinitely far, in place; whether any was given.
+    """Give misses the motion of a background that is infinitely far, in place; whether any was
+    given.
 
-    motion: (height, width, 2); depth: (height, width, 1), along the view axis, misses 1e10. Cycles writes zeros where a
-    ray hits nothing, even under a camera that turns. The surfaces show how the background moves: a point (x, y, 1) at
-    depth z was at H (x, y, 1) + e / z, where H is the homography of the plane at infinity and e the epipole (Hartley
-    and Zisserman, Multiple View Geometry, 2nd edition, 13.4). The fit gives little weight to things that move by
-    themselves. Misses that have motion keep it, and NaN is none. Nothing is filled where the fit is not sure, or where
-    many misses have motion: fog is seen there, and it moves like something nearer.
+    motion: (height, width, 2); depth: (height, width, 1), along the view axis, misses 1e10. Cycles
+    writes zeros where a ray hits nothing, even under a camera that turns. The surfaces show how the
+    background moves: a point (x, y, 1) at depth z was at H (x, y, 1) + e / z, where H is the
+    homography of the plane at infinity and e the epipole (Hartley and Zisserman, Multiple View
+    Geometry, 2nd edition, 13.4). The fit gives little weight to things that move by themselves.
+    Misses that have motion keep it, and NaN is none. Nothing is filled where the fit is not sure,
+    or where many misses have motion: fog is seen there, and it moves like something nearer.
     """
     height, width = motion.shape[:2]
     depth = depth.reshape(height, width)
@@ -203,23 +219,28 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     found, covariance, error, share = fit_camera(now, now[:, :2] + moved / width, near, 1 / width)
     places = np.argwhere(missed[::step, ::step])
     now = centre_positions(step * places[:, 0], step * places[:, 1], height, width)
-    across = camera_equations(now, np.stack(apply_homography(found, now[:, 0], now[:, 1]), -1), np.zeros(len(now)))
-    doubt = float(np.sqrt(np.einsum("ij,jk,ik->i", across, covariance, across)).max(initial=0)) * width
+    across = camera_equations(now, np.stack(apply_homography(found, now[:, 0], now[:, 1]), -1),
+                              np.zeros(len(now)))
+    doubt = (float(np.sqrt(np.einsum("ij,jk,ik->i", across, covariance, across)).max(initial=0))
+             * width)
     if share < _LEAST_FITTING or max(error, doubt) > _MOST_ERROR_PX or skew_of(found) > _MOST_SKEW:
         return False
-    columns = centre_positions(np.zeros(width), np.arange(width), height, width)[None, :, 0].astype(np.float32)
-    rows = centre_positions(np.arange(height), np.zeros(height), height, width)[:, 1, None].astype(np.float32)
+    columns = centre_positions(np.zeros(width), np.arange(width), height,
+                               width)[None, :, 0].astype(np.float32)
+    rows = centre_positions(np.arange(height), np.zeros(height), height,
+                            width)[:, 1, None].astype(np.float32)
     for first in range(0, height, _ROWS):  # so few rows that they stay in the cache
         some = slice(first, first + _ROWS)
         if missed[some].any():
             x, y = np.broadcast_arrays(columns, rows[some])
             earlier = apply_homography(found.astype(np.float32), x, y)
             for axis, (before, here) in enumerate(zip(earlier, (x, y), strict=True)):
-                np.copyto(motion[some, :, axis], (before - here) * width, where=missed[some], casting="same_kind")
+                np.copyto(motion[some, :, axis], (before - here) * width, where=missed[some],
+                          casting="same_kind")
     return True
 
 
-# The option --depth ------------------------------------------------------------------------------------------------
+# The option --depth -------------------------------------------------------------------------------
 
 DEPTH_KIND_WORDS = {
     "planar": ("planar", False),
@@ -259,7 +280,8 @@ class DepthOption:
     def rule(self, rule: PlaneRule) -> PlaneRule:
         """A profile's rule for depth, with this in place of its own meaning."""
         scale = (1.0,) if self.scale is None else (self.scale,)
-        return replace(rule, kind=self.kind, reversed=self.reversed, miss=self.miss, scale=scale, offset=(0.0,))
+        return replace(rule, kind=self.kind, reversed=self.reversed, miss=self.miss, scale=scale,
+                       offset=(0.0,))
 
     def camera(self, camera: Camera) -> Camera:
         """A header's camera, with the numbers given here in place of its own."""
@@ -272,10 +294,12 @@ class DepthOption:
 
 
 def parse_depth(text: str) -> DepthOption:
-    """Option of a text: one of `DEPTH_KIND_WORDS`, then near=, far=, fov= (degrees), miss= or scale=, parted by commas.
+    """Option of a text: one of `DEPTH_KIND_WORDS`, then near=, far=, fov= (degrees), miss= or
+    scale=, parted by commas.
 
-    'reversed,near=0.1' is a reversed depth buffer with an infinite far plane, 'device,near=0.1,far=100' a usual one,
-    'ray,fov=54.4,miss=0' the distance from the eye. Raises DepthOptionError for anything else.
+    'reversed,near=0.1' is a reversed depth buffer with an infinite far plane,
+    'device,near=0.1,far=100' a usual one, 'ray,fov=54.4,miss=0' the distance from the eye. Raises
+    DepthOptionError for anything else.
     """
     kind, *pairs = [word.strip() for word in text.split(",")]
     if kind not in DEPTH_KIND_WORDS:
@@ -288,7 +312,8 @@ def parse_depth(text: str) -> DepthOption:
         try:
             numbers[name] = float(value)
         except ValueError:
-            raise DepthOptionError(f"depth '{text}': '{pair}' is not a number after {'=, '.join(_NUMBERS)}=") from None
+            raise DepthOptionError(f"depth '{text}': '{pair}' is not a number after "
+                                   f"{'=, '.join(_NUMBERS)}=") from None
         endless = math.isinf(numbers[name]) and name in _ENDLESS
         if not (math.isfinite(numbers[name]) or endless) or (name == "scale" and not numbers[name]):
             raise DepthOptionError(f"depth '{text}': {name} cannot be {value}")
@@ -300,7 +325,8 @@ def parse_depth(text: str) -> DepthOption:
 
 
 def missing_number(rule: PlaneRule, camera: Camera) -> str | None:
-    """What is needed to convert a depth plane and not known: 'near', 'far' or 'fov'; None when nothing is."""
+    """What is needed to convert a depth plane and not known: 'near', 'far' or 'fov'; None when
+    nothing is."""
     if rule.kind == "ray":
         return "fov" if camera.fov_x is None else None
     if rule.kind in ("device", "normalised") and camera.near is None:
@@ -310,12 +336,13 @@ def missing_number(rule: PlaneRule, camera: Camera) -> str | None:
 
 def missing_error(path: object, names: str, rule: PlaneRule, number: str) -> ProfileError:
     """The error for a number that a depth plane needs, and how to give it."""
-    meaning = {"ray": "distance from the eye", "device": "a depth buffer", "normalised": "normalised"}[rule.kind]
+    meaning = {"ray": "distance from the eye", "device": "a depth buffer",
+               "normalised": "normalised"}[rule.kind]
     wanted = {"near": "near plane", "far": "far plane", "fov": "horizontal field of view"}[number]
     key = "fov_x" if number == "fov" else number
     return ProfileError(
-        f"{path}: AOV 'depth' ({names}) is {meaning} and its {wanted} is not known: "
-        f"give {number}= after --depth, {key} under [camera] in a profile, or the header postfx:{_header(key)}"
+        f"{path}: AOV 'depth' ({names}) is {meaning} and its {wanted} is not known: give {number}= "
+        f"after --depth, {key} under [camera] in a profile, or the header postfx:{_header(key)}"
     )
 
 

@@ -92,7 +92,8 @@ class _Rows:
                 if not (straight and self._read_straight(rows)):
                     self._read_any(rows)
             return
-        step = rows_of_task(count) if straight else min(max(FEWEST_ROWS, 16 * count), MOST_CHUNK_ROWS)
+        step = (rows_of_task(count) if straight
+                else min(max(FEWEST_ROWS, 16 * count), MOST_CHUNK_ROWS))
         step = -(-step // self._plan.chunk) * self._plan.chunk
         pieces = [
             (first, min(self._height, first + step)) for first in range(0, self._height, step)

@@ -1,9 +1,10 @@
 """Reading image files: which channels a file holds, and only the wanted ones as arrays.
 
-Single-part and multi-part OpenEXR files (half, float, scanline, tiled, mip-mapped) and Radiance HDR are read through
-OpenImageIO. Deep parts are left out. Every plane is brought to one rectangle, the display window and overscan: pixels
-outside the data window get a fill value. Decoders get a file only after its claims are checked, because they make room
-for what a header says before they see how little follows.
+Single-part and multi-part OpenEXR files (half, float, scanline, tiled, mip-mapped) and Radiance HDR
+are read through OpenImageIO. Deep parts are left out. Every plane is brought to one rectangle, the
+display window and overscan: pixels outside the data window get a fill value. Decoders get a file
+only after its claims are checked, because they make room for what a header says before they see how
+little follows.
 """
 
 from __future__ import annotations
@@ -34,20 +35,24 @@ from postfx.io.windows import (
 READABLE = (".exr", ".hdr")
 """Endings of files that are looked for in folders."""
 STILLS = (".tif", ".tiff", ".pfm")
-"""Endings of files that are read where they are named, if they hold floats; pictures for displays end so, too."""
+"""Endings of files that are read where they are named, if they hold floats; pictures for displays
+end so, too."""
 _STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}
 _STALE_ATTRIBUTES = ("Orientation", "hdr:exposure", "oiio:Gamma")
-"""OpenImageIO's attributes of a Radiance file that are no longer true of pixels as they are read here."""
+"""OpenImageIO's attributes of a Radiance file that are no longer true of pixels as they are read
+here."""
 _HDR_GROWS = 64  # runs of 127 bytes lie in 2
 _STILL_GROWS = 1100
-"""Most bytes of pixels to a byte of a file: Deflate, the best of TIFF's compressions, reaches 1032."""
+"""Most bytes of pixels to a byte of a file: Deflate, the best of TIFF's compressions,
+reaches 1032."""
 _FLOAT_TYPES = ("half", "float", "double")
 
 
 def check_claims(path: Path) -> RadianceHeader | ExrContainer:
     """Header of a Radiance HDR file, or an OpenEXR file, by its first bytes, whatever its name.
 
-    ReadError for a file that cannot be read, is neither, or claims more pixels than its bytes can hold.
+    ReadError for a file that cannot be read, is neither, or claims more pixels than its bytes can
+    hold.
     """
     try:
         with path.open("rb") as file:
@@ -59,15 +64,16 @@ def check_claims(path: Path) -> RadianceHeader | ExrContainer:
             return _check_hdr(path, start, size)
         return ExrContainer(path)
     except OSError as error:
-        raise ReadError(f"{path}: cannot be read: {error.strerror or error}; check the file's rights") from error
+        raise ReadError(f"{path}: cannot be read: {error.strerror or error}; check the file's "
+                        "rights") from error
 
 
 def _check_hdr(path: Path, start: bytes, size: int) -> RadianceHeader:
     header = parse_header(start, path)
     width, height = header.size
     if max(width, height) > MAX_SIDE or 4 * width * height > _HDR_GROWS * size:
-        raise ReadError(f"{path}: broken file: its header claims {width}x{height} pixels in {size} bytes; "
-                        "render or copy this frame again")
+        raise ReadError(f"{path}: broken file: its header claims {width}x{height} pixels in {size} "
+                        "bytes; render or copy this frame again")
     return header
 
 
@@ -78,31 +84,35 @@ class ImageFile:
         parts: those that are read, all but deep ones.
         headers: index of each of these -> its header attributes.
 
-    `checked` says that the caller has an `ExrContainer` of it, so what its header claims is not checked again. Raises
-    MissingFrameError when there is no such file, ReadError when it is broken, deep or of an unknown format.
+    `checked` says that the caller has an `ExrContainer` of it, so what its header claims is not
+    checked again. Raises MissingFrameError when there is no such file, ReadError when it is broken,
+    deep or of an unknown format.
     """
 
     def __init__(self, path: Path, checked: bool = False) -> None:
         self.path = Path(path)
         self._is_still = self.path.suffix.lower() in STILLS
         if self.path.suffix.lower() not in READABLE and not self._is_still:
-            raise ReadError(f"{path}: not a scene-linear image: give OpenEXR (.exr) or Radiance (.hdr) files, or TIFF "
-                            "or PFM of floats")
+            raise ReadError(f"{path}: not a scene-linear image: give OpenEXR (.exr) or Radiance "
+                            "(.hdr) files, or TIFF or PFM of floats")
         if not os.path.isfile(path):
-            raise MissingFrameError(f"{path}: no such file: render this frame or leave it out with --frames")
+            raise MissingFrameError(f"{path}: no such file: render this frame or leave it out with "
+                                    "--frames")
         if not is_utf8(str(path)):
             raise ReadError(f"{make_printable(str(path))}: its name is not UTF-8: rename it")
         claims = None if checked or self._is_still else check_claims(self.path)
         self._container = claims if isinstance(claims, ExrContainer) else None
         self._radiance = claims if isinstance(claims, RadianceHeader) else None
         self._readers: dict[int, PlainReader] = {}
-        self._upright: np.ndarray | None = None  # pixels of a Radiance file that does not store them as they are
+        # pixels of a Radiance file that does not store them as they are
+        self._upright: np.ndarray | None = None
         how = oiio.ImageSpec()
         how.attribute("pnm:pfmflip", 1)  # a PFM begins with its lowest row
         opened = oiio.ImageInput.open(str(self.path), how)
         if opened is None:
             reason = reason_of(oiio.geterror)
-            fix = "save it as RGB, without luminance and chroma" if "ubsampled" in reason else "write the file again"
+            fix = ("save it as RGB, without luminance and chroma" if "ubsampled" in reason
+                   else "write the file again")
             raise ReadError(f"{path}: cannot be opened: {reason}; {fix}")
         self._input = opened
         if self._is_still:
@@ -124,11 +134,11 @@ class ImageFile:
     def read(
         self, part: Part, channels: Mapping[str, float], rows: tuple[int, int] | None = None
     ) -> dict[str, np.ndarray]:
-        """Channels of a part as float32 arrays (height, width) of its area, or of some of its rows: first
-        and last, not included.
+        """Channels of a part as float32 arrays (height, width) of its area, or of some of its rows:
+        first and last, not included.
 
-        `channels` maps each wanted name to the value for pixels outside the data window. ReadError when the file ends
-        early or its pixels cannot be decoded.
+        `channels` maps each wanted name to the value for pixels outside the data window. ReadError
+        when the file ends early or its pixels cannot be decoded.
         """
         kinds = {name: part.formats[part.channels.index(name)] for name in channels}
         if "uint" in kinds.values():
@@ -139,58 +149,71 @@ class ImageFile:
                     to_area(self._read_counts(part, name).astype(np.float32), part, fill)
                     for name, fill in channels.items()}
         part = part if rows is None else some_rows(part, *rows)
-        planes = {name: np.empty((part.data.height, part.data.width), np.float32) for name in channels}
-        if not self._read_plain(part, [([name], plane[..., None]) for name, plane in planes.items()]):
+        planes = {name: np.empty((part.data.height, part.data.width), np.float32)
+                  for name in channels}
+        if not self._read_plain(part,
+                                [([name], plane[..., None]) for name, plane in planes.items()]):
             indices = [part.channels.index(name) for name in channels]
             first, last = min(indices), max(indices)
             if rows is None and self._is_as_stored():
                 pixels = self._input.read_image(part.index, 0, first, last + 1, oiio.FLOAT)
             else:
                 pixels = self._read_rows(part, first, last + 1)
-            pixels = self._require_pixels(pixels).reshape(part.data.height, part.data.width, last + 1 - first)
-            planes = {name: pixels[:, :, index - first] for name, index in zip(channels, indices, strict=True)}
+            pixels = self._require_pixels(pixels).reshape(part.data.height, part.data.width,
+                                                          last + 1 - first)
+            planes = {name: pixels[:, :, index - first]
+                      for name, index in zip(channels, indices, strict=True)}
         return {name: to_area(planes[name], part, fill) for name, fill in channels.items()}
 
     def read_ids(self, part: Part, name: str, rows: tuple[int, int] | None = None) -> np.ndarray:
-        """One channel, likewise, with every bit of it: uint32 where it is stored so, else float32; 0 where there is no
-        data."""
+        """One channel, likewise, with every bit of it: uint32 where it is stored so, else float32;
+        0 where there is no data."""
         if part.formats[part.channels.index(name)] != "uint":
             return self.read(part, {name: 0.0}, rows)[name]
         part = part if rows is None else some_rows(part, *rows)
         return to_area(self._read_counts(part, name), part, 0)
 
     def _read_counts(self, part: Part, name: str) -> np.ndarray:
-        """The data window of a channel of whole numbers, uint32: as floats they would be scaled to 0..1."""
+        """The data window of a channel of whole numbers, uint32: as floats they would be scaled to
+        0..1."""
         index = part.channels.index(name)
         return self._require_pixels(self._read_rows(part, index, index + 1, oiio.UINT))[:, :, 0]
 
-    def read_stored(self, part: Part, names: Sequence[str], first: int, last: int) -> list[np.ndarray]:
-        """Channels as they are stored, bit for bit: uint32, float16 or float32 (rows, width) of the data window's rows
-        from `first` to `last`, not included, both counted from its top."""
-        rows = replace(part, data=part.data._replace(y0=part.data.y0 + first, y1=part.data.y0 + last - 1))
+    def read_stored(self, part: Part, names: Sequence[str], first: int,
+                    last: int) -> list[np.ndarray]:
+        """Channels as they are stored, bit for bit: uint32, float16 or float32 (rows, width) of the
+        data window's rows from `first` to `last`, not included, both counted from its top."""
+        rows = replace(part,
+                       data=part.data._replace(y0=part.data.y0 + first, y1=part.data.y0 + last - 1))
         found: dict[str, np.ndarray] = {}
         for begin, end in _runs(part, names):
-            pixels = self._require_pixels(self._read_rows(rows, begin, end, _STORED[part.formats[begin]]))
-            found |= {part.channels[begin + column]: pixels[:, :, column] for column in range(end - begin)}
+            pixels = self._require_pixels(self._read_rows(rows, begin, end,
+                                                          _STORED[part.formats[begin]]))
+            found |= {part.channels[begin + column]: pixels[:, :, column]
+                      for column in range(end - begin)}
         return [found[name] for name in names]
 
     def reads_planes(self, part: Part, names: Iterable[str]) -> bool:
-        """Whether `read_planes` reads these channels of a part: all are stored as they are or by ZIP."""
+        """Whether `read_planes` reads these channels of a part: all are stored as they are or by
+        ZIP."""
         reader = self._reader(part) if part.data == part.area else None
         return reader is not None and all(name in reader.channels for name in names)
 
     def read_planes(self, part: Part, planes: NamedPlanes, rows: tuple[int, int]) -> bool:
-        """Read some rows of a part's area into planes (rows, width, channels) float32 of the named channels, which it
-        reads; False for a broken file, about which OpenImageIO says more. Several threads may read at once."""
+        """Read some rows of a part's area into planes (rows, width, channels) float32 of the named
+        channels, which it reads; False for a broken file, about which OpenImageIO says more.
+        Several threads may read at once."""
         reader = self._reader(part)
         return reader is not None and reader.read(planes, *rows)
 
     def _read_plain(self, part: Part, planes: NamedPlanes) -> bool:
         """The same for a part's data window and any channels, by threads of its own."""
         reader = self._reader(part) if part.data.height > 0 else None
-        if reader is None or not all(name in reader.channels for names, _ in planes for name in names):
+        if reader is None or not all(name in reader.channels for names, _ in planes
+                                     for name in names):
             return False
-        return reader.read_by_threads(planes, part.data.y0 - reader.top, part.data.y1 + 1 - reader.top)
+        return reader.read_by_threads(planes, part.data.y0 - reader.top,
+                                      part.data.y1 + 1 - reader.top)
 
     def _reader(self, part: Part) -> PlainReader | None:
         if self._container is None:
@@ -217,11 +240,14 @@ class ImageFile:
         self._input.seek_subimage(part.index, 0)
         spec = self._input.spec()
         if not spec.tile_height:
-            return self._input.read_scanlines(part.index, 0, data.y0, data.y1 + 1, 0, first, last, kind)
+            return self._input.read_scanlines(part.index, 0, data.y0, data.y1 + 1, 0, first, last,
+                                              kind)
         top = spec.y + (data.y0 - spec.y) // spec.tile_height * spec.tile_height
-        bottom = min(spec.y + spec.height, spec.y + -(-(data.y1 + 1 - spec.y) // spec.tile_height) * spec.tile_height)
+        bottom = min(spec.y + spec.height,
+                     spec.y + -(-(data.y1 + 1 - spec.y) // spec.tile_height) * spec.tile_height)
         columns = (spec.x, spec.x + spec.width)
-        pixels = self._input.read_tiles(part.index, 0, *columns, top, bottom, 0, 1, first, last, kind)
+        pixels = self._input.read_tiles(part.index, 0, *columns, top, bottom, 0, 1, first, last,
+                                        kind)
         if pixels is None:
             return None
         pixels = pixels.reshape(bottom - top, data.width, last - first)
@@ -255,12 +281,13 @@ class ImageFile:
 def _check_still(path: Path, spec: oiio.ImageSpec) -> None:
     """ReadError unless a TIFF or PFM holds floats, and no more pixels than its bytes can."""
     if str(spec.format) not in _FLOAT_TYPES:
-        raise ReadError(f"{path}: holds whole numbers, code values of a picture that was made for a display: give the "
-                        "scene-linear render, as OpenEXR or as TIFF of 16 or 32-bit floats")
+        raise ReadError(f"{path}: holds whole numbers, code values of a picture that was made for "
+                        "a display: give the scene-linear render, as OpenEXR or as TIFF of 16 or "
+                        "32-bit floats")
     size = path.stat().st_size
     if max(spec.width, spec.height) > MAX_SIDE or spec.image_bytes() > _STILL_GROWS * size:
-        raise ReadError(f"{path}: broken file: its header claims {spec.width}x{spec.height} pixels in {size} bytes; "
-                        "render or copy this frame again")
+        raise ReadError(f"{path}: broken file: its header claims {spec.width}x{spec.height} pixels "
+                        f"in {size} bytes; render or copy this frame again")
 
 
 def _radiance_part(part: Part, header: RadianceHeader) -> Part:
@@ -270,13 +297,15 @@ def _radiance_part(part: Part, header: RadianceHeader) -> Part:
 
 
 def _radiance_attributes(attributes: Mapping[str, Any], header: RadianceHeader) -> dict[str, Any]:
-    """What is still true of pixels as they are read here, and the header's facts on their colours."""
+    """What is still true of pixels as they are read here, and the header's facts on their
+    colours."""
     found = {name: value for name, value in attributes.items() if name not in _STALE_ATTRIBUTES}
     return found | ({"chromaticities": header.primaries} if header.primaries else {})
 
 
 def _runs(part: Part, names: Sequence[str]) -> Iterator[tuple[int, int]]:
-    """First and last channel, not included, of neighbours of one format that hold the named ones."""
+    """First and last channel, not included, of neighbours of one format that hold the named
+    ones."""
     wanted = sorted(part.channels.index(name) for name in names)
     begin = wanted[0]
     for before, index in zip(wanted, wanted[1:], strict=False):
@@ -287,7 +316,8 @@ def _runs(part: Part, names: Sequence[str]) -> Iterator[tuple[int, int]]:
 
 
 def reason_of(fetch: Callable[[], str]) -> str:
-    """First line of an error message of OpenImageIO's, which may quote bytes of the file that are not text."""
+    """First line of an error message of OpenImageIO's, which may quote bytes of the file that are
+    not text."""
     try:
         lines = [line for line in fetch().splitlines() if line.strip()]
     except UnicodeDecodeError:
@@ -295,7 +325,7 @@ def reason_of(fetch: Callable[[], str]) -> str:
     return lines[0].strip().rstrip(".") if lines else "unknown reason"
 
 
-# Radiance headers ---------------------------------------------------------------------------------------------------
+# Radiance headers ---------------------------------------------------------------------------------
 # The format: https://radsite.lbl.gov/radiance/refer/filefmts.pdf, "Pictures".
 
 STARTS = (b"#?RADIANCE", b"#?RGBE")
@@ -315,7 +345,8 @@ class RadianceHeader:
     Attributes:
         rows, columns: how many lines are stored, and pixels in each.
         is_turned: whether lines are columns of the picture.
-        flips_y, flips_x: whether the picture's rows are stored from the bottom, its columns from the right.
+        flips_y, flips_x: whether the picture's rows are stored from the bottom, its columns from
+            the right.
         exposure_factors: what the stored red, green and blue were multiplied by.
         primaries: x and y of red, green, blue and white, None where the header does not say them.
     """
@@ -331,7 +362,8 @@ class RadianceHeader:
     @property
     def is_plain(self) -> bool:
         """Whether the picture is stored as it is, from the top left."""
-        return not (self.is_turned or self.flips_y or self.flips_x) and set(self.exposure_factors) == {1.0}
+        return (not (self.is_turned or self.flips_y or self.flips_x)
+                and set(self.exposure_factors) == {1.0})
 
     @property
     def size(self) -> tuple[int, int]:
@@ -339,7 +371,8 @@ class RadianceHeader:
         return (self.rows, self.columns) if self.is_turned else (self.columns, self.rows)
 
     def upright(self, stored: np.ndarray) -> np.ndarray:
-        """Stored pixels (rows, columns, 3) as light (height, width, 3) from the top left, float32."""
+        """Stored pixels (rows, columns, 3) as light (height, width, 3) from the top left,
+        float32."""
         pixels = stored.swapaxes(0, 1) if self.is_turned else stored
         pixels = pixels[::-1 if self.flips_y else 1, ::-1 if self.flips_x else 1]
         return np.ascontiguousarray(pixels / np.asarray(self.exposure_factors), np.float32)
@@ -350,7 +383,8 @@ def parse_header(start: bytes, path: Path) -> RadianceHeader:
     facts, _, rest = start.partition(b"\n\n")
     found = _RADIANCE_SIZE.fullmatch(rest.partition(b"\n")[0])
     if found is None or {found[2], found[5]} != {b"X", b"Y"}:
-        raise ReadError(f"{path}: broken file: its header has no size; render or copy this frame again")
+        raise ReadError(f"{path}: broken file: its header has no size; render or copy this frame "
+                        "again")
     factors, primaries = np.ones(3), None
     for line in facts.decode("latin-1").splitlines():
         key, _, value = line.partition("=")
@@ -360,14 +394,17 @@ def parse_header(start: bytes, path: Path) -> RadianceHeader:
             factors = factors * _numbers(value, 3, line, path)
         elif key == "PRIMARIES":
             given = _numbers(value, 8, line, path)
-            primaries = tuple(given) if given.any() else None  # Photoshop writes zeros where it knows none
+            # Photoshop writes zeros where it knows none
+            primaries = (tuple(given) if given.any() else None)
         elif key == "FORMAT" and value.strip() == "32-bit_rle_xyze":
-            raise ReadError(f"{path}: holds CIE XYZ, which is not read: convert it to RGB first, with 'ra_xyze -r -u'")
+            raise ReadError(f"{path}: holds CIE XYZ, which is not read: convert it to RGB first, "
+                            "with 'ra_xyze -r -u'")
     if not ((factors > 1 / _MOST_HEADER_NUMBER) & (factors < _MOST_HEADER_NUMBER)).all():
-        raise ReadError(f"{path}: broken file: its header says that it was multiplied by {factors.min():g}; correct "
-                        "EXPOSURE and COLORCORR")
+        raise ReadError(f"{path}: broken file: its header says that it was multiplied by "
+                        f"{factors.min():g}; correct EXPOSURE and COLORCORR")
     signs = {found[2]: found[1], found[5]: found[4]}
-    return RadianceHeader(int(found[3]), int(found[6]), found[2] == b"X", signs[b"Y"] == b"+", signs[b"X"] == b"-",
+    return RadianceHeader(int(found[3]), int(found[6]), found[2] == b"X", signs[b"Y"] == b"+",
+                          signs[b"X"] == b"-",
                           (float(factors[0]), float(factors[1]), float(factors[2])), primaries)
 
 

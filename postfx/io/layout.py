@@ -20,14 +20,16 @@ from postfx.io.windows import PICTURE_ATTRIBUTE
 
 
 def _picture_rules(told: str) -> tuple[PlaneRule, ...]:
-    """Rules for a picture that an earlier run wrote: under its own names, if these are not plain R, G, B."""
+    """Rules for a picture that an earlier run wrote: under its own names, if these are not plain R,
+    G, B."""
     names = told.split(",")
     red = next((name for name in names if name.rpartition(".")[2] in ALPHA_OF_RED), "")
     layer, _, letter = red.rpartition(".")
     if not layer or {"R", "G", "B"} <= {*names}:
         layer, letter = "", "R"
     letters = next(tuple(word) for word in _COLOURS if word[0] == letter)
-    return (PlaneRule(Role.COLOUR, (layer,), (letters,)), PlaneRule(Role.ALPHA, (layer,), ((ALPHA_OF_RED[letter],),)))
+    return (PlaneRule(Role.COLOUR, (layer,), (letters,)),
+            PlaneRule(Role.ALPHA, (layer,), ((ALPHA_OF_RED[letter],),)))
 
 
 _COLOURS = (("R", "G", "B"), ("r", "g", "b"), ("red", "green", "blue"), ("Red", "Green", "Blue"),
@@ -50,10 +52,12 @@ class Match(NamedTuple):
     @property
     def names(self) -> str:
         """Channel names, the common part once: 'albedo.R,G,B'."""
-        heads, tails = zip(*(channel.name.rpartition(".")[::2] for channel in self.channels), strict=True)
+        heads, tails = zip(*(channel.name.rpartition(".")[::2] for channel in self.channels),
+                           strict=True)
         joined = ",".join(tails)
         same = len(set(heads)) == 1
-        return (f"{heads[0]}.{joined}" if heads[0] else joined) if same else ", ".join(c.name for c in self.channels)
+        return ((f"{heads[0]}.{joined}" if heads[0] else joined) if same
+                else ", ".join(c.name for c in self.channels))
 
 
 @dataclass
@@ -81,8 +85,10 @@ class Layout:
         return Facts(self.profile, self.layer, self.attributes)
 
     def hints(self) -> dict[Role, str]:
-        """Role -> where the user switches the plane on in the renderer, of those of which that is known."""
-        rules = ((role, [rule.enable for rule in self.profile.rules(role) if rule.enable]) for role in Role)
+        """Role -> where the user switches the plane on in the renderer, of those of which that is
+        known."""
+        rules = ((role, [rule.enable for rule in self.profile.rules(role) if rule.enable])
+                 for role in Role)
         return {role: hints[0] for role, hints in rules if hints}
 
 
@@ -95,35 +101,40 @@ def make_layout(
     without: Collection[Role] = (),
     layer: str | None = None,
 ) -> Layout:
-    """Where the planes are, by a profile or else by the first that fits; `depth` replaces what the profile says of
-    depth. `paths` are those of the files, by their words.
+    """Where the planes are, by a profile or else by the first that fits; `depth` replaces what the
+    profile says of depth. `paths` are those of the files, by their words.
 
-    Planes of the roles `without` are taken as absent. Of several view layers it is `layer`, or the one with the most
-    planes.
+    Planes of the roles `without` are taken as absent. Of several view layers it is `layer`, or the
+    one with the most planes.
 
     Raises ProfileError when the depth plane needs numbers of the camera that are not known.
     """
     profile = profile or _detect(index, attributes)
     if PICTURE_ATTRIBUTE in attributes:
-        profile = replace(profile, planes=_picture_rules(str(attributes[PICTURE_ATTRIBUTE])) + profile.planes)
+        profile = replace(profile, planes=_picture_rules(str(attributes[PICTURE_ATTRIBUTE]))
+                                          + profile.planes)
     layers = _distinct(index, _layers(index.names, profile), profile.marker)
-    named = [name for name in layers if layer is not None and name.rstrip(".").lower() == layer.lower()]
-    found = [_match_all(index, Layout(profile, name, {}, Camera(), attributes, paths), depth, without)
+    named = [name
+             for name in layers if layer is not None and name.rstrip(".").lower() == layer.lower()]
+    found = [_match_all(index, Layout(profile, name, {}, Camera(), attributes, paths), depth,
+                        without)
              for name in named or layers]
     layout = max(found, key=_preference)
     if len(found) > 1:
         layout.chosen_layer = layout.layer.rstrip(".")
         others = ", ".join(other.layer.rstrip(".") for other in found if other is not layout)
-        layout.warnings.append(f"view layer {layout.chosen_layer} is read, as it has the most AOVs, not {others}: "
-                               "--layer NAME chooses")
+        layout.warnings.append(f"view layer {layout.chosen_layer} is read, as it has the most "
+                               f"AOVs, not {others}: --layer NAME chooses")
     layout.warnings += _colour_warnings(layout)
     return layout
 
 
 def take_opaque_colour(layout: Layout, index: ChannelIndex) -> None:
-    """Let the colour before transparents be the frame's colour, as there is an overlay to composite over it.
+    """Let the colour before transparents be the frame's colour, as there is an overlay to composite
+    over it.
 
-    Its own alpha, channel A beside it, becomes the frame's; the alpha of all together includes the overlay already.
+    Its own alpha, channel A beside it, becomes the frame's; the alpha of all together includes the
+    overlay already.
     """
     match = layout.planes.pop(Role.OPAQUE_COLOUR, None)
     if match is None:
@@ -135,14 +146,16 @@ def take_opaque_colour(layout: Layout, index: ChannelIndex) -> None:
         layout.planes[Role.ALPHA] = alpha
     elif together:
         layout.warnings.append(
-            f"alpha {together.names} includes the overlay and is not used: write the alpha before transparents beside "
-            f"{match.names}"
+            f"alpha {together.names} includes the overlay and is not used: write the alpha before "
+            f"transparents beside {match.names}"
         )
 
 
 def _alpha_beside(match: Match, layout: Layout, index: ChannelIndex) -> Match | None:
-    names = next(names for names in match.rule.candidates(layout.layer) if index.find(names) == match.channels)
-    channels = index.find([f"{names[0].rpartition('.')[0]}.A"], lambda found: are_together((*found, match.channels[0])))
+    names = next(names for names in match.rule.candidates(layout.layer)
+                 if index.find(names) == match.channels)
+    channels = index.find([f"{names[0].rpartition('.')[0]}.A"],
+                          lambda found: are_together((*found, match.channels[0])))
     rules = layout.profile.rules(Role.ALPHA)
     return Match(rules[0], channels) if channels and rules else None
 
@@ -154,10 +167,12 @@ _DEFAULT_LAYERS = ("viewlayer.", "view layer.", "renderlayer.")
 def _preference(layout: Layout) -> tuple[bool, int, bool]:
     """How likely a view layer is the one that is meant."""
     name = layout.layer.lower()
-    return Role.COLOUR in layout.planes and name != "overlay.", len(layout.planes), name in _DEFAULT_LAYERS
+    return (Role.COLOUR in layout.planes and name != "overlay.", len(layout.planes),
+            name in _DEFAULT_LAYERS)
 
 
-def _match_all(index: ChannelIndex, layout: Layout, depth: DepthOption | None, without: Collection[Role]) -> Layout:
+def _match_all(index: ChannelIndex, layout: Layout, depth: DepthOption | None,
+               without: Collection[Role]) -> Layout:
     camera = layout.facts.camera()
     layout.camera = depth.camera(camera) if depth else camera
     for rule in layout.profile.planes:
@@ -166,7 +181,8 @@ def _match_all(index: ChannelIndex, layout: Layout, depth: DepthOption | None, w
                 _match_rule(index, layout, depth.rule(rule), given=True)
             else:
                 _match_rule(index, layout, rule, given=False)
-    layout.warnings += [reason for role, reason in layout.unused.items() if role not in layout.planes]
+    layout.warnings += [reason
+                        for role, reason in layout.unused.items() if role not in layout.planes]
     return layout
 
 
@@ -180,34 +196,38 @@ def _colour_warnings(layout: Layout) -> list[str]:
 
 def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule, given: bool) -> None:
     """Find a plane; `given`: the user says what it holds, not the profile."""
-    found = [channels for names in _candidates(layout, rule) if (channels := _find(index, layout, rule, names))]
+    found = [channels for names in _candidates(layout, rule)
+             if (channels := _find(index, layout, rule, names))]
     channels = next((channels for channels in found if channels not in layout.barred), None)
-    if channels is None or index.find(name.replace("{layer}", layout.layer) for name in rule.requires) is None:
+    if (channels is None
+        or index.find(name.replace("{layer}", layout.layer) for name in rule.requires) is None):
         return
-    if any(index.find([name.replace("{layer}", layout.layer)]) is not None for name in rule.without):
+    if any(index.find([name.replace("{layer}", layout.layer)]) is not None
+           for name in rule.without):
         return
     match = Match(rule, channels)
     if rule.role is Role.NORMAL and rule.space != "world" and layout.camera.world_to_camera is None:
-        layout.unused[rule.role] = f"normals {match.names} are in camera space and no worldToCamera header: not used"
+        layout.unused[rule.role] = (f"normals {match.names} are in camera space and no "
+                                    "worldToCamera header: not used")
         layout.barred.update(found)
         return
     if rule.role is Role.MOTION and rule.unit == "velocity" and layout.camera.max_velocity is None:
         layout.unused[rule.role] = (
-            f"motion {match.names} is scaled by a largest velocity that the file does not hold: not used; give "
-            "max_velocity, in pixels, under [camera] in a profile"
+            f"motion {match.names} is scaled by a largest velocity that the file does not hold: "
+            "not used; give max_velocity, in pixels, under [camera] in a profile"
         )
         return
     if rule.role is Role.MOTION and rule.per == "shutter" and layout.camera.shutter is None:
         layout.unused[rule.role] = (
-            f"motion {match.names} lasts as long as the shutter is open, which the file does not hold: not used; give "
-            "shutter, in frames, under [camera] in a profile"
+            f"motion {match.names} lasts as long as the shutter is open, which the file does not "
+            "hold: not used; give shutter, in frames, under [camera] in a profile"
         )
         return
     number = missing_number(rule, layout.camera) if rule.role is Role.DEPTH else None
     if number == "fov" and not given:
         layout.warnings.append(
-            f"depth {match.names} is distance from the eye, used as it is: give --depth ray,fov=DEGREES, "
-            "or fov_x under [camera] in a profile"
+            f"depth {match.names} is distance from the eye, used as it is: give --depth "
+            "ray,fov=DEGREES, or fov_x under [camera] in a profile"
         )
     elif number:
         raise missing_error(layout.paths[channels[0].word], match.names, rule, number)
@@ -223,13 +243,15 @@ def _candidates(layout: Layout, rule: PlaneRule) -> Sequence[tuple[str, ...]]:
     return found
 
 
-def _find(index: ChannelIndex, layout: Layout, rule: PlaneRule, names: tuple[str, ...]) -> tuple[Channel, ...] | None:
+def _find(index: ChannelIndex, layout: Layout, rule: PlaneRule,
+          names: tuple[str, ...]) -> tuple[Channel, ...] | None:
     """Channels of these names that may be the plane."""
     def fits(channels: tuple[Channel, ...]) -> bool:
         first, layer = channels[0], _layer_of(names)
         colour, apart = layout.planes.get(Role.COLOUR), layout.layer.lower().rstrip(".")
         is_called_so = "alpha" in layer or (apart and layer.startswith(apart))
-        if rule.role is Role.ALPHA and colour and are_together(colour.channels) and not is_called_so:
+        if (rule.role is Role.ALPHA and colour and are_together(colour.channels)
+            and not is_called_so):
             return are_together((first, colour.channels[0]))
         if rule.role is Role.DEPTH and not layer:
             return not has_siblings(first, "XYZ")  # else it is of a position or normal
@@ -246,8 +268,10 @@ def _layer_of(names: Sequence[str]) -> str:
 
 
 def _detect(index: ChannelIndex, attributes: Mapping[str, Any]) -> Profile:
-    """The first built-in profile that fits. Frames with the same names and the same facts have the same profile."""
-    return _first_that_fits(index.names, tuple((name, str(attributes.get(name, ""))) for name in telling_names()))
+    """The first built-in profile that fits. Frames with the same names and the same facts have the
+    same profile."""
+    return _first_that_fits(index.names, tuple((name, str(attributes.get(name, "")))
+                                               for name in telling_names()))
 
 
 @cache
@@ -277,7 +301,8 @@ def _meets(keys: Collection[str], rule: DetectRule, layer: str) -> bool:
     """Whether the channels are there that must be, and none that must not."""
     there, absent = ([name.replace("{layer}", layer).lower() for name in names]
                      for names in (rule.channels, rule.without))
-    return all(_is_there(keys, name) for name in there) and not any(_is_there(keys, name) for name in absent)
+    return (all(_is_there(keys, name) for name in there)
+            and not any(_is_there(keys, name) for name in absent))
 
 
 def _is_there(keys: Collection[str], name: str) -> bool:
@@ -285,12 +310,14 @@ def _is_there(keys: Collection[str], name: str) -> bool:
 
 
 def _layers(names: Names, profile: Profile) -> list[str]:
-    """What precedes the profile's marker channel: 'ViewLayer.' of 'ViewLayer.Combined.R'; '' without a marker."""
+    """What precedes the profile's marker channel: 'ViewLayer.' of 'ViewLayer.Combined.R'; ''
+    without a marker."""
     return (before(names, profile.marker) if profile.marker else []) or [""]
 
 
 def _distinct(index: ChannelIndex, layers: list[str], marker: str) -> list[str]:
-    """The layers without those that are one of them by another name, as a layer also goes by its part's name."""
+    """The layers without those that are one of them by another name, as a layer also goes by its
+    part's name."""
     found: dict[tuple[Channel, ...] | None, str] = {}
     for layer in layers:
         found.setdefault(index.find([f"{layer}{marker}"]) if marker else None, layer)
@@ -316,14 +343,16 @@ class GuideLayout:
 
 
 def take_larger_planes(layout: Layout) -> dict[Role, Match]:
-    """Planes larger than the colour, taken out of the layout: guides, as the same files hold the colour at render size.
+    """Planes larger than the colour, taken out of the layout: guides, as the same files hold the
+    colour at render size.
 
     Raises GuideError where they differ in size.
     """
     if Role.COLOUR not in layout.planes:
         return {}
     size = layout.planes[Role.COLOUR].size
-    found = {role: layout.planes[role] for role in OUTPUT_SIZE_ROLES if _is_larger(layout.planes.get(role), size)}
+    found = {role: layout.planes[role]
+             for role in OUTPUT_SIZE_ROLES if _is_larger(layout.planes.get(role), size)}
     for role in found:
         del layout.planes[role]
     if found:
@@ -332,8 +361,8 @@ def take_larger_planes(layout: Layout) -> dict[Role, Match]:
 
 
 def drop_smaller_planes(layout: Layout) -> None:
-    """Take planes that are smaller than the colour out of the layout, where the colour is a picture that postfx wrote:
-    they are the render's, kept beside it."""
+    """Take planes that are smaller than the colour out of the layout, where the colour is a picture
+    that postfx wrote: they are the render's, kept beside it."""
     colour = layout.planes.get(Role.COLOUR)
     if colour is None or not colour.channels[0].part.is_picture:
         return
@@ -341,17 +370,19 @@ def drop_smaller_planes(layout: Layout) -> None:
     for role in smaller:
         del layout.planes[role]
     if smaller:
-        layout.warnings.append(f"AOVs {', '.join(smaller)} are of the render before it was enlarged: not read")
+        layout.warnings.append(f"AOVs {', '.join(smaller)} are of the render before it was "
+                               "enlarged: not read")
 
 
 def planes_that_guide(layout: Layout, path: Path) -> dict[Role, Match]:
-    """Guides out of files of their own. Raises MissingPlaneError when they hold none, GuideError where they differ in
-    size."""
+    """Guides out of files of their own. Raises MissingPlaneError when they hold none, GuideError
+    where they differ in size."""
     found = {role: layout.planes[role] for role in OUTPUT_SIZE_ROLES if role in layout.planes}
     if not found:
         raise MissingPlaneError(
-            f"{path}: holds none of the AOVs that guide ({', '.join(OUTPUT_SIZE_ROLES)}) by profile "
-            f"{layout.profile.name}: render one of them, or name it in a profile (--profile FILE.toml)"
+            f"{path}: holds none of the AOVs that guide ({', '.join(OUTPUT_SIZE_ROLES)}) by "
+            f"profile {layout.profile.name}: render one of them, or name it in a profile "
+            "(--profile FILE.toml)"
         )
     _check_one_size(path, found)
     return found
@@ -359,9 +390,12 @@ def planes_that_guide(layout: Layout, path: Path) -> dict[Role, Match]:
 
 def _check_one_size(path: Path, planes: Mapping[Role, Match]) -> None:
     if len({match.size for match in planes.values()}) > 1:
-        sizes = ", ".join(f"{role} {match.size[0]}x{match.size[1]}" for role, match in planes.items())
-        raise GuideError(f"{path}: guides differ in size: {sizes}: render them at one size, the output's")
+        sizes = ", ".join(f"{role} {match.size[0]}x{match.size[1]}"
+                          for role, match in planes.items())
+        raise GuideError(f"{path}: guides differ in size: {sizes}: render them at one size, the "
+                         "output's")
 
 
 def _is_larger(match: Match | None, size: tuple[int, int]) -> bool:
-    return match is not None and match.size != size and match.size[0] >= size[0] and match.size[1] >= size[1]
+    return (match is not None and match.size != size and match.size[0] >= size[0]
+            and match.size[1] >= size[1])

@@ -1,4 +1,5 @@
-"""Masks of --leave found in a frame's files: the strength of named things, misses and converged pixels."""
+"""Masks of --leave found in a frame's files: the strength of named things, misses and converged
+pixels."""
 
 from __future__ import annotations
 
@@ -53,16 +54,18 @@ class CryptomattePlanes:
         return self.about.name
 
     def is_called(self, name: str) -> bool:
-        """Whether this is its name, or the last part of it, such as CryptoObject of ViewLayer.CryptoObject."""
+        """Whether this is its name, or the last part of it, such as CryptoObject of
+        ViewLayer.CryptoObject."""
         own = self.name.lower()
         return name.lower() in (own, own.rpartition(".")[2])
 
 
-def cryptomattes(index: ChannelIndex, attributes: Mapping[str, Any], path: Path) -> list[CryptomattePlanes]:
+def cryptomattes(index: ChannelIndex, attributes: Mapping[str, Any],
+                 path: Path) -> list[CryptomattePlanes]:
     """All that the header names, in the order of their keys.
 
-    Raises StrengthError for one without channels, with ids in half floats or by another hash, and for a manifest that
-    cannot be read.
+    Raises StrengthError for one without channels, with ids in half floats or by another hash, and
+    for a manifest that cannot be read.
     """
     headers: dict[str, dict[str, str]] = {}
     for name, value in attributes.items():
@@ -76,20 +79,25 @@ def _planes(index: ChannelIndex, header: Mapping[str, str], path: Path) -> Crypt
     where = f"{path}: Cryptomatte {header['name']}"
     channels = _ranks(index, header["name"])
     if not channels:
-        raise StrengthError(f"{where}: no channels {header['name']}00.R, G, B, A: keep them beside the header")
+        raise StrengthError(f"{where}: no channels {header['name']}00.R, G, B, A: keep them beside "
+                            "the header")
     for channel in channels[::2]:
         if channel.part.formats[channel.part.channels.index(channel.name)] != "float":
-            raise StrengthError(f"{where}: channel {channel.name} has ids that are not whole: write 32-bit floats")
+            raise StrengthError(f"{where}: channel {channel.name} has ids that are not whole: "
+                                "write 32-bit floats")
     for field, expected in _EXPECTED.items():
         if header.get(field, expected).lower() != expected.lower():
-            raise StrengthError(f"{where}: {field} {header[field]} is not known: render it with {expected}")
-    return CryptomattePlanes(Cryptomatte(header["name"], _manifest(header, path, where), str(path)), channels)
+            raise StrengthError(f"{where}: {field} {header[field]} is not known: render it with "
+                                f"{expected}")
+    return CryptomattePlanes(Cryptomatte(header["name"], _manifest(header, path, where), str(path)),
+                             channels)
 
 
 def _ranks(index: ChannelIndex, name: str) -> tuple[Channel, ...]:
     for letters in _RGBA_LETTERS:
         channels: list[Channel] = []
-        while found := index.find([f"{name}{len(channels) // 4:02d}.{letter}" for letter in letters]):
+        while found := index.find([f"{name}{len(channels) // 4:02d}.{letter}"
+                                   for letter in letters]):
             channels += found
         if channels:
             return tuple(channels)
@@ -104,13 +112,15 @@ def _manifest(header: Mapping[str, str], path: Path, where: str) -> dict[str, in
         try:
             text = read_text(Path(source))
         except (OSError, ValueError):
-            raise StrengthError(f"{where}: its manifest {source} cannot be read: copy it beside the frame") from None
+            raise StrengthError(f"{where}: its manifest {source} cannot be read: copy it beside "
+                                "the frame") from None
     if not text:
         return None
     try:
         return {name: int(value, 16) for name, value in parse_json(text).items()}
     except (ValueError, TypeError, AttributeError):
-        raise StrengthError(f"{source}: the manifest is not JSON of names and ids: render it again") from None
+        raise StrengthError(f"{source}: the manifest is not JSON of names and ids: render it "
+                            "again") from None
 
 
 MOST_LISTED_NAMES = 8
@@ -120,22 +130,24 @@ MOST_LISTED_NAMES = 8
 class LeftAlone:
     """Entries of `postfx.masks.parse_leave`, found in a frame's files.
 
-    Raises StrengthError when the files hold no Cryptomatte or plane for one, when that has another size than the
-    colour, when nothing tells misses or what has converged, and, if `strict`, when no name fits; else the thing is only
-    not in this frame.
+    Raises StrengthError when the files hold no Cryptomatte or plane for one, when that has another
+    size than the colour, when nothing tells misses or what has converged, and, if `strict`, when no
+    name fits; else the thing is only not in this frame.
 
     Attributes:
-        reads: planes that are looked at, of those that the frame has: colour and its own strength at least.
+        reads: planes that are looked at, of those that the frame has: colour and its own strength
+            at least.
         shares: of the last frame that a strength was made for.
     """
 
     def __init__(
-        self, entries: Iterable[Entry], index: ChannelIndex, layout: Layout, files: Mapping[str, ImageFile],
-        strict: bool = True
+        self, entries: Iterable[Entry], index: ChannelIndex, layout: Layout,
+        files: Mapping[str, ImageFile], strict: bool = True
     ) -> None:
         self._entries, self._index, self._files = tuple(entries), index, files
         self._path = path = next(iter(files.values())).path
-        self._cryptomattes = cryptomattes(index, layout.attributes, path) if self._is_looked_up() else []
+        self._cryptomattes = (cryptomattes(index, layout.attributes, path) if self._is_looked_up()
+                              else [])
         self._size = layout.planes[Role.COLOUR].size if Role.COLOUR in layout.planes else None
         self._named: dict[CryptomattePlanes, dict[int, Entry]] = {}
         self._numbered: dict[Channel, list[Entry]] = {}
@@ -143,20 +155,25 @@ class LeftAlone:
             if not (entry.is_auto or entry.is_converged):
                 self._find(entry, strict)
         self._samples = int(layout.facts.number("samples") or 0) or None
-        self._basis = {entry: self._basis_of(entry, layout) for entry in self._entries if entry.is_converged}
+        self._basis = {entry: self._basis_of(entry, layout)
+                       for entry in self._entries if entry.is_converged}
         looked = {Role.COLOUR, Role.STRENGTH, *(MISS_READS if self._auto() else ()),
                   *(ERROR_READS if self._basis else ())}
         self.reads = tuple(role for role in layout.planes if role in looked)
         if self._auto() and not {Role.DEPTH, Role.NORMAL, Role.ALPHA} & set(self.reads):
-            raise StrengthError(f"{path}: '{AUTO}' has no AOV to look at: render depth, normals or alpha, too")
+            raise StrengthError(f"{path}: '{AUTO}' has no AOV to look at: render depth, normals or "
+                                "alpha, too")
         self.shares = Coverage()
 
-    def strength(self, planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> np.ndarray:
-        """Strength (height, width, 1) of a frame whose planes hold `reads`, times its own; in an array of `scratch`."""
+    def strength(self, planes: Mapping[Role, np.ndarray],
+                 scratch: Scratch | None = None) -> np.ndarray:
+        """Strength (height, width, 1) of a frame whose planes hold `reads`, times its own; in an
+        array of `scratch`."""
         width, height = self._known_size()
         basis = {str(entry): text for entry, text in self._basis.items()}
         self.shares = Coverage(1, 0.0, {str(entry): 0.0 for entry in self._entries}, basis=basis)
-        found = scratch.empty((height, width, 1)) if scratch else np.empty((height, width, 1), np.float32)
+        found = (scratch.empty((height, width, 1)) if scratch
+                 else np.empty((height, width, 1), np.float32))
         for rows in scratch.pieces(height, self._row_bytes(width)) if scratch else [(0, height)]:
             found[slice(*rows)] = self._of_ids(rows)
         for entry in self._auto():
@@ -189,13 +206,14 @@ class LeftAlone:
 
     def _find(self, entry: Entry, strict: bool) -> None:
         """Note where an entry's ids are."""
-        layers = [one for one in self._cryptomattes if entry.plane is None or one.is_called(entry.plane)]
+        layers = [one for one in self._cryptomattes
+                  if entry.plane is None or one.is_called(entry.plane)]
         if not layers and entry.plane is not None:
             self._numbered.setdefault(self._plane_of(entry, entry.plane), []).append(entry)
             id_range(entry)
         elif not layers:
-            raise StrengthError(f"{self._path}: no Cryptomatte to find '{entry.name}' in: render one, or give ids of "
-                                "an AOV, such as 7@id or 7-9@id")
+            raise StrengthError(f"{self._path}: no Cryptomatte to find '{entry.name}' in: render "
+                                "one, or give ids of an AOV, such as 7@id or 7-9@id")
         found = [(layer, key) for layer in layers for key in layer.about.ids_of(entry)]
         for layer, key in found:
             self._check_size(layer.name, layer.channels[0])
@@ -218,26 +236,29 @@ class LeftAlone:
         near = [name for layer in layers for name in layer.about.nearest(entry)]
         names = near or [name for layer in layers for name in layer.about.manifest or ()]
         kind = "nearest" if near else "some of its names"
-        shown = ", ".join(f"'{name}'" for name in names[:MOST_LISTED_NAMES]) or "none, the manifest is empty"
-        return StrengthError(f"{self._path}: no '{entry.name}' in Cryptomatte {', '.join(one.name for one in layers)}: "
-                             f"{kind}: {shown}")
+        shown = (", ".join(f"'{name}'" for name in names[:MOST_LISTED_NAMES])
+                 or "none, the manifest is empty")
+        return StrengthError(f"{self._path}: no '{entry.name}' in Cryptomatte "
+                             f"{', '.join(one.name for one in layers)}: {kind}: {shown}")
 
     def _check_size(self, name: str, channel: Channel) -> None:
         area = channel.part.area
         if self._size is not None and (area.width, area.height) != self._size:
-            raise StrengthError(f"{self._path}: {name} is {area.width}x{area.height}, the colour is "
-                                f"{self._size[0]}x{self._size[1]}: render both at one size")
+            raise StrengthError(f"{self._path}: {name} is {area.width}x{area.height}, the colour "
+                                f"is {self._size[0]}x{self._size[1]}: render both at one size")
 
     def _row_bytes(self, width: int) -> int:
         """Bytes of a row of all planes of ids, as read and as worked on."""
-        shares = sum(len(layer.channels) + len(set(ids.values())) for layer, ids in self._named.items())
+        shares = sum(len(layer.channels) + len(set(ids.values()))
+                     for layer, ids in self._named.items())
         return 8 * width * (2 + len(self._numbered) + shares)
 
     def _of_ids(self, rows: tuple[int, int]) -> np.ndarray:
         """Strength of some rows by ids alone; what it covers is counted."""
         strength = np.ones((rows[1] - rows[0], self._known_size()[0]), np.float32)
         owned = [self._share_out(layer, rows) for layer in self._named]
-        found = [entry for entry in dict.fromkeys(reversed(self._entries)) if any(entry in shares for shares in owned)]
+        found = [entry for entry in dict.fromkeys(reversed(self._entries))
+                 if any(entry in shares for shares in owned)]
         for entry, share in split_shares(owned, found[::-1]):
             strength -= (1 - entry.strength) * share
             self._count(entry, share)
@@ -252,7 +273,8 @@ class LeftAlone:
             strength *= own
         return strength[:, :, None]
 
-    def _share_out(self, layer: CryptomattePlanes, rows: tuple[int, int]) -> dict[Entry, np.ndarray]:
+    def _share_out(self, layer: CryptomattePlanes,
+                   rows: tuple[int, int]) -> dict[Entry, np.ndarray]:
         """Shares of some rows, by the entry that counts for an id: the last one."""
         pixels = read_channels(self._files, dict.fromkeys(layer.channels, 0.0), rows)
         ids = self._named[layer]
@@ -261,9 +283,11 @@ class LeftAlone:
                 for entry in dict.fromkeys(ids.values())}
 
     def _without_misses(
-        self, found: np.ndarray, entry: Entry, planes: Mapping[Role, np.ndarray], scratch: Scratch | None
+        self, found: np.ndarray, entry: Entry, planes: Mapping[Role, np.ndarray],
+        scratch: Scratch | None
     ) -> None:
-        seen: dict[Role, np.ndarray] = {role: planes[role] for role in self.reads if role is not Role.STRENGTH}
+        seen: dict[Role, np.ndarray] = {role: planes[role]
+                                        for role in self.reads if role is not Role.STRENGTH}
         missed = 0
         for rows, strength, count in misses_in_bands(seen, scratch.relax if scratch else None):
             found[rows] *= entry.strength + (1 - entry.strength) * strength
@@ -272,7 +296,8 @@ class LeftAlone:
         self.shares.missed = missed / found.size
 
     def _without_converged(
-        self, found: np.ndarray, entry: Entry, planes: Mapping[Role, np.ndarray], scratch: Scratch | None
+        self, found: np.ndarray, entry: Entry, planes: Mapping[Role, np.ndarray],
+        scratch: Scratch | None
     ) -> None:
         threshold, relax = parse_threshold(entry), scratch.relax if scratch else None
         for rows, strength in converged_in_bands(planes, threshold, self._samples, relax):

@@ -1,4 +1,5 @@
-"""Parts of the picture in a frame's files: light groups, passes and other planes, by a profile or by name."""
+"""Parts of the picture in a frame's files: light groups, passes and other planes, by a profile or
+by name."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ LETTERS_BY_KIND = {"normal": VECTOR_LETTERS, "position": VECTOR_LETTERS, "albedo
 PLANE_KINDS = tuple(kind for kind in PART_KINDS if kind not in (*ADDITIVE, "factor"))
 """Kinds that `--aov-denoise` takes."""
 NEVER = ("crypto", "uint", "id", "index", "mask")
-"""Words that begin or end the names of layers whose values are not amounts, so that means of them mean nothing."""
+"""Words that begin or end the names of layers whose values are not amounts, so that means of them
+mean nothing."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ def refuse_ids(layer: str, option: str) -> None:
     """OptionError for a layer that holds ids by its name."""
     words = layer.lower().replace("_", " ").replace(".", " ").split()
     if any(word.startswith(NEVER[0]) or word in NEVER for word in words):
-        raise OptionError(f"{option}: '{layer}' holds ids, whose means are other ids: they are never filtered")
+        raise OptionError(f"{option}: '{layer}' holds ids, whose means are other ids: they are "
+                          "never filtered")
 
 
 EXACT_KINDS = ("depth", "position")
@@ -86,7 +89,8 @@ class FoundPart:
     @property
     def source(self) -> PartSource:
         """How it is named there."""
-        return PartSource(tuple(channel.name for channel in self.channels), self.factor, self.part.kind in EXACT_KINDS)
+        return PartSource(tuple(channel.name for channel in self.channels), self.factor,
+                          self.part.kind in EXACT_KINDS)
 
 
 def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: str,
@@ -109,7 +113,8 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
     for name, kind in options.planes:
         for layer in index.layers_like(name)[:1] or [name]:
             refuse_ids(layer, f"--aov-denoise {kind}={name}")
-            channels = _channels(index, layer, LETTERS_BY_KIND.get(kind, (*COLOUR_LETTERS, *NUMBER_LETTERS)))
+            channels = _channels(index, layer,
+                                 LETTERS_BY_KIND.get(kind, (*COLOUR_LETTERS, *NUMBER_LETTERS)))
             if not channels:
                 raise _missing_error(name, index, layout, path, f"--aov-denoise {kind}={name}")
             found[layer] = FoundPart(Part(layer, kind), channels)
@@ -117,7 +122,8 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
 
 
 def _by_profile(index: ChannelIndex, layout: Layout, name: str) -> dict[str, FoundPart]:
-    """Parts that the profile knows, of which `name` is the layer, or what stands for * in it; '*' for all."""
+    """Parts that the profile knows, of which `name` is the layer, or what stands for * in it; '*'
+    for all."""
     found: dict[str, FoundPart] = {}
     for rule in layout.profile.parts:
         for pattern in (one.replace("{layer}", layout.layer) for one in rule.names):
@@ -130,7 +136,8 @@ def _by_profile(index: ChannelIndex, layout: Layout, name: str) -> dict[str, Fou
                 if channels and layer not in found:
                     factor = rule.factor.replace("{layer}", layout.layer)
                     divided = _factor(index, factor, found) if factor else None
-                    found[layer] = FoundPart(Part(layer, rule.kind, rule.group, divided or ""), channels, divided)
+                    found[layer] = FoundPart(Part(layer, rule.kind, rule.group, divided or ""),
+                                             channels, divided)
     return found
 
 
@@ -143,7 +150,8 @@ def _factor(index: ChannelIndex, name: str, found: dict[str, FoundPart]) -> str 
     return None
 
 
-def _channels(index: ChannelIndex, layer: str, letters: Iterable[tuple[str, ...]]) -> tuple[Channel, ...] | None:
+def _channels(index: ChannelIndex, layer: str,
+              letters: Iterable[tuple[str, ...]]) -> tuple[Channel, ...] | None:
     named = ([f"{layer}.{letter}" if letter else layer for letter in some] for some in letters)
     found = (index.find(names, are_together) for names in named)
     return next(filter(None, found), None)
@@ -159,8 +167,9 @@ def _missing_error(
 ) -> MissingPlaneError:
     held = "; ".join(index.contents()[:16]) or "nothing"
     if name == AUTO_PARTS:
-        return MissingPlaneError(f"{path}: --aov auto: profile {layout.profile.name} knows none of its layers as "
-                                 f"light groups or passes: name them (--aov key,fill); it holds {held}")
+        return MissingPlaneError(f"{path}: --aov auto: profile {layout.profile.name} knows none of "
+                                 "its layers as light groups or passes: name them (--aov "
+                                 f"key,fill); it holds {held}")
     return MissingPlaneError(f"{path}: no layer '{name}' for {option}: it holds {held}")
 
 
@@ -173,13 +182,15 @@ _MOST_COMBINED_LAYERS = 14
 
 
 def find_sets(picture: np.ndarray, parts: Mapping[str, np.ndarray]) -> list[tuple[str, ...]]:
-    """Layers (h, w, 1 or 3) in sets that each add up to the picture, none of them in two; the smallest come first.
+    """Layers (h, w, 1 or 3) in sets that each add up to the picture, none of them in two; the
+    smallest come first.
 
     Layers that are in no set are left out.
     """
     seen = picture[::_SAMPLED_ROW_STEP].reshape(-1)
-    shown = [np.broadcast_to(part[::_SAMPLED_ROW_STEP], (*picture[::_SAMPLED_ROW_STEP].shape[:2], 3)).reshape(-1)
-             for part in parts.values()]
+    shown = [np.broadcast_to(part[::_SAMPLED_ROW_STEP],
+                             (*picture[::_SAMPLED_ROW_STEP].shape[:2], 3))
+             .reshape(-1) for part in parts.values()]
     whole = np.isfinite(seen) & np.logical_and.reduce([np.isfinite(part) for part in shown])
     layers = np.stack([part[whole] for part in shown]).astype(np.float64)
     target, names, found = seen[whole].astype(np.float64), tuple(parts), []
@@ -187,8 +198,8 @@ def find_sets(picture: np.ndarray, parts: Mapping[str, np.ndarray]) -> list[tupl
     left = list(range(min(len(names), _MOST_COMBINED_LAYERS)))
     for size in range(1, len(left) + 1):
         for chosen in combinations(tuple(left), size):
-            if (set(chosen) <= set(left)
-                and np.abs(layers[list(chosen)].sum(axis=0) - target).sum() <= LAYER_SUM_TOLERANCE * light):
+            if (set(chosen) <= set(left) and np.abs(layers[list(chosen)].sum(axis=0) - target)
+                .sum() <= LAYER_SUM_TOLERANCE * light):
                 found.append(tuple(names[index] for index in chosen))
                 left = [index for index in left if index not in chosen]
     return found
@@ -198,29 +209,37 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
                 ) -> tuple[tuple[Part, ...], list[str]]:
     """Parts in groups by what a frame shows, and what the user should know of it.
 
-    Layers that were named one by one stay one group where they are no brighter than the picture together. Else each set
-    that adds up to the picture is a group, and every other layer one of its own, as nothing else tells its light.
+    Layers that were named one by one stay one group where they are no brighter than the picture
+    together. Else each set that adds up to the picture is a group, and every other layer one of its
+    own, as nothing else tells its light.
     """
     parts = tuple(parts)
-    named = [part for part in parts if part.is_light and part.group == NAMED_PARTS and part.name in pixels]
-    total = sum((pixels[part.name][::_SAMPLED_ROW_STEP] for part in named), np.zeros_like(picture[::_SAMPLED_ROW_STEP]))
-    excess, light = np.maximum(total - picture[::_SAMPLED_ROW_STEP], 0), np.abs(picture[::_SAMPLED_ROW_STEP])
+    named = [part for part in parts
+             if part.is_light and part.group == NAMED_PARTS and part.name in pixels]
+    total = sum((pixels[part.name][::_SAMPLED_ROW_STEP] for part in named),
+                np.zeros_like(picture[::_SAMPLED_ROW_STEP]))
+    excess, light = (np.maximum(total - picture[::_SAMPLED_ROW_STEP], 0),
+                     np.abs(picture[::_SAMPLED_ROW_STEP]))
     valid = np.isfinite(excess) & np.isfinite(light)
     lights = [part.name for part in parts if part.is_light and part.name in pixels]
     below = [name for name in lights if _is_below(pixels[name])]
-    notes = [f"layers {', '.join(below)} have light below 0, which is cut to 0: add it to another layer, or take them "
-             "out of --aov"] if below else []
-    if not named or excess[valid].sum(dtype=np.float64) <= LAYER_SUM_TOLERANCE * light[valid].sum(dtype=np.float64):
+    notes = ([f"layers {', '.join(below)} have light below 0, which is cut to 0: add it to another "
+              "layer, or take them out of --aov"]
+             if below else [])
+    if (not named or excess[valid].sum(dtype=np.float64)
+        <= LAYER_SUM_TOLERANCE * light[valid].sum(dtype=np.float64)):
         return parts, notes
     sets = find_sets(picture, {part.name: pixels[part.name] for part in named})
     groups = {name: ",".join(names) for names in sets for name in names}
     alone = [part.name for part in named if part.name not in groups]
     if len(sets) > 1:
-        notes.append(f"layers {' and '.join(map(', '.join, sets))} each add up to the picture: they are taken as "
-                     f"{len(sets)} sets")
+        notes.append(f"layers {' and '.join(map(', '.join, sets))} each add up to the picture: "
+                     f"they are taken as {len(sets)} sets")
     if alone:
-        notes.append(f"layers {', '.join(alone)} do not add up to the picture with others: each is filtered on its own")
-    grouped = tuple(replace(part, group=groups.get(part.name, part.name)) if part in named else part for part in parts)
+        notes.append(f"layers {', '.join(alone)} do not add up to the picture with others: each is "
+                     "filtered on its own")
+    grouped = tuple(replace(part, group=groups.get(part.name, part.name)) if part in named else part
+                    for part in parts)
     return grouped, notes
 
 
@@ -228,12 +247,17 @@ def _is_below(part: np.ndarray) -> bool:
     """Whether a part has light below 0, by every eighth row."""
     seen = part[::_SAMPLED_ROW_STEP]
     seen = seen[np.isfinite(seen)]
-    return bool(np.maximum(-seen, 0).sum(dtype=np.float64) > LAYER_SUM_TOLERANCE * np.abs(seen).sum(dtype=np.float64))
+    return bool(np.maximum(-seen, 0).sum(dtype=np.float64) > LAYER_SUM_TOLERANCE * np.abs(seen)
+                .sum(dtype=np.float64))
 
 
-def read_parts(files: Mapping[str, ImageFile], found: Mapping[str, FoundPart]) -> dict[str, np.ndarray]:
-    """Parts (height, width, 1 or 3) at render size, in radiance: those stored divided are multiplied again."""
+def read_parts(files: Mapping[str, ImageFile],
+               found: Mapping[str, FoundPart]) -> dict[str, np.ndarray]:
+    """Parts (height, width, 1 or 3) at render size, in radiance: those stored divided are
+    multiplied again."""
     wanted = {channel: 0.0 for part in found.values() for channel in part.channels}
     pixels = read_channels(files, wanted)
-    stored = {name: np.stack([pixels[channel] for channel in part.channels], axis=-1) for name, part in found.items()}
-    return {name: stored[name] * stored[part.factor] if part.factor else stored[name] for name, part in found.items()}
+    stored = {name: np.stack([pixels[channel] for channel in part.channels], axis=-1)
+              for name, part in found.items()}
+    return {name: stored[name] * stored[part.factor] if part.factor else stored[name]
+            for name, part in found.items()}

@@ -1,4 +1,5 @@
-"""Names of frame files: patterns with a frame number, the files that match them, and the sources that users name."""
+"""Names of frame files: patterns with a frame number, the files that match them, and the sources
+that users name."""
 
 from __future__ import annotations
 
@@ -23,11 +24,14 @@ VIEW_FIELD = "{view}"
 _NUKES_VIEW = re.compile(r"%[vV](?![A-Za-z])")
 """How Nuke writes the place of a view's name, or of its first letter."""
 _NUMBER = re.compile(
-    r"%(?:0(?P<printf>\d+))?d|(?P<hash>#+)|(?P<at>@+)|\$F(?P<houdini>\d*)|<F(?P<angle>\d*)>", re.ASCII
+    r"%(?:0(?P<printf>\d+))?d|(?P<hash>#+)|(?P<at>@+)|\$F(?P<houdini>\d*)|<F(?P<angle>\d*)>",
+    re.ASCII
 )
 _DIGITS = re.compile(r"((?<=[._])-|^-)?\d+(?=\.[^.]*$)", re.ASCII)
 """The number that ends a name, with a minus that stands where a number begins."""
-_FRAME_RANGE = re.compile(r"\s*(?P<first>-?\d{1,9})(?:-(?P<last>-?\d{1,9})(?P<step>[xy:]\d{1,9})?)?\s*", re.ASCII)
+_FRAME_RANGE = re.compile(
+    r"\s*(?P<first>-?\d{1,9})(?:-(?P<last>-?\d{1,9})(?P<step>[xy:]\d{1,9})?)?\s*", re.ASCII
+)
 _WILD = re.compile(r"[*?[]")
 Source: TypeAlias = "str | os.PathLike[str] | Sequence[str | os.PathLike[str]]"
 """A pattern, a folder, a file, wildcards, or files one by one."""
@@ -41,9 +45,11 @@ MOST_FOLDERS = 4096
 
 @dataclass(frozen=True)
 class Pattern:
-    """File name before and after the frame number, and the least count of digits; `digits` None: no number at all.
+    """File name before and after the frame number, and the least count of digits; `digits` None: no
+    number at all.
 
-    `folder` is a path that stands before `prefix` and is taken as it is written, whatever signs are in it.
+    `folder` is a path that stands before `prefix` and is taken as it is written, whatever signs are
+    in it.
     """
 
     prefix: str
@@ -62,14 +68,17 @@ class Pattern:
 
     def of_view(self, view: str) -> Pattern:
         """Pattern of one view's files."""
-        return replace(self, prefix=self.prefix.replace(VIEW_FIELD, view), suffix=self.suffix.replace(VIEW_FIELD, view))
+        return replace(self, prefix=self.prefix.replace(VIEW_FIELD, view),
+                       suffix=self.suffix.replace(VIEW_FIELD, view))
 
     def by_view(self) -> dict[str, Pattern]:
-        """View -> pattern of its files, of all views on the disk; '' -> this one where views share their files."""
+        """View -> pattern of its files, of all views on the disk; '' -> this one where views share
+        their files."""
         if not self.has_views:
             return {"": self}
         regex = self._regex()
-        found = {match["view"] for name in _glob(self._make_wildcards()) if (match := regex.fullmatch(name))}
+        found = {match["view"]
+                 for name in _glob(self._make_wildcards()) if (match := regex.fullmatch(name))}
         return {view: self.of_view(view) for view in sorted(found)}
 
     def path(self, number: int, plane: str = "") -> Path:
@@ -81,14 +90,16 @@ class Pattern:
         return Path(self.folder + name.replace(PLANE_FIELD, plane))
 
     def plane_of(self, other: Pattern) -> str | None:
-        """Word that stands in another pattern where this one has {plane}; None when they differ elsewhere."""
+        """Word that stands in another pattern where this one has {plane}; None when they differ
+        elsewhere."""
         name = re.escape(self.prefix).replace(re.escape(PLANE_FIELD), r"(?P<plane>[^./]+)", 1)
         match = re.fullmatch(re.escape(self.folder) + name, other.folder + other.prefix)
         same = self.suffix == other.suffix and self.is_numbered == other.is_numbered
         return match["plane"] if match and same else None
 
     def find_frames(self) -> dict[int, dict[str, Path]]:
-        """Frames of one view on the disk: number -> plane word ('' where one file holds all planes) -> file."""
+        """Frames of one view on the disk: number -> plane word ('' where one file holds all
+        planes) -> file."""
         return self._look()[0]
 
     def find_overlooked(self) -> list[Path]:
@@ -96,11 +107,14 @@ class Pattern:
         return self._look()[1]
 
     def _look(self) -> tuple[dict[int, dict[str, Path]], list[Path]]:
-        """Both of these. Numbers of fewer digits count where no number begins with a zero: nothing pads them there."""
+        """Both of these. Numbers of fewer digits count where no number begins with a zero: nothing
+        pads them there."""
         regex, least = self._regex(least=1), self.digits or 0
-        found = [match for name in sorted(_glob(self._make_wildcards())) if (match := regex.fullmatch(name))]
+        found = [match for name in sorted(_glob(self._make_wildcards()))
+                 if (match := regex.fullmatch(name))]
         numbers = [match.groupdict().get("number") or "1" for match in found]
-        are_padded = any(number.lstrip("-").startswith("0") for number in numbers if len(number) >= least)
+        are_padded = any(number.lstrip("-").startswith("0")
+                         for number in numbers if len(number) >= least)
         frames: dict[int, dict[str, Path]] = {}
         overlooked: list[Path] = []
         for number, match in zip(numbers, found, strict=True):
@@ -110,7 +124,8 @@ class Pattern:
                 continue
             planes, word = frames.setdefault(int(number), {}), match.groupdict().get("plane") or ""
             if word in planes:
-                raise SequenceError(f"{planes[word]} and {path.name}: both are frame {number}: remove one of them")
+                raise SequenceError(f"{planes[word]} and {path.name}: both are frame {number}: "
+                                    "remove one of them")
             planes[word] = path
         return dict(sorted(frames.items())), overlooked
 
@@ -119,8 +134,10 @@ class Pattern:
         inner, name = os.path.split(self.prefix)
         if PLANE_FIELD in inner or VIEW_FIELD in inner:
             inner, name = "", self.prefix
-        resolved = replace(self, prefix=name, folder=_join(os.path.realpath(self.folder + inner), ""))
-        return resolved._regex().fullmatch(_join(os.path.realpath(path.parent), path.name)) is not None
+        resolved = replace(self, prefix=name,
+                           folder=_join(os.path.realpath(self.folder + inner), ""))
+        return (resolved._regex()
+                .fullmatch(_join(os.path.realpath(path.parent), path.name)) is not None)
 
     def _make_wildcards(self) -> str:
         """Wildcards that fit its files, and others."""
@@ -138,7 +155,8 @@ class Pattern:
         name = re.escape(self.prefix) + number + re.escape(self.suffix)
         for word in (PLANE_FIELD, VIEW_FIELD):
             group = word.strip("{}")
-            name = name.replace(re.escape(word), rf"(?P<{group}>[^./]+)", 1).replace(re.escape(word), f"(?P={group})")
+            name = name.replace(re.escape(word), rf"(?P<{group}>[^./]+)",
+                                1).replace(re.escape(word), f"(?P={group})")
         return re.compile(re.escape(self.folder) + name, re.ASCII)
 
     def __str__(self) -> str:
@@ -150,8 +168,8 @@ def _join(folder: str, name: str) -> str:
 
 
 def _glob(wild: str) -> list[str]:
-    """Names of files that wildcards fit, as patterns have them; SequenceError when a level has more than MOST_FOLDERS
-    folders that fit."""
+    """Names of files that wildcards fit, as patterns have them; SequenceError when a level has more
+    than MOST_FOLDERS folders that fit."""
     levels: list[tuple[str, str]] = []  # glob.glob would call itself for each
     folder, name = os.path.split(wild)
     while glob.has_magic(folder) and folder != wild:
@@ -161,7 +179,8 @@ def _glob(wild: str) -> list[str]:
     for folder, name in reversed(levels):
         folders = [glob.escape(path) for path in found if os.path.isdir(path)]
         if len(folders) > MOST_FOLDERS:
-            raise SequenceError(f"{folder}: the wildcards fit {len(folders)} folders: name more of the folders")
+            raise SequenceError(f"{folder}: the wildcards fit {len(folders)} folders: name more of "
+                                "the folders")
         found = [path for folder in folders for path in _glob_level(_join(folder, name))]
     return found
 
@@ -172,18 +191,19 @@ def _glob_level(wild: str) -> list[str]:
 
 
 def parse_pattern(text: str) -> Pattern:
-    """Pattern of a file name that holds %04d, ####, @@@@, $F4 or <F4> once in its last part; else a single file.
+    """Pattern of a file name that holds %04d, ####, @@@@, $F4 or <F4> once in its last part; else a
+    single file.
 
-    Nuke's %V and %v stand for {view}. The signs in the name of a folder that is there are part of its name.
-    SequenceError when another folder's name holds a frame number, or a name holds two.
+    Nuke's %V and %v stand for {view}. The signs in the name of a folder that is there are part of
+    its name. SequenceError when another folder's name holds a frame number, or a name holds two.
     """
     place, text = split_folder(with_slashes(text))
     text = _NUKES_VIEW.sub(VIEW_FIELD, text)
     folder, _, name = text.rpartition("/")
     found = list(_NUMBER.finditer(name))
     if folder and _NUMBER.search(folder):
-        raise SequenceError(f"{place}{text}: give the frame number once, in the file name, or make the folder "
-                            f"'{place}{folder}' first if it is called so")
+        raise SequenceError(f"{place}{text}: give the frame number once, in the file name, or make "
+                            f"the folder '{place}{folder}' first if it is called so")
     if len(found) > 1:
         raise SequenceError(f"{place}{text}: give the frame number once, in the file name")
     if not found:
@@ -204,11 +224,13 @@ def split_folder(text: str) -> tuple[str, str]:
 
 
 def parse_frames(text: str) -> list[int]:
-    """Frame numbers of '1-100x2', '1,5,7-9' and the like, in order of time; SequenceError when malformed.
+    """Frame numbers of '1-100x2', '1,5,7-9' and the like, in order of time; SequenceError when
+    malformed.
 
     Farms write '100-1' for frames to render last first. A history only goes forwards.
 
-    Steps that fileseq writes with ':' or 'y' are refused: they deal frames out to several machines, out of order.
+    Steps that fileseq writes with ':' or 'y' are refused: they deal frames out to several machines,
+    out of order.
     """
     try:
         parts = [_FRAME_RANGE.fullmatch(part) for part in text.split(",") if part.strip()]
@@ -220,7 +242,8 @@ def parse_frames(text: str) -> list[int]:
             _refuse_other_steps(text, part)
         numbers = list(FrameSet(text))
     except (ParseException, MaxSizeException, ValueError) as error:
-        raise SequenceError(f"--frames {text}: not a frame range: write it like 1-100, 1-100x2 or 1,5,8-12") from error
+        raise SequenceError(f"--frames {text}: not a frame range: write it like 1-100, 1-100x2 or "
+                            "1,5,8-12") from error
     if not numbers:
         raise SequenceError(f"--frames {text}: holds no frame")
     return sorted({int(number) for number in numbers})
@@ -230,10 +253,12 @@ def _refuse_other_steps(text: str, part: re.Match[str]) -> None:
     """SequenceError for a step that other programs read otherwise."""
     first, last, step = part["first"], part["last"], part["step"] or "x"
     if step[0] == ":":
-        raise SequenceError(f"--frames {text}: a step is written with x: give {first}-{last}x{step[1:]}")
+        raise SequenceError(f"--frames {text}: a step is written with x: give "
+                            f"{first}-{last}x{step[1:]}")
     if step[0] == "y":
-        raise SequenceError(f"--frames {text}: a step is written with x, and y is not a step: give {first}-{last}x2 "
-                            "for every second frame, or list the frames, like 2-4,6-8")
+        raise SequenceError(f"--frames {text}: a step is written with x, and y is not a step: give "
+                            f"{first}-{last}x2 for every second frame, or list the frames, like "
+                            "2-4,6-8")
 
 
 def format_frames(numbers: Iterable[int]) -> str:
@@ -248,7 +273,8 @@ def number_in_name(path: Path) -> int | None:
 
 
 def pattern_of(path: Path) -> Pattern:
-    """Pattern of the sequence that a file belongs to by its name; without a number when the name ends in none."""
+    """Pattern of the sequence that a file belongs to by its name; without a number when the name
+    ends in none."""
     match = _DIGITS.search(path.name)
     folder, name = split_folder(with_slashes(str(path)))
     if not match:
@@ -263,8 +289,8 @@ def patterns_in(folder: Path, suffixes: Iterable[str]) -> list[Pattern]:
 
     SequenceError when the folder cannot be read.
     """
-    return _group(path for path in _list_folder(folder) if path.suffix.lower() in suffixes and path.name[0] != "."
-                  and os.path.isfile(path))
+    return _group(path for path in _list_folder(folder) if path.suffix.lower() in suffixes
+                  and path.name[0] != "." and os.path.isfile(path))
 
 
 def _group(paths: Iterable[Path]) -> list[Pattern]:
@@ -274,7 +300,8 @@ def _group(paths: Iterable[Path]) -> list[Pattern]:
         pattern, number = pattern_of(path), number_in_name(path)
         key = pattern.folder, pattern.prefix, pattern.suffix
         known = found.setdefault(key, pattern)
-        fewer = pattern.digits is not None and known.digits is not None and pattern.digits < known.digits
+        fewer = (pattern.digits is not None and known.digits is not None
+                 and pattern.digits < known.digits)
         if fewer and number is not None and number >= 0:
             found[key] = pattern
     return list(found.values())
@@ -284,7 +311,8 @@ def _list_folder(folder: Path) -> list[Path]:
     try:
         return sorted(folder.iterdir())
     except OSError as error:
-        raise SequenceError(f"{folder}: cannot be read: {error.strerror or error}; check its rights") from error
+        raise SequenceError(f"{folder}: cannot be read: {error.strerror or error}; check its "
+                            "rights") from error
 
 
 def _digits(match: re.Match[str]) -> int:
@@ -298,7 +326,8 @@ def locate(source: Source) -> tuple[Pattern, list[int] | None]:
 
     A leading ~ is the home folder. Wildcards (* ? [..]) count where no file has exactly that name.
 
-    Raises SequenceError for a folder without OpenEXR files, and where files belong to several sequences.
+    Raises SequenceError for a folder without OpenEXR files, and where files belong to several
+    sequences.
     """
     if not isinstance(source, str | os.PathLike):
         return _locate_files(list(source))
@@ -322,14 +351,15 @@ def _locate_files(names: list[str | os.PathLike[str]]) -> tuple[Pattern, list[in
     paths = [Path(with_slashes(os.path.expanduser(name))) for name in names]
     absent = [path for path in paths if not os.path.isfile(path)]
     if absent or not paths:
-        raise SequenceError(f"{absent[0] if absent else 'INPUT'}: no such file: check the folder, or put a pattern "
-                            "like 'shot.####.exr' in quotes")
+        raise SequenceError(f"{absent[0] if absent else 'INPUT'}: no such file: check the folder, "
+                            "or put a pattern like 'shot.####.exr' in quotes")
     return _gather_files(paths, f"{len(paths)} files")
 
 
 def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
     """Pattern of the files, or of the one folder, that wildcards fit."""
-    wild = glob.escape(pattern.folder) + pattern.prefix + ("*" if pattern.is_numbered else "") + pattern.suffix
+    wild = (glob.escape(pattern.folder) + pattern.prefix + ("*" if pattern.is_numbered else "")
+            + pattern.suffix)
     wild = wild.replace(PLANE_FIELD, "*").replace(VIEW_FIELD, "*")
     found = sorted(map(Path, _glob(wild)))
     folders = [path for path in found if os.path.isdir(path)]  # False without the right to look
@@ -342,10 +372,12 @@ def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
 
 
 def _gather_files(paths: list[Path], source: str) -> tuple[Pattern, list[int] | None]:
-    """The one sequence that files belong to, and their numbers unless these are all that is on the disk."""
+    """The one sequence that files belong to, and their numbers unless these are all that is on the
+    disk."""
     pattern = _one_sequence(_group(paths), source)
     numbers = sorted({number for path in paths if (number := number_in_name(path)) is not None})
-    return pattern, None if not pattern.is_numbered or numbers == list(pattern.find_frames()) else numbers
+    return (pattern,
+            None if not pattern.is_numbered or numbers == list(pattern.find_frames()) else numbers)
 
 
 def _folder_pattern(folder: Path) -> Pattern:
@@ -363,16 +395,19 @@ def _one_sequence(patterns: list[Pattern], source: str) -> Pattern:
         views = sorted({name.replace("right", VIEW_FIELD) for name in names}
                        & {name.replace("left", VIEW_FIELD) for name in names})
         also = f", or all views by {views[0]}" if views else ""
-        raise SequenceError(f"{source}: holds {len(names)} sequences ({', '.join(names[:4])}): name one of them{also}")
+        raise SequenceError(f"{source}: holds {len(names)} sequences ({', '.join(names[:4])}): "
+                            f"name one of them{also}")
     return together
 
 
 def _one_file_a_plane(patterns: list[Pattern]) -> Pattern | None:
-    """Pattern with {plane} that fits all sequences of a folder, one of them the colour; None when there is none."""
+    """Pattern with {plane} that fits all sequences of a folder, one of them the colour; None when
+    there is none."""
     for pattern in patterns:
         name = pattern.prefix
         for word in COLOUR_FILES:
             together = replace(pattern, prefix=name.replace(word, PLANE_FIELD))
-            if word in name and all(is_plane_word(together.plane_of(other) or "") for other in patterns):
+            if word in name and all(is_plane_word(together.plane_of(other) or "")
+                                    for other in patterns):
                 return together
     return None

@@ -1,6 +1,8 @@
-"""Pixels as files hold them: half floats, 8 bits with dither, bytes as PNG and OpenEXR compress them.
+"""Pixels as files hold them: half floats, 8 bits with dither, bytes as PNG and OpenEXR compress
+them.
 
-On the host: one walk over the picture where NumPy makes several. Arrays that are written must have no gaps.
+On the host: one walk over the picture where NumPy makes several. Arrays that are written must have
+no gaps.
 """
 
 from __future__ import annotations
@@ -22,41 +24,47 @@ _unpredict_bytes = Rows("unpredict_bytes")
 
 
 def halve(values: np.ndarray, output: np.ndarray) -> None:
-    """output (channels, n) uint16 = bits of the half floats nearest to `values` (n * channels,), float32 or its bits
-    as int32, ties to even, cut to +-65504. NaN stays NaN."""
+    """output (channels, n) uint16 = bits of the half floats nearest to `values` (n * channels,),
+    float32 or its bits as int32, ties to even, cut to +-65504. NaN stays NaN."""
     _halve_pixels(0, output.shape[1], values.view(np.float32), output)
 
 
 def look_up(codes: np.ndarray, table: np.ndarray, output: np.ndarray) -> bool:
-    """output (n,) float32 = `table` between its entries, which lie evenly over codes (n,) float32 from 0 to 1 and end
-    with the last one twice. Returns whether all codes lie there."""
+    """output (n,) float32 = `table` between its entries, which lie evenly over codes (n,) float32
+    from 0 to 1 and end with the last one twice. Returns whether all codes lie there."""
     inside = np.empty(1, bool)
     _look_up(0, codes.size, codes, table, output, inside)
     return bool(inside[0])
 
 
 def widen_rows(words: np.ndarray, channels: np.ndarray, pixels: np.ndarray) -> None:
-    """pixels (rows, n, count), float32 or its bits as uint32, = values in rows of `words` (rows, m) uint16.
+    """pixels (rows, n, count), float32 or its bits as uint32, = values in rows of `words` (rows, m)
+    uint16.
 
-    channels (count, 2) int64: of each its kind, 1 for half floats and 2 for floats, and the column where it begins.
+    channels (count, 2) int64: of each its kind, 1 for half floats and 2 for floats, and the column
+    where it begins.
     """
     _widen_rows(0, len(pixels), words, channels, pixels.view(np.float32))
 
 
-def dither_rows(codes: np.ndarray, top: float | np.floating, thresholds: np.ndarray, output: np.ndarray) -> None:
+def dither_rows(codes: np.ndarray, top: float | np.floating, thresholds: np.ndarray,
+                output: np.ndarray) -> None:
     """output (height, values) uint8 = the whole part of top * codes, cut to 0..1, plus a threshold.
 
-    codes: (height, values) float32, NaN counts as 0; thresholds (rows, columns) float32 in (0, 1), repeated.
+    codes: (height, values) float32, NaN counts as 0; thresholds (rows, columns) float32 in (0, 1),
+    repeated.
     """
     _dither_rows(0, len(codes), codes, np.array([top], np.float32), thresholds, output)
 
 
 def paeth(rows: np.ndarray, above: np.ndarray, step: int, output: np.ndarray) -> None:
-    """output (h, n + 1) uint8 = rows (h, n) uint8 by PNG's filter 4, after its number (ISO/IEC 15948, 9.4).
+    """output (h, n + 1) uint8 = rows (h, n) uint8 by PNG's filter 4, after its number (ISO/IEC
+    15948, 9.4).
 
     `above` (n,) is the row before, zeros for the first; `step` the bytes of a pixel.
     """
-    _filter_rows(0, len(rows), whole(rows, np.uint8), whole(above, np.uint8), np.array([step]), output)
+    _filter_rows(0, len(rows), whole(rows, np.uint8), whole(above, np.uint8), np.array([step]),
+                 output)
 
 
 # A chunk of OpenEXR's ZIP
@@ -65,13 +73,15 @@ _LEVEL = 1  # of ISA-L: a fifth of the time of OpenEXR's level 4 for 6 % more by
 
 
 def predict_bytes(plain: np.ndarray, differences: np.ndarray) -> None:
-    """differences (n,) uint8 = bytes of `plain` (n,) uint8, n even, as OpenEXR compresses them (ImfZip.cpp): those in
-    even places before those in odd ones, each less the one before it, plus 128."""
+    """differences (n,) uint8 = bytes of `plain` (n,) uint8, n even, as OpenEXR compresses them
+    (ImfZip.cpp): those in even places before those in odd ones, each less the one before it,
+    plus 128."""
     _predict_bytes(0, 1, plain, differences)
 
 
 def unpredict_bytes(differences: np.ndarray, words: np.ndarray) -> None:
-    """words (n,) uint16 = those whose bytes, the lower ones first, `predict_bytes` made into differences (2 n,)."""
+    """words (n,) uint16 = those whose bytes, the lower ones first, `predict_bytes` made into
+    differences (2 n,)."""
     _unpredict_bytes(0, 1, differences, words)
 
 

@@ -1,15 +1,18 @@
 """Renderer profiles: how a renderer names its planes and what its numbers mean, as data.
 
-A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys but `name` may be left out):
+A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys but `name` may be
+left out):
 
     name = "studio"
     title = "Our farm's names"
     extends = "generic"                  # its planes and header keys come after ours
-    source = "manual"                    # where its names are from: file (read by us), code (the renderer's source),
-                                         # listing (channels of a file that others listed) or manual (documents alone)
+    source = "manual"                    # where its names are from: file (read by us), code (the
+                                         # renderer's source), listing (channels of a file that
+                                         # others listed) or manual (documents alone)
     marker = "Combined.R"                # what precedes this channel name is {layer} below
 
-    [[detect]]                           # any of these tables suffices; all conditions in one must hold
+    [[detect]]                           # any of these tables suffices; all conditions in one must
+                                         # hold
     header = { Software = "^Blender 5" } # regular expressions on header attributes
     channels = ["{layer}Vector.X"]       # these channels must exist
     without = ["Albedo.R"]               # none of these may exist
@@ -19,28 +22,38 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
 
     [camera]
     fov_x = 50.0                         # degrees, when no header says it
-    near = 0.1                           # distances of the near and far plane, when no header says them
+    near = 0.1                           # distances of the near and far plane, when no header says
+                                         # them
     far = 1000.0
     column_vectors = true                # worldToCamera is stored for column vectors
-    max_velocity = 20                    # pixels, of motion in unit "velocity", when no header says it
+    max_velocity = 20                    # pixels, of motion in unit "velocity", when no header says
+                                         # it
     shutter = 0.5                        # frames, of motion per shutter, when no header says it
 
     [[plane]]
     role = "motion"                      # a plane role of postfx
-    names = ["Vector", "velocity"]       # layer names in order of preference; "" is no layer, * matches anything
-    channels = ["XY", "RG"]              # channel letters in order of preference, or a list of whole names
-    requires = ["Albedo.R"]              # the plane is looked for only where these channels exist, too
+    names = ["Vector", "velocity"]       # layer names in order of preference; "" is no layer, *
+                                         # matches anything
+    channels = ["XY", "RG"]              # channel letters in order of preference, or a list of
+                                         # whole names
+    requires = ["Albedo.R"]              # the plane is looked for only where these channels exist,
+                                         # too
     without = ["Specular.R"]             # and only where none of these exists
-    source = "manual"                    # of this plane's names, where it is another than the profile's
-    scale = [1, -1]                      # value = (stored + offset) * scale; a normal stored as 0, 0, 0 stays zero
-    unit = "pixels"                      # motion: pixels, uv (0..1 of the image), ndc (-1..1), width (parts of the
-                                         # image's width, along both axes) or velocity (-1..1 of
-                                         # max_velocity)
-    per = "frame"                        # motion: from frame to frame, or while the shutter is open ("shutter")
-    space = "world"                      # normals: world, camera (along the axes of worldToCamera) or view (x right, y
-                                         # up, z to the viewer, whatever the axes of worldToCamera; right-handed world)
-    kind = "planar"                      # depth: planar, ray (distance from the eye), device (a depth buffer: 0 at the
-                                         # near, 1 at the far plane) or normalised (linear between the two planes)
+    source = "manual"                    # of this plane's names, where it is another than the
+                                         # profile's
+    scale = [1, -1]                      # value = (stored + offset) * scale; a normal stored as 0,
+                                         # 0, 0 stays zero
+    unit = "pixels"                      # motion: pixels, uv (0..1 of the image), ndc (-1..1),
+                                         # width (parts of the image's width, along both axes) or
+                                         # velocity (-1..1 of max_velocity)
+    per = "frame"                        # motion: from frame to frame, or while the shutter is open
+                                         # ("shutter")
+    space = "world"                      # normals: world, camera (along the axes of worldToCamera)
+                                         # or view (x right, y up, z to the viewer, whatever the
+                                         # axes of worldToCamera; right-handed world)
+    kind = "planar"                      # depth: planar, ray (distance from the eye), device (a
+                                         # depth buffer: 0 at the near, 1 at the far plane) or
+                                         # normalised (linear between the two planes)
     reversed = true                      # device and normalised depth: 1 at the near plane
     miss = 0.0                           # depth: value of pixels that hit nothing
     clamp = [0, 1]
@@ -48,7 +61,8 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
 
     [[part]]                             # layers that add up to the picture, for --aov
     names = ["RGBA_*", "{layer}Emission"]  # * stands for the name of a light group
-    kind = "light"                       # light, diffuse, specular, scatter or emission: see docs/howto/parts.md
+    kind = "light"                       # light, diffuse, specular, scatter or emission: see
+                                         # docs/howto/parts.md
     group = "light groups"               # the layers of one group add up to the picture
     factor = "{layer}Diffuse Color"      # the layer that they are stored divided by
 """
@@ -101,26 +115,29 @@ TABLE = Kind("a table", lambda value: isinstance(value, dict))
 TABLES = _list_of(TABLE, "tables in double brackets")
 TEXTS = _list_of(TEXT, "a list of texts")
 NUMBER_LIST = _list_of(NUMBER, "a list of numbers")
-RANGE = Kind("two numbers, the lower first", lambda value: NUMBER_LIST.fits(value) and len(value) == 2
-             and value[0] <= value[1])
-LETTERS = Kind("a list of texts or of lists of texts",
-               lambda value: isinstance(value, list) and all(TEXT.fits(item) or TEXTS.fits(item) for item in value))
+RANGE = Kind("two numbers, the lower first",
+             lambda value: NUMBER_LIST.fits(value) and len(value) == 2 and value[0] <= value[1])
+LETTERS = Kind("a list of texts or of lists of texts", lambda value: isinstance(value, list)
+               and all(TEXT.fits(item) or TEXTS.fits(item) for item in value))
 PATTERNS = Kind("a table of regular expressions",
                 lambda value: isinstance(value, dict) and all(map(_is_pattern, value.values())))
 
-PROFILE = {"name": TEXT, "title": TEXT, "extends": TEXT, "source": TEXT, "marker": TEXT, "detect": TABLES,
-           "header": TABLE, "camera": TABLE, "plane": TABLES, "part": TABLES}
+PROFILE = {"name": TEXT, "title": TEXT, "extends": TEXT, "source": TEXT, "marker": TEXT,
+           "detect": TABLES, "header": TABLE, "camera": TABLE, "plane": TABLES, "part": TABLES}
 PART_KEYS = {"names": TEXTS, "kind": TEXT, "group": TEXT, "factor": TEXT}
-CAMERA_KEYS = {"fov_x": NUMBER, "near": NUMBER, "far": DISTANCE, "column_vectors": YES_NO, "max_velocity": LENGTH,
-               "shutter": LENGTH}
+CAMERA_KEYS = {"fov_x": NUMBER, "near": NUMBER, "far": DISTANCE, "column_vectors": YES_NO,
+               "max_velocity": LENGTH, "shutter": LENGTH}
 DETECT = {"header": PATTERNS, "channels": TEXTS, "without": TEXTS}
-PLANE_KEYS = {"role": TEXT, "names": TEXTS, "channels": LETTERS, "requires": TEXTS, "without": TEXTS, "source": TEXT,
-              "scale": NUMBER_LIST, "offset": NUMBER_LIST, "unit": TEXT, "per": TEXT, "space": TEXT, "kind": TEXT,
+PLANE_KEYS = {"role": TEXT, "names": TEXTS, "channels": LETTERS, "requires": TEXTS,
+              "without": TEXTS, "source": TEXT, "scale": NUMBER_LIST, "offset": NUMBER_LIST,
+              "unit": TEXT, "per": TEXT, "space": TEXT, "kind": TEXT,
               "reversed": YES_NO, "miss": NUMBER, "clamp": RANGE, "enable": TEXT}
 
 
-def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path, where: str = "profile") -> None:
-    """ProfileError for a key that is not known, and for a value of another kind than its key has."""
+def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path,
+          where: str = "profile") -> None:
+    """ProfileError for a key that is not known, and for a value of another kind than its key
+    has."""
     for key in sorted(table):
         if key not in kinds:
             raise ProfileError(f"{path}: {where}: unknown key '{key}': use {', '.join(kinds)}")
@@ -129,8 +146,8 @@ def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path, where
 
 
 BUILTIN = Path(__file__).parent / "profiles"
-HEADER_KEYS = ("samples", "fov_x", "exposure", "exposure_ev", "jitter", "reset", "world_to_camera", "near", "far",
-               "max_velocity", "shutter")
+HEADER_KEYS = ("samples", "fov_x", "exposure", "exposure_ev", "jitter", "reset", "world_to_camera",
+               "near", "far", "max_velocity", "shutter")
 _MOST_BYTES = 1 << 18
 DEPTH_KINDS = ("planar", "ray", "device", "normalised")
 NAME_SOURCES = {
@@ -141,7 +158,8 @@ NAME_SOURCES = {
 }
 """Where a profile's names are from -> in words."""
 _CHOICES = {"unit": ("pixels", "uv", "ndc", "width", "velocity"), "per": ("frame", "shutter"),
-            "space": ("world", "camera", "view"), "kind": DEPTH_KINDS, "source": ("", *NAME_SOURCES)}
+            "space": ("world", "camera", "view"), "kind": DEPTH_KINDS,
+            "source": ("", *NAME_SOURCES)}
 
 
 @dataclass(frozen=True)
@@ -222,19 +240,22 @@ def profile_names() -> tuple[str, ...]:
 
 @cache
 def load_profile(name: str) -> Profile:
-    """Built-in profile by name, or a user's own by the path of its TOML file; ProfileError when neither."""
+    """Built-in profile by name, or a user's own by the path of its TOML file; ProfileError when
+    neither."""
     path = BUILTIN / f"{name}.toml"
     if not os.path.isfile(path):
         path = Path(name)
         if path.suffix != ".toml":
             known = ", ".join(profile_names())
-            raise ProfileError(f"unknown profile '{name}': use one of {known}, or the path of a TOML file")
+            raise ProfileError(f"unknown profile '{name}': use one of {known}, or the path of a "
+                               "TOML file")
     try:
         return _parse(_read_table(path), path)
     except OSError as error:
         raise ProfileError(f"{path}: profile cannot be read: {error.strerror or error}") from error
     except RecursionError as error:
-        raise ProfileError(f"{path}: profile extends itself, or its values are nested without end") from error
+        raise ProfileError(f"{path}: profile extends itself, or its values are nested without "
+                           "end") from error
 
 
 def _read_table(path: Path) -> dict[str, Any]:
@@ -261,7 +282,8 @@ def _parse(table: dict[str, Any], path: Path) -> Profile:
         marker=table.get("marker", base.marker),
         detect=tuple(_detect(rule, path) for rule in table.get("detect", [])),
         header={key: own.get(key, ()) + base.header.get(key, ()) for key in HEADER_KEYS},
-        planes=tuple(_plane({"source": source, **rule}, path) for rule in table.get("plane", [])) + base.planes,
+        planes=tuple(_plane({"source": source, **rule}, path) for rule in table.get("plane", []))
+               + base.planes,
         parts=tuple(_part(rule, path) for rule in table.get("part", [])) + base.parts,
         fov_x=camera.get("fov_x", base.fov_x),
         near=camera.get("near", base.near),
@@ -287,7 +309,8 @@ def _part(table: dict[str, Any], path: Path) -> PartRule:
     if not table.get("names"):
         raise ProfileError(f"{path}: {where}: give the names of layers")
     if table.get("kind", "light") not in ADDITIVE:
-        raise ProfileError(f"{path}: {where}: kind = {table['kind']!r}: use one of {', '.join(ADDITIVE)}")
+        raise ProfileError(f"{path}: {where}: kind = {table['kind']!r}: use one of "
+                           f"{', '.join(ADDITIVE)}")
     return PartRule(**{**table, "names": tuple(table["names"])})
 
 
@@ -303,10 +326,12 @@ def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
     if table.get("role") not in list(Role):
         raise ProfileError(f"{path}: {where}: unknown role: use one of {', '.join(Role)}")
     _check_choices(table, _CHOICES, path, where)
-    role, listed = Role(table["role"]), {"names", "channels", "requires", "without", "scale", "offset", "clamp"}
+    role, listed = Role(table["role"]), {"names", "channels", "requires", "without", "scale",
+                                         "offset", "clamp"}
     channels = tuple(tuple(letters) for letters in table.get("channels", []))
     if not channels or any(len(letters) != ROLES[role].channels for letters in channels):
-        raise ProfileError(f"{path}: {where}: each entry of channels needs {ROLES[role].channels} channels")
+        raise ProfileError(f"{path}: {where}: each entry of channels needs {ROLES[role].channels} "
+                           "channels")
     for key in ("scale", "offset"):
         if len(table.get(key, [1])) not in (1, ROLES[role].channels):
             raise ProfileError(f"{path}: {where}: {key} needs 1 or {ROLES[role].channels} numbers")
@@ -319,7 +344,8 @@ def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
 def _full_names(names: tuple[str, ...], channels: tuple[tuple[str, ...], ...], layer: str) -> \
         tuple[tuple[str, ...], ...]:
     layers = [name.replace("{layer}", layer) for name in names]
-    return tuple(tuple(_join(name, letter) for letter in letters) for name in layers for letters in channels)
+    return tuple(tuple(_join(name, letter) for letter in letters) for name in layers
+                 for letters in channels)
 
 
 def _join(name: str, letter: str) -> str:

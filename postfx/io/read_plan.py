@@ -383,8 +383,8 @@ def missing_error(role: Role, layout: Layout, index: ChannelIndex) -> MissingPla
     there = f"; it holds {'; '.join(held[:_SHOWN_LAYERS])}{more}" if role is Role.COLOUR else ""
     choose = ", choose a layer (--layer NAME)" if role is Role.COLOUR else ""
     return MissingPlaneError(
-        f"{next(iter(layout.paths.values()))}: no AOV '{role}': profile {profile.name} looks for {tried}; "
-        f"{remedy}{choose}, or name it in a profile (--profile FILE.toml){there}"
+        f"{next(iter(layout.paths.values()))}: no AOV '{role}': profile {profile.name} looks for "
+        f"{tried}; {remedy}{choose}, or name it in a profile (--profile FILE.toml){there}"
     )
 
 

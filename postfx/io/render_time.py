@@ -1,4 +1,5 @@
-"""How long a frame took to render, as renderers write it into headers: '01:02.50', '1:02:03.45', '0h  1m  2.5s'."""
+"""How long a frame took to render, as renderers write it into headers: '01:02.50', '1:02:03.45',
+'0h 1m 2.5s'."""
 
 from __future__ import annotations
 

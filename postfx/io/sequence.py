@@ -98,11 +98,13 @@ class Sequence:
         guides = options.guides
         if self.guides and not self.guides.pattern.is_numbered and len(self.numbers) > 1:
             raise SequenceError(
-                f"{guides}: one file of guides for {len(self)} frames: name them like guides.####.exr"
+                f"{guides}: one file of guides for {len(self)} frames: name them like "
+                "guides.####.exr"
             )
         if self.guides and self.guides.pattern.has_views != self.pattern.has_views:
             raise SequenceError(
-                f"{guides}: guides have files for each view where frames do: put {VIEW_FIELD} into both"
+                f"{guides}: guides have files for each view where frames do: put {VIEW_FIELD} into "
+                "both"
             )
 
     def __repr__(self) -> str:
@@ -258,7 +260,8 @@ class Sequence:
         if number not in frames:
             path = self.guides.pattern.of_view(self._key).path(number)
             raise MissingFrameError(
-                f"{path}: guides of frame {number} are missing: render them or leave the frame out with --frames"
+                f"{path}: guides of frame {number} are missing: render them or leave the frame out "
+                "with --frames"
             )
         return frames[number]
 
@@ -408,7 +411,8 @@ class Sequence:
         seen = ", ".join(role for role in (*MOTION_SOURCES, Role.DEPTH) if role in frame.planes)
         some = "" if unknown is None else "some "
         self.warn(
-            f"{some}motion is estimated from {seen}, not taken from the files (--motion file: from them alone)"
+            f"{some}motion is estimated from {seen}, not taken from the files (--motion file: from "
+            "them alone)"
         )
         if unknown is not None:
             motion = np.where(unknown, motion, frame.planes[Role.MOTION])
@@ -446,7 +450,8 @@ class Sequence:
         asked = tuple(filter(None, (self.view, *self.views))) or tuple(self._found)
         if absent := [view for view in asked if view not in self._found]:
             raise SequenceError(
-                f"{self.pattern}: no view '{absent[0]}': there are files of {', '.join(self._found)}"
+                f"{self.pattern}: no view '{absent[0]}': there are files of "
+                f"{', '.join(self._found)}"
             )
         self.view, self.views, self._all_views = asked[0], asked[1:], False
 
@@ -468,11 +473,9 @@ class Sequence:
         others = ", ".join(view for view in views[1:] if view not in self._known_views)
         return (
             [
-                f"view {views[0]} is read; {others} not, and is only copied where the output keeps other channels: "
-                "--view all denoises all of them"
-            ]
-            if others
-            else []
+                f"view {views[0]} is read; {others} not, and is only copied where the output keeps "
+                "other channels: --view all denoises all of them"
+            ] if others else []
         )
 
     def _warn_of_overlooked(self) -> None:
@@ -482,8 +485,8 @@ class Sequence:
         if found:
             names = ", ".join(map(make_printable, found[:3])) + ", ..." * (len(found) > 3)
             self.warn(
-                f"{names}: fewer digits than frames of this pattern have: not read; rename them, or name the "
-                "frames with one #"
+                f"{names}: fewer digits than frames of this pattern have: not read; rename them, "
+                "or name the frames with one #"
             )
 
     def _is_after_gap(self, number: int, previous: int | None) -> bool:

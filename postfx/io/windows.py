@@ -21,7 +21,8 @@ EXR_NAMES = {
     "smpte:TimeCode": "timeCode",
     "smpte:KeyCode": "keyCode",
 }
-"""OpenImageIO's names of standard OpenEXR attributes -> OpenEXR's own, which are used everywhere else here."""
+"""OpenImageIO's names of standard OpenEXR attributes -> OpenEXR's own, which are used everywhere
+else here."""
 
 
 _TALL = ("dwab", "htj2k")
@@ -29,11 +30,13 @@ _TALL = ("dwab", "htj2k")
 
 
 PICTURE_ATTRIBUTE = "postfx:picture"
-"""Attribute of the part whose R, G, B and A are the result, so that these are read and not the render beside them."""
+"""Attribute of the part whose R, G, B and A are the result, so that these are read and not the
+render beside them."""
 
 
 AREA = "postfx:area"
-"""Key of a frame's metadata: the rectangle that its planes cover, overscan included, like a window."""
+"""Key of a frame's metadata: the rectangle that its planes cover, overscan included, like a
+window."""
 
 
 class Window(NamedTuple):
@@ -54,7 +57,8 @@ class Window(NamedTuple):
 
     def holds(self, other: Window) -> bool:
         """Whether another rectangle lies within this one."""
-        return self.x0 <= other.x0 and self.y0 <= other.y0 and self.x1 >= other.x1 and self.y1 >= other.y1
+        return (self.x0 <= other.x0 and self.y0 <= other.y0 and self.x1 >= other.x1
+                and self.y1 >= other.y1)
 
     def around(self, other: Window) -> Window:
         """The smallest rectangle that holds both."""
@@ -69,7 +73,8 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One part (sub-image) of a file: how its pixels lie there, which is the same in all frames of most sequences.
+    """One part (sub-image) of a file: how its pixels lie there, which is the same in all frames of
+    most sequences.
 
     Attributes:
         index: of the sub-image, counted from 0.
@@ -79,7 +84,8 @@ class Part:
         formats: of the channels: half, float or uint.
         chunk: rows in which whole chunks lie.
         data, display: windows.
-        area: rectangle that planes are read in: the display window, or more where there is overscan.
+        area: rectangle that planes are read in: the display window, or more where there is
+            overscan.
         is_picture: whether its R, G, B (and A) are a picture that postfx wrote.
     """
 
@@ -121,19 +127,25 @@ def some_rows(part: Part, first: int, last: int) -> Part:
 
 
 def assign_windows(parts: list[Part]) -> tuple[Part, ...]:
-    """The parts, each with a display window and area of its own where they hold the picture at two sizes.
+    """The parts, each with a display window and area of its own where they hold the picture at two
+    sizes.
 
-    OpenEXR wants one display window in all parts of a file: either the smaller picture's or the larger one's.
+    OpenEXR wants one display window in all parts of a file: either the smaller picture's or the
+    larger one's.
     """
     windows = sorted({part.data for part in parts}, key=lambda window: window.width)
-    two_sizes = len(windows) == 2 and _is_enlarged(*windows) and all(part.display in windows for part in parts)
-    return tuple(replace(part, display=part.data, area=part.data) if two_sizes else part for part in parts)
+    two_sizes = (len(windows) == 2 and _is_enlarged(*windows)
+                 and all(part.display in windows for part in parts))
+    return tuple(replace(part, display=part.data, area=part.data) if two_sizes else part
+                 for part in parts)
 
 
 def _is_enlarged(small: Window, large: Window) -> bool:
-    """Whether a window is another one enlarged up to 3 times, to the pixel, with the same origin."""
+    """Whether a window is another one enlarged up to 3 times, to the pixel, with the same
+    origin."""
     sides = ((large.width, small.width), (large.height, small.height))
-    least, most = max((outer - 1) / side for outer, side in sides), min((outer + 1) / side for outer, side in sides)
+    least, most = max((outer - 1) / side for outer, side in sides), min((outer + 1) / side
+                                                                        for outer, side in sides)
     enlarged = all(outer > side for outer, side in sides) and least <= min(most, 3)
     return enlarged and (small.x0, small.y0) == (large.x0, large.y0)
 
@@ -148,7 +160,8 @@ def attributes_of(spec: oiio.ImageSpec) -> dict[str, Any]:
 
 def part_of(index: int, spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> Part:
     """The part that OpenImageIO describes so, and its header attributes."""
-    display, views = _window(spec.full_x, spec.full_y, spec.full_width, spec.full_height), attributes.get("multiView")
+    display, views = (_window(spec.full_x, spec.full_y, spec.full_width, spec.full_height),
+                      attributes.get("multiView"))
     return Part(
         index=index,
         name=str(attributes.get("oiio:subimagename", "")),
@@ -156,7 +169,8 @@ def part_of(index: int, spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> 
         views=tuple(map(str, views)) if isinstance(views, tuple) else None,
         channels=tuple(spec.channelnames),
         formats=tuple(map(str, spec.channelformats)) or (str(spec.format),) * spec.nchannels,
-        chunk=spec.tile_height or (256 if str(attributes.get("compression")).startswith(_TALL) else 32),
+        chunk=spec.tile_height or (256 if str(attributes.get("compression")).startswith(_TALL)
+                                   else 32),
         data=_window(spec.x, spec.y, spec.width, spec.height),
         display=display,
         area=display,
@@ -187,7 +201,8 @@ Pixels = Callable[[slice], np.ndarray]
 
 
 class OutputWindows(NamedTuple):
-    """Rectangles of an output: the area of the frame's planes, the display window and the data window."""
+    """Rectangles of an output: the area of the frame's planes, the display window and the data
+    window."""
 
     area: Window
     display: Window
@@ -197,16 +212,18 @@ class OutputWindows(NamedTuple):
 def output_windows(frame: Frame) -> OutputWindows:
     """Windows of a frame's size out of those in its metadata, which are of the input's.
 
-    Corners scale along, rounded to the nearest pixel, those of the data window outwards. A frame without windows covers
-    the display window from (0, 0).
+    Corners scale along, rounded to the nearest pixel, those of the data window outwards. A frame
+    without windows covers the display window from (0, 0).
     """
     width, height = frame.spec.width, frame.spec.height
     display = Window(*frame.metadata.get("displayWindow", (0, 0, width - 1, height - 1)))
     covered = Window(*frame.metadata.get(AREA, display))
-    return scale_windows(covered, display, Window(*frame.metadata.get("dataWindow", covered)), width, height)
+    return scale_windows(covered, display, Window(*frame.metadata.get("dataWindow", covered)),
+                         width, height)
 
 
-def scale_windows(covered: Window, display: Window, data: Window, width: int, height: int) -> OutputWindows:
+def scale_windows(covered: Window, display: Window, data: Window, width: int,
+                  height: int) -> OutputWindows:
     """Windows of an output of this size, from the input's windows."""
     scale = (width / covered.width, height / covered.height)
     corner = _scale(covered, scale)
@@ -225,10 +242,12 @@ def crop(pixels: Pixels, area: Window, window: Window) -> Pixels:
 
 def _scale(window: Window, scale: tuple[float, float]) -> Window:
     x0, y0 = round(window.x0 * scale[0]), round(window.y0 * scale[1])
-    return Window(x0, y0, round((window.x1 + 1) * scale[0]) - 1, round((window.y1 + 1) * scale[1]) - 1)
+    return Window(x0, y0, round((window.x1 + 1) * scale[0]) - 1,
+                  round((window.y1 + 1) * scale[1]) - 1)
 
 
 def cover(window: Window, scale: tuple[float, float]) -> Window:
     """A scaled rectangle, its corners rounded outwards."""
     x0, y0 = math.floor(window.x0 * scale[0]), math.floor(window.y0 * scale[1])
-    return Window(x0, y0, math.ceil((window.x1 + 1) * scale[0]) - 1, math.ceil((window.y1 + 1) * scale[1]) - 1)
+    return Window(x0, y0, math.ceil((window.x1 + 1) * scale[0]) - 1,
+                  math.ceil((window.y1 + 1) * scale[1]) - 1)

@@ -1,4 +1,5 @@
-"""Writing frames: which file each goes to, whole or not at all; linear light in EXR, display code values elsewhere."""
+"""Writing frames: which file each goes to, whole or not at all; linear light in EXR, display code
+values elsewhere."""
 
 from __future__ import annotations
 
@@ -58,40 +59,46 @@ OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 
 
 def is_display_format(path: str | PathLike[str]) -> bool:
-    """Whether files of this name hold display-encoded pictures; WriteError when the format cannot be written."""
+    """Whether files of this name hold display-encoded pictures; WriteError when the format cannot
+    be written."""
     suffix = Path(path).suffix.lower()
     if suffix in _VIDEOS:
         stem = str(Path(path).with_suffix("")).rstrip("#@.")
-        raise WriteError(f"{path}: postfx writes frames: write '{stem}.####.png', then run ffmpeg -framerate 24 -i "
-                         f"{stem}.%04d.png -pix_fmt yuv420p {stem}{suffix}")
+        raise WriteError(f"{path}: postfx writes frames: write '{stem}.####.png', then run ffmpeg "
+                         f"-framerate 24 -i {stem}.%04d.png -pix_fmt yuv420p {stem}{suffix}")
     if suffix not in WRITABLE:
         raise WriteError(f"{path}: unknown format '{suffix}': use {', '.join(WRITABLE)}")
     return suffix in DISPLAY_FORMATS
 
 
 def check_storage(path: Path, bits: int | None, compression: str, encoding: str) -> None:
-    """WriteError where files of this name cannot have so many bits or this compression, or have too few bits for code
-    values of an encoding."""
+    """WriteError where files of this name cannot have so many bits or this compression, or have too
+    few bits for code values of an encoding."""
     suffix = path.suffix.lower()
     display = None if encoding in LINEAR else parse_display(encoding)
-    may_have = (16, 32) if suffix in LINEAR_FORMATS else (8,) if suffix in JPEG_SUFFIXES else (8, 16)
+    may_have = ((16, 32) if suffix in LINEAR_FORMATS else (8,) if suffix in JPEG_SUFFIXES
+                else (8, 16))
     if bits is not None and bits not in may_have:
-        raise WriteError(f"{path}: cannot have {bits} bits: {suffix[1:].upper()} has {' or '.join(map(str, may_have))}")
-    if suffix not in LINEAR_FORMATS and display and display.hdr and (suffix in JPEG_SUFFIXES or bits == 8):
+        raise WriteError(f"{path}: cannot have {bits} bits: {suffix[1:].upper()} has "
+                         f"{' or '.join(map(str, may_have))}")
+    if (suffix not in LINEAR_FORMATS and display and display.hdr
+        and (suffix in JPEG_SUFFIXES or bits == 8)):
         few = "JPEG has too few bits" if suffix in JPEG_SUFFIXES else "8 bits are too few"
         raise WriteError(f"{path}: {few} for {display.kind.title}: write PNG or TIFF, of 16 bits")
     check_compression(path, compression)
 
 
 def check_compression(path: Path, compression: str) -> None:
-    """WriteError for a compression that OpenEXR does not have, or that is not for files of this name."""
+    """WriteError for a compression that OpenEXR does not have, or that is not for files of this
+    name."""
     name, _, level = compression.partition(":")
-    if name not in COMPRESSIONS.values() or (level and (name not in _LEVELLED or not level.isdigit())):
-        raise WriteError(f"--compression {compression}: use one of {', '.join(COMPRESSIONS.values())}, or with a level "
-                         "dwaa:45 or dwab:45")
+    if (name not in COMPRESSIONS.values()
+        or (level and (name not in _LEVELLED or not level.isdigit()))):
+        raise WriteError(f"--compression {compression}: use one of "
+                         f"{', '.join(COMPRESSIONS.values())}, or with a level dwaa:45 or dwab:45")
     if not can_compress(name):
-        raise WriteError(f"--compression {name}: OpenImageIO {oiio.__version__}, which is installed here, does not "
-                         "write it: install 3.2 or newer, or give zip")
+        raise WriteError(f"--compression {name}: OpenImageIO {oiio.__version__}, which is "
+                         "installed here, does not write it: install 3.2 or newer, or give zip")
     if compression != "zip" and path.suffix.lower() not in LINEAR_FORMATS:
         raise WriteError(f"{path}: --compression is for EXR files: leave it out")
 
@@ -107,16 +114,18 @@ def write_frame(
     bits: int | None = None,
     compression: str = "zip",
 ) -> Path:
-    """Write colour and alpha of a frame; returns the path. An EXR also holds the plane `error` of a frame that has one.
+    """Write colour and alpha of a frame; returns the path. An EXR also holds the plane `error` of a
+    frame that has one.
 
-    EXR holds linear light: a display-encoded frame is decoded, in its display's primaries, and 1 is white. The input's
-    windows are scaled to the frame's size, and its useful header attributes kept. Beside scene-linear colour also an
-    overlay that was not composited, as a layer of that name, and the frame's parts, under the names that they had. All
-    views of a frame go into one EXR, under the names that they had in its source.
+    EXR holds linear light: a display-encoded frame is decoded, in its display's primaries, and 1 is
+    white. The input's windows are scaled to the frame's size, and its useful header attributes
+    kept. Beside scene-linear colour also an overlay that was not composited, as a layer of that
+    name, and the frame's parts, under the names that they had. All views of a frame go into one
+    EXR, under the names that they had in its source.
 
-    Other files hold code values within the display window; 8 bits are dithered. They are tagged with the display that
-    they are for, see `postfx.io.encoder`. Linear frames are clipped to 0..1 there and encoded as sRGB, so tone-map them
-    first.
+    Other files hold code values within the display window; 8 bits are dithered. They are tagged
+    with the display that they are for, see `postfx.io.encoder`. Linear frames are clipped to 0..1
+    there and encoded as sRGB, so tone-map them first.
 
     The file appears under its name only when it is complete; folders are made.
 
@@ -125,27 +134,30 @@ def write_frame(
         relax: called repeatedly while the file is written.
         dither: moving, static or none.
         provenance: attributes for an EXR header that tell how the frame came about.
-        keep: write everything else that the frame's source holds into an EXR, see `postfx.io.exr.passthrough`; None:
-            only beside a picture that has the source's size.
-        bits: EXR 16 (half floats, default) or 32 (floats, default beside parts that are distances or places); PNG and
-            TIFF 8 or 16 (default: PNG 8, but 16 for HDR displays; TIFF 16); JPEG 8.
-        compression: of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab, htj2k256,
-            htj2k32, lj2k or zstd; dwaa and dwab also with a level as in 'dwaa:45'. ZIP is the fastest that shrinks,
-            pxr24 (floats), b44, dwa and lj2k lose something.
+        keep: write everything else that the frame's source holds into an EXR, see
+            `postfx.io.exr.passthrough`; None: only beside a picture that has the source's size.
+        bits: EXR 16 (half floats, default) or 32 (floats, default beside parts that are distances
+            or places); PNG and TIFF 8 or 16 (default: PNG 8, but 16 for HDR displays; TIFF 16);
+            JPEG 8.
+        compression: of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab,
+            htj2k256, htj2k32, lj2k or zstd; dwaa and dwab also with a level as in 'dwaa:45'. ZIP is
+            the fastest that shrinks, pxr24 (floats), b44, dwa and lj2k lose something.
 
-    Raises FrameError when the frame has no colour, WriteError when the file cannot be written or its format cannot
-    hold such a picture, ReadError when what is kept cannot be read.
+    Raises FrameError when the frame has no colour, WriteError when the file cannot be written or
+    its format cannot hold such a picture, ReadError when what is kept cannot be read.
     """
     path = Path(path)
     shown = is_display_format(path)
     check_storage(path, bits, compression, frame.encoding)
     if shown and frame.views:
-        raise WriteError(f"{path}: {path.suffix[1:].upper()} holds one view: write EXR, or choose one with --view NAME")
+        raise WriteError(f"{path}: {path.suffix[1:].upper()} holds one view: write EXR, or choose "
+                         "one with --view NAME")
     exact = any(source.exact for name, source in frame.part_sources.items() if name in frame.parts)
     half = half and not exact if bits is None else bits == 16
     pictures, cut = [], set[str]()
     for view in (frame, *frame.views.values()):
-        convert = _code_pixels(view, path, Dither(dither), bits) if shown else _linear_pixels(view, half, cut)
+        convert = (_code_pixels(view, path, Dither(dither), bits) if shown
+                   else _linear_pixels(view, half, cut))
         windows = output_windows(view)
         convert = crop(convert, windows.area, windows.display if shown else windows.data)
         spec = _spec(view, windows, convert(slice(0, 1)), path)
@@ -153,10 +165,13 @@ def write_frame(
             spec.attribute("compression", compression)
             set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
         pictures.append(Picture(spec, convert, view))
-    keep = not shown and enlargement_of(frame) is None if keep is None else keep  # only EXR keeps anything
-    altered = [np.zeros(0, np.bool_) if shown else _altered(picture.spec, compression) for picture in pictures]
+    # only EXR keeps anything
+    keep = (not shown and enlargement_of(frame) is None if keep is None else keep)
+    altered = [np.zeros(0, np.bool_) if shown else _altered(picture.spec, compression)
+               for picture in pictures]
     names = {name for picture, channels in zip(pictures, altered, strict=True)
-             for name, is_altered in zip(picture.spec.channelnames, channels, strict=False) if is_altered}
+             for name, is_altered in zip(picture.spec.channelnames, channels, strict=False)
+             if is_altered}
     names |= {f"{view}.{name}" for view in frame.views for name in names}
     lost: list[bool] = []
     with output_file(path) as temporary:
@@ -172,22 +187,25 @@ def write_frame(
     if lost:
         TOLD.warning("%s: pixels that are NaN become black by %s compression", path, compression)
     if limit is not None:
-        TOLD.warning("%s: light above %d is cut there, as %s compression would make it infinite", path, limit,
-                     compression)
+        TOLD.warning("%s: light above %d is cut there, as %s compression would make it infinite",
+                     path, limit, compression)
     elif cut:
-        TOLD.warning("%s: %s above %d is cut there, as half floats hold no more: give 32 bits (--bits 32) to keep it",
-                     path, " and ".join(sorted(cut)), MOST_HALF)
+        TOLD.warning("%s: %s above %d is cut there, as half floats hold no more: give 32 bits "
+                     "(--bits 32) to keep it", path, " and ".join(sorted(cut)), MOST_HALF)
     return path
 
 
-def _write_display(path: Path, suffix: str, picture: Picture, relax: Callable[[], None] | None) -> None:
-    """Encode a picture for a display in the format of a suffix. Raises OSError unless all bytes are in the file, which
-    encoders do not tell."""
+def _write_display(path: Path, suffix: str, picture: Picture,
+                   relax: Callable[[], None] | None) -> None:
+    """Encode a picture for a display in the format of a suffix. Raises OSError unless all bytes are
+    in the file, which encoders do not tell."""
     spec, convert, _ = picture
     if suffix in JPEG_SUFFIXES:
-        write_jpeg(path, spec.image_bytes(), lambda to: encode_all(to, suffix, spec, convert, relax))
+        write_jpeg(path, spec.image_bytes(),
+                   lambda to: encode_all(to, suffix, spec, convert, relax))
     elif suffix == ".png" and spec.nchannels == OWN_CHANNELS:
-        write_png(path, encode_pixel(suffix, spec), (spec.width, spec.height), cut_pieces(spec, convert, relax))
+        write_png(path, encode_pixel(suffix, spec), (spec.width, spec.height),
+                  cut_pieces(spec, convert, relax))
     else:
         encode_all(path, suffix, spec, convert, relax)
     if not has_end(path, suffix):
@@ -201,9 +219,11 @@ def write_channels(
     at: tuple[int, int] = (0, 0),
     full: tuple[int, int] | None = None,
 ) -> Path:
-    """Write planes (height, width) under the names of their channels into an EXR of 32-bit floats; returns the path.
+    """Write planes (height, width) under the names of their channels into an EXR of 32-bit floats;
+    returns the path.
 
-    at, full: column and row of the planes in a larger picture, and its width and height, as for a region of a render.
+    at, full: column and row of the planes in a larger picture, and its width and height, as for a
+    region of a render.
     """
     path, planes = Path(path), [np.asarray(plane, np.float32) for plane in channels.values()]
     height, width = planes[0].shape
@@ -214,13 +234,14 @@ def write_channels(
     spec.attribute("compression", "zip")
     set_attributes(spec, attributes or {})
     with output_file(path) as temporary:
-        write_exr(temporary, [Picture(spec, lambda rows: np.stack([plane[rows] for plane in planes], axis=2))])
+        write_exr(temporary,
+                  [Picture(spec, lambda rows: np.stack([plane[rows] for plane in planes], axis=2))])
     return path
 
 
 _LIMITS = (None, 60000, 52000, 40000, 24000)
-"""Light at which pictures are cut, one after the other, until lossy compression, which errs by some percent of what is
-around a pixel, leaves all within half floats."""
+"""Light at which pictures are cut, one after the other, until lossy compression, which errs by some
+percent of what is around a pixel, leaves all within half floats."""
 _CODING, _ROUNDING = (*_LEVELLED, "lj2k"), "b44"
 """Compressions that alter colours, and how those are called that alter all half floats."""
 _CODED = ("r", "g", "b", "y", "ry", "by")
@@ -233,14 +254,18 @@ def _word(name: str) -> str:
 
 
 def _altered(spec: oiio.ImageSpec, compression: str) -> np.ndarray:
-    """Which channels a compression alters so that NaN is lost, and infinity or NaN may be made of large light."""
+    """Which channels a compression alters so that NaN is lost, and infinity or NaN may be made of
+    large light."""
     if compression.startswith(_ROUNDING):
         return np.full(spec.nchannels, spec.format == oiio.HALF)
-    return np.array([compression.startswith(_CODING) and _word(name) in _CODED for name in spec.channelnames])
+    return np.array([compression.startswith(_CODING) and _word(name) in _CODED
+                     for name in spec.channelnames])
 
 
-def _limited(picture: Picture, altered: np.ndarray, limit: float | None, lost: list[bool]) -> Picture:
-    """A picture whose altered channels are cut at a limit and are 0 in place of NaN, of which `lost` is told."""
+def _limited(picture: Picture, altered: np.ndarray, limit: float | None,
+             lost: list[bool]) -> Picture:
+    """A picture whose altered channels are cut at a limit and are 0 in place of NaN, of which
+    `lost` is told."""
 
     def convert(rows: slice) -> np.ndarray:
         pixels = picture.convert(rows)
@@ -249,7 +274,8 @@ def _limited(picture: Picture, altered: np.ndarray, limit: float | None, lost: l
             pixels = np.where(is_nan, pixels.dtype.type(0), pixels)
         if limit is None:
             return pixels
-        return np.where(altered & (np.abs(pixels) > limit), np.copysign(pixels.dtype.type(limit), pixels), pixels)
+        return np.where(altered & (np.abs(pixels) > limit),
+                        np.copysign(pixels.dtype.type(limit), pixels), pixels)
 
     return picture._replace(convert=convert)
 
@@ -262,17 +288,20 @@ def _is_finite(path: Path, names: set[str]) -> bool:
     found, part = True, 0
     while found and image.seek_subimage(part, 0):
         known = [name in names for name in image.spec().channelnames]
-        first, last = (known.index(True), len(known) - known[::-1].index(True)) if any(known) else (0, 0)
-        pixels = image.read_image(part, 0, first, last, oiio.HALF) if last and not image.spec().deep else None
-        found = pixels is None or bool(np.isfinite(pixels.reshape(-1, last - first)[:, known[first:last]]).all())
+        first, last = ((known.index(True), len(known) - known[::-1].index(True)) if any(known)
+                       else (0, 0))
+        pixels = (image.read_image(part, 0, first, last, oiio.HALF)
+                  if last and not image.spec().deep else None)
+        found = (pixels is None
+                 or bool(np.isfinite(pixels.reshape(-1, last - first)[:, known[first:last]]).all()))
         part += 1
     image.close()
     return found
 
 
 def is_complete(path: str | PathLike[str], width: int, height: int) -> bool:
-    """Whether a file holds a readable image whose display window is of this size: every pixel of it is decoded, and all
-    else that an OpenEXR file holds is there."""
+    """Whether a file holds a readable image whose display window is of this size: every pixel of it
+    is decoded, and all else that an OpenEXR file holds is there."""
     image = oiio.ImageInput.open(str(path)) if os.path.isfile(path) else None
     if image is None:
         reason_of(oiio.geterror)
@@ -291,14 +320,17 @@ def _display_of(frame: Frame) -> Display | None:
 
 
 def _linear_pixels(frame: Frame, half: bool, cut: set[str]) -> Pixels:
-    """Rows of light as they are written. cut: gets the names of planes of which half floats hold less than there is."""
+    """Rows of light as they are written. cut: gets the names of planes of which half floats hold
+    less than there is."""
     display, names = _display_of(frame), _names_of_planes(frame)
 
     def convert(rows: slice) -> np.ndarray:
         colour = frame[Role.COLOUR][rows]
         colour = light_of(colour, display) if display else colour
-        pixels = _with_parts(_with_layer(_with_alpha(colour, frame, rows), frame, rows), frame, rows)
-        pixels = np.concatenate([pixels, frame[Role.ERROR][rows]], axis=2) if Role.ERROR in frame else pixels
+        pixels = _with_parts(_with_layer(_with_alpha(colour, frame, rows), frame, rows), frame,
+                             rows)
+        pixels = (np.concatenate([pixels, frame[Role.ERROR][rows]], axis=2) if Role.ERROR in frame
+                  else pixels)
         if half and largest_bits_of(pixels) >= _BEYOND_HALF:
             beyond = (np.abs(pixels) >= BEYOND_HALF).any((0, 1))
             cut.update(name for name, is_beyond in zip(names, beyond, strict=True) if is_beyond)
@@ -322,7 +354,8 @@ def _code_pixels(frame: Frame, path: Path, dither: Dither, bits: int | None) -> 
     def convert(rows: slice) -> np.ndarray:
         colour = frame[Role.COLOUR][rows]
         codes = colour if display else SRGB.encode(colour)
-        codes = _divide_by_alpha(codes, frame[Role.ALPHA][rows], display or SRGB_DISPLAY) if straight else codes
+        codes = (_divide_by_alpha(codes, frame[Role.ALPHA][rows], display or SRGB_DISPLAY)
+                 if straight else codes)
         pixels = codes if opaque else _with_alpha(codes, frame, rows)
         return quantise(pixels, depth, dither, frame.number, rows.start)
 
@@ -330,7 +363,8 @@ def _code_pixels(frame: Frame, path: Path, dither: Dither, bits: int | None) -> 
 
 
 def _divide_by_alpha(codes: np.ndarray, alpha: np.ndarray, display: Display) -> np.ndarray:
-    """Codes (h, w, 3) of light without alpha (h, w, 1) in it, as PNG wants them (PNG specification, 6.2)."""
+    """Codes (h, w, 3) of light without alpha (h, w, 1) in it, as PNG wants them (PNG specification,
+    6.2)."""
     partly = (alpha[..., 0] > 0) & (alpha[..., 0] < 1)
     found = np.array(codes)
     found[partly] = display.encode(light_of(codes[partly], display) / alpha[partly])
@@ -338,11 +372,13 @@ def _divide_by_alpha(codes: np.ndarray, alpha: np.ndarray, display: Display) -> 
 
 
 def _with_alpha(colour: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
-    return np.concatenate([colour, frame[Role.ALPHA][rows]], axis=2) if Role.ALPHA in frame else colour
+    return (np.concatenate([colour, frame[Role.ALPHA][rows]], axis=2) if Role.ALPHA in frame
+            else colour)
 
 
 def _with_layer(pixels: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
-    return np.concatenate([pixels, frame[Role.OVERLAY][rows]], axis=2) if _has_layer(frame) else pixels
+    return (np.concatenate([pixels, frame[Role.OVERLAY][rows]], axis=2) if _has_layer(frame)
+            else pixels)
 
 
 def _with_parts(pixels: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
@@ -351,9 +387,10 @@ def _with_parts(pixels: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
 
 
 def _divide_part(frame: Frame, name: str, rows: slice) -> np.ndarray:
-    """A part as its file stores it: divided by its factor, 0 where that is 0; a factor is at least LEAST_FACTOR where
-    there is light, which would be lost."""
-    divided = [other for other, source in frame.part_sources.items() if source.factor == name and other in frame.parts]
+    """A part as its file stores it: divided by its factor, 0 where that is 0; a factor is at least
+    LEAST_FACTOR where there is light, which would be lost."""
+    divided = [other for other, source in frame.part_sources.items()
+               if source.factor == name and other in frame.parts]
     if divided:
         factor, light = frame.parts[name][rows], [frame.parts[other][rows] > 0 for other in divided]
         return np.where(np.any(light, axis=0), np.maximum(factor, LEAST_FACTOR), factor)
@@ -381,7 +418,8 @@ def _part_channels(frame: Frame) -> tuple[str, ...]:
 
 def _further_channels(frame: Frame) -> tuple[str, ...]:
     """Names of the channels behind the picture's."""
-    overlay, error = OVERLAY_LAYER if _has_layer(frame) else (), (ERROR_CHANNEL,) * (Role.ERROR in frame)
+    overlay, error = (OVERLAY_LAYER if _has_layer(frame) else (),
+                      (ERROR_CHANNEL,) * (Role.ERROR in frame))
     return (*overlay, *_part_channels(frame), *error)
 
 
@@ -393,7 +431,8 @@ def _has_layer(frame: Frame) -> bool:
 def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) -> oiio.ImageSpec:
     channels, shown = pixels.shape[2], is_display_format(path)
     window = windows.display if shown else windows.data
-    spec = oiio.ImageSpec(window.width, window.height, channels, oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
+    spec = oiio.ImageSpec(window.width, window.height, channels,
+                          oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
     layer = () if shown else _further_channels(frame)
     spec.channelnames = ("R", "G", "B", "A")[: channels - len(layer)] + layer
     display = _display_of(frame)
@@ -407,7 +446,8 @@ def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) 
         spec.attribute("png:filter", _PNG_PAETH)
         return spec
     spec.x, spec.y, full = window.x0, window.y0, windows.display
-    spec.full_x, spec.full_y, spec.full_width, spec.full_height = full.x0, full.y0, full.width, full.height
+    spec.full_x, spec.full_y, spec.full_width, spec.full_height = (full.x0, full.y0, full.width,
+                                                                   full.height)
     set_attributes(spec, select_attributes(frame))
     if display:
         tag_light(spec, display.kind.primaries, display.white)
@@ -425,25 +465,29 @@ class ExistingFiles(StrEnum):
 class OutputFiles:
     """Output files of a sequence.
 
-    `target` is a pattern with a frame number, a folder (input names are kept, as EXR), or one file for one frame; with
-    {view} each view has a file of its own. Raises WriteError when the format is unknown, when several frames would
-    share a file, when views that were read from files of their own would, or when an output would be an input;
-    OutputExistsError from `check`.
+    `target` is a pattern with a frame number, a folder (input names are kept, as EXR), or one file
+    for one frame; with {view} each view has a file of its own. Raises WriteError when the format is
+    unknown, when several frames would share a file, when views that were read from files of their
+    own would, or when an output would be an input; OutputExistsError from `check`.
     """
 
-    def __init__(self, target: str, sequence: Sequence, existing: ExistingFiles = ExistingFiles.REFUSE) -> None:
+    def __init__(self, target: str, sequence: Sequence,
+                 existing: ExistingFiles = ExistingFiles.REFUSE) -> None:
         self.existing, self._sequence = existing, sequence
         target = with_slashes(os.path.expanduser(target))
         self._pattern = _output_pattern(target, sequence.pattern)
         self.display = is_display_format(str(self._pattern))
         if len(sequence) > 1 and not self._pattern.is_numbered:
             stem, suffix = Path(target).stem, Path(target).suffix
-            raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like {stem}.####{suffix}")
+            raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like "
+                             f"{stem}.####{suffix}")
         if VIEW_FIELD in os.path.dirname(self._pattern.prefix):
-            raise WriteError(f"{self._pattern}: all views go into one folder: put {VIEW_FIELD} into the file's name")
+            raise WriteError(f"{self._pattern}: all views go into one folder: put {VIEW_FIELD} "
+                             "into the file's name")
         if sequence.pattern.has_views and sequence.views and not self.has_views:
-            raise WriteError(f"{target}: one file for {len(sequence.views) + 1} views, which have files of their own: "
-                             f"put {VIEW_FIELD} into the name, or choose one with --view NAME")
+            raise WriteError(f"{target}: one file for {len(sequence.views) + 1} views, which have "
+                             f"files of their own: put {VIEW_FIELD} into the name, or choose one "
+                             "with --view NAME")
         self._refuse_inputs(sequence)
 
     @property
@@ -472,19 +516,23 @@ class OutputFiles:
                 zip(self.paths(frame.number), (frame, *frame.views.values()), strict=True)]
 
     def check(self, numbers: tuple[int, ...]) -> None:
-        """OutputExistsError when a file is already there and is to be neither overwritten nor skipped."""
+        """OutputExistsError when a file is already there and is to be neither overwritten nor
+        skipped."""
         if self.existing is ExistingFiles.REFUSE:
             for path in self._guess_paths(numbers):
                 if os.path.lexists(path):
-                    raise OutputExistsError(f"{path}: is already there: give --overwrite or --skip-existing")
+                    raise OutputExistsError(f"{path}: is already there: give --overwrite or "
+                                            "--skip-existing")
 
-    def check_storage(self, encoding: str, bits: int | None = None, compression: str = "zip") -> None:
-        """WriteError where the format cannot have these bits or this compression, or too few for an encoding."""
+    def check_storage(self, encoding: str, bits: int | None = None,
+                      compression: str = "zip") -> None:
+        """WriteError where the format cannot have these bits or this compression, or too few for an
+        encoding."""
         check_storage(Path(str(self._pattern)), bits, compression, encoding)
 
     def _refuse_inputs(self, sequence: Sequence) -> None:
-        """No input may be replaced, whatever links, `..` or letter case lead there, and no output may become a frame of
-        the input: the next run would read it."""
+        """No input may be replaced, whatever links, `..` or letter case lead there, and no output
+        may become a frame of the input: the next run would read it."""
         inputs = {_place(path) for path in sequence.all_files()}
         outputs = self._guess_paths(sequence.numbers)
         there = any(map(os.path.lexists, outputs))
@@ -493,15 +541,19 @@ class OutputFiles:
             if _place(path) in inputs or _identity(path) in linked:
                 raise WriteError(f"{path}: is an input: write to another folder or name")
             if sequence.pattern.includes(path):
-                raise WriteError(f"{path}: would be a frame of the input: write to another folder or name")
+                raise WriteError(f"{path}: would be a frame of the input: write to another folder "
+                                 "or name")
 
     def _views(self) -> list[str]:
         """Views that have files of their own; '' where all share one."""
-        return [view or "" for view in (self._sequence.view, *self._sequence.views)] if self.has_views else [""]
+        return ([view or "" for view in (self._sequence.view, *self._sequence.views)]
+                if self.has_views else [""])
 
     def _guess_paths(self, numbers: Iterable[int]) -> list[Path]:
-        """Files of frames, of whatever views are on the disk where no frame was opened yet that tells them."""
-        views = [view for view in self._views() if view or not self.has_views] or ["view", *self._pattern.by_view()]
+        """Files of frames, of whatever views are on the disk where no frame was opened yet that
+        tells them."""
+        views = ([view for view in self._views() if view or not self.has_views]
+                 or ["view", *self._pattern.by_view()])
         return [self._pattern.of_view(view).path(number) for number in numbers for view in views]
 
 
@@ -520,14 +572,16 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 
 def check_folder(folder: Path, option: str) -> None:
-    """Make a folder and raise WriteError where it cannot be written, so that a run fails before its first frame."""
+    """Make a folder and raise WriteError where it cannot be written, so that a run fails before its
+    first frame."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         raise WriteError(
-            f"{option} folder '{folder}' cannot be written ({error.strerror}): give --{option} another folder"
+            f"{option} folder '{folder}' cannot be written ({error.strerror}): give --{option} "
+            "another folder"
         ) from error
 
 
@@ -535,7 +589,8 @@ def _output_pattern(target: str, source: Pattern) -> Pattern:
     if not is_utf8(target):
         raise WriteError(f"{make_printable(target)}: is not UTF-8: choose another name")
     if PLANE_FIELD in split_folder(target)[1]:
-        raise WriteError(f"{target}: {PLANE_FIELD} is for input: leave it out, the AOVs of a frame go into one file")
+        raise WriteError(f"{target}: {PLANE_FIELD} is for input: leave it out, the AOVs of a frame "
+                         "go into one file")
     if not (target.endswith("/") or os.path.isdir(target) or not Path(target).suffix):
         return parse_pattern(target)
     start, end = source.prefix.rpartition("/")[2].replace(PLANE_FIELD, "frame"), source.suffix

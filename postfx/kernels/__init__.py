@@ -1,5 +1,5 @@
-"""Small compute kernels: named tensor arguments, a function that computes rows of the output on the CPU, and where the
-other forms are: a portable one in ONNX, and a source for CUDA.
+"""Small compute kernels: named tensor arguments, a function that computes rows of the output on the
+CPU, and where the other forms are: a portable one in ONNX, and a source for CUDA.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from postfx.system import models_dir
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 BRIGHTEST = np.float32(1e10)
-"""Light beyond counts as this much where colours are looked up, so that infinity times zero is no NaN."""
+"""Light beyond counts as this much where colours are looked up, so that infinity times zero is no
+NaN."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class Blocks:
         shared: bytes of dynamic shared memory, or as many as the GPU has.
         most: blocks at most; with fewer than there are rows for, each takes every so many rows.
         columns: of its rows that a block makes; 0 for all of them.
-        between: numbers in memory that blocks share, 0 before the first run and left to the next one; the CUDA
-            function's last argument.
+        between: numbers in memory that blocks share, 0 before the first run and left to the next
+            one; the CUDA function's last argument.
     """
 
     rows: int
@@ -55,27 +56,30 @@ class Blocks:
 class Kernel:
     """One small compute kernel, over float32 tensors unless `types` says otherwise.
 
-    On the CPU `Device.compute_state(kernel)` runs `rows`, split into bands over the device's threads. On a GPU it runs
-    the kernel's CUDA source. Where there is none, it runs the portable definition, an ONNX file whose inputs and
-    outputs carry the names given here.
+    On the CPU `Device.compute_state(kernel)` runs `rows`, split into bands over the device's
+    threads. On a GPU it runs the kernel's CUDA source. Where there is none, it runs the portable
+    definition, an ONNX file whose inputs and outputs carry the names given here.
 
-    The kernels that come with postfx have their portable definitions in `models/kernels`. Those of a plug-in are found
-    in the folder of the module that defines `rows`, or in `folder`: `<name>.onnx`, and CUDA functions of the kernel's
-    name in any file `*.cu`. A kernel of a plug-in never gets a form of ours, whatever its name.
+    The kernels that come with postfx have their portable definitions in `models/kernels`. Those of
+    a plug-in are found in the folder of the module that defines `rows`, or in `folder`:
+    `<name>.onnx`, and CUDA functions of the kernel's name in any file `*.cu`. A kernel of a plug-in
+    never gets a form of ours, whatever its name.
 
     Attributes:
         name: the kernel's and its portable file's name, for example 'slice_apply'.
-        reads: names of the arguments that are read, in argument order; scalars are small vectors such as 'params'.
-        writes: names of the arguments that are written, in argument order. One that is also read is changed in place:
-            it is one argument, among those that are read, and one output '<name>_out' of the portable definition.
-        rows: `rows(y0, y1, *reads, *writes)` computes rows y0 to y1 - 1 of every written argument and nothing else.
-            `postfx.compiled.library.Rows` names one in C++. Any function of these arguments will do, which the
-            device's threads call for bands of rows at once.
+        reads: names of the arguments that are read, in argument order; scalars are small vectors
+            such as 'params'.
+        writes: names of the arguments that are written, in argument order. One that is also read is
+            changed in place: it is one argument, among those that are read, and one output
+            '<name>_out' of the portable definition.
+        rows: `rows(y0, y1, *reads, *writes)` computes rows y0 to y1 - 1 of every written argument
+            and nothing else. `postfx.compiled.library.Rows` names one in C++. Any function of these
+            arguments will do, which the device's threads call for bands of rows at once.
         row_axis: the written binding and its axis that count the rows, for example ('output', 0).
-        shapes: binding name -> dimensions, each a number or a symbol such as 'height'; a symbol has one value
-            within one dispatch, and 'k*symbol' with a whole number k is allowed ('2*height'). Compiled rows do not
-            check bounds, so shapes given here are checked for them; they also let the device compile `rows` before
-            the first frame.
+        shapes: binding name -> dimensions, each a number or a symbol such as 'height'; a symbol has
+            one value within one dispatch, and 'k*symbol' with a whole number k is allowed
+            ('2*height'). Compiled rows do not check bounds, so shapes given here are checked for
+            them; they also let the device compile `rows` before the first frame.
         types: binding name -> element type, if not float32.
         blocks: of threads on a GPU; by default each thread makes some pixels.
         pixels: how many of them, down and across.
@@ -98,7 +102,8 @@ class Kernel:
         if len(set(self.reads)) + len(set(self.writes)) != len(names):
             raise ValueError(f"kernel '{self.name}' names a binding twice: {', '.join(names)}")
         if self.row_axis[0] not in self.writes:
-            raise ValueError(f"kernel '{self.name}' counts rows of '{self.row_axis[0]}', which it does not write")
+            raise ValueError(f"kernel '{self.name}' counts rows of '{self.row_axis[0]}', which it "
+                             "does not write")
         unknown = {*self.shapes, *self.types} - set(names)
         if unknown:
             raise ValueError(f"kernel '{self.name}' gives shapes or types of unknown bindings: "
@@ -106,7 +111,8 @@ class Kernel:
 
     @property
     def in_place(self) -> dict[str, str]:
-        """Arguments that are changed in place, with the name of the portable definition's output."""
+        """Arguments that are changed in place, with the name of the portable definition's
+        output."""
         return {name: f"{name}_out" for name in self.reads if name in self.writes}
 
     def fixed_shape(self, name: str) -> tuple[int, ...]:
@@ -149,9 +155,10 @@ def find_source(kernel: Kernel) -> Path | None:
 
 @cache
 def read_source(family: Path) -> str:
-    """The source that is compiled for a file of kernels: the declaration of arguments, for our own kernels also the
-    constants and the code that all families share, then the header of the same name, if there is one, and the file.
-    A plug-in's `#include <postfx/mlp.cuh>` becomes that header."""
+    """The source that is compiled for a file of kernels: the declaration of arguments, for our own
+    kernels also the constants and the code that all families share, then the header of the same
+    name, if there is one, and the file. A plug-in's `#include <postfx/mlp.cuh>` becomes that
+    header."""
     view = (SHARED / "view.cuh").read_text()
     files = [path for path in (family.with_suffix(".cuh"), family) if path.exists()]
     if not family.is_relative_to(KERNEL_SOURCES):
@@ -163,36 +170,42 @@ def read_source(family: Path) -> str:
 
 
 def _with_headers(path: Path) -> str:
-    """A file with our headers in the place of its includes. Those that a CPU has, too, include what only a CPU needs:
-    these lines are left out."""
+    """A file with our headers in the place of its includes. Those that a CPU has, too, include what
+    only a CPU needs: these lines are left out."""
     text = path.read_text()
     if path.suffix == ".h":
         return re.sub(r"^#(?:pragma|include) .*\n", "", text, flags=re.M)
-    return re.sub(r'^#include "(.+)"\n', lambda found: _with_headers(SHARED / found[1]), text, flags=re.M)
+    return re.sub(r'^#include "(.+)"\n', lambda found: _with_headers(SHARED / found[1]), text,
+                  flags=re.M)
 
 
 @cache
 def convolution_source(warpgroups: bool) -> str:
     """What is compiled before the kernels of a network's layers."""
-    source = "".join((SHARED / name).read_text() for name in ("common.cuh", "products.cuh", "convolution.cuh"))
+    source = "".join((SHARED / name).read_text()
+                     for name in ("common.cuh", "products.cuh", "convolution.cuh"))
     constants = print_constants(constants_of(SHARED / "denoise" / "network_io.cu", source))
-    return "#define WARPGROUPS\n" * warpgroups + (SHARED / "view.cuh").read_text() + constants + source
+    return ("#define "
+            "WARPGROUPS\n" * warpgroups + (SHARED / "view.cuh").read_text() + constants + source)
 
 
 def constants_of(family: Path, source: str) -> dict[str, Any]:
-    """Numbers of Python that a source of ours names, by name: those of the module beside its file, if there is one,
-    those that the upscaler's kernels share, and those of this module. A pair NAME of a low and a high number is
-    NAME_LOW and NAME_HIGH."""
+    """Numbers of Python that a source of ours names, by name: those of the module beside its file,
+    if there is one, those that the upscaler's kernels share, and those of this module. A pair NAME
+    of a low and a high number is NAME_LOW and NAME_HIGH."""
     modules = [__name__, "postfx.kernels.denoise"]
     if family.with_suffix(".py").exists():
-        modules.append(".".join(("postfx", *family.relative_to(KERNEL_SOURCES).with_suffix("").parts)))
+        modules.append(".".join(("postfx",
+                                 *family.relative_to(KERNEL_SOURCES).with_suffix("").parts)))
     known: dict[str, Any] = {}
     for module in modules:
         known |= vars(import_module(module))
-    pairs = {f"{name}_{end}": value[at] for name, value in known.items() if isinstance(value, tuple) and len(value) == 2
+    pairs = {f"{name}_{end}": value[at]
+             for name, value in known.items() if isinstance(value, tuple) and len(value) == 2
              for at, end in enumerate(("LOW", "HIGH"))}
     found = {name: (known | pairs).get(name) for name in dict.fromkeys(_NAME.findall(source))}
-    return {name: value for name, value in found.items() if isinstance(value, int | float | np.number)}
+    return {name: value
+            for name, value in found.items() if isinstance(value, int | float | np.number)}
 
 
 def print_constants(constants: Mapping[str, Any]) -> str:
@@ -200,8 +213,10 @@ def print_constants(constants: Mapping[str, Any]) -> str:
     lines = []
     for name, value in constants.items():
         kind = _TYPES.get(type(value), "float")
-        digits = int(value) if kind == "int" else float(value)  # NumPy's own text depends on its print options
-        lines.append(f"[[maybe_unused]] const {kind} {name} = {digits!r}{'f' if kind == 'float' else ''};\n")
+        # NumPy's own text depends on its print options
+        digits = (int(value) if kind == "int" else float(value))
+        lines.append(f"[[maybe_unused]] const {kind} {name} = "
+                     f"{digits!r}{'f' if kind == 'float' else ''};\n")
     return "".join(lines)
 
 

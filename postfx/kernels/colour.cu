@@ -1,12 +1,13 @@
-// Looks colours up in a cube: colour (height, width, 3), params (3,), matrix (9,), cube (size, size, size, 3) ->
-// output (height, width, 3).
+// Looks colours up in a cube: colour (height, width, 3), params (3,), matrix (9,), cube (size,
+// size, size, 3) -> output (height, width, 3).
 template <int NUMBERS>
-__device__ inline void look_up(const View& colour, const View& params, const View& matrix, const View& cube,
-                               const View& output) {
+__device__ inline void look_up(const View& colour, const View& params, const View& matrix,
+                               const View& cube, const View& output) {
     // A thread makes two pixels beside each other.
     __shared__ Pair staged[DOWN][3 * ACROSS];
     const int width = output.size[1], height = output.size[0], start = 2 * ACROSS * blockIdx.x;
-    const int y = blockIdx.y * DOWN + threadIdx.y, x = min(start + 2 * int(threadIdx.x), (width - 1) / 2 * 2);
+    const int y = blockIdx.y * DOWN + threadIdx.y,
+              x = min(start + 2 * int(threadIdx.x), (width - 1) / 2 * 2);
     if (y >= height) return;
     const Shaper by = shaper(params, matrix);
     const size_t here = 3 * (size_t(y) * width + x);
@@ -34,19 +35,19 @@ __device__ inline void look_up(const View& colour, const View& params, const Vie
     put_pixels(staged[threadIdx.y], found, output, y, x, start);
 }
 
-extern "C" __global__ void __launch_bounds__(256, 4) apply_cube(View colour, View params, View matrix, View cube,
-                                                                View output) {
+extern "C" __global__ void __launch_bounds__(256, 4)
+    apply_cube(View colour, View params, View matrix, View cube, View output) {
     look_up<3>(colour, params, matrix, cube, output);
 }
 
 // The same with a cube (size, size, size, 4).
-extern "C" __global__ void __launch_bounds__(256, 4) apply_cube_fours(View colour, View params, View matrix, View cube,
-                                                                      View output) {
+extern "C" __global__ void __launch_bounds__(256, 4)
+    apply_cube_fours(View colour, View params, View matrix, View cube, View output) {
     look_up<4>(colour, params, matrix, cube, output);
 }
 
-// Colour (height, width, 3) to a display's code values: decoded if it is code values, turned by a matrix, cut, encoded.
-// params (12,), decode (4098,), encode (4098,): see postfx/kernels/colour.py.
+// Colour (height, width, 3) to a display's code values: decoded if it is code values, turned by a
+// matrix, cut, encoded. params (12,), decode (4098,), encode (4098,): see postfx/kernels/colour.py.
 
 // A table between its entries, at a share of it in [0, 1].
 __device__ inline float looked_up(const View& table, float share) {
@@ -60,7 +61,8 @@ __device__ inline float root(float value) {
     return sqrtf(sqrtf(sqrtf(value)));
 }
 
-extern "C" __global__ void encode_display(View colour, View params, View decode, View encode, View output) {
+extern "C" __global__ void encode_display(View colour, View params, View decode, View encode,
+                                          View output) {
     const int width = output.size[1];
     PIXEL(width, output.size[0]);
     const float* const m = params.at;
@@ -73,8 +75,10 @@ extern "C" __global__ void encode_display(View colour, View params, View decode,
         if (codes) in[c] = looked_up(decode, fminf(fmaxf(in[c], 0.0f), 1.0f));
     }
     for (int c = 0; c < 3; c++)
-        light[c] = fminf(fmaxf(m[3 * c] * in[0] + m[3 * c + 1] * in[1] + m[3 * c + 2] * in[2], 0.0f), most);
+        light[c] = fminf(
+            fmaxf(m[3 * c] * in[0] + m[3 * c + 1] * in[1] + m[3 * c + 2] * in[2], 0.0f), most);
     const float luminance = RED * light[0] + GREEN * light[1] + BLUE * light[2];
     const float gain = exponent == 0.0f ? 1.0f : powf(fmaxf(luminance, DARK), exponent);
-    for (int c = 0; c < 3; c++) output.at[here + c] = looked_up(encode, root(fminf(light[c] * gain, 1.0f)));
+    for (int c = 0; c < 3; c++)
+        output.at[here + c] = looked_up(encode, root(fminf(light[c] * gain, 1.0f)));
 }

@@ -20,13 +20,14 @@ __device__ inline int within(int index, int size) {
     return min(max(index, 0), size - 1);
 }
 
-// How much of the history a render pixel of the part uses; `keep` has one number for all of them, or one for each.
+// How much of the history a render pixel of the part uses; `keep` has one number for all of them,
+// or one for each.
 __device__ inline float share_of(const View& keep, int row, int column) {
     return keep.at[within(row, keep.size[0]) * keep.size[1] + within(column, keep.size[1])];
 }
 
-// Which part of the frame the kernels work on: first row and column at render size, the frame's size, and both at
-// output size. A part may end beyond the frame.
+// Which part of the frame the kernels work on: first row and column at render size, the frame's
+// size, and both at output size. A part may end beyond the frame.
 struct Window {
     int top, left, h, w, out_top, out_left, height, width;
 };
@@ -42,7 +43,8 @@ __device__ inline bool is_doubled(const Window& part) {
     return part.width == 2 * part.w && part.height == 2 * part.h;
 }
 
-// The render pixel that holds an output pixel's centre; `offset` becomes the centre's offset from it in [-0.5, 0.5).
+// The render pixel that holds an output pixel's centre; `offset` becomes the centre's offset from
+// it in [-0.5, 0.5).
 __device__ inline int centre(int position, int size, int out_size, float& offset) {
     const long long at = (2LL * position + 1) * size;  // in units of 1 / (2 out_size): exact
     const int index = int(at / (2LL * out_size));
@@ -50,9 +52,11 @@ __device__ inline int centre(int position, int size, int out_size, float& offset
     return index;
 }
 
-// How near a render pixel is to what is worked on, by cells (cells, cells), or by one number for all.
+// How near a render pixel is to what is worked on, by cells (cells, cells), or by one number for
+// all.
 __device__ inline float nearness(const View& near, int y, int x) {
-    return near.at[size_t(min(y / NEAR_CELL, near.size[0] - 1)) * near.size[1] + min(x / NEAR_CELL, near.size[1] - 1)];
+    return near.at[size_t(min(y / NEAR_CELL, near.size[0] - 1)) * near.size[1]
+                   + min(x / NEAR_CELL, near.size[1] - 1)];
 }
 
 // Mean of alpha's samples (2 h, 2 w, 1) in a render pixel.
@@ -105,7 +109,8 @@ __device__ inline Four& four(const View& view, size_t index) {
     return reinterpret_cast<Four*>(view.at)[index];
 }
 
-// The frame before's state at a pixel, zero where it is not `valid`, and the depth of the nearest pixel.
+// The frame before's state at a pixel, zero where it is not `valid`, and the depth of the nearest
+// pixel.
 struct Recalled {
     Four mean, first, second;  // colour and count, then the hidden channels
     float depth, valid;
@@ -118,7 +123,8 @@ __device__ inline float between(float a, float b, float c, float d, float tx, fl
 }
 
 // Four channels of the state, bilinear between the pixels at four indices of such groups.
-__device__ inline Four recalled_four(const View& state, size_t a, size_t b, size_t c, size_t d, float tx, float ty) {
+__device__ inline Four recalled_four(const View& state, size_t a, size_t b, size_t c, size_t d,
+                                     float tx, float ty) {
     const Four p = four(state, a), q = four(state, b), r = four(state, c), s = four(state, d);
     return {between(p.x, q.x, r.x, s.x, tx, ty), between(p.y, q.y, r.y, s.y, tx, ty),
             between(p.z, q.z, r.z, s.z, tx, ty), between(p.w, q.w, r.w, s.w, tx, ty)};
@@ -128,13 +134,15 @@ __device__ inline Four scaled(const Four& value, float by) {
     return {value.x * by, value.y * by, value.z * by, value.w * by};
 }
 
-// Whether the history lacks more than a trace of a pixel, by the counts of its neighbours and their weights.
+// Whether the history lacks more than a trace of a pixel, by the counts of its neighbours and their
+// weights.
 __device__ inline bool is_unknown(float a, float b, float c, float d, float tx, float ty) {
     const float lacking = between(a <= 0.0f, b <= 0.0f, c <= 0.0f, d <= 0.0f, tx, ty);
     return lacking > UNKNOWN;
 }
 
-__device__ inline Recalled recall(const View& state, const View& last_depth, float px, float py, float share) {
+__device__ inline Recalled recall(const View& state, const View& last_depth, float px, float py,
+                                  float share) {
     const int h = last_depth.size[0], w = last_depth.size[1];
     const bool held = px >= -0.5f && px <= float(w) - 0.5f && py >= -0.5f && py <= float(h) - 0.5f;
     if (!held || share == 0.0f) return {{}, {}, {}, 1.0f, 0.0f};
@@ -144,7 +152,8 @@ __device__ inline Recalled recall(const View& state, const View& last_depth, flo
     const int x0 = int(px), y0 = int(py), x1 = min(x0 + 1, w - 1), y1 = min(y0 + 1, h - 1);
     const float tx = px - float(x0), ty = py - float(y0);
     const size_t upper = size_t(y0) * w, lower = size_t(y1) * w;
-    const size_t a = 3 * (upper + x0), b = 3 * (upper + x1), c = 3 * (lower + x0), d = 3 * (lower + x1);
+    const size_t a = 3 * (upper + x0), b = 3 * (upper + x1), c = 3 * (lower + x0),
+                 d = 3 * (lower + x1);
     if (is_unknown(four(state, a).w, four(state, b).w, four(state, c).w, four(state, d).w, tx, ty))
         return {{0.0f, 0.0f, 0.0f, -1.0f}, {}, {}, 1.0f, 0.0f};
     Four mean = recalled_four(state, a, b, c, d, tx, ty);
@@ -176,7 +185,8 @@ __device__ inline unsigned short to_half(float value) {
     return bits;
 }
 
-// A GPU's own functions, one instruction each, to about 2^-22; of log2_of absolute, between 1 and 2.
+// A GPU's own functions, one instruction each, to about 2^-22; of log2_of absolute, between 1
+// and 2.
 __device__ inline float log2_of(float value) {
     float result;
     asm("lg2.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
@@ -195,7 +205,8 @@ __device__ inline float over_one(float value) {
     return result;
 }
 
-// What is so many numbers behind another one; the compiler does not know where, so it adds instead of multiplying anew.
+// What is so many numbers behind another one; the compiler does not know where, so it adds instead
+// of multiplying anew.
 template <class T>
 __device__ inline const T* behind(const T* at, size_t count) {
     at += count;
@@ -229,7 +240,8 @@ inline const T* behind(const T* at, size_t count) {
 }
 #endif
 
-// log(1 + x) and exp(x) - 1 of what is finite and not below 0, to 3e-6: of small numbers by their series.
+// log(1 + x) and exp(x) - 1 of what is finite and not below 0, to 3e-6: of small numbers by their
+// series.
 const float SMALL_NUMBER = 0.0625f, LOG2_E = 1.44269504f;
 
 __device__ inline float log1p_of(float x) {
@@ -247,12 +259,14 @@ __device__ inline float log_encode(float exposed) {
     return log1p_of(fminf(fmaxf(0.0f, exposed), MAX_COLOUR));
 }
 
-// Threads of a block, across and down, of kernels whose threads make pixels: PIXELS in postfx/runtime/cuda.py.
+// Threads of a block, across and down, of kernels whose threads make pixels: PIXELS in
+// postfx/runtime/cuda.py.
 [[maybe_unused]] const int ACROSS = 32;
 [[maybe_unused]] const int DOWN = 8;
 
-// Three numbers, or pairs of them, of each thread of a row, into a picture's row `to`, of which `count` are left. A warp
-// writes them side by side, as memory takes whole sectors faster than parts of them. All its threads come here.
+// Three numbers, or pairs of them, of each thread of a row, into a picture's row `to`, of which
+// `count` are left. A warp writes them side by side, as memory takes whole sectors faster than
+// parts of them. All its threads come here.
 const bool stages = true;
 
 template <class T>
@@ -285,14 +299,15 @@ __device__ inline void put_beside(const float (&light)[6], const View& picture, 
     }
 }
 
-// The same of each thread of a row, whose first one has (y, first): a warp writes them side by side. The last threads may
-// have what the one before them has.
-__device__ inline void put_pixels(Pair (&staged)[3 * ACROSS], const float (&light)[6], const View& picture, int y, int x,
-                                  int first) {
+// The same of each thread of a row, whose first one has (y, first): a warp writes them side by
+// side. The last threads may have what the one before them has.
+__device__ inline void put_pixels(Pair (&staged)[3 * ACROSS], const float (&light)[6],
+                                  const View& picture, int y, int x, int first) {
     const int width = picture.size[1];
     if (width % 2) return put_beside(light, picture, y, x);
     const Pair own[3] = {{light[0], light[1]}, {light[2], light[3]}, {light[4], light[5]}};
-    put_row(staged, own, &pair(picture, 3 * (size_t(y) * width + first) / 2), 3 * (width - first) / 2);
+    put_row(staged, own, &pair(picture, 3 * (size_t(y) * width + first) / 2),
+            3 * (width - first) / 2);
 }
 
 // Heads are numbers in single precision, or bits of half precision.
@@ -333,22 +348,25 @@ __device__ inline Shaper shaper(const View& params, const View& matrix) {
 }
 
 __device__ inline Colour shaped(const Shaper& by, const float* colour) {
-    const float r = clamped(colour[0], -BRIGHTEST, BRIGHTEST), g = clamped(colour[1], -BRIGHTEST, BRIGHTEST);
+    const float r = clamped(colour[0], -BRIGHTEST, BRIGHTEST),
+                g = clamped(colour[1], -BRIGHTEST, BRIGHTEST);
     const float b = clamped(colour[2], -BRIGHTEST, BRIGHTEST), *const m = by.matrix;
     const Colour light = {fmaxf(m[0] * r + m[1] * g + m[2] * b, 0.0f) * by.gain,
                           fmaxf(m[3] * r + m[4] * g + m[5] * b, 0.0f) * by.gain,
                           fmaxf(m[6] * r + m[7] * g + m[8] * b, 0.0f) * by.gain};
     const float fit = by.most / fmaxf(fmaxf(light.r, light.g), fmaxf(light.b, by.most));
-    return {fminf(log2_of(light.r * fit + 1.0f) * by.scale, 1.0f), fminf(log2_of(light.g * fit + 1.0f) * by.scale, 1.0f),
+    return {fminf(log2_of(light.r * fit + 1.0f) * by.scale, 1.0f),
+            fminf(log2_of(light.g * fit + 1.0f) * by.scale, 1.0f),
             fminf(log2_of(light.b * fit + 1.0f) * by.scale, 1.0f)};
 }
 
-// postfx/kernels/colour.py: tetrahedral look-up of a shaped colour, clipped to [0, 1], in a cube (size, size, size, 3), or
-// with fours of NUMBERS, which are read at once.
+// postfx/kernels/colour.py: tetrahedral look-up of a shaped colour, clipped to [0, 1], in a cube
+// (size, size, size, 3), or with fours of NUMBERS, which are read at once.
 template <int NUMBERS = 3>
 __device__ inline Colour looked_up(const View& cube, const Colour& shaped) {
     const int size = cube.size[0], end = size - 2, red = size * size, green = size, blue = 1;
-    float r = clamped(shaped.r, 0.0f, 1.0f) * (size - 1), g = clamped(shaped.g, 0.0f, 1.0f) * (size - 1);
+    float r = clamped(shaped.r, 0.0f, 1.0f) * (size - 1),
+          g = clamped(shaped.g, 0.0f, 1.0f) * (size - 1);
     float b = clamped(shaped.b, 0.0f, 1.0f) * (size - 1);
     const int i = min(int(r), end), j = min(int(g), end), k = min(int(b), end);
     r -= i;
@@ -375,7 +393,8 @@ __device__ inline Colour looked_up(const View& cube, const Colour& shaped) {
     const auto mixed = [&](float a, float b, float c, float d) {
         return weights[0] * a + weights[1] * b + (weights[2] * c + weights[3] * d);
     };
-    return {mixed(found[0].r, found[1].r, found[2].r, found[3].r), mixed(found[0].g, found[1].g, found[2].g, found[3].g),
+    return {mixed(found[0].r, found[1].r, found[2].r, found[3].r),
+            mixed(found[0].g, found[1].g, found[2].g, found[3].g),
             mixed(found[0].b, found[1].b, found[2].b, found[3].b)};
 }
 
@@ -384,10 +403,11 @@ __device__ inline float gauss(float distance) {
     return exp2_of(-2.0f * LOG2_E * distance * distance);
 }
 
-// A head's value at an output pixel from its first of four planes, one for each quarter-pixel corner of a render pixel,
-// linear between them, `right` and `lower` from the first.
+// A head's value at an output pixel from its first of four planes, one for each quarter-pixel
+// corner of a render pixel, linear between them, `right` and `lower` from the first.
 template <class Number>
-__device__ inline float between_corners(const Number* first, size_t plane, float right, float lower) {
+__device__ inline float between_corners(const Number* first, size_t plane, float right,
+                                        float lower) {
     const float above = as_float(first[0]), beside = as_float(first[plane]);
     const float before = above + (as_float(first[2 * plane]) - above) * lower;
     const float after = beside + (as_float(first[3 * plane]) - beside) * lower;
@@ -397,8 +417,10 @@ __device__ inline float between_corners(const Number* first, size_t plane, float
 // The four weights of cubic convolution with a = -0.75, the ONNX GridSample and OpenCV default.
 __device__ inline Four cubic_weights(float t) {
     const float a = -0.75f, u = t + 1.0f, v = 1.0f - t, s = 2.0f - t;
-    return {((a * u - 5.0f * a) * u + 8.0f * a) * u - 4.0f * a, ((a + 2.0f) * t - (a + 3.0f)) * t * t + 1.0f,
-            ((a + 2.0f) * v - (a + 3.0f)) * v * v + 1.0f, ((a * s - 5.0f * a) * s + 8.0f * a) * s - 4.0f * a};
+    return {((a * u - 5.0f * a) * u + 8.0f * a) * u - 4.0f * a,
+            ((a + 2.0f) * t - (a + 3.0f)) * t * t + 1.0f,
+            ((a + 2.0f) * v - (a + 3.0f)) * v * v + 1.0f,
+            ((a * s - 5.0f * a) * s + 8.0f * a) * s - 4.0f * a};
 }
 
 // Four pixels of a row, weighted; `columns` are those of their first channels.
@@ -413,14 +435,15 @@ __device__ inline Colour row_of(const float* row, const int (&columns)[4], const
 }
 
 // Four rows, weighted.
-__device__ inline Colour column_of(const Colour& first, const Colour& second, const Colour& third, const Colour& last,
-                                   const Four& weights) {
+__device__ inline Colour column_of(const Colour& first, const Colour& second, const Colour& third,
+                                   const Colour& last, const Four& weights) {
     return {weights.x * first.r + weights.y * second.r + weights.z * third.r + weights.w * last.r,
             weights.x * first.g + weights.y * second.g + weights.z * third.g + weights.w * last.g,
             weights.x * first.b + weights.y * second.b + weights.z * third.b + weights.w * last.b};
 }
 
-// Where a pixel was in a picture before: by how much it moved, and the first row and column of its 4x4 taps.
+// Where a pixel was in a picture before: by how much it moved, and the first row and column of its
+// 4x4 taps.
 struct Before {
     float right, down;
     int top, left;
@@ -434,9 +457,11 @@ __device__ inline Before before_of(int y, int x, const Window& part, const View&
     const bool doubled = is_doubled(part);
     const int from_y = doubled ? y / 2 : int((2u * v + 1u) * h / (2u * height));
     const int from_x = doubled ? x / 2 : int((2u * u + 1u) * w / (2u * width));
-    const int row = within(from_y - part.top, moved.size[0]), column = within(from_x - part.left, moved.size[1]);
+    const int row = within(from_y - part.top, moved.size[0]),
+              column = within(from_x - part.left, moved.size[1]);
     const Pair motion = pair(moved, size_t(row) * moved.size[1] + column);
-    const float right = motion.x * (float(width) / float(w)), down = motion.y * (float(height) / float(h));
+    const float right = motion.x * (float(width) / float(w)),
+                down = motion.y * (float(height) / float(h));
     return {right, down, y + int(floorf(down)) - 1, x + int(floorf(right)) - 1};
 }
 
@@ -445,10 +470,11 @@ struct Size {
 };
 
 // A picture (height, width, 3) where a pixel was before, bicubic, edge repeated.
-__device__ inline Colour moved_picture(const float* picture, const Size& size, const Before& before) {
+__device__ inline Colour moved_picture(const float* picture, const Size& size,
+                                       const Before& before) {
     const int height = size.height, width = size.width, top = before.top, left = before.left;
-    const int columns[4] = {3 * within(left, width), 3 * within(left + 1, width), 3 * within(left + 2, width),
-                            3 * within(left + 3, width)};
+    const int columns[4] = {3 * within(left, width), 3 * within(left + 1, width),
+                            3 * within(left + 2, width), 3 * within(left + 3, width)};
     const size_t line = 3 * size_t(width);
     const Four across = cubic_weights(before.right - floorf(before.right));
     return column_of(row_of(picture + within(top, height) * line, columns, across),
@@ -468,29 +494,35 @@ struct Cubic {
     int index[4];
 };
 
-// The four taps around a position and their weights (Keys 1981, a = -0.5); only their constant indices are used.
+// The four taps around a position and their weights (Keys 1981, a = -0.5); only their constant
+// indices are used.
 __device__ inline Cubic cubic(float position, int size) {
     const float first = floorf(position), t = position - first;
     const int before = int(first) - 1;
     return {{((-0.5f * t + 1.0f) * t - 0.5f) * t, (1.5f * t - 2.5f) * t * t + 1.0f,
              ((-1.5f * t + 2.0f) * t + 0.5f) * t, (0.5f * t - 0.5f) * t * t},
-            {within(before, size), within(before + 1, size), within(before + 2, size), within(before + 3, size)}};
+            {within(before, size), within(before + 1, size), within(before + 2, size),
+             within(before + 3, size)}};
 }
 
-// One pixel of an image (h, w, channels) by cubic interpolation, held within the four nearest samples.
-__device__ inline void resampled(const View& image, int channels, const Cubic& down, const Cubic& across,
-                                 float* result) {
+// One pixel of an image (h, w, channels) by cubic interpolation, held within the four nearest
+// samples.
+__device__ inline void resampled(const View& image, int channels, const Cubic& down,
+                                 const Cubic& across, float* result) {
     const float* row[4];
 #pragma unroll
-    for (int j = 0; j < 4; j++) row[j] = image.at + size_t(down.index[j]) * image.size[1] * channels;
+    for (int j = 0; j < 4; j++)
+        row[j] = image.at + size_t(down.index[j]) * image.size[1] * channels;
     for (int k = 0; k < channels; k++) {
         float sum = 0.0f, least = LARGEST_FLOAT, most = -LARGEST_FLOAT;
 #pragma unroll
         for (int i = 0; i < 4; i++) {
             const int at = across.index[i] * channels + k;
-            const float before = known(row[0][at]), upper = known(row[1][at]), lower = known(row[2][at]);
-            sum += across.weight[i] * (down.weight[0] * before + down.weight[1] * upper + down.weight[2] * lower
-                                       + down.weight[3] * known(row[3][at]));
+            const float before = known(row[0][at]), upper = known(row[1][at]),
+                        lower = known(row[2][at]);
+            sum += across.weight[i]
+                   * (down.weight[0] * before + down.weight[1] * upper + down.weight[2] * lower
+                      + down.weight[3] * known(row[3][at]));
             if (i == 0 || i == 3) continue;
             least = fminf(least, fminf(upper, lower));
             most = fmaxf(most, fmaxf(upper, lower));
@@ -504,8 +536,8 @@ __device__ inline float over(float front, float alpha, float behind) {
     return known(front) + (1.0f - alpha) * known(behind);
 }
 
-// postfx/interpolate: a path leads from a cell to its place in the frame before (a) and in the one after (b), in pixels;
-// whether each of them shows the point, 0 or 1.
+// postfx/interpolate: a path leads from a cell to its place in the frame before (a) and in the one
+// after (b), in pixels; whether each of them shows the point, 0 or 1.
 struct Path {
     float ax, ay, bx, by, first, last;
 };
@@ -523,14 +555,15 @@ __device__ inline void put_path(const View& cells, int cell, const Path& path) {
 
 // Whether paths lead to other places, by so many pixels.
 __device__ inline bool differ(const Path& one, const Path& other, float by) {
-    return fabsf(one.ax - other.ax) > by || fabsf(one.ay - other.ay) > by || fabsf(one.bx - other.bx) > by
-        || fabsf(one.by - other.by) > by;
+    return fabsf(one.ax - other.ax) > by || fabsf(one.ay - other.ay) > by
+           || fabsf(one.bx - other.bx) > by || fabsf(one.by - other.by) > by;
 }
 
-// A path of one frame's side, in pixels: that frame shows it, the other one if most paths that arrived are seen.
+// A path of one frame's side, in pixels: that frame shows it, the other one if most paths that
+// arrived are seen.
 __device__ inline Path side_path(const Four& path, float is_seen, bool is_last, float scale) {
-    return {scale * path.x, scale * path.y, scale * path.z, scale * path.w, is_last ? is_seen : 1.0f,
-            is_last ? 1.0f : is_seen};
+    return {scale * path.x, scale * path.y,           scale * path.z,
+            scale * path.w, is_last ? is_seen : 1.0f, is_last ? 1.0f : is_seen};
 }
 
 __device__ inline float most_apart(const Path& one, const Path& other) {
@@ -545,7 +578,8 @@ __device__ inline bool is_inside(int h, int w, float y, float x) {
 
 // Sum over eight lanes that work on one thing, in all of them.
 __device__ inline float sum_of_eight(float value) {
-    for (int mask = 4; mask; mask /= 2) value += __shfl_xor_sync(0xffu << (threadIdx.x & 24), value, mask);
+    for (int mask = 4; mask; mask /= 2)
+        value += __shfl_xor_sync(0xffu << (threadIdx.x & 24), value, mask);
     return value;
 }
 

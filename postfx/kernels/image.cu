@@ -1,5 +1,6 @@
-// Two neighbouring places along a side, whose taps are five in a row: the taps, and their weights for each place. How far
-// the second place's taps lie behind the first one's; other than 0 or 1 where they are not five in a row.
+// Two neighbouring places along a side, whose taps are five in a row: the taps, and their weights
+// for each place. How far the second place's taps lie behind the first one's; other than 0 or 1
+// where they are not five in a row.
 struct Cubics {
     float weights[2][5];
     int index[5], behind;
@@ -14,7 +15,8 @@ __device__ inline Cubics cubics(const View& places, int at, int size) {
     for (int i = 0; i < 5; i++) {
         found.index[i] = within(before + i, size);
         found.weights[0][i] = i < 4 ? one.weight[i] : 0.0f;
-        found.weights[1][i] = found.behind ? (i ? two.weight[i - 1] : 0.0f) : (i < 4 ? two.weight[i] : 0.0f);
+        found.weights[1][i] = found.behind ? (i ? two.weight[i - 1] : 0.0f)
+                                           : (i < 4 ? two.weight[i] : 0.0f);
     }
     return found;
 }
@@ -31,7 +33,9 @@ __device__ inline void resampled_four(const View& image, const Cubics& down, con
             float value[5];
 #pragma unroll
             for (int j = 0; j < 5; j++)
-                value[j] = known(image.at[(size_t(down.index[j]) * image.size[1] + across.index[i]) * CHANNELS + k]);
+                value[j] = known(
+                    image.at[(size_t(down.index[j]) * image.size[1] + across.index[i]) * CHANNELS
+                             + k]);
 #pragma unroll
             for (int y = 0; y < 2; y++) {
                 float column = 0.0f;
@@ -41,7 +45,8 @@ __device__ inline void resampled_four(const View& image, const Cubics& down, con
                 for (int x = 0; x < 2; x++) sum[y][x] += across.weights[x][i] * column;
                 if (i == 0 || i == 4) continue;
                 const bool behind = y && down.behind;
-                const float upper = behind ? value[2] : value[1], lower = behind ? value[3] : value[2];
+                const float upper = behind ? value[2] : value[1],
+                            lower = behind ? value[3] : value[2];
                 least[y][i - 1] = fminf(upper, lower);
                 most[y][i - 1] = fmaxf(upper, lower);
             }
@@ -58,14 +63,18 @@ __device__ inline void resampled_four(const View& image, const Cubics& down, con
     }
 }
 
-// Cubic resampling: image (h, w, channels), rows (height,), columns (width,) -> output (height, width, channels). A thread
-// makes 2x2 pixels, of colour at once where places lie no more than a pixel apart.
-extern "C" __global__ void __launch_bounds__(256, 2) resample(View image, View rows, View columns, View output) {
+// Cubic resampling: image (h, w, channels), rows (height,), columns (width,) -> output (height,
+// width, channels). A thread makes 2x2 pixels, of colour at once where places lie no more than a
+// pixel apart.
+extern "C" __global__ void __launch_bounds__(256, 2)
+    resample(View image, View rows, View columns, View output) {
     const int height = output.size[0], width = output.size[1], channels = image.size[2];
-    const int y = 2 * (blockIdx.y * blockDim.y + threadIdx.y), x = 2 * (blockIdx.x * blockDim.x + threadIdx.x);
+    const int y = 2 * (blockIdx.y * blockDim.y + threadIdx.y),
+              x = 2 * (blockIdx.x * blockDim.x + threadIdx.x);
     if (y >= height || x >= width) return;
     const Cubics down = cubics(rows, y, image.size[0]), across = cubics(columns, x, image.size[1]);
-    const bool together = down.behind >= 0 && down.behind <= 1 && across.behind >= 0 && across.behind <= 1;
+    const bool together = down.behind >= 0 && down.behind <= 1 && across.behind >= 0
+                          && across.behind <= 1;
     if (channels == 3 && together) {
         float light[2][6];
         resampled_four<3>(image, down, across, light);
@@ -78,17 +87,20 @@ extern "C" __global__ void __launch_bounds__(256, 2) resample(View image, View r
     for (int k = 0; k < 4; k++) {
         const int v = y + k / 2, u = x + k % 2;
         if (v < height && u < width)
-            resampled(image, channels, cubic(rows.at[v], image.size[0]), cubic(columns.at[u], image.size[1]),
+            resampled(image, channels, cubic(rows.at[v], image.size[0]),
+                      cubic(columns.at[u], image.size[1]),
                       output.at + (size_t(v) * width + u) * channels);
     }
 }
 
-// Enlarges a premultiplied overlay: image (h, w, 4), rows (height,), columns (width,) -> output (height, width, 4).
-// Colours stay within what the four nearest pixels' own colours make of the coverage that comes out.
+// Enlarges a premultiplied overlay: image (h, w, 4), rows (height,), columns (width,) -> output
+// (height, width, 4). Colours stay within what the four nearest pixels' own colours make of the
+// coverage that comes out.
 extern "C" __global__ void overlay_enlarge(View image, View rows, View columns, View output) {
     const int width = output.size[1];
     PIXEL(width, output.size[0]);
-    const Cubic down = cubic(rows.at[y], image.size[0]), across = cubic(columns.at[x], image.size[1]);
+    const Cubic down = cubic(rows.at[y], image.size[0]),
+                across = cubic(columns.at[x], image.size[1]);
     float* const result = output.at + 4 * (size_t(y) * width + x);
     resampled(image, 4, down, across, result);
     const float alpha = clamped(result[3], 0.0f, 1.0f);
@@ -98,7 +110,8 @@ extern "C" __global__ void overlay_enlarge(View image, View rows, View columns, 
         float low = ENDLESS, high = -ENDLESS;
 #pragma unroll
         for (int i = 0; i < 4; i++) {
-            const int row = i < 2 ? down.index[1] : down.index[2], column = i % 2 ? across.index[2] : across.index[1];
+            const int row = i < 2 ? down.index[1] : down.index[2],
+                      column = i % 2 ? across.index[2] : across.index[1];
             const float* const pixel = image.at + 4 * (size_t(row) * image.size[1] + column);
             const float light = known(pixel[c]), covered = known(pixel[3]);
             if (covered <= 0.0f && light == 0.0f) continue;  // nothing there
@@ -118,7 +131,8 @@ extern "C" __global__ void overlay_over(View overlay, View colour, View output) 
     const size_t here = size_t(y) * width + x;
     const float* const front = overlay.at + 4 * here;
     const float alpha = clamped(front[3], 0.0f, 1.0f);
-    for (int c = 0; c < 3; c++) output.at[3 * here + c] = over(front[c], alpha, colour.at[3 * here + c]);
+    for (int c = 0; c < 3; c++)
+        output.at[3 * here + c] = over(front[c], alpha, colour.at[3 * here + c]);
 }
 
 // Coverage of a premultiplied overlay (h, w, 4) over alpha (h, w, 1) -> output (h, w, 1).
@@ -130,7 +144,8 @@ extern "C" __global__ void overlay_over_alpha(View overlay, View alpha, View out
     output.at[here] = over(covered, covered, alpha.at[here]);
 }
 
-// A checkerboard of two greys: rows (height,), columns (width,), greys (2,) -> output (height, width, 3).
+// A checkerboard of two greys: rows (height,), columns (width,), greys (2,) -> output (height,
+// width, 3).
 extern "C" __global__ void checkerboard(View rows, View columns, View greys, View output) {
     const int width = output.size[1];
     PIXEL(width, output.size[0]);

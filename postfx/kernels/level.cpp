@@ -27,7 +27,8 @@ FN unsigned kept_registers() {
 FN bool has(unsigned flags, unsigned wanted) { return (flags & wanted) == wanted; }
 
 EXPORTED int best_level() {
-    const unsigned fma = 1u << 12, movbe = 1u << 22, osxsave = 1u << 27, avx = 1u << 28, f16c = 1u << 29;
+    const unsigned fma = 1u << 12, movbe = 1u << 22, osxsave = 1u << 27, avx = 1u << 28,
+                   f16c = 1u << 29;
     const unsigned bmi1 = 1u << 3, avx2 = 1u << 5, bmi2 = 1u << 8, lzcnt = 1u << 5;
     const unsigned avx512 = 1u << 16 | 1u << 17 | 1u << 28 | 1u << 30 | 1u << 31;  // F DQ CD BW VL
     const unsigned vnni = 1u << 11;

@@ -4,8 +4,9 @@ A kernel in C++ includes `mlp.h`, one for CUDA `<postfx/mlp.cuh>`; both call the
 
     mlp<GELU, 14, 64, 64, 3>(parameters.at, features, values);
 
-`parameters` is a binding: those of a `postfx.neural.Network` without bands. A vector of points is evaluated at once, on
-a GPU a thread's point. Rows that are Python evaluate some points by the functions here:
+`parameters` is a binding: those of a `postfx.neural.Network` without bands. A vector of points is
+evaluated at once, on a GPU a thread's point. Rows that are Python evaluate some points by the
+functions here:
 
     space = mlp_space(network)
     features = mlp_features(space)            # (numbers, points), which the rows fill

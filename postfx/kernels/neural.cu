@@ -1,4 +1,5 @@
-// Kernels of small networks, made of the layers in neural.cuh, and of grids: see postfx/kernels/neural.py.
+// Kernels of small networks, made of the layers in neural.cuh, and of grids: see
+// postfx/kernels/neural.py.
 
 // What a lane needs of an (8, 8) block of weights: see `add_product`.
 struct alignas(16) Parts {
@@ -17,7 +18,8 @@ __device__ inline int blocks_of(int reads, int makes) {
 // Floats that a narrow network takes in the shared memory: biases, then its split weights.
 __device__ inline int split_floats(const Network& net) {
     int blocks = 0;
-    for (int layer = 0; layer < net.layers; layer++) blocks += blocks_of(net.size[layer], net.size[layer + 1]);
+    for (int layer = 0; layer < net.layers; layer++)
+        blocks += blocks_of(net.size[layer], net.size[layer + 1]);
     return 64 * net.layers + blocks * 32 * 4;
 }
 
@@ -29,14 +31,17 @@ __device__ inline void split_layers(const Network& net, const float* parameters,
         const Layer from = layer_of<64, false>(net, layer, parameters);
         const int shift = shift_of(from.makes), count = blocks_of(from.reads, from.makes) * 32;
         if (threadIdx.x < 64) {
-            biases[64 * layer + threadIdx.x] = threadIdx.x < from.makes ? from.biases[threadIdx.x] : 0.0f;
+            biases[64 * layer + threadIdx.x] = threadIdx.x < from.makes ? from.biases[threadIdx.x]
+                                                                        : 0.0f;
         }
         for (int begin = threadIdx.x; begin < count; begin += many * THREADS) {
             Pair values[many];
 #pragma unroll
             for (int n = 0; n < many; n++) {
-                const int k = begin + n * THREADS, lane = k % 32, block = k / 32, step = block >> shift;
-                const int j = 8 * (block - (step << shift)) + lane / 4, i = 8 * step + 2 * (lane % 4);
+                const int k = begin + n * THREADS, lane = k % 32, block = k / 32,
+                          step = block >> shift;
+                const int j = 8 * (block - (step << shift)) + lane / 4,
+                          i = 8 * step + 2 * (lane % 4);
                 const float* const row = from.weights + j * from.reads + i;
                 values[n].x = j < from.makes && i < from.reads ? row[0] : 0.0f;
                 values[n].y = j < from.makes && i + 1 < from.reads ? row[1] : 0.0f;
@@ -54,10 +59,12 @@ __device__ inline void split_layers(const Network& net, const float* parameters,
     __syncthreads();
 }
 
-// sums += left right, where both are a warp's sums, and right is TILES blocks in a row. What `add_product` needs to the
-// left, of columns that are in another order there as in the blocks, is what it gives.
+// sums += left right, where both are a warp's sums, and right is TILES blocks in a row. What
+// `add_product` needs to the left, of columns that are in another order there as in the blocks, is
+// what it gives.
 template <int TILES, int DEPTH>
-__device__ inline void add_blocks(Sums<8, DEPTH>& sums, const Sums<8, DEPTH>& left, const Parts* right, int steps) {
+__device__ inline void add_blocks(Sums<8, DEPTH>& sums, const Sums<8, DEPTH>& left,
+                                  const Parts* right, int steps) {
     const int lane = threadIdx.x % 32, group = TILES < GROUPED ? TILES : GROUPED;
 #pragma unroll
     for (int step = 0; step < 8; step++) {
@@ -73,11 +80,13 @@ __device__ inline void add_blocks(Sums<8, DEPTH>& sums, const Sums<8, DEPTH>& le
             Parts parts[group];
             float found[DEPTH][group][4] = {};
 #pragma unroll
-            for (int n = 0; n < group; n++) parts[n] = right[(TILES * step + first + n) * 32 + lane];
+            for (int n = 0; n < group; n++)
+                parts[n] = right[(TILES * step + first + n) * 32 + lane];
 #pragma unroll
             for (int k = 0; k < 3 * DEPTH * group; k++) {  // small products first
                 const int d = k % DEPTH, n = k / DEPTH % group, what = k / DEPTH / group;
-                add_product(found[d][n], what == 0 ? low[d] : high[d], what == 1 ? parts[n].low : parts[n].high);
+                add_product(found[d][n], what == 0 ? low[d] : high[d],
+                            what == 1 ? parts[n].low : parts[n].high);
             }
 #pragma unroll
             for (int k = 0; k < 4 * DEPTH * group; k++) {
@@ -88,13 +97,16 @@ __device__ inline void add_blocks(Sums<8, DEPTH>& sums, const Sums<8, DEPTH>& le
     }
 }
 
-// All layers of a narrow network: a layer's numbers stay in registers, where the next one reads them.
+// All layers of a narrow network: a layer's numbers stay in registers, where the next one reads
+// them.
 template <int DEPTH>
-__device__ inline void run_narrow(const Network& net, const float* biases, float* rows, const View& points,
-                                  const View& values) {
-    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, total = values.size[0], last = net.layers - 1;
+__device__ inline void run_narrow(const Network& net, const float* biases, float* rows,
+                                  const View& points, const View& values) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, total = values.size[0],
+              last = net.layers - 1;
     const int warp = threadIdx.x / 32, together = TILE * DEPTH;
-    for (int tile = blockIdx.y + warp * gridDim.y; tile * together < total; tile += gridDim.y * WARPS) {
+    for (int tile = blockIdx.y + warp * gridDim.y; tile * together < total;
+         tile += gridDim.y * WARPS) {
         const Parts* right = reinterpret_cast<const Parts*>(biases + 64 * net.layers);
         Sums<8, DEPTH> left = {};
 #pragma unroll
@@ -106,11 +118,13 @@ __device__ inline void run_narrow(const Network& net, const float* biases, float
             __syncwarp();
         }
         for (int index = 0; index <= last; index++) {
-            const int reads = net.size[index], makes = net.size[index + 1], steps = up_to(reads, 32) / 8;
+            const int reads = net.size[index], makes = net.size[index + 1],
+                      steps = up_to(reads, 32) / 8;
             Sums<8, DEPTH> sums;
 #pragma unroll
             for (int n = 0; n < 8; n++) {
-                const Pair bias = *reinterpret_cast<const Pair*>(biases + 64 * index + 8 * n + 2 * q);
+                const Pair bias =
+                    *reinterpret_cast<const Pair*>(biases + 64 * index + 8 * n + 2 * q);
 #pragma unroll
                 for (int d = 0; d < DEPTH; d++) {
                     sums[d][n][0] = sums[d][n][2] = bias.x, sums[d][n][1] = sums[d][n][3] = bias.y;
@@ -138,7 +152,8 @@ __device__ inline void run_narrow(const Network& net, const float* biases, float
 #pragma unroll
                 for (int k = 0; k < 32 * DEPTH; k++) {
                     const int d = k / 32, n = k / 4 % 8;
-                    left[d][n][k % 4] = net.activation == RELU ? relu_of(sums[d][n][k % 4]) : sums[d][n][k % 4];
+                    left[d][n][k % 4] = net.activation == RELU ? relu_of(sums[d][n][k % 4])
+                                                               : sums[d][n][k % 4];
                 }
                 continue;
             }
@@ -147,18 +162,20 @@ __device__ inline void run_narrow(const Network& net, const float* biases, float
                 if (8 * n >= makes) break;
 #pragma unroll
                 for (int k = 0; k < 4 * DEPTH; k++) {
-                    const int column = 8 * n + 2 * q + k % 2, p = tile * together + k / 4 * TILE + g + k % 4 / 2 * 8;
-                    if (column < makes && p < total) values.at[size_t(p) * makes + column] = sums[k / 4][n][k % 4];
+                    const int column = 8 * n + 2 * q + k % 2,
+                              p = tile * together + k / 4 * TILE + g + k % 4 / 2 * 8;
+                    if (column < makes && p < total)
+                        values.at[size_t(p) * makes + column] = sums[k / 4][n][k % 4];
                 }
             }
         }
     }
 }
 
-// network (12,), parameters (count,), points (points, inputs) -> values (points, outputs): warps take 16 or 32 points
-// at a time.
-extern "C" __global__ void __launch_bounds__(THREADS) neural_forward(View network, View parameters, View points,
-                                                                 View values) {
+// network (12,), parameters (count,), points (points, inputs) -> values (points, outputs): warps
+// take 16 or 32 points at a time.
+extern "C" __global__ void __launch_bounds__(THREADS)
+    neural_forward(View network, View parameters, View points, View values) {
     __shared__ Network net;
     read_network(network, net);
     const int wide = MOST_WIDTH / 8, rows = MOST_POINTS * MOST_WIDTH, warp = threadIdx.x / 32;
@@ -174,25 +191,32 @@ extern "C" __global__ void __launch_bounds__(THREADS) neural_forward(View networ
     }
 }
 
-// 16 by 8 COUNT derivatives by a layer's weights, and 16 by its biases if there are any: sums over points of what the
-// layer made and read, whose rows have `high` and `wide` floats. They are added to the tensor's if that has `begun`.
+// 16 by 8 COUNT derivatives by a layer's weights, and 16 by its biases if there are any: sums over
+// points of what the layer made and read, whose rows have `high` and `wide` floats. They are added
+// to the tensor's if that has `begun`.
 template <int COUNT>
-__device__ inline void add_weights(const float* deltas, int high, const float* reads, int wide, int points, int row,
-                                   int column, const Layer& layer, float* weights, float* biases, bool begun) {
-    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turns[2] = {turn_of(2 * q), turn_of(2 * q + 1)};
+__device__ inline void add_weights(const float* deltas, int high, const float* reads, int wide,
+                                   int points, int row, int column, const Layer& layer,
+                                   float* weights, float* biases, bool begun) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4,
+              turns[2] = {turn_of(2 * q), turn_of(2 * q + 1)};
     float found[COUNT][4], down[2] = {};
     const float *left[2][2], *right[2][COUNT];
 #pragma unroll
     for (int k = 0; k < 2; k++) {
 #pragma unroll
-        for (int r = 0; r < 2; r++) left[k][r] = deltas + (2 * q + k) * high + ((row + 8 * r) ^ turns[k]) + g;
+        for (int r = 0; r < 2; r++)
+            left[k][r] = deltas + (2 * q + k) * high + ((row + 8 * r) ^ turns[k]) + g;
 #pragma unroll
-        for (int n = 0; n < COUNT; n++) right[k][n] = reads + (2 * q + k) * wide + ((column + 8 * n) ^ turns[k]) + g;
+        for (int n = 0; n < COUNT; n++)
+            right[k][n] = reads + (2 * q + k) * wide + ((column + 8 * n) ^ turns[k]) + g;
     }
 #pragma unroll
     for (int k = 0; k < 4 * COUNT; k++) {
         const int j = row + g + k % 4 / 2 * 8, i = column + k / 4 * 8 + 2 * q + k % 2;
-        found[k / 4][k % 4] = begun && j < layer.makes && i < layer.reads ? weights[j * layer.reads + i] : 0.0f;
+        found[k / 4][k % 4] = begun && j < layer.makes && i < layer.reads
+                                  ? weights[j * layer.reads + i]
+                                  : 0.0f;
     }
 #pragma unroll 2
     for (int p = 0; p < points; p += 8) {
@@ -228,20 +252,23 @@ __device__ inline void add_weights(const float* deltas, int high, const float* r
         down[r] += __shfl_xor_sync(~0u, down[r], 1);
         down[r] += __shfl_xor_sync(~0u, down[r], 2);
         const int j = row + g + 8 * r;
-        if (column == 0 && q == 0 && j < layer.makes) biases[j] = down[r] + (begun ? biases[j] : 0.0f);
+        if (column == 0 && q == 0 && j < layer.makes)
+            biases[j] = down[r] + (begun ? biases[j] : 0.0f);
     }
 }
 
-// The same for a whole layer, by all warps: what it made and read lies at these places of the shared memory. Not in
-// line, as three forms of `learn_group` call it.
+// The same for a whole layer, by all warps: what it made and read lies at these places of the
+// shared memory. Not in line, as three forms of `learn_group` call it.
 template <int COUNT>
-__device__ __noinline__ void spread_weights(int deltas, int reads, int points, Layer layer, float* gradients,
-                                            bool begun) {
+__device__ __noinline__ void spread_weights(int deltas, int reads, int points, Layer layer,
+                                            float* gradients, bool begun) {
     const int high = up_to(layer.makes, 32), wide = up_to(layer.reads, 32);
-    const int across = (layer.reads + 8 * COUNT - 1) / (8 * COUNT), tiles = (layer.makes + 15) / 16 * across;
+    const int across = (layer.reads + 8 * COUNT - 1) / (8 * COUNT),
+              tiles = (layer.makes + 15) / 16 * across;
     for (int tile = threadIdx.x / 32; tile < tiles; tile += WARPS) {
         add_weights<COUNT>(memory + deltas, high, memory + reads, wide, points, tile / across * 16,
-                           tile % across * 8 * COUNT, layer, gradients, gradients + layer.makes * layer.reads, begun);
+                           tile % across * 8 * COUNT, layer, gradients,
+                           gradients + layer.makes * layer.reads, begun);
     }
 }
 
@@ -251,10 +278,11 @@ struct Part {
     int learnt;
 };
 
-// The derivatives of the squared error by the last layer's outputs of 16 points, in their place, and that error.
+// The derivatives of the squared error by the last layer's outputs of 16 points, in their place,
+// and that error.
 template <int TILES>
-__device__ inline void compare(float (&sums)[TILES][4], const View& targets, int first, int end, float share,
-                               Part& part) {
+__device__ inline void compare(float (&sums)[TILES][4], const View& targets, int first, int end,
+                               float share, Part& part) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, outputs = targets.size[1];
 #pragma unroll
     for (int r = 0; r < 2; r++) {
@@ -282,12 +310,14 @@ __device__ inline void compare(float (&sums)[TILES][4], const View& targets, int
     }
 }
 
-// One group of points: all layers forwards and backwards, for `most` points at a time, 16 for each warp that has some.
-// A layer's derivatives take the place of what the next one read.
+// One group of points: all layers forwards and backwards, for `most` points at a time, 16 for each
+// warp that has some. A layer's derivatives take the place of what the next one read.
 template <int TILES, bool SHARED>
-__device__ __noinline__ Part learn_group(const Network& net, const float* weights, float* gradients, int most,
-                                     const View& points, const View& targets, const View& pulls, int begin, int end) {
-    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, last = net.layers, kind = net.activation;
+__device__ __noinline__ Part learn_group(const Network& net, const float* weights, float* gradients,
+                                         int most, const View& points, const View& targets,
+                                         const View& pulls, int begin, int end) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, last = net.layers,
+              kind = net.activation;
     const int own = threadIdx.x / 32 * TILE, turns[2] = {turn_of(2 * q), turn_of(2 * q + 1)};
     const bool is_busy = own < most, is_pulled = pulls.size[0] == points.size[0];
     float* const slopes = memory + most * (net.rows[last + 1] - net.rows[1]);  // from layer 1 on
@@ -296,10 +326,12 @@ __device__ __noinline__ Part learn_group(const Network& net, const float* weight
     for (int first = begin; first == begin || first < end; first += most) {
         Sums<TILES, 1> sums;
         if (is_busy) {
-            encode_points(net, points, first + own, end, TILE, memory + own * up_to(net.size[0], 32));
+            encode_points(net, points, first + own, end, TILE,
+                          memory + own * up_to(net.size[0], 32));
             for (int index = 0; index < last; index++) {
                 const Layer layer = layer_of<8 * TILES, SHARED>(net, index, weights);
-                const float* const reads = memory + most * net.rows[index] + own * up_to(layer.reads, 32);
+                const float* const reads = memory + most * net.rows[index]
+                                           + own * up_to(layer.reads, 32);
                 const int place = most * net.rows[index + 1] + own * up_to(layer.makes, 32);
                 run_layer<TILES, 1, SHARED>(layer, reads, sums);
                 if (index == last - 1) break;
@@ -321,28 +353,37 @@ __device__ __noinline__ Part learn_group(const Network& net, const float* weight
             float* const into = gradients + net.count[index];
             const int blocks = (layer.makes + 15) / 16;
             if (blocks * ((layer.reads + 31) / 32) >= WARPS) {
-                spread_weights<4>(most * net.rows[index + 1], most * net.rows[index], most, layer, into, first > begin);
+                spread_weights<4>(most * net.rows[index + 1], most * net.rows[index], most, layer,
+                                  into, first > begin);
             } else if (blocks * ((layer.reads + 15) / 16) >= WARPS) {
-                spread_weights<2>(most * net.rows[index + 1], most * net.rows[index], most, layer, into, first > begin);
+                spread_weights<2>(most * net.rows[index + 1], most * net.rows[index], most, layer,
+                                  into, first > begin);
             } else {
-                spread_weights<1>(most * net.rows[index + 1], most * net.rows[index], most, layer, into, first > begin);
+                spread_weights<1>(most * net.rows[index + 1], most * net.rows[index], most, layer,
+                                  into, first > begin);
             }
             if (is_busy && (index || is_pulled)) {
 #pragma unroll
                 for (int k = 0; k < 4 * TILES; k++) sums[0][k / 4][k % 4] = 0.0f;
-                multiply<TILES, 1>(sums, deltas + own * high, layer.makes, layer.reads, [&](int step, int tile) {
-                    if (SHARED) {
-                        const float* const row = layer.weights + (8 * step + 2 * q) * 8 * TILES + g;
-                        return Pair{row[(8 * tile) ^ turns[0]], row[8 * TILES + ((8 * tile) ^ turns[1])]};
-                    }
-                    const int j = 8 * step + 2 * q, lowest = layer.makes - 1;
-                    const float* const column = layer.weights + min(8 * tile + g, layer.reads - 1);
-                    return Pair{column[min(j, lowest) * layer.reads], column[min(j + 1, lowest) * layer.reads]};
-                });
+                multiply<TILES, 1>(
+                    sums, deltas + own * high, layer.makes, layer.reads, [&](int step, int tile) {
+                        if (SHARED) {
+                            const float* const row = layer.weights + (8 * step + 2 * q) * 8 * TILES
+                                                     + g;
+                            return Pair{row[(8 * tile) ^ turns[0]],
+                                        row[8 * TILES + ((8 * tile) ^ turns[1])]};
+                        }
+                        const int j = 8 * step + 2 * q, lowest = layer.makes - 1;
+                        const float* const column = layer.weights
+                                                    + min(8 * tile + g, layer.reads - 1);
+                        return Pair{column[min(j, lowest) * layer.reads],
+                                    column[min(j + 1, lowest) * layer.reads]};
+                    });
             }
             __syncthreads();
             if (is_busy && index) {
-                float* const at = (kind == RELU ? reads : slopes + most * net.rows[index]) + own * width;
+                float* const at = (kind == RELU ? reads : slopes + most * net.rows[index])
+                                  + own * width;
                 each_pair<TILES>(at, width, [&](int n, int r, const Pair& pair) {
                     const bool is_relu = kind == RELU;
                     const int column = 8 * n + 2 * q;
@@ -354,7 +395,8 @@ __device__ __noinline__ Part learn_group(const Network& net, const float* weight
             } else if (is_busy && is_pulled) {
 #pragma unroll
                 for (int k = 0; k < 4 * TILES; k++) {
-                    const int column = k / 4 * 8 + 2 * q + k % 2, p = first + own + g + k % 4 / 2 * 8;
+                    const int column = k / 4 * 8 + 2 * q + k % 2,
+                              p = first + own + g + k % 4 / 2 * 8;
                     if (column < net.inputs && p < end) {
                         pulls.at[size_t(p) * net.inputs + column] = sums[0][k / 4][k % 4];
                     }
@@ -365,10 +407,11 @@ __device__ __noinline__ Part learn_group(const Network& net, const float* weight
     return part;
 }
 
-// network (12,), parameters (count,), points (points, inputs), targets (points, outputs) -> partials (groups, count +
-// 2), and pulls (points, inputs) or (1, inputs): a block for a group.
-extern "C" __global__ void __launch_bounds__(THREADS) neural_gradients(View network, View parameters, View points,
-                                                                   View targets, View partials, View pulls) {
+// network (12,), parameters (count,), points (points, inputs), targets (points, outputs) ->
+// partials (groups, count + 2), and pulls (points, inputs) or (1, inputs): a block for a group.
+extern "C" __global__ void __launch_bounds__(THREADS)
+    neural_gradients(View network, View parameters, View points, View targets, View partials,
+                     View pulls) {
     __shared__ Part parts[THREADS];
     __shared__ Network net;
     read_network(network, net);
@@ -376,25 +419,30 @@ extern "C" __global__ void __launch_bounds__(THREADS) neural_gradients(View netw
     const long long total = points.size[0];
     float* const gradients = partials.at + size_t(group) * sums;
     const int begin = int(group * total / groups), end = int((group + 1) * total / groups);
-    const int narrow = 64 / 8, wide = MOST_WIDTH / 8, last = net.layers, hidden = net.rows[last] - net.rows[1];
+    const int narrow = 64 / 8, wide = MOST_WIDTH / 8, last = net.layers,
+              hidden = net.rows[last] - net.rows[1];
     const int floats = net.rows[last + 1] + (net.activation == RELU ? 0 : hidden);  // of a point
     int most = MOST_POINTS;
     while (most > TILE && (most * floats > shared_floats() || most >= 2 * (end - begin))) most /= 2;
     float* const weights = memory + most * floats;
     Part part;
     if (most * floats + net.space[last] > shared_floats()) {
-        part = learn_group<wide, false>(net, parameters.at, gradients, most, points, targets, pulls, begin, end);
+        part = learn_group<wide, false>(net, parameters.at, gradients, most, points, targets, pulls,
+                                        begin, end);
     } else if (net.widest <= 8 * narrow) {
         load_layers<8 * narrow>(net, parameters.at, weights);
-        part = learn_group<narrow, true>(net, weights, gradients, most, points, targets, pulls, begin, end);
+        part = learn_group<narrow, true>(net, weights, gradients, most, points, targets, pulls,
+                                         begin, end);
     } else {
         load_layers<8 * wide>(net, parameters.at, weights);
-        part = learn_group<wide, true>(net, weights, gradients, most, points, targets, pulls, begin, end);
+        part = learn_group<wide, true>(net, weights, gradients, most, points, targets, pulls, begin,
+                                       end);
     }
     parts[threadIdx.x] = part;
     __syncthreads();
     if (threadIdx.x == 0) {
-        for (int k = 1; k < THREADS; k++) part.error += parts[k].error, part.learnt += parts[k].learnt;
+        for (int k = 1; k < THREADS; k++)
+            part.error += parts[k].error, part.learnt += parts[k].learnt;
         gradients[sums - 2] = float(part.error / (double(total) * net.size[net.layers]));
         gradients[sums - 1] = float(double(part.learnt) / double(total));
     }
@@ -413,17 +461,18 @@ __device__ inline float scale_of(const View& partials) {
 __device__ inline void adam_step(float gradient, const View& hyper, float* row, float& parameter) {
     const float rate = hyper.at[0], slow = hyper.at[1], slower = hyper.at[2], epsilon = hyper.at[3];
     const float step = row[2] + 1.0f;
-    const float size = rate / -expm1f(step * logf(slow)), scale = 1.0f / sqrtf(-expm1f(step * logf(slower)));
+    const float size = rate / -expm1f(step * logf(slow)),
+                scale = 1.0f / sqrtf(-expm1f(step * logf(slower)));
     row[0] = slow * row[0] + (1.0f - slow) * gradient;
     row[1] = slower * row[1] + (1.0f - slower) * gradient * gradient;
     row[2] = step;
     parameter -= size * row[0] / (sqrtf(row[1]) * scale + epsilon);
 }
 
-// partials (groups, count + 2), hyper (4,), parameters (count,), moments (count, 3): the last two change in place. A
-// block for 8 parameters, 32 of whose threads share a parameter's groups.
-extern "C" __global__ void __launch_bounds__(THREADS) neural_adam(View partials, View hyper, View parameters,
-                                                              View moments) {
+// partials (groups, count + 2), hyper (4,), parameters (count,), moments (count, 3): the last two
+// change in place. A block for 8 parameters, 32 of whose threads share a parameter's groups.
+extern "C" __global__ void __launch_bounds__(THREADS)
+    neural_adam(View partials, View hyper, View parameters, View moments) {
     __shared__ float parts[THREADS];
     const int count = moments.size[0], y = blockIdx.y * 8 + threadIdx.x % 8;
     float gradient = 0.0f;
@@ -445,7 +494,8 @@ struct Corner {
 // A corner of the cell of a grid's level that a point lies in.
 __device__ inline Corner corner_of(const View& grid, int level, const float* point, int corner) {
     const unsigned primes[3] = {1u, 2654435761u, 805459861u};
-    const int dims = int(grid.at[DIMS]), entries = int(grid.at[ENTRIES]), side = int(grid.at[SIDES + level]);
+    const int dims = int(grid.at[DIMS]), entries = int(grid.at[ENTRIES]),
+              side = int(grid.at[SIDES + level]);
     long long corners = 1;
     for (int axis = 0; axis < dims; axis++) corners *= side + 1;
     unsigned entry = 0, step = 1;
@@ -465,10 +515,11 @@ __device__ inline Corner corner_of(const View& grid, int level, const float* poi
     return {int(entry & unsigned(entries - 1)), share};
 }
 
-// grid (20,), table (levels, entries * numbers), points (points, dims + others) -> rows (points, levels * numbers +
-// others).
+// grid (20,), table (levels, entries * numbers), points (points, dims + others) -> rows (points,
+// levels * numbers + others).
 extern "C" __global__ void neural_grid(View grid, View table, View points, View rows) {
-    const int dims = int(grid.at[DIMS]), numbers = int(grid.at[NUMBERS]), levels = int(grid.at[LEVELS]);
+    const int dims = int(grid.at[DIMS]), numbers = int(grid.at[NUMBERS]),
+              levels = int(grid.at[LEVELS]);
     PIXEL(rows.size[1], rows.size[0]);
     const float* const point = points.at + size_t(y) * points.size[1];
     const int level = x / numbers;
@@ -476,22 +527,26 @@ extern "C" __global__ void neural_grid(View grid, View table, View points, View 
     if (level >= levels) value = point[dims + x - levels * numbers];
     for (int corner = 0; level < levels && corner < 1 << dims; corner++) {
         const Corner found = corner_of(grid, level, point, corner);
-        value += found.share * table.at[size_t(level) * table.size[1] + found.entry * numbers + x % numbers];
+        value += found.share
+                 * table.at[size_t(level) * table.size[1] + found.entry * numbers + x % numbers];
     }
     rows.at[size_t(y) * rows.size[1] + x] = value;
 }
 
-// grid (20,), points (points, dims + others), pulls (points, inputs) -> sums (levels, entries * numbers) int64, in
-// units of 2^-44: a block for a level.
-extern "C" __global__ void __launch_bounds__(THREADS) neural_grid_pull(View grid, View points, View pulls, View sums) {
+// grid (20,), points (points, dims + others), pulls (points, inputs) -> sums (levels, entries *
+// numbers) int64, in units of 2^-44: a block for a level.
+extern "C" __global__ void __launch_bounds__(THREADS)
+    neural_grid_pull(View grid, View points, View pulls, View sums) {
     const int dims = int(grid.at[DIMS]), numbers = int(grid.at[NUMBERS]), level = blockIdx.y;
-    unsigned long long* const row = reinterpret_cast<unsigned long long*>(sums.at) + size_t(level) * sums.size[1];
+    unsigned long long* const row = reinterpret_cast<unsigned long long*>(sums.at)
+                                    + size_t(level) * sums.size[1];
     for (int k = threadIdx.x; k < sums.size[1]; k += THREADS) row[k] = 0;
     __syncthreads();
     for (int p = threadIdx.x; p < points.size[0]; p += THREADS) {
         const float* const pull = pulls.at + size_t(p) * pulls.size[1] + level * numbers;
         for (int corner = 0; corner < 1 << dims; corner++) {
-            const Corner found = corner_of(grid, level, points.at + size_t(p) * points.size[1], corner);
+            const Corner found = corner_of(grid, level, points.at + size_t(p) * points.size[1],
+                                           corner);
             for (int k = 0; k < numbers; k++) {
                 const float own = clamped(found.share * pull[k], -MOST_PULL, MOST_PULL);
                 const long long units = llrint(double(own) * UNITS);
@@ -501,9 +556,10 @@ extern "C" __global__ void __launch_bounds__(THREADS) neural_grid_pull(View grid
     }
 }
 
-// sums (levels, entries * numbers) int64, partials (groups, parts), hyper (4,), table (levels, entries * numbers),
-// moments (levels, entries * numbers, 3): the last two change in place.
-extern "C" __global__ void neural_grid_step(View sums, View partials, View hyper, View table, View moments) {
+// sums (levels, entries * numbers) int64, partials (groups, parts), hyper (4,), table (levels,
+// entries * numbers), moments (levels, entries * numbers, 3): the last two change in place.
+extern "C" __global__ void neural_grid_step(View sums, View partials, View hyper, View table,
+                                            View moments) {
     PIXEL(table.size[1], table.size[0]);
     const size_t at = size_t(y) * table.size[1] + x;
     const long long units = reinterpret_cast<const long long*>(sums.at)[at];

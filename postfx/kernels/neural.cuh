@@ -1,8 +1,10 @@
-// Layers of small networks, for the kernels of neural.cu. What the tensors hold: see postfx/kernels/neural.py.
+// Layers of small networks, for the kernels of neural.cu. What the tensors hold: see
+// postfx/kernels/neural.py.
 //
-// A warp takes 16 or 32 points through all layers in its registers; the weights lie in its block's shared memory, if
-// there is room. Products are made by tensor cores: each number is a sum of two with 11 bits, and three products of
-// these are added up in float32 (Ootomo and Yokota 2022), so that results have float32's precision.
+// A warp takes 16 or 32 points through all layers in its registers; the weights lie in its block's
+// shared memory, if there is room. Products are made by tensor cores: each number is a sum of two
+// with 11 bits, and three products of these are added up in float32 (Ootomo and Yokota 2022), so
+// that results have float32's precision.
 #include "number.cuh"
 #include "gelu.h"
 
@@ -15,10 +17,13 @@ __device__ inline int shared_floats() {
     return int(bytes / 4);
 }
 
-// sums (16, 8) += left (16, 8) right (8, 8), spread over a warp. Of lane 4 g + q: sums of rows g and g + 8, columns 2 q
-// and 2 q + 1; left of the same rows, columns q and q + 4; right of column g, rows q and q + 4.
-__device__ inline void add_product(float (&sums)[4], const unsigned (&left)[4], const unsigned (&right)[2]) {
-    asm("mma.sync.aligned.m16n8k8.row.col.f32.tf32.tf32.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, "
+// sums (16, 8) += left (16, 8) right (8, 8), spread over a warp. Of lane 4 g + q: sums of rows g
+// and g + 8, columns 2 q and 2 q + 1; left of the same rows, columns q and q + 4; right of column
+// g, rows q and q + 4.
+__device__ inline void add_product(float (&sums)[4], const unsigned (&left)[4],
+                                   const unsigned (&right)[2]) {
+    asm("mma.sync.aligned.m16n8k8.row.col.f32.tf32.tf32.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, "
+        "{%8, %9}, "
         "{%0, %1, %2, %3};"
         : "+f"(sums[0]), "+f"(sums[1]), "+f"(sums[2]), "+f"(sums[3])
         : "r"(left[0]), "r"(left[1]), "r"(left[2]), "r"(left[3]), "r"(right[0]), "r"(right[1]));
@@ -33,17 +38,19 @@ __device__ inline int up_to(int size, int unit) {
     return (size + unit - 1) / unit * unit;
 }
 
-// Rows in shared memory begin at multiples of 32 floats. In row r, column c lies at c ^ turn_of(r): so the numbers that
-// a warp reads at once lie in different banks, be they two columns of 8 rows or 8 columns of 4 rows.
+// Rows in shared memory begin at multiples of 32 floats. In row r, column c lies at c ^ turn_of(r):
+// so the numbers that a warp reads at once lie in different banks, be they two columns of 8 rows or
+// 8 columns of 4 rows.
 __device__ inline int turn_of(int row) {
     return 8 * ((row & 3) ^ (row >> 2 & 1));
 }
 
-// What every block knows of the network: sizes; floats before each layer's inputs in a point's rows, before its
-// parameters in the shared memory, and in the tensor.
+// What every block knows of the network: sizes; floats before each layer's inputs in a point's
+// rows, before its parameters in the shared memory, and in the tensor.
 struct Network {
     int layers, inputs, encoded, bands, activation, widest;
-    int size[MOST_LAYERS + 1], rows[MOST_LAYERS + 2], space[MOST_LAYERS + 1], count[MOST_LAYERS + 1];
+    int size[MOST_LAYERS + 1], rows[MOST_LAYERS + 2], space[MOST_LAYERS + 1],
+        count[MOST_LAYERS + 1];
 };
 
 // Rows of a layer's weights in the shared memory.
@@ -63,13 +70,15 @@ __device__ inline void read_network(const View& view, Network& net) {
         int widest = 0, rows = 0, space = 0, count = 0;
 #pragma unroll
         for (int layer = 0; layer <= MOST_LAYERS; layer++) size[layer] = int(at[SIZES + layer]);
-        net.layers = int(at[LAYERS]), net.inputs = int(at[INPUTS]), net.activation = int(at[ACTIVATION]);
+        net.layers = int(at[LAYERS]), net.inputs = int(at[INPUTS]),
+        net.activation = int(at[ACTIVATION]);
         net.encoded = int(at[ENCODED]), net.bands = int(at[BANDS]);
 #pragma unroll
         for (int layer = 0; layer <= MOST_LAYERS; layer++) widest = max(widest, size[layer]);
 #pragma unroll
         for (int layer = 0; layer <= MOST_LAYERS; layer++) {
-            net.size[layer] = size[layer], net.rows[layer] = rows, net.space[layer] = space, net.count[layer] = count;
+            net.size[layer] = size[layer], net.rows[layer] = rows, net.space[layer] = space,
+            net.count[layer] = count;
             rows += up_to(size[layer], 32);
             const int makes = layer < MOST_LAYERS ? size[layer + 1] : 0;
             space += makes ? (height_of(makes) + 1) * stride_of(widest) : 0;
@@ -80,7 +89,8 @@ __device__ inline void read_network(const View& view, Network& net) {
     __syncthreads();
 }
 
-// A layer's parameters. In the shared memory rows have `stride` floats, 0 beside the weights, and the last is the bias.
+// A layer's parameters. In the shared memory rows have `stride` floats, 0 beside the weights, and
+// the last is the bias.
 struct Layer {
     const float *weights, *biases;
     int reads, makes;
@@ -93,8 +103,8 @@ __device__ inline Layer layer_of(const Network& net, int layer, const float* at)
     return {at, at + (SHARED ? height_of(makes) * WIDTH : reads * makes), reads, makes};
 }
 
-// Copy all parameters into the shared memory, where they are after a barrier. Many are read before any is written,
-// because each alone would wait for the card's memory.
+// Copy all parameters into the shared memory, where they are after a barrier. Many are read before
+// any is written, because each alone would wait for the card's memory.
 template <int WIDTH>
 __device__ inline void load_layers(const Network& net, const float* parameters, float* shared) {
     const int many = 16;
@@ -108,7 +118,8 @@ __device__ inline void load_layers(const Network& net, const float* parameters, 
 #pragma unroll
             for (int n = 0; n < many; n++) {
                 const int k = begin + n * THREADS, j = k / WIDTH, i = k % WIDTH;
-                values[n] = j < from.makes && i < from.reads ? from.weights[j * from.reads + i] : 0.0f;
+                values[n] = j < from.makes && i < from.reads ? from.weights[j * from.reads + i]
+                                                             : 0.0f;
             }
 #pragma unroll
             for (int n = 0; n < many; n++) {
@@ -123,7 +134,8 @@ __device__ inline void load_layers(const Network& net, const float* parameters, 
 
 // Sine of whole pi + rest: Taylor series, absolute error below 2e-7 for rest in [-pi/2, pi/2].
 __device__ inline float sine_of(float whole, float rest) {
-    const float square = rest * rest, half = whole * 0.5f, sign = 1.0f - 4.0f * (half - floorf(half));
+    const float square = rest * rest, half = whole * 0.5f,
+                sign = 1.0f - 4.0f * (half - floorf(half));
     float sine = -1.0f / 39916800.0f;
     sine = sine * square + 1.0f / 362880.0f;
     sine = sine * square - 1.0f / 5040.0f;
@@ -141,8 +153,10 @@ __device__ inline Pair waves_of(float turns) {
 // GELU and sine, as on the CPU, and their slopes; a ReLU is made where the sums are.
 __device__ inline void activate(int kind, float& z, float& slope) {
     if (kind == SINE) {
-        const float whole = floorf(z * (1.0f / PI) + 0.5f);  // pi in three parts, the first two of few bits
-        const float rest = z - whole * 3.140625f - whole * 9.67502593994e-4f - whole * 1.50995799e-7f;
+        // pi in three parts, the first two of few bits
+        const float whole = floorf(z * (1.0f / PI) + 0.5f);
+        const float rest = z - whole * 3.140625f - whole * 9.67502593994e-4f
+                           - whole * 1.50995799e-7f;
         slope = sine_of(whole, 0.5f * PI - fabsf(rest));
         z = sine_of(whole, rest);
         return;
@@ -167,17 +181,17 @@ __device__ inline void split(float value, unsigned& high, unsigned& low) {
     low = rest.bits;
 }
 
-// The sums of a warp: for DEPTH times 16 points up to 8 TILES numbers. Of lane 4 g + q: of points g and g + 8, numbers
-// 2 q and 2 q + 1 of each eight.
+// The sums of a warp: for DEPTH times 16 points up to 8 TILES numbers. Of lane 4 g + q: of points g
+// and g + 8, numbers 2 q and 2 q + 1 of each eight.
 template <int TILES, int DEPTH>
 using Sums = float[DEPTH][TILES][4];
 
-// sums += rows right, for `steps` times 8 numbers of a warp's rows to `tiles` times 8. `right(step, tile)` is what this
-// lane needs of an (8, 8) block: rows 2 q and 2 q + 1, column g. Tensor cores round towards 0, so that sums over many
-// steps are made outside of them.
+// sums += rows right, for `steps` times 8 numbers of a warp's rows to `tiles` times 8. `right(step,
+// tile)` is what this lane needs of an (8, 8) block: rows 2 q and 2 q + 1, column g. Tensor cores
+// round towards 0, so that sums over many steps are made outside of them.
 template <int TILES, int DEPTH, int GROUP, class Right>
-__device__ inline void add_rows(Sums<TILES, DEPTH>& sums, const float* rows, int width, int steps, int tiles,
-                                Right right) {
+__device__ inline void add_rows(Sums<TILES, DEPTH>& sums, const float* rows, int width, int steps,
+                                int tiles, Right right) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
 #pragma unroll(TILES > 8 ? 1 : 2)
     for (int step = 0; step < steps; step++) {
@@ -203,19 +217,22 @@ __device__ inline void add_rows(Sums<TILES, DEPTH>& sums, const float* rows, int
 #pragma unroll
             for (int k = 0; k < 3 * DEPTH * GROUP; k++) {  // small products first
                 const int d = k % DEPTH, n = k / DEPTH % GROUP, what = k / DEPTH / GROUP;
-                add_product(parts[d][n], what == 0 ? low[d] : high[d], what == 1 ? rest[n] : whole[n]);
+                add_product(parts[d][n], what == 0 ? low[d] : high[d],
+                            what == 1 ? rest[n] : whole[n]);
             }
 #pragma unroll
             for (int d = 0; d < DEPTH; d++) {
 #pragma unroll
-                for (int k = 0; k < 4 * GROUP; k++) sums[d][first + k / 4][k % 4] += parts[d][k / 4][k % 4];
+                for (int k = 0; k < 4 * GROUP; k++)
+                    sums[d][first + k / 4][k % 4] += parts[d][k / 4][k % 4];
             }
         }
     }
 }
 
 template <int TILES, int DEPTH, class Right>
-__device__ inline void multiply(Sums<TILES, DEPTH>& sums, const float* rows, int inner, int columns, Right right) {
+__device__ inline void multiply(Sums<TILES, DEPTH>& sums, const float* rows, int inner, int columns,
+                                Right right) {
     const int steps = (inner + 7) / 8, tiles = (columns + 7) / 8, width = up_to(inner, 32);
     if (tiles > 1) {
         add_rows<TILES, DEPTH, 4>(sums, rows, width, steps, tiles, right);
@@ -233,16 +250,19 @@ __device__ inline void each_pair(float* at, int width, Call call) {
         if (8 * n >= width) break;
 #pragma unroll
         for (int r = 0; r < 2; r++) {
-            call(n, r, *reinterpret_cast<Pair*>(at + (g + 8 * r) * width + ((8 * n) ^ turn) + 2 * q));
+            call(n, r,
+                 *reinterpret_cast<Pair*>(at + (g + 8 * r) * width + ((8 * n) ^ turn) + 2 * q));
         }
     }
 }
 
-// What the first layer reads of some points, and 0 beside it, in a warp's rows; from `end` on points are 0. Numbers of 16
-// points are read before any is written, because each alone would wait for the card's memory.
-__device__ inline void encode_points(const Network& net, const View& points, int first, int end, int count,
-                                     float* rows) {
-    const int width = up_to(net.size[0], 32), lane = threadIdx.x % 32, p = lane % TILE, turn = turn_of(p);
+// What the first layer reads of some points, and 0 beside it, in a warp's rows; from `end` on
+// points are 0. Numbers of 16 points are read before any is written, because each alone would wait
+// for the card's memory.
+__device__ inline void encode_points(const Network& net, const View& points, int first, int end,
+                                     int count, float* rows) {
+    const int width = up_to(net.size[0], 32), lane = threadIdx.x % 32, p = lane % TILE,
+              turn = turn_of(p);
     for (int column = lane; column < width; column += 32) {
         if (column >= net.inputs && column < net.size[0]) continue;
         const float* const from = points.at + size_t(first) * net.inputs + column;
@@ -254,11 +274,13 @@ __device__ inline void encode_points(const Network& net, const View& points, int
                 numbers[k] = is_there ? from[(begin + k) * net.inputs] : 0.0f;
             }
 #pragma unroll
-            for (int k = 0; k < TILE; k++) rows[(begin + k) * width + (column ^ turn_of(k))] = numbers[k];
+            for (int k = 0; k < TILE; k++)
+                rows[(begin + k) * width + (column ^ turn_of(k))] = numbers[k];
         }
     }
     __syncwarp();
-    for (float* row = rows + p * width; net.bands && row < rows + count * width; row += TILE * width) {
+    for (float* row = rows + p * width; net.bands && row < rows + count * width;
+         row += TILE * width) {
         for (int i = 0; i < net.encoded; i++) {  // a lane for every other band of a point
             const float number = row[i ^ turn];
             float factor = lane < TILE ? 1.0f : 2.0f;
@@ -275,7 +297,8 @@ __device__ inline void encode_points(const Network& net, const View& points, int
     __syncwarp();
 }
 
-// A layer of DEPTH times 16 points, before its activation; beyond the columns that it makes numbers are of no use.
+// A layer of DEPTH times 16 points, before its activation; beyond the columns that it makes numbers
+// are of no use.
 template <int TILES, int DEPTH, bool SHARED>
 __device__ inline void run_layer(const Layer& layer, const float* rows, Sums<TILES, DEPTH>& sums) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
@@ -300,9 +323,11 @@ __device__ inline void run_layer(const Layer& layer, const float* rows, Sums<TIL
     });
 }
 
-// A layer's activation of 16 points in a warp's rows, 0 beside what it makes, and slopes unless it is a ReLU.
+// A layer's activation of 16 points in a warp's rows, 0 beside what it makes, and slopes unless it
+// is a ReLU.
 template <int TILES>
-__device__ inline void activate_rows(int kind, int makes, const float (&sums)[TILES][4], float* rows, float* slopes) {
+__device__ inline void activate_rows(int kind, int makes, const float (&sums)[TILES][4],
+                                     float* rows, float* slopes) {
     const int width = up_to(makes, 32), q = threadIdx.x % 4, column = threadIdx.x % 32;
     each_pair<TILES>(rows, width, [&](int n, int r, Pair& pair) {
         const float x = sums[n][2 * r], y = sums[n][2 * r + 1];
@@ -312,7 +337,8 @@ __device__ inline void activate_rows(int kind, int makes, const float (&sums)[TI
     __syncwarp();
     if (kind == RELU) return;
 #pragma unroll 2
-    for (int k = 0; k < TILE * width; k += 32) {  // the same numbers: this code is too long to be there for each
+    // the same numbers: this code is too long to be there for each
+    for (int k = 0; k < TILE * width; k += 32) {
         float slope;
         const int p = k / width, c = k % width + column, at = p * width + (c ^ turn_of(p));
         if (c >= makes) continue;
@@ -323,11 +349,14 @@ __device__ inline void activate_rows(int kind, int makes, const float (&sums)[TI
 }
 
 template <int TILES, int DEPTH, bool SHARED>
-__device__ inline void run_all(const Network& net, const float* weights, const View& points, const View& values) {
-    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, total = values.size[0], last = net.layers - 1;
+__device__ inline void run_all(const Network& net, const float* weights, const View& points,
+                               const View& values) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, total = values.size[0],
+              last = net.layers - 1;
     const int warp = threadIdx.x / 32, together = TILE * DEPTH;
     float* const rows = memory + warp * together * 8 * TILES;
-    for (int tile = blockIdx.y + warp * gridDim.y; tile * together < total; tile += gridDim.y * WARPS) {
+    for (int tile = blockIdx.y + warp * gridDim.y; tile * together < total;
+         tile += gridDim.y * WARPS) {
         const int first = tile * together;
         encode_points(net, points, first, total, together, rows);
         for (int index = 0; index <= last; index++) {
@@ -347,7 +376,8 @@ __device__ inline void run_all(const Network& net, const float* weights, const V
             for (int k = 0; k < 4 * TILES * DEPTH; k++) {
                 const int d = k / 4 / TILES, n = k / 4 % TILES, column = 8 * n + 2 * q + k % 2;
                 const int p = first + TILE * d + g + k % 4 / 2 * 8;
-                if (column < layer.makes && p < total) values.at[size_t(p) * layer.makes + column] = sums[d][n][k % 4];
+                if (column < layer.makes && p < total)
+                    values.at[size_t(p) * layer.makes + column] = sums[d][n][k % 4];
             }
         }
     }

@@ -6,8 +6,9 @@
 //
 // NaN and infinity. A comparison with NaN is false, and larger() and smaller() then give their
 // second argument. So within() makes the low bound of NaN, and bounded() leaves it. Everything else
-// carries NaN and infinity on, into the pixels that are made of them and into no others. The functions
-// at the end take numbers within the bounds that they name; beyond them, only NaN stays what it is.
+// carries NaN and infinity on, into the pixels that are made of them and into no others. The
+// functions at the end take numbers within the bounds that they name; beyond them, only NaN stays
+// what it is.
 #pragma once
 
 typedef long long Long;
@@ -162,7 +163,8 @@ template <int FIRST, int... I> FN Wide quads_from(Wide ab, Wide cd, List<int, I.
 template <int STEP, int PIXEL> FN void store_quads(float* at, Wide quads) {
     float four[WIDE];
     store<Wide>(four, quads);
-    for (int i = 0; i < WIDE / 4; i++) __builtin_memcpy(at + STEP * (PIXEL + i), four + 4 * i, sizeof(Four));
+    for (int i = 0; i < WIDE / 4; i++)
+        __builtin_memcpy(at + STEP * (PIXEL + i), four + 4 * i, sizeof(Four));
 }
 template <int STEP, class F> FN void spread_four(float* at, F a, F b, F c, F d) {
     if constexpr (Of<F>::COUNT == 1) {

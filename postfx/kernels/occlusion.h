@@ -1,5 +1,5 @@
-// Ambient occlusion from normals and depth: directions, angles, and where surfaces lie. Products and
-// sums are rounded apart, so that the same pixels are looked at on every processor.
+// Ambient occlusion from normals and depth: directions, angles, and where surfaces lie. Products
+// and sums are rounded apart, so that the same pixels are looked at on every processor.
 #pragma once
 #include "rows.h"
 #pragma clang fp contract(off)
@@ -27,7 +27,8 @@ FN float length_of(Vector a) { return root_of(dot(a, a)); }
 FN Vector less(Vector a, Vector b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
 FN Vector normal_at(const float* surface) { return {surface[0], surface[1], surface[2]}; }
 
-// Directions, made when this is compiled: the series of cos(x) and sin(x), to the last bit of float.
+// Directions, made when this is compiled: the series of cos(x) and sin(x), to the last bit of
+// float.
 struct Way {
     float c, s;
 };

@@ -61,8 +61,8 @@ template <class F> struct Before {
 };
 
 static void mix_rows(Long first, Long last, Picture colour, Picture partner, Picture history,
-                     Picture motion, Picture weight, Picture strength, View<const float, 1> settings,
-                     NewPicture output) {
+                     Picture motion, Picture weight, Picture strength,
+                     View<const float, 1> settings, NewPicture output) {
     const Long height = output.size[0], width = output.size[1];
     const float exposure = settings.at[EXPOSURE], reach = settings.at[REACH];
     const bool keep = settings.at[KEEP] > 0.0f;
@@ -76,7 +76,8 @@ static void mix_rows(Long first, Long last, Picture colour, Picture partner, Pic
             const F share = acting * within<F>(number_at<F, 1>(weight, y, x, 0), 0.0f, 1.0f);
             const F most = reach * smaller<F>(share, acting - share);
             const F at_y = place_of<F>(float(y), number_at<F, 2>(motion, y, x, 1), height);
-            const F at_x = place_of<F>(ramp<F>(float(x), 1.0f), number_at<F, 2>(motion, y, x, 0), width);
+            const F at_x = place_of<F>(ramp<F>(float(x), 1.0f), number_at<F, 2>(motion, y, x, 0),
+                                       width);
             const Before<F> before(history, at_y, at_x);
             F mixed[3];
             for (int c = 0; c < 3; c++) {

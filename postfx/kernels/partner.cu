@@ -24,12 +24,14 @@ __device__ inline float decode(float coded) {
     return coded > 0.0f ? size : -size;
 }
 
-extern "C" __global__ void mix_partner(View colour, View partner, View history, View motion, View weight,
-                                       View strength, View settings, View output) {
+extern "C" __global__ void mix_partner(View colour, View partner, View history, View motion,
+                                       View weight, View strength, View settings, View output) {
     const int height = output.size[0], width = output.size[1];
     PIXEL(width, height);
-    const float exposure = settings.at[0], acting = clamped(settings.at[3], 0.0f, 1.0f) * number_at(strength, y, x);
-    const float share = acting * number_at(weight, y, x), most = settings.at[1] * fminf(share, acting - share);
+    const float exposure = settings.at[0],
+                acting = clamped(settings.at[3], 0.0f, 1.0f) * number_at(strength, y, x);
+    const float share = acting * number_at(weight, y, x),
+                most = settings.at[1] * fminf(share, acting - share);
     const int row = min(y, motion.size[0] - 1), column = min(x, motion.size[1] - 1);
     const float* const moved = motion.at + 2 * (size_t(row) * motion.size[1] + column);
     const float at_y = place_of(y, moved[1], height), at_x = place_of(x, moved[0], width);
@@ -58,7 +60,8 @@ extern "C" __global__ void mix_partner(View colour, View partner, View history, 
     }
 }
 
-extern "C" __global__ void enlarge_motion(View motion, View rows, View columns, View ratio, View enlarged) {
+extern "C" __global__ void enlarge_motion(View motion, View rows, View columns, View ratio,
+                                          View enlarged) {
     const int height = enlarged.size[0], width = enlarged.size[1];
     PIXEL(width, height);
     const int row = within(int(rintf(rows.at[y])), motion.size[0]);
@@ -66,6 +69,7 @@ extern "C" __global__ void enlarge_motion(View motion, View rows, View columns, 
     for (int c = 0; c < 2; c++) {
         const float moved = motion.at[2 * (size_t(row) * motion.size[1] + column) + c];
         const bool is_possible = fabsf(moved) < MOST_MOVED;
-        enlarged.at[2 * (size_t(y) * width + x) + c] = is_possible ? moved * ratio.at[c] : MOST_MOVED;
+        enlarged.at[2 * (size_t(y) * width + x) + c] = is_possible ? moved * ratio.at[c]
+                                                                   : MOST_MOVED;
     }
 }

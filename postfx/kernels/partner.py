@@ -1,14 +1,15 @@
 """Kernels that mix a picture with another denoiser's.
 
-Both pictures are compared in logarithms of exposed light, log(1 + x). Between them lies an interval around their
-weighted mean. The last mixture, moved along the motion, is what comes out where it lies in that interval, and the
-nearest end of the interval elsewhere. So the mixture is as steady as both pictures allow, and shows nothing that
-neither of them shows.
+Both pictures are compared in logarithms of exposed light, log(1 + x). Between them lies an interval
+around their weighted mean. The last mixture, moved along the motion, is what comes out where it
+lies in that interval, and the nearest end of the interval elsewhere. So the mixture is as steady as
+both pictures allow, and shows nothing that neither of them shows.
 
-colour, partner, history (height, width, 3); motion (height, width, 2), or (1, 1, 2) for one vector everywhere; weight
-and strength (height, width, 1), or (1, 1, 1) for one number: how much the partner counts, and how strongly all of it
-acts; settings (4,): exposure; how far the interval reaches from the mean to the nearer picture, 0 to 1; whether there
-is a history; and what all strengths are multiplied by.
+colour, partner, history (height, width, 3); motion (height, width, 2), or (1, 1, 2) for one vector
+everywhere; weight and strength (height, width, 1), or (1, 1, 1) for one number: how much the
+partner counts, and how strongly all of it acts; settings (4,): exposure; how far the interval
+reaches from the mean to the nearer picture, 0 to 1; whether there is a history; and what all
+strengths are multiplied by.
 """
 
 from __future__ import annotations
@@ -30,9 +31,8 @@ MIX_PARTNER = Kernel(
     rows=Rows("mix_partner"),
     row_axis=("output", 0),
     shapes={"colour": PICTURE_SHAPE, "partner": PICTURE_SHAPE, "history": PICTURE_SHAPE,
-            "motion": ("motion_h", "motion_w", 2),
-            "weight": ("weight_h", "weight_w", 1), "strength": ("strength_h", "strength_w", 1), "settings": (4,),
-            "output": PICTURE_SHAPE},
+            "motion": ("motion_h", "motion_w", 2), "weight": ("weight_h", "weight_w", 1),
+            "strength": ("strength_h", "strength_w", 1), "settings": (4,), "output": PICTURE_SHAPE},
 )
 
 ENLARGE_MOTION = Kernel(
@@ -44,4 +44,5 @@ ENLARGE_MOTION = Kernel(
     shapes={"motion": ("h", "w", 2), "rows": ("height",), "columns": ("width",), "ratio": (2,),
             "enlarged": ("height", "width", 2)},
 )
-"""Motion of the nearest render pixel, in pixels of the output; ratio (2,): output size over render size, x and y."""
+"""Motion of the nearest render pixel, in pixels of the output; ratio (2,): output size over render
+size, x and y."""

@@ -1,5 +1,5 @@
-// Pixels as files hold them: half floats, 8 bits with dither, bytes as PNG and OpenEXR compress them.
-// Products and sums are rounded apart, so that files are the same bytes on every processor.
+// Pixels as files hold them: half floats, 8 bits with dither, bytes as PNG and OpenEXR compress
+// them. Products and sums are rounded apart, so that files are the same bytes on every processor.
 #include "rows.h"
 #pragma clang fp contract(off)
 
@@ -14,7 +14,8 @@ constexpr int LARGEST = 0x477FE000;  // bits in float32 of 65504, the largest ha
 constexpr int INFINITE = 0x7F800000, LEAST_NORMAL = 0x38800000, REBIAS = 0x38000000;
 constexpr int SIZE = 0x7FFFFFFF, HALF_SIZE = 0x7FFF, HALF_SIGN = 0x8000;
 constexpr int HALF_NAN = 0x7E00, HALF_INFINITE = 0x7C00, HALF_NORMAL = 0x400;
-constexpr float SUBNORMALS = 1 << 24;  // those below the least normal one are whole numbers over this
+// those below the least normal one are whole numbers over this
+constexpr float SUBNORMALS = 1 << 24;
 
 FN void store_words(Word16* at, int x) { *at = Word16(x); }
 FN void store_words(Word16* at, WideInt x) {

@@ -1,5 +1,6 @@
-// Products on tensor cores in half precision, copies into shared memory, and how groups of threads wait for each other:
-// what postfx/kernels/convolution.cuh is made of. On the host tests put their own in place of the GPU's instructions.
+// Products on tensor cores in half precision, copies into shared memory, and how groups of threads
+// wait for each other: what postfx/kernels/convolution.cuh is made of. On the host tests put their
+// own in place of the GPU's instructions.
 //
 // WARPGROUPS is defined where the warps of a group multiply together (compute capability 9.0).
 
@@ -18,7 +19,8 @@ __device__ inline unsigned shared_at(const void* at) {
 
 // Begin to copy 16 bytes into the shared memory, zeros where there is nothing.
 __device__ inline void copy_eight(char* to, const char* from, bool there) {
-    asm volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;" ::"r"(shared_at(to)), "l"(from), "r"(there ? 16 : 0)
+    asm volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;" ::"r"(shared_at(to)), "l"(from),
+                 "r"(there ? 16 : 0)
                  : "memory");
 }
 
@@ -39,7 +41,8 @@ __device__ inline void give_turn(int group) {
     asm volatile("bar.arrive %0, %1;" ::"r"(group + 5), "n"(2 * GROUP) : "memory");
 }
 
-// A place in shared memory for a part of the weights: how often it has been filled, and how many warps are through.
+// A place in shared memory for a part of the weights: how often it has been filled, and how many
+// warps are through.
 struct alignas(16) Slot {
     unsigned long long filled;
     int through;
@@ -54,15 +57,21 @@ __device__ inline void empty(Slot& slot) {
 
 // Begin to copy a part; one thread does it.
 __device__ inline void fill_slot(Slot& slot, char* to, const char* from, int bytes) {
-    asm volatile("mbarrier.arrive.expect_tx.shared::cta.b64 _, [%0], %1;\n"
-                 "cp.async.bulk.shared::cluster.global.mbarrier::complete_tx::bytes [%2], [%3], %1, [%0];"
-                 ::"r"(shared_at(&slot.filled)), "r"(bytes), "r"(shared_at(to)), "l"(from) : "memory");
+    asm volatile(
+        "mbarrier.arrive.expect_tx.shared::cta.b64 _, [%0], %1;\n"
+        "cp.async.bulk.shared::cluster.global.mbarrier::complete_tx::bytes [%2], [%3], %1, [%0];" ::
+            "r"(shared_at(&slot.filled)),
+        "r"(bytes), "r"(shared_at(to)), "l"(from)
+        : "memory");
 }
 
 // Wait until it has been filled more than `times` times.
 __device__ inline void wait_for_slot(Slot& slot, int times) {
-    asm volatile("{\n.reg .pred p;\nagain:\nmbarrier.try_wait.parity.shared::cta.b64 p, [%0], %1;\n@!p bra again;\n}"
-                 ::"r"(shared_at(&slot.filled)), "r"(times & 1) : "memory");
+    asm volatile(
+        "{\n.reg .pred p;\nagain:\nmbarrier.try_wait.parity.shared::cta.b64 p, [%0], %1;\n@!p bra "
+        "again;\n}" ::"r"(shared_at(&slot.filled)),
+        "r"(times & 1)
+        : "memory");
 }
 
 // This warp is through with a part: whether it is the last one of so many.
@@ -87,10 +96,12 @@ __device__ inline void load_matrices(Two (&to)[4], const char* row) {
 
 // sums += left (16x16) * right (16x8) of a warp, added in single precision.
 __device__ inline void add_product(float* sums, const Two (&left)[4], Two upper, Two lower) {
-    asm volatile("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, "
-                 "{%0, %1, %2, %3};"
-                 : "+f"(sums[0]), "+f"(sums[1]), "+f"(sums[2]), "+f"(sums[3])
-                 : "r"(left[0]), "r"(left[1]), "r"(left[2]), "r"(left[3]), "r"(upper), "r"(lower));
+    asm volatile(
+        "mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, "
+        "{%8, %9}, "
+        "{%0, %1, %2, %3};"
+        : "+f"(sums[0]), "+f"(sums[1]), "+f"(sums[2]), "+f"(sums[3])
+        : "r"(left[0]), "r"(left[1]), "r"(left[2]), "r"(left[3]), "r"(upper), "r"(lower));
 }
 
 __device__ inline float saturated(float x) {
@@ -116,11 +127,13 @@ __device__ inline Two larger(Two a, Two b) {
 }
 
 #ifdef WARPGROUPS
-// Matrices of 8x8 halves in shared memory, 16 bytes a row: how far they are apart along the sum, and across.
+// Matrices of 8x8 halves in shared memory, 16 bytes a row: how far they are apart along the sum,
+// and across.
 typedef unsigned long long Matrices;
 
 __device__ inline Matrices matrices(const char* at, int along, int across) {
-    return Matrices(shared_at(at) >> 4 & 0x3fff) | Matrices(along >> 4) << 16 | Matrices(across >> 4) << 32;
+    return Matrices(shared_at(at) >> 4 & 0x3fff) | Matrices(along >> 4) << 16
+           | Matrices(across >> 4) << 32;
 }
 
 // sums += left (16x16 of each warp) * right (16 x 2 COUNT) of a group: see `multiply_source` of
@@ -137,7 +150,8 @@ __device__ inline void begin_products() {
     asm volatile("wgmma.fence.sync.aligned;" ::: "memory");
 }
 
-// Of products that have begun, wait for all but those since the last call: the factors before them can be loaded anew.
+// Of products that have begun, wait for all but those since the last call: the factors before them
+// can be loaded anew.
 template <int STEPS>
 __device__ inline void end_products_before(Two (&left)[STEPS][4]) {
     asm volatile("wgmma.commit_group.sync.aligned;\nwgmma.wait_group.sync.aligned 1;" ::: "memory");
@@ -174,7 +188,8 @@ __device__ inline void multiply(float (&sums)[COUNT], const Two (&left)[4], Matr
     Two b[4];
 #pragma unroll
     for (int i = 0; i < COUNT; i += 8) {
-        load_matrices(b, right.at + (2 * i + lane / 16 * 8 + lane % 8) * 16 + lane / 8 % 2 * right.along);
+        load_matrices(
+            b, right.at + (2 * i + lane / 16 * 8 + lane % 8) * 16 + lane / 8 % 2 * right.along);
         add_product(sums + i, left, b[0], b[1]);
         add_product(sums + i + 4, left, b[2], b[3]);
     }

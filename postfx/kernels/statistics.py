@@ -1,9 +1,9 @@
-"""What the host looks at in a frame's planes before it is uploaded: the light of blocks of pixels, on which exposure is
-metered, a coarse grid's cells, by which cuts are found, where alpha differs, whether depth is noise, and how much light
-lies outside the gamut.
+"""What the host looks at in a frame's planes before it is uploaded: the light of blocks of pixels,
+on which exposure is metered, a coarse grid's cells, by which cuts are found, where alpha differs,
+whether depth is noise, and how much light lies outside the gamut.
 
-Sums keep their order, so that a multiplier does not depend on vectors, nor on the threads that a pipeline lends for the
-largest of these.
+Sums keep their order, so that a multiplier does not depend on vectors, nor on the threads that a
+pipeline lends for the largest of these.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ _coverage_noise = Rows("coverage_noise")
 
 
 def block_means(colour: np.ndarray, side: int) -> np.ndarray:
-    """Mean luminance of each block of side x side pixels without the brightest; colour (h, w, 3) -> float64 (rows,
-    columns), blocks at the edges smaller.
+    """Mean luminance of each block of side x side pixels without the brightest; colour (h, w, 3) ->
+    float64 (rows, columns), blocks at the edges smaller.
 
-    Non-finite pixels are left out, negative ones count as 0. Averaging keeps the noise of one sample a pixel out of
-    the logarithm that follows, which would read it as darkness; without the brightest pixel a firefly is no light.
+    Non-finite pixels are left out, negative ones count as 0. Averaging keeps the noise of one
+    sample a pixel out of the logarithm that follows, which would read it as darkness; without the
+    brightest pixel a firefly is no light.
     """
     means = np.empty([-(-length // side) for length in colour.shape[:2]])
     share(_block_means, len(means), whole(colour, np.float32), np.array([side]), means)
@@ -41,11 +42,12 @@ def block_means(colour: np.ndarray, side: int) -> np.ndarray:
 
 
 def half_means(colour: np.ndarray, side: int) -> np.ndarray:
-    """Mean luminance of the two halves of each whole block of side x side pixels; colour (h, w, 3) -> float64 (2, rows,
-    columns).
+    """Mean luminance of the two halves of each whole block of side x side pixels; colour (h,
+    w, 3) -> float64 (2, rows, columns).
 
-    The halves are the even and the odd rows, so they show the same with other noise. The brightest pixel of each is
-    left out, as by `block_means`; pixels that are not finite and negative ones count as 0.
+    The halves are the even and the odd rows, so they show the same with other noise. The brightest
+    pixel of each is left out, as by `block_means`; pixels that are not finite and negative ones
+    count as 0.
     """
     means = np.empty((2, colour.shape[0] // side, colour.shape[1] // side))
     share(_half_means, means.shape[1], whole(colour, np.float32), np.array([side]), means)
@@ -53,10 +55,11 @@ def half_means(colour: np.ndarray, side: int) -> np.ndarray:
 
 
 def pair_means(plane: np.ndarray, side: int) -> np.ndarray:
-    """Means of two pairs of pixels of each whole block of side x side; plane (h, w, C) -> float64 (rows, columns, 2,
-    C).
+    """Means of two pairs of pixels of each whole block of side x side; plane (h, w, C) -> float64
+    (rows, columns, 2, C).
 
-    Each pair lies on a diagonal, a quarter of the block from its corners. Means that are not finite become 0.
+    Each pair lies on a diagonal, a quarter of the block from its corners. Means that are not finite
+    become 0.
     """
     means = np.empty((plane.shape[0] // side, plane.shape[1] // side, 2, plane.shape[2]))
     _pair_means(0, len(means), whole(plane, np.float32), np.array([side]), means)
@@ -64,8 +67,8 @@ def pair_means(plane: np.ndarray, side: int) -> np.ndarray:
 
 
 def bounds_of_cells(plane: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """The lowest and the highest value, 0 to 1, of a plane (h, w) in each cell of side x side pixels, each (rows,
-    columns)."""
+    """The lowest and the highest value, 0 to 1, of a plane (h, w) in each cell of side x side
+    pixels, each (rows, columns)."""
     cells = [-(-length // side) for length in plane.shape]
     low, high = np.empty(cells, np.float32), np.empty(cells, np.float32)
     _bounds_of_cells(0, cells[0], whole(plane, np.float32), np.array([side]), low, high)
@@ -79,8 +82,8 @@ def mark_positive(plane: np.ndarray, side: int, cells: np.ndarray) -> None:
 
 
 def lit_cells(plane: np.ndarray, side: int) -> np.ndarray:
-    """The cells of side x side pixels of a plane (h, w, C) of float32 that are not 0 everywhere: (rows, columns) of
-    bool."""
+    """The cells of side x side pixels of a plane (h, w, C) of float32 that are not 0 everywhere:
+    (rows, columns) of bool."""
     cells = np.zeros([-(-length // side) for length in plane.shape[:2]], bool)
     bits = whole(plane, np.float32).view(np.uint32)
     share(_mark_lit, len(cells), bits, np.array([side]), cells)
@@ -88,8 +91,9 @@ def lit_cells(plane: np.ndarray, side: int) -> np.ndarray:
 
 
 def coverage_noise(depth: np.ndarray, farthest: float) -> float:
-    """Share of the pixels of depth (h, w) that are a hit where at least three of four neighbours are misses, or the
-    other way round. Surfaces have next to none; of white noise it is up to 5/16. Every second row is looked at."""
+    """Share of the pixels of depth (h, w) that are a hit where at least three of four neighbours
+    are misses, or the other way round. Surfaces have next to none; of white noise it is up to 5/16.
+    Every second row is looked at."""
     rows, inner = max(depth.shape[0] - 1, 0) // 2, depth.shape[1] - 2
     odd = np.zeros(rows, np.float32)
     _coverage_noise(0, rows, whole(depth, np.float32), np.array([farthest], np.float32), odd)
@@ -106,26 +110,28 @@ _mix_places = Rows("mix_places")
 
 
 def limit_depths(depth: np.ndarray, beyond: float, least: float) -> np.ndarray:
-    """Depths, of which those from `beyond` on, and what is no number, lie at twice the farthest of the others; none is
-    less than `least`."""
+    """Depths, of which those from `beyond` on, and what is no number, lie at twice the farthest of
+    the others; none is less than `least`."""
     is_hit = depth < beyond
-    limited: np.ndarray = np.where(is_hit, np.maximum(depth, least), 2 * depth.max(initial=least, where=is_hit))
+    limited: np.ndarray = np.where(is_hit, np.maximum(depth, least),
+                                   2 * depth.max(initial=least, where=is_hit))
     return limited
 
 
 def band_of(planes: np.ndarray, narrow: int, wide: int) -> np.ndarray:
-    """Mean over narrow x narrow cells less that over wide x wide ones, both odd; planes (rows, columns, channels) to
-    the same. Edges are repeated."""
+    """Mean over narrow x narrow cells less that over wide x wide ones, both odd; planes (rows,
+    columns, channels) to the same. Edges are repeated."""
     band = np.empty(planes.shape)
     _band_of(0, len(band), whole(planes, np.float64), np.array([narrow, wide]), band)
     return band
 
 
 def places_inside(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cells whose motion (rows, columns, 2) leads to a place between the outermost cells' centres: places x and y
-    (count,) and numbers of the cells (count,)."""
+    """Cells whose motion (rows, columns, 2) leads to a place between the outermost cells' centres:
+    places x and y (count,) and numbers of the cells (count,)."""
     size = motion.shape[0] * motion.shape[1]
-    x, y, cells, count = np.empty(size), np.empty(size), np.empty(size, np.int64), np.empty(1, np.int64)
+    x, y, cells, count = (np.empty(size), np.empty(size), np.empty(size, np.int64),
+                          np.empty(1, np.int64))
     _places_inside(0, 1, whole(motion, np.float64), x, y, cells, count)
     return x[:count[0]], y[:count[0]], cells[:count[0]]
 
@@ -139,7 +145,8 @@ def mix_places(plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def moments(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
-    """Mean square of two sets of cells (cells, channels) without the means of their channels, and mean product."""
+    """Mean square of two sets of cells (cells, channels) without the means of their channels, and
+    mean product."""
     found = np.empty((a.shape[1], 3))
     _moments(0, len(found), *(whole(cells.T, np.float64) for cells in (a, b)), found)
     square_a, square_b, both = (found.sum(axis=0) / a.size).tolist()
@@ -147,20 +154,24 @@ def moments(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
 
 
 def correlate(a: np.ndarray, b: np.ndarray, least_spread: float) -> float:
-    """Pearson's correlation of (cells, channels), all channels together; NaN where one of the two hardly varies."""
+    """Pearson's correlation of (cells, channels), all channels together; NaN where one of the two
+    hardly varies."""
     square_a, square_b, both = moments(a, b)
     spread_a, spread_b = math.sqrt(square_a), math.sqrt(square_b)
     return both / (spread_a * spread_b) if min(spread_a, spread_b) > least_spread else math.nan
 
 
 def reliability(halves: np.ndarray) -> float:
-    """Share of the variance of the mean of two halves (cells, 2, channels) that is not noise (Spearman-Brown)."""
+    """Share of the variance of the mean of two halves (cells, 2, channels) that is not noise
+    (Spearman-Brown)."""
     between = correlate(halves[:, 0], halves[:, 1], 0.0)
     return 0.0 if math.isnan(between) else max(2 * between / (1 + between), 0.0)
 
 
-def true_correlation(before: np.ndarray, now: np.ndarray, least_spread: float, least_reliability: float) -> float:
-    """Correlation of (cells, 2 halves, channels) as it would be without noise; NaN where there is little else."""
+def true_correlation(before: np.ndarray, now: np.ndarray, least_spread: float,
+                     least_reliability: float) -> float:
+    """Correlation of (cells, 2 halves, channels) as it would be without noise; NaN where there is
+    little else."""
     raw = correlate(before.mean(axis=1), now.mean(axis=1), least_spread)
     first, second = reliability(before), reliability(now)
     if math.isnan(raw) or min(first, second) < least_reliability:
@@ -173,16 +184,18 @@ def true_correlation(before: np.ndarray, now: np.ndarray, least_spread: float, l
 LOOKED_AT_PX = 128
 """Pixels along a side that are looked at for light outside the gamut, up to twice as many."""
 OUTSIDE = 0.006
-"""From this share of light outside the gamut on, it is worth denoising in wider primaries: they gained 0.7 dB at 0.008.
-Below it are pixel filters with negative lobes, up to 0.005 by Lanczos, where they neither gain nor lose."""
+"""From this share of light outside the gamut on, it is worth denoising in wider primaries: they
+gained 0.7 dB at 0.008. Below it are pixel filters with negative lobes, up to 0.005 by Lanczos,
+where they neither gain nor lose."""
 
 
 def light_outside(colour: np.ndarray) -> float:
-    """Share of the light of a picture (h, w, 3) that is negative and that wider primaries turn positive.
+    """Share of the light of a picture (h, w, 3) that is negative and that wider primaries turn
+    positive.
 
-    Pixels count by their brightness up to that of the usual pixel, brighter ones no more, so that a few fireflies
-    decide nothing. Grey light below 0, as pixel filters leave it beside bright edges, does not count, nor do pixels
-    without any positive number.
+    Pixels count by their brightness up to that of the usual pixel, brighter ones no more, so that a
+    few fireflies decide nothing. Grey light below 0, as pixel filters leave it beside bright edges,
+    does not count, nor do pixels without any positive number.
     """
     down, right = (max(1, side // LOOKED_AT_PX) for side in colour.shape[:2])
     pixels = colour[::down, ::right].reshape(-1, 3)
@@ -191,7 +204,8 @@ def light_outside(colour: np.ndarray) -> float:
     pixels = pixels[np.isfinite(pixels).all(1)].astype(np.float64)
     brightest = np.abs(pixels).max(1, initial=0.0)
     lit = brightest > 0
-    seen = pixels[lit] / (np.exp(np.log(brightest[lit]).mean()) + brightest[lit])[:, None] if lit.any() else pixels
+    seen = (pixels[lit] / (np.exp(np.log(brightest[lit]).mean()) + brightest[lit])[:, None]
+            if lit.any() else pixels)
     mixed = seen[seen.max(1, initial=-1.0) > 0]
     gained = np.minimum(mixed @ TO_WIDER_PRIMARIES.T, 0).sum() - np.minimum(mixed, 0).sum()
     return float(gained / max(np.abs(seen).sum(), 1e-12))

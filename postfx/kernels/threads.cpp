@@ -1,6 +1,6 @@
-// How threads hand each other bands of rows without the interpreter's lock; `runtime/threads.py` says
-// what a helper does. A row of the board is a helper's: its flag, which is read and written as one,
-// then what it is to run.
+// How threads hand each other bands of rows without the interpreter's lock; `runtime/threads.py`
+// says what a helper does. A row of the board is a helper's: its flag, which is read and written as
+// one, then what it is to run.
 #include "rows.h"
 
 enum Flag { AWAY, WAITING, DOZING, BUSY };
@@ -25,7 +25,8 @@ FN bool is_replaced(Word* row, Word known, Word next) {
                                        __ATOMIC_SEQ_CST);
 }
 
-// Linux's call on the flag of a row, with the row's timeout (futex(2)); -1 at once on other systems.
+// Linux's call on the flag of a row, with the row's timeout (futex(2)); -1 at once on other
+// systems.
 #if defined(__linux__)
 extern "C" long syscall(long number, ...);
 enum { WAIT = 128, WAKE = 129 };

@@ -1,4 +1,5 @@
-// Shaped colour averaged by area: colour (height, width, 3), params (3,), matrix (9,) -> lowres (1, 3, 256, 256).
+// Shaped colour averaged by area: colour (height, width, 3), params (3,), matrix (9,) -> lowres (1,
+// 3, 256, 256).
 extern "C" __global__ void lowres(View colour, View params, View matrix, View lowres) {
     const int height = colour.size[0], width = colour.size[1];
     PIXEL(SIDE, SIDE);
@@ -6,7 +7,8 @@ extern "C" __global__ void lowres(View colour, View params, View matrix, View lo
     // Whole numbers below 2^24 over 256: exact.
     const float top = float(y * height) / SIDE, bottom = float((y + 1) * height) / SIDE;
     const float left = float(x * width) / SIDE, right = float((x + 1) * width) / SIDE;
-    const int last_row = min(int(ceilf(bottom)), height), last_column = min(int(ceilf(right)), width);
+    const int last_row = min(int(ceilf(bottom)), height),
+              last_column = min(int(ceilf(right)), width);
     Colour sum = {0.0f, 0.0f, 0.0f};
     for (int j = int(top); j < last_row; j++) {
         const float high = fminf(j + 1.0f, bottom) - fmaxf(float(j), top);
@@ -39,16 +41,19 @@ extern "C" __global__ void light(View lowres, View light) {
 }
 
 // How much of the last grid is kept: light (256, 3), params (4,), before (1, 4) -> after (1, 4).
-// In double precision, so that nothing depends on the order of the sum. NaN is not below MOST, either.
+// In double precision, so that nothing depends on the order of the sum. NaN is not below MOST,
+// either.
 
 extern "C" __global__ void follow(View light, View params, View before, View after) {
     const int values = light.size[0] * light.size[1];
     PIXEL(1, 1);  // one thread makes all four numbers
-    const double keep = params.at[0], most = params.at[1], past = params.at[2], scale = params.at[3];
+    const double keep = params.at[0], most = params.at[1], past = params.at[2],
+                 scale = params.at[3];
     double total = 0.0;
 #pragma unroll 8
     for (int i = 0; i < values; i++) total += light.at[i];
-    const double now = total / values / scale, made_for = before.at[1], last = before.at[2], share = before.at[3];
+    const double now = total / values / scale, made_for = before.at[1], last = before.at[2],
+                 share = before.at[3];
     const double lag = fabs(made_for - now), jump = fabs(last - now);
     after.at[0] = after.at[3] = 0.0f;
     after.at[1] = after.at[2] = float(now);
@@ -60,10 +65,12 @@ extern "C" __global__ void follow(View light, View params, View before, View aft
     after.at[3] = float(gone);
 }
 
-// Exponential smoothing over time: previous, current (1, 16, 16, 8, 12), keep (1, 4) -> result (1, 16, 16, 8, 12).
+// Exponential smoothing over time: previous, current (1, 16, 16, 8, 12), keep (1, 4) -> result (1,
+// 16, 16, 8, 12).
 const int CELL = LEVELS * COEFFICIENTS;
 
-// A thread makes as many numbers as a cell has, spread over the grid, so that neighbouring threads read neighbours.
+// A thread makes as many numbers as a cell has, spread over the grid, so that neighbouring threads
+// read neighbours.
 extern "C" __global__ void smooth(View previous, View current, View keep, View result) {
     const int width = result.size[2], cells = result.size[1] * width;
     PIXEL(width, result.size[1]);
@@ -73,15 +80,17 @@ extern "C" __global__ void smooth(View previous, View current, View keep, View r
     for (int k = 0; k < CELL; k++) {
         const int at = k * cells + first;
         const float value = current.at[at], change = previous.at[at] - value;
-        result.at[at] = weight > 0.0f && fabsf(change) <= BROKEN ? value + weight * change : value;  // it may be unset
+        // it may be unset
+        result.at[at] = weight > 0.0f && fabsf(change) <= BROKEN ? value + weight * change : value;
     }
 }
 
 // Exposure over time: previous (3,), current (1, 1), keep (1, 4), params (3,) -> result (3,).
-// In double precision, so that the exposure of a still picture stays as it is to the bit. NaN is not below MOST_STOPS,
-// either.
+// In double precision, so that the exposure of a still picture stays as it is to the bit. NaN is
+// not below MOST_STOPS, either.
 
-extern "C" __global__ void expose(View previous, View current, View keep, View params, View result) {
+extern "C" __global__ void expose(View previous, View current, View keep, View params,
+                                  View result) {
     PIXEL(1, 1);  // one thread makes all three numbers
     double stops = current.at[0];
     const double kept = keep.at[0], change = log2(double(previous.at[0])) - stops;
@@ -91,9 +100,9 @@ extern "C" __global__ void expose(View previous, View current, View keep, View p
     result.at[2] = params.at[2];
 }
 
-// Slices a bilateral grid at every pixel, applies the affine colour matrix found there and looks the result up in a cube:
-// colour (height, width, 3), params (3,), matrix (9,), guide (112,), grid (1, 16, 16, 8, 12),
-// cube (size, size, size, 3) -> output (height, width, 3).
+// Slices a bilateral grid at every pixel, applies the affine colour matrix found there and looks
+// the result up in a cube: colour (height, width, 3), params (3,), matrix (9,), guide (112,), grid
+// (1, 16, 16, 8, 12), cube (size, size, size, 3) -> output (height, width, 3).
 
 // Shares of the two cells around a position along an axis.
 struct Cells {
@@ -107,7 +116,8 @@ __device__ inline Cells cells_at(float position, int count) {
     return {first, min(first + 1, count - 1), at - first};
 }
 
-// The guide's numbers as all threads of a block read them: every slope times the weight of its channel.
+// The guide's numbers as all threads of a block read them: every slope times the weight of its
+// channel.
 __device__ inline void read_guide(const View& guide, float* numbers) {
     const int threads = blockDim.x * blockDim.y, thread = threadIdx.y * blockDim.x + threadIdx.x;
     for (int i = thread; i < GUIDE_SIZE; i += threads) {
@@ -117,17 +127,19 @@ __device__ inline void read_guide(const View& guide, float* numbers) {
     __syncthreads();
 }
 
-// Level of a shaped colour in the grid, 0..1 before the clip: a sum of ramps over each channel of a matrix's result.
+// Level of a shaped colour in the grid, 0..1 before the clip: a sum of ramps over each channel of a
+// matrix's result.
 __device__ inline float level_of(const Colour& colour, const Four* numbers) {
     const float* const scalars = &numbers->x;
     float level = scalars[GUIDE_SIZE - 1];
 #pragma unroll
     for (int c = 0; c < 3; c++) {
-        const float value = scalars[3 * c] * colour.r + scalars[3 * c + 1] * colour.g + scalars[3 * c + 2] * colour.b
-            + scalars[9 + c];
+        const float value = scalars[3 * c] * colour.r + scalars[3 * c + 1] * colour.g
+                            + scalars[3 * c + 2] * colour.b + scalars[9 + c];
 #pragma unroll
         for (int k = 0; k < KNOTS / 4; k++) {
-            const Four shift = numbers[(SHIFTS + c * KNOTS) / 4 + k], slope = numbers[(SLOPES + c * KNOTS) / 4 + k];
+            const Four shift = numbers[(SHIFTS + c * KNOTS) / 4 + k],
+                       slope = numbers[(SLOPES + c * KNOTS) / 4 + k];
             level += slope.x * fmaxf(value - shift.x, 0.0f) + slope.y * fmaxf(value - shift.y, 0.0f)
                 + (slope.z * fmaxf(value - shift.z, 0.0f) + slope.w * fmaxf(value - shift.w, 0.0f));
         }
@@ -136,15 +148,16 @@ __device__ inline float level_of(const Colour& colour, const Four* numbers) {
 }
 
 __device__ inline void add(float weight, const Four& from, Four& to) {
-    to = {to.x + weight * from.x, to.y + weight * from.y, to.z + weight * from.z, to.w + weight * from.w};
+    to = {to.x + weight * from.x, to.y + weight * from.y, to.z + weight * from.z,
+          to.w + weight * from.w};
 }
 
 __device__ inline float applied(const Four& row, const Colour& colour) {
     return row.x * colour.r + row.y * colour.g + row.z * colour.b + row.w;
 }
 
-extern "C" __global__ void slice_apply(View colour, View params, View matrix, View guide, View grid, View cube,
-                                       View output) {
+extern "C" __global__ void slice_apply(View colour, View params, View matrix, View guide, View grid,
+                                       View cube, View output) {
     __shared__ Four numbers[GUIDE_SIZE / 4];
     read_guide(guide, &numbers->x);
     const int height = output.size[0], width = output.size[1];
@@ -158,16 +171,19 @@ extern "C" __global__ void slice_apply(View colour, View params, View matrix, Vi
     Four red = {0.0f, 0.0f, 0.0f, 0.0f}, green = red, blue = red;
 #pragma unroll
     for (int corner = 0; corner < 8; corner++) {
-        const int j = corner & 4 ? row.second : row.first, i = corner & 2 ? column.second : column.first;
+        const int j = corner & 4 ? row.second : row.first,
+                  i = corner & 2 ? column.second : column.first;
         const int k = corner & 1 ? level.second : level.first;
         const float weight = (corner & 4 ? row.share : 1.0f - row.share)
-            * (corner & 2 ? column.share : 1.0f - column.share) * (corner & 1 ? level.share : 1.0f - level.share);
+                             * (corner & 2 ? column.share : 1.0f - column.share)
+                             * (corner & 1 ? level.share : 1.0f - level.share);
         const int cell = 3 * ((j * cells_wide + i) * levels + k);
         add(weight, four(grid, cell), red);
         add(weight, four(grid, cell + 1), green);
         add(weight, four(grid, cell + 2), blue);
     }
-    const Colour found = looked_up(cube, {applied(red, seen), applied(green, seen), applied(blue, seen)});
+    const Colour found = looked_up(cube,
+                                   {applied(red, seen), applied(green, seen), applied(blue, seen)});
     output.at[here] = found.r;
     output.at[here + 1] = found.g;
     output.at[here + 2] = found.b;

@@ -1,34 +1,39 @@
 """Kernels of the tone mapper, in the order in which they run. All bindings are float32.
 
-`lowres` shapes colour and averages it by area to the 256x256 copy that the network sees. Bindings: colour (height,
-width, 3) scene-linear; params (3,): exposure, toe and scale of the shaper; matrix (9,) row-major, applied first; lowres
-(1, 3, 256, 256) in [0, 1]. Averaging after the shaper limits a firefly's effect to its share of the area.
+`lowres` shapes colour and averages it by area to the 256x256 copy that the network sees. Bindings:
+colour (height, width, 3) scene-linear; params (3,): exposure, toe and scale of the shaper; matrix
+(9,) row-major, applied first; lowres (1, 3, 256, 256) in [0, 1]. Averaging after the shaper limits
+a firefly's effect to its share of the area.
 
 `light` is the mean of each row and channel of the copy. Bindings: lowres; light (256, 3).
 
-`follow` decides how much of the last frame's grid is kept: nearly all in steady light, less while the light changes.
-Light is the mean of the shaped copy, in stops. It changes if it differs by more than `LAG` from the light that the grid
-was made for, or by more than `JUMP` from the last frame's. Beyond twice as much, the grid covers `follow` of the way in
-one frame, and `RELEASE` of that in each later frame. Two speeds for small and large changes come from the 1 euro filter
-(Casiez, Roussel and Vogel 2012). A camera's motion changes the mean less than the grid, so the mean separates light
-from motion. Bindings: light (256, 3); params (4,): keep and follow in [0, 1], whether there is a past (1 or 0), scale
-of the shaper, which is one stop; before and after (1, 4): kept part of the grid, the light that the grid is made for,
-the light, and 1 minus the kept part, which is 0 without a past. A past with NaN or infinity counts as none.
+`follow` decides how much of the last frame's grid is kept: nearly all in steady light, less while
+the light changes. Light is the mean of the shaped copy, in stops. It changes if it differs by more
+than `LAG` from the light that the grid was made for, or by more than `JUMP` from the last frame's.
+Beyond twice as much, the grid covers `follow` of the way in one frame, and `RELEASE` of that in
+each later frame. Two speeds for small and large changes come from the 1 euro filter (Casiez,
+Roussel and Vogel 2012). A camera's motion changes the mean less than the grid, so the mean
+separates light from motion. Bindings: light (256, 3); params (4,): keep and follow in [0, 1],
+whether there is a past (1 or 0), scale of the shaper, which is one stop; before and after (1, 4):
+kept part of the grid, the light that the grid is made for, the light, and 1 minus the kept part,
+which is 0 without a past. A past with NaN or infinity counts as none.
 
-`smooth` is exponential smoothing over time: result = current + keep * (previous - current). Bindings: previous, current
-and result (1, 16, 16, 8, 12); keep (1, 4), the output of `follow`, of which the first number counts; it is 0 on the
-first frame and at cuts.
+`smooth` is exponential smoothing over time: result = current + keep * (previous - current).
+Bindings: previous, current and result (1, 16, 16, 8, 12); keep (1, 4), the output of `follow`, of
+which the first number counts; it is 0 on the first frame and at cuts.
 
-`expose` mixes the stops that a look adds with the last frame's, into the parameters of `apply_cube`. Bindings: previous
-and result (3,): 2 ** stops, toe over the frame's exposure, and scale, which act like exposure, toe and scale; current
-(1, 1): stops; keep (1, 4); params (3,): the frame's exposure, toe, scale. It mixes stops, not factors. A past with NaN
-or infinity counts as none.
+`expose` mixes the stops that a look adds with the last frame's, into the parameters of
+`apply_cube`. Bindings: previous and result (3,): 2 ** stops, toe over the frame's exposure, and
+scale, which act like exposure, toe and scale; current (1, 1): stops; keep (1, 4); params (3,): the
+frame's exposure, toe, scale. It mixes stops, not factors. A past with NaN or infinity counts as
+none.
 
-`slice_apply` looks up the bilateral grid at every pixel, applies the affine colour matrix found there, then the cube.
-Bindings: colour (height, width, 3) scene-linear; params (3,): exposure, toe and scale of the shaper; matrix (9,)
-row-major, to the cube's primaries; guide (112,): matrix 9, bias 3, shifts 3x16, slopes 3x16, mix 3, mix bias 1; grid
-(1, 16, 16, 8, 12): y, x, guide level, 3x4 matrix row-major; cube (size, size, size, 3): red, green, blue, channel;
-output (height, width, 3) in the cube's values. Formula: Gharbi et al. 2017, between the shaper and the cube.
+`slice_apply` looks up the bilateral grid at every pixel, applies the affine colour matrix found
+there, then the cube. Bindings: colour (height, width, 3) scene-linear; params (3,): exposure, toe
+and scale of the shaper; matrix (9,) row-major, to the cube's primaries; guide (112,): matrix 9,
+bias 3, shifts 3x16, slopes 3x16, mix 3, mix bias 1; grid (1, 16, 16, 8, 12): y, x, guide level, 3x4
+matrix row-major; cube (size, size, size, 3): red, green, blue, channel; output (height, width, 3)
+in the cube's values. Formula: Gharbi et al. 2017, between the shaper and the cube.
 
 The torch definitions are the functions of these names in `training.tonemap.model`.
 """
@@ -48,7 +53,8 @@ LOWRES = Kernel(
     writes=("lowres",),
     rows=Rows("lowres"),
     row_axis=("lowres", 2),
-    shapes={"colour": ("height", "width", 3), "params": (3,), "matrix": (9,), "lowres": (1, 3, SIDE, SIDE)},
+    shapes={"colour": ("height", "width", 3), "params": (3,), "matrix": (9,),
+            "lowres": (1, 3, SIDE, SIDE)},
 )
 
 LIGHT = Kernel(

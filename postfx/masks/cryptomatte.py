@@ -1,8 +1,10 @@
-"""Named things: the text after `--leave`, whole-number ids, Cryptomatte, and how much of a frame they cover.
+"""Named things: the text after `--leave`, whole-number ids, Cryptomatte, and how much of a frame
+they cover.
 
-A Cryptomatte tells which part of a pixel belongs to which named object or material: a pixel holds pairs of an id and
-its share, ranked by share. The id is the name's MurmurHash3, its bits read as a float (Friedman and Jones 2015, "Fully
-automatic id mattes with support for motion blur and transparency"; the Cryptomatte specification, version 1.2.0).
+A Cryptomatte tells which part of a pixel belongs to which named object or material: a pixel holds
+pairs of an id and its share, ranked by share. The id is the name's MurmurHash3, its bits read as a
+float (Friedman and Jones 2015, "Fully automatic id mattes with support for motion blur and
+transparency"; the Cryptomatte specification, version 1.2.0).
 """
 
 from __future__ import annotations
@@ -30,9 +32,9 @@ class Entry:
     """A name, and the strength of the pixels that it selects.
 
     Attributes:
-        name: of an object or material, with the wildcards * ? and []; an id such as 7, 7-9 or, in a Cryptomatte,
-            0x1a2b3c4d; 'auto' for sky and misses; 'converged:0.01' or 'converged:256spp' for converged
-            pixels.
+        name: of an object or material, with the wildcards * ? and []; an id such as 7, 7-9 or, in a
+            Cryptomatte, 0x1a2b3c4d; 'auto' for sky and misses; 'converged:0.01' or
+            'converged:256spp' for converged pixels.
         plane: Cryptomatte or plane of ids to look in; None for all Cryptomattes of the file.
         strength: 0 (leave as it is) to 1 (denoise fully).
     """
@@ -57,15 +59,18 @@ class Entry:
 
     def select(self, names: list[str]) -> list[str]:
         """The names that it selects: exactly its own, or else all that match its wildcards."""
-        return [self.name] if self.name in names else [name for name in names if fnmatchcase(name, self.name)]
+        return ([self.name] if self.name in names
+                else [name for name in names if fnmatchcase(name, self.name)])
 
 
 def parse_leave(text: str) -> tuple[Entry, ...]:
-    """Entries of a text: NAME, NAME=STRENGTH, NAME@PLANE or NAME@PLANE=STRENGTH, separated by commas.
+    """Entries of a text: NAME, NAME=STRENGTH, NAME@PLANE or NAME@PLANE=STRENGTH, separated by
+    commas.
 
-    'auto,logo,glass_*=0.5,7-9@id' leaves sky and misses, the logo, and ids 7 to 9 of the plane id as they are, and
-    denoises glass by half. 'converged:0.01' leaves pixels with a relative error of at most 1 % as they are. Write ? for
-    a comma or @ in a name. StrengthError for an empty name and a strength outside 0 to 1.
+    'auto,logo,glass_*=0.5,7-9@id' leaves sky and misses, the logo, and ids 7 to 9 of the plane id
+    as they are, and denoises glass by half. 'converged:0.01' leaves pixels with a relative error of
+    at most 1 % as they are. Write ? for a comma or @ in a name. StrengthError for an empty name and
+    a strength outside 0 to 1.
     """
     return tuple(_parse_entry(word.strip(), text) for word in text.split(","))
 
@@ -79,10 +84,12 @@ def _parse_entry(word: str, text: str) -> Entry:
         except ValueError:
             name = word  # the sign is part of the name
     if not 0 <= strength <= 1:
-        raise StrengthError(f"leave '{text}': strength {strength:g} of '{name}': give 0 (as it is) to 1 (fully)")
+        raise StrengthError(f"leave '{text}': strength {strength:g} of '{name}': give 0 (as it is) "
+                            "to 1 (fully)")
     name, _, plane = name.strip().rpartition("@") if "@" in name else (name.strip(), "", "")
     if not name:
-        raise StrengthError(f"leave '{text}': a name is missing: give names such as auto,sky_*,logo=0.5,7@id")
+        raise StrengthError(f"leave '{text}': a name is missing: give names such as "
+                            "auto,sky_*,logo=0.5,7@id")
     return Entry(name, plane or None, strength)
 
 
@@ -90,22 +97,27 @@ def id_range(entry: Entry) -> tuple[int, int]:
     """First and last id of an entry such as '7' or '7-9'; StrengthError for anything else."""
     found = _NUMBER_RANGE.fullmatch(entry.name)
     if found is None:
-        raise StrengthError(f"'{entry.name}' of AOV {entry.plane}: give an id, or first and last, such as 7-9")
+        raise StrengthError(f"'{entry.name}' of AOV {entry.plane}: give an id, or first and last, "
+                            "such as 7-9")
     first, last = int(found[1]), int(found[2] or found[1])
     if first > last:
-        raise StrengthError(f"'{entry.name}' of AOV {entry.plane}: write the smaller id first, {last}-{first}")
+        raise StrengthError(f"'{entry.name}' of AOV {entry.plane}: write the smaller id first, "
+                            f"{last}-{first}")
     return first, last
 
 
-def strength_from_ids(ids: np.ndarray, strengths: Mapping[int | tuple[int, int], float]) -> np.ndarray:
-    """Strength (height, width, 1) from whole-number ids (height, width) or (height, width, 1) of any data type.
+def strength_from_ids(ids: np.ndarray,
+                      strengths: Mapping[int | tuple[int, int], float]) -> np.ndarray:
+    """Strength (height, width, 1) from whole-number ids (height, width) or (height, width, 1) of
+    any data type.
 
-    strengths: id, or first and last id -> 0 (leave as it is) to 1 (denoise fully). The last matching key counts. Pixels
-    without one are denoised fully, and so are ids that are not whole numbers, such as averages of two ids.
-    StrengthError for strengths outside 0..1.
+    strengths: id, or first and last id -> 0 (leave as it is) to 1 (denoise fully). The last
+    matching key counts. Pixels without one are denoised fully, and so are ids that are not whole
+    numbers, such as averages of two ids. StrengthError for strengths outside 0..1.
     """
     if not all(0 <= value <= 1 for value in strengths.values()):
-        raise StrengthError(f"strengths {min(strengths.values()):g} to {max(strengths.values()):g}: give 0 to 1")
+        raise StrengthError(f"strengths {min(strengths.values()):g} to "
+                            f"{max(strengths.values()):g}: give 0 to 1")
     ids = ids.reshape(ids.shape[:2])
     strength = np.ones(ids.shape, np.float32)
     for key, value in strengths.items():
@@ -121,7 +133,8 @@ def is_in_range(ids: np.ndarray, span: tuple[int, int]) -> np.ndarray:
 
 @dataclass
 class Coverage:
-    """How much of some frames is not denoised, by entry: sums over the frames of shares of pixels, 0..1.
+    """How much of some frames is not denoised, by entry: sums over the frames of shares of pixels,
+    0..1.
 
     Attributes:
         frames: number of frames.
@@ -157,10 +170,13 @@ class Coverage:
 
     def __str__(self) -> str:
         means = self.as_dict()
-        parts = [f"{name} covers {_percent(share)}{self._by(name)}" for name, share in means["covered"].items()]
+        parts = [f"{name} covers {_percent(share)}{self._by(name)}"
+                 for name, share in means["covered"].items()]
         if "misses" in means:
-            parts.append(f"{_percent(means['misses'])} are misses, of which edges and noisy ones are denoised")
-        return f"{_percent(means['share'])} of the pixels are not denoised at all: {', '.join(parts)}"
+            parts.append(f"{_percent(means['misses'])} are misses, of which edges and noisy ones "
+                         "are denoised")
+        return (f"{_percent(means['share'])} of the pixels are not denoised at all: "
+                f"{', '.join(parts)}")
 
     def _by(self, name: str) -> str:
         return f" by {self.basis[name]}" if name in self.basis else ""
@@ -178,8 +194,8 @@ Key = TypeVar("Key")
 
 
 def id_of_name(name: str) -> int:
-    """Id of a name, 32 bits: MurmurHash3_x86_32 of its UTF-8 with seed 0 (Appleby 2011), changed where it would be a
-    denormal, infinite or NaN float, as the specification demands."""
+    """Id of a name, 32 bits: MurmurHash3_x86_32 of its UTF-8 with seed 0 (Appleby 2011), changed
+    where it would be a denormal, infinite or NaN float, as the specification demands."""
     found = _murmur3(name.encode("utf-8"))
     exponent = found >> 23 & 255
     return found ^ (1 << 23) if exponent in (0, 255) else found
@@ -202,16 +218,19 @@ class Cryptomatte:
     def ids_of(self, entry: Entry) -> list[int]:
         """Ids that an entry selects; none if no name of the manifest matches.
 
-        Raises StrengthError if the manifest's id of a name is not its hash, and for wildcards without a manifest.
+        Raises StrengthError if the manifest's id of a name is not its hash, and for wildcards
+        without a manifest.
         """
         if entry.name.lower().startswith("0x"):
             return [_parse_id(entry.name)]
         if self.manifest is None:
             if set("*?[") & set(entry.name):
-                raise StrengthError(f"{self.where}: Cryptomatte {self.name} has no manifest, so nothing tells which "
-                                    f"names match '{entry.name}': give whole names")
+                raise StrengthError(f"{self.where}: Cryptomatte {self.name} has no manifest, so "
+                                    f"nothing tells which names match '{entry.name}': give whole "
+                                    "names")
             return [id_of_name(entry.name)]
-        return [self._check(name, self.manifest[name]) for name in entry.select(list(self.manifest))]
+        return [self._check(name, self.manifest[name])
+                for name in entry.select(list(self.manifest))]
 
     def nearest(self, entry: Entry) -> list[str]:
         """Names of the manifest that are most like an entry's, best first."""
@@ -219,20 +238,23 @@ class Cryptomatte:
 
         names = list(self.manifest or ())
         folded = {name.lower(): name for name in names}
-        return [folded[name] for name in get_close_matches(entry.name.lower(), folded, MOST_SUGGESTED_NAMES, 0.4)]
+        return [folded[name] for name in get_close_matches(entry.name.lower(), folded,
+                                                           MOST_SUGGESTED_NAMES, 0.4)]
 
     def _check(self, name: str, found: int) -> int:
         """The id that the manifest gives a name, if it is the name's hash."""
         hashed = id_of_name(name)
         if found != hashed:
-            raise StrengthError(f"{self.where}: Cryptomatte {self.name}: the manifest gives '{name}' the id "
-                                f"{found:08x}, its hash is {hashed:08x}: it may be another file's; give the id that is "
-                                f"in the pixels, 0x{found:08x} or 0x{hashed:08x}")
+            raise StrengthError(f"{self.where}: Cryptomatte {self.name}: the manifest gives "
+                                f"'{name}' the id {found:08x}, its hash is {hashed:08x}: it may be "
+                                f"another file's; give the id that is in the pixels, 0x{found:08x} "
+                                f"or 0x{hashed:08x}")
         return found
 
 
 def _parse_id(text: str) -> int:
-    wrong = StrengthError(f"'{text}' is not an id of a Cryptomatte: give 0x and 8 hexadecimal digits")
+    wrong = StrengthError(f"'{text}' is not an id of a Cryptomatte: give 0x and 8 hexadecimal "
+                          "digits")
     try:
         found = int(text, 16)
     except ValueError:
@@ -245,26 +267,31 @@ def _parse_id(text: str) -> int:
 def strength_from_cryptomatte(
     ranks: np.ndarray | Sequence[np.ndarray], strengths: Mapping[str | int, float]
 ) -> np.ndarray:
-    """Strength (height, width, 1), 0..1: 1 minus (1 - strength) of each thing times its share of the pixel.
+    """Strength (height, width, 1), 0..1: 1 minus (1 - strength) of each thing times its share of
+    the pixel.
 
-    ranks: (height, width, 2 n) float32, id and share in turn, as the channels R, G, B, A of the planes 00, 01, ... hold
-    them; or a sequence of 2 n such planes (height, width). Ids must have all 32 bits. strengths: name or id -> 0 (leave
-    as it is) to 1 (denoise fully); the rest is denoised fully. Edges are as soft as the shares. StrengthError for
-    half a pair and strengths outside 0..1.
+    ranks: (height, width, 2 n) float32, id and share in turn, as the channels R, G, B, A of the
+    planes 00, 01, ... hold them; or a sequence of 2 n such planes (height, width). Ids must have
+    all 32 bits. strengths: name or id -> 0 (leave as it is) to 1 (denoise fully); the rest is
+    denoised fully. Edges are as soft as the shares. StrengthError for half a pair and strengths
+    outside 0..1.
     """
     planes = list(np.moveaxis(ranks, -1, 0)) if isinstance(ranks, np.ndarray) else list(ranks)
     if not planes or len(planes) % 2:
-        raise StrengthError(f"{len(planes)} AOVs of a Cryptomatte: give an id and its coverage for each rank")
+        raise StrengthError(f"{len(planes)} AOVs of a Cryptomatte: give an id and its coverage for "
+                            "each rank")
     table = {id_of_name(key) if isinstance(key, str) else int(key) & _HASH_MASK: value
              for key, value in strengths.items()}
     if not all(0 <= value <= 1 for value in table.values()):
-        raise StrengthError(f"strengths {min(table.values()):g} to {max(table.values()):g}: give 0 to 1")
+        raise StrengthError(f"strengths {min(table.values()):g} to {max(table.values()):g}: give 0 "
+                            "to 1")
     lost = share_of(planes, {key: 1 - value for key, value in table.items()})
     return snap(1 - lost)[:, :, None]
 
 
 def share_of(planes: Sequence[np.ndarray], weights: Mapping[int, float]) -> np.ndarray:
-    """Share (height, width) of each pixel that belongs to some ids, times a weight of each; 0 .. largest weight.
+    """Share (height, width) of each pixel that belongs to some ids, times a weight of each; 0 ..
+    largest weight.
 
     planes: ids and shares in turn, (height, width) float32 each.
     """
@@ -282,18 +309,21 @@ def share_of(planes: Sequence[np.ndarray], weights: Mapping[int, float]) -> np.n
     return capped
 
 
-def split_shares(owned: Sequence[Mapping[Key, np.ndarray]], keys: Sequence[Key]) -> Iterator[tuple[Key, np.ndarray]]:
-    """Each key and its share (height, width) of every pixel, over several Cryptomattes of a picture; last key first.
+def split_shares(owned: Sequence[Mapping[Key, np.ndarray]],
+                 keys: Sequence[Key]) -> Iterator[tuple[Key, np.ndarray]]:
+    """Each key and its share (height, width) of every pixel, over several Cryptomattes of a
+    picture; last key first.
 
-    owned: for each Cryptomatte, key -> share of the ids that belong to this key there. A later key takes its part of a
-    pixel from the earlier ones, in all Cryptomattes. How things of two of them overlap within a pixel is unknown: the
-    largest possible overlap is assumed.
+    owned: for each Cryptomatte, key -> share of the ids that belong to this key there. A later key
+    takes its part of a pixel from the earlier ones, in all Cryptomattes. How things of two of them
+    overlap within a pixel is unknown: the largest possible overlap is assumed.
     """
     later: list[np.ndarray | float] = [0.0] * len(owned)
     for key in reversed(keys):
         most = reduce(np.maximum, later)
-        yield key, reduce(np.maximum, (np.maximum(own[key] - (most - taken), 0)
-                                       for own, taken in zip(owned, later, strict=True) if key in own))
+        yield key, reduce(np.maximum,
+                          (np.maximum(own[key] - (most - taken), 0)
+                           for own, taken in zip(owned, later, strict=True) if key in own))
         later = [taken + own.get(key, 0.0) for own, taken in zip(owned, later, strict=True)]
 
 
@@ -308,7 +338,8 @@ def snap(strength: np.ndarray) -> np.ndarray:
 def _murmur3(data: bytes) -> int:
     found, whole = 0, len(data) // 4 * 4
     for at in range(0, whole, 4):
-        found = _rotate(found ^ _mix(int.from_bytes(data[at:at + 4], "little")), 13) * 5 + 0xE6546B64 & _HASH_MASK
+        found = (_rotate(found ^ _mix(int.from_bytes(data[at:at + 4], "little")), 13) * 5
+                 + 0xE6546B64 & _HASH_MASK)
     found ^= _mix(int.from_bytes(data[whole:], "little")) ^ len(data)
     found = (found ^ found >> 16) * 0x85EBCA6B & _HASH_MASK
     found = (found ^ found >> 13) * 0xC2B2AE35 & _HASH_MASK

@@ -1,4 +1,5 @@
-"""Motion that planes show: of a camera, by the points that it sees, and of pictures, by optical flow."""
+"""Motion that planes show: of a camera, by the points that it sees, and of pictures, by optical
+flow."""
 
 from __future__ import annotations
 

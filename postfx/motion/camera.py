@@ -17,7 +17,8 @@ SURE_PX = 0.1
 """Points with a smaller error fit."""
 
 
-def apply_homography(found: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def apply_homography(found: np.ndarray, x: np.ndarray,
+                     y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where infinitely far points were in the frame before."""
     a, b, c, d, e, f, g, h = found[:8]
     over = 1 / (g * x + h * y + 1)
@@ -25,19 +26,22 @@ def apply_homography(found: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[n
 
 
 def skew_of(found: np.ndarray) -> float:
-    """How far a fit is from a turn of the camera, which neither stretches nor shears, beyond what a wide turn does."""
+    """How far a fit is from a turn of the camera, which neither stretches nor shears, beyond what a
+    wide turn does."""
     shift = found[2] ** 2 + found[5] ** 2
     return float(max(abs(found[0] - found[4]), abs(found[1] + found[3])) - 2 * shift)
 
 
-def centre_positions(rows: np.ndarray, columns: np.ndarray, height: float, width: float) -> np.ndarray:
+def centre_positions(rows: np.ndarray, columns: np.ndarray, height: float,
+                     width: float) -> np.ndarray:
     """Homogeneous positions (count, 3) around the middle of the picture, in widths."""
     x, y = (columns + 0.5 - width / 2) / width, (rows + 0.5 - height / 2) / width
     return np.stack([x, y, np.ones_like(x)], axis=-1)
 
 
 def camera_equations(now: np.ndarray, before: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Left sides (2 count, 11) for H without its last 1, by rows, and e: first all of x, then all of y."""
+    """Left sides (2 count, 11) for H without its last 1, by rows, and e: first all of x, then all
+    of y."""
     none, zero, near = np.zeros_like(now), np.zeros((len(now), 1)), near[:, None]
     x, y = before[:, :1], before[:, 1:]
     return np.concatenate([
@@ -47,8 +51,10 @@ def camera_equations(now: np.ndarray, before: np.ndarray, near: np.ndarray) -> n
 
 def fit_camera(now: np.ndarray, before: np.ndarray, near: np.ndarray, pixel: float
                 ) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """H and e (11,), their covariance, the error of points that fit in pixels, and the share of points that do."""
-    start = np.append(np.eye(3).reshape(-1)[:8], np.zeros(3))  # a camera at rest, which weak evidence does not change
+    """H and e (11,), their covariance, the error of points that fit in pixels, and the share of
+    points that do."""
+    # a camera at rest, which weak evidence does not change
+    start = np.append(np.eye(3).reshape(-1)[:8], np.zeros(3))
     equations = camera_equations(now, before, near)
     right = before.T.reshape(-1) - equations @ start
     weights = np.ones(len(now))

@@ -1,10 +1,11 @@
 """Motion estimated from the planes of two frames, for files without motion vectors.
 
-Albedo and normal do not depend on the light, so they make pictures that optical flow can follow. Where there is depth,
-nearly everything moves as the camera does: a point (x, y, 1) at depth z was at H (x, y, 1) + e / z (Hartley and
-Zisserman, Multiple View Geometry, 2nd edition, 13.4). H and e are fitted to the flow, then to the pictures themselves
-(direct alignment: Baker and Matthews 2004, "Lucas-Kanade 20 Years On"), which is exact to a fraction of a pixel. The
-flow is kept where it explains the pictures clearly better: things that move.
+Albedo and normal do not depend on the light, so they make pictures that optical flow can follow.
+Where there is depth, nearly everything moves as the camera does: a point (x, y, 1) at depth z was
+at H (x, y, 1) + e / z (Hartley and Zisserman, Multiple View Geometry, 2nd edition, 13.4). H and e
+are fitted to the flow, then to the pictures themselves (direct alignment: Baker and Matthews 2004,
+"Lucas-Kanade 20 Years On"), which is exact to a fraction of a pixel. The flow is kept where it
+explains the pictures clearly better: things that move.
 """
 
 from __future__ import annotations
@@ -31,13 +32,15 @@ _FITTED_POINTS = 2000
 _FEWEST_FITTED_POINTS = 64
 _ALIGNED_POINTS = 4000
 _ALIGNING_ROUNDS = 5
-# Least share of points that the fit must explain, and the most of the picture's own contrast that it may leave.
+# Least share of points that the fit must explain, and the most of the picture's own contrast that
+# it may leave.
 _FITTING = 0.4
 _RELATED = 0.5
 # What a thing that moves must leave of the camera's misfit, and by how much less.
 _BETTER = np.float32(0.6)
 _LESS = np.float32(0.02)
-# A camera is at rest where that leaves at most this share of what its motion leaves; flow alone follows noise, too.
+# A camera is at rest where that leaves at most this share of what its motion leaves; flow alone
+# follows noise, too.
 _AS_WELL = 1.02, 1.25
 
 
@@ -67,34 +70,39 @@ def picture_of(frame: Frame) -> Picture | None:
     step = math.ceil(max(height, width) / MOST_SIDE_PX)
     means = np.empty((-(-height // step), -(-width // step)), np.float32)
     planes = (np.zeros((1, 1, 3)) if plane is None else plane for plane in (albedo, normal))
-    _shade(0, len(means), *(whole(plane, np.float32) for plane in planes), np.array([step], np.float32), means)
+    _shade(0, len(means), *(whole(plane, np.float32) for plane in planes),
+           np.array([step], np.float32), means)
     values = np.empty_like(means)
     _smooth(0, len(values), means, values)
     return Picture(values, step, (height, width), frame.jitter)
 
 
 def motion_of(frame: Frame, before: Frame | None) -> np.ndarray:
-    """Motion (height, width, 2) of a frame after another, by `motion_between`. FrameError without albedo and normal."""
+    """Motion (height, width, 2) of a frame after another, by `motion_between`. FrameError without
+    albedo and normal."""
     picture = picture_of(frame)
     if picture is None:
-        raise FrameError(f"{frame.source or 'frame'}: motion cannot be estimated without one of the AOVs "
-                         f"{', '.join(MOTION_SOURCES)}: render them")
-    return motion_between(None if before is None else picture_of(before), picture, frame.planes.get(Role.DEPTH))
+        raise FrameError(f"{frame.source or 'frame'}: motion cannot be estimated without one of "
+                         f"the AOVs {', '.join(MOTION_SOURCES)}: render them")
+    return motion_between(None if before is None else picture_of(before), picture,
+                          frame.planes.get(Role.DEPTH))
 
 
 def motion_between(before: Picture | None, after: Picture, depth: np.ndarray | None) -> np.ndarray:
-    """Motion (height, width, 2) of a frame: previous place minus this one, in pixels; x right, y down, no jitter.
+    """Motion (height, width, 2) of a frame: previous place minus this one, in pixels; x right, y
+    down, no jitter.
 
-    before: of the frame before it. depth: (height, width, 1) of this one, along the view axis, misses 1e10; without it
-    all motion is the flow. Zero where the camera is at rest, where the frames are of different scenes or sizes, and
-    where there is no frame before.
+    before: of the frame before it. depth: (height, width, 1) of this one, along the view axis,
+    misses 1e10; without it all motion is the flow. Zero where the camera is at rest, where the
+    frames are of different scenes or sizes, and where there is no frame before.
     """
     height, width = after.size
     still = np.zeros((height, width, 2), np.float32)
     if before is None or before.size != after.size or min(after.values.shape) < 2:
         return still
     one, other, step = after.values, before.values, after.step
-    jitter = np.subtract(after.jitter, before.jitter).astype(np.float32)  # is in the pictures, but not in motion
+    # is in the pictures, but not in motion
+    jitter = np.subtract(after.jitter, before.jitter).astype(np.float32)
     rest = np.broadcast_to(jitter / step, (*one.shape, 2)).astype(np.float32)
     at_rest = _misfit(one, other, rest)
     if not at_rest.any():
@@ -102,7 +110,8 @@ def motion_between(before: Picture | None, after: Picture, depth: np.ndarray | N
     with Workers(min(2, usable_cores())) as threads:
         flow, back = threads.map(estimate_motion, (one, other), (other, one))
     by_flow = _misfit(one, other, flow)
-    found = None if depth is None else _camera(one, other, consistent_motion(flow, back)[0], depth, step)
+    found = None if depth is None else _camera(one, other, consistent_motion(flow, back)[0], depth,
+                                               step)
     if found is not None:
         assert depth is not None
         camera_misfit = _misfit(one, other, found.move(depth, step, np.zeros(2), one.shape))
@@ -148,17 +157,19 @@ def _camera(one: np.ndarray, other: np.ndarray, flow: np.ndarray, depth: np.ndar
     shape = (height / step, whole)
     now = centre_positions(rows, columns, *shape)
     near = median / near_plane[rows, columns].astype(np.float64)
-    found, _, _, share = fit_camera(now, now[:, :2] + flow[rows, columns].astype(np.float64) / whole, near, 1 / whole)
+    found, _, _, share = fit_camera(now,
+                                    now[:, :2] + flow[rows, columns].astype(np.float64) / whole,
+                                    near, 1 / whole)
     if share < _FITTING:
         return None
     near = np.where(hit, median / np.where(hit, near_plane, 1), 0)
     return _Camera(_align(one, other, found, near, shape).astype(np.float32), np.float32(median))
 
 
-def _align(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.ndarray, shape: tuple[float, float]
-             ) -> np.ndarray:
-    """H and e that make the pictures fit best, from ones that are nearly right: Gauss-Newton steps with little weight
-    for pixels that do not fit."""
+def _align(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.ndarray,
+           shape: tuple[float, float]) -> np.ndarray:
+    """H and e that make the pictures fit best, from ones that are nearly right: Gauss-Newton steps
+    with little weight for pixels that do not fit."""
     down, right = np.gradient(one)
     slope = np.hypot(down, right)
     slope[:2], slope[-2:], slope[:, :2], slope[:, -2:] = 0, 0, 0, 0
@@ -199,8 +210,10 @@ def _align(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.ndarr
 
 
 def _misfit(one: np.ndarray, other: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """(h, w) mean difference of the pictures around each pixel under a motion; points out of the picture count as 0."""
-    apart, around, across = np.empty_like(one), np.empty_like(one), np.empty(one.shape[::-1], np.float32)
+    """(h, w) mean difference of the pictures around each pixel under a motion; points out of the
+    picture count as 0."""
+    apart, around, across = (np.empty_like(one), np.empty_like(one),
+                             np.empty(one.shape[::-1], np.float32))
     _differ(0, len(one), one, other, whole(motion, np.float32), apart)
     _average(0, len(apart), apart, across)
     _average(0, len(across), across, around)
@@ -224,9 +237,10 @@ class _Camera(NamedTuple):
     numbers: np.ndarray
     median: np.float32
 
-    def move(self, depth: np.ndarray, step: int, jitter: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-        """Motion (*shape, 2) in pixels of a picture that has one for `step` x `step` of the depth (height, width, 1).
-        jitter: (2,), what is taken off it."""
+    def move(self, depth: np.ndarray, step: int, jitter: np.ndarray,
+             shape: tuple[int, int]) -> np.ndarray:
+        """Motion (*shape, 2) in pixels of a picture that has one for `step` x `step` of the depth
+        (height, width, 1). jitter: (2,), what is taken off it."""
         motion = np.empty((*shape, 2), np.float32)
         numbers = np.array((*self.numbers, self.median, step, *jitter), np.float32)
         _move(0, len(motion), numbers, whole(depth, np.float32), motion)

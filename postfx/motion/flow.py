@@ -1,10 +1,11 @@
-"""Motion that two pictures show and their planes do not tell: for frames without vectors, and for what does not move
-along with its surface.
+"""Motion that two pictures show and their planes do not tell: for frames without vectors, and for
+what does not move along with its surface.
 
-Dense inverse search (Kroeger, Timofte, Dai and Van Gool 2016, "Fast Optical Flow using Dense Inverse Search"): from
-coarse to fine, patches on a grid take over a neighbour's motion where it fits better, are moved by Gauss-Newton steps,
-and every pixel gets the mean of the patches over it, weighted by how well they fit there. Patches are compared without
-their means, so that a change of light does not count.
+Dense inverse search (Kroeger, Timofte, Dai and Van Gool 2016, "Fast Optical Flow using Dense
+Inverse Search"): from coarse to fine, patches on a grid take over a neighbour's motion where it
+fits better, are moved by Gauss-Newton steps, and every pixel gets the mean of the patches over it,
+weighted by how well they fit there. Patches are compared without their means, so that a change of
+light does not count.
 """
 
 from __future__ import annotations
@@ -44,10 +45,11 @@ _move = Rows("move_flow")
 
 
 def estimate_motion(after: np.ndarray, before: np.ndarray, finest: int = FINEST) -> np.ndarray:
-    """Motion (h, w, 2) of the later picture: previous place minus this one, in pixels; x right, y down.
+    """Motion (h, w, 2) of the later picture: previous place minus this one, in pixels; x right, y
+    down.
 
-    after, before: (h, w) float32, of a range like that of a display, without NaN. Smaller ones than 16 pixels stand
-    still. finest: halvings of the pictures that are searched last.
+    after, before: (h, w) float32, of a range like that of a display, without NaN. Smaller ones than
+    16 pixels stand still. finest: halvings of the pictures that are searched last.
     """
     if min(after.shape) < 2 * PATCH:
         return np.zeros((*after.shape, 2), np.float32)
@@ -59,7 +61,8 @@ def estimate_motion(after: np.ndarray, before: np.ndarray, finest: int = FINEST)
     for one, other in reversed(levels):
         h, w = one.shape
         padded, searched = np.pad(one, MARGIN, "edge"), np.pad(other, MARGIN, "edge")
-        moved = np.zeros((max(h - PATCH, 0) // STRIDE + 1, max(w - PATCH, 0) // STRIDE + 1, 3), np.float32)
+        moved = np.zeros((max(h - PATCH, 0) // STRIDE + 1, max(w - PATCH, 0) // STRIDE + 1, 3),
+                         np.float32)
         _search(0, 1, padded, searched, flow, moved)
         flow = new_array((h, w, 2))
         _spread(0, h, padded, searched, moved, flow)
@@ -68,15 +71,18 @@ def estimate_motion(after: np.ndarray, before: np.ndarray, finest: int = FINEST)
 
 def middle_light(pictures: tuple[np.ndarray, np.ndarray]) -> np.float32:
     """Light that is toned to about the middle: four times the geometric mean of both pictures."""
-    some = 4 if min(pictures[0].shape[:2]) >= 256 else 1  # of the pixels along a side tell how bright a picture is
+    # of the pixels along a side tell how bright a picture is
+    some = (4 if min(pictures[0].shape[:2]) >= 256 else 1)
     light = [np.maximum(picture[::some, ::some] @ LUMINANCE, 0) for picture in pictures]
     mean = float(np.mean(light)) + 1e-12
-    return np.float32(4 * math.exp(float(np.mean(np.log(np.stack(light) + np.float32(1e-3 * mean))))))
+    return np.float32(4
+                      * math.exp(float(np.mean(np.log(np.stack(light) + np.float32(1e-3 * mean))))))
 
 
 def tone(picture: np.ndarray, level: float | np.floating, margin: int) -> np.ndarray:
-    """Grey (h + 2 margin, w + 2 margin) of the range 0 to 1, in which differences are about as visible in the dark as
-    in the light; the edges of a picture (h, w, 3) are repeated. level: light that is toned to about the middle."""
+    """Grey (h + 2 margin, w + 2 margin) of the range 0 to 1, in which differences are about as
+    visible in the dark as in the light; the edges of a picture (h, w, 3) are repeated. level: light
+    that is toned to about the middle."""
     h, w = picture.shape[:2]
     toned = new_array((h + 2 * margin, w + 2 * margin))
     in_bands(h, _tone.bind((picture, np.array((level, margin), np.float32), toned)))
@@ -85,8 +91,8 @@ def tone(picture: np.ndarray, level: float | np.floating, margin: int) -> np.nda
 
 
 def halve(picture: np.ndarray, margin: int = 0) -> np.ndarray:
-    """Means of 2x2 pixels of a picture within margins; an odd last row or column is averaged with the margin, or left
-    out where there is none."""
+    """Means of 2x2 pixels of a picture within margins; an odd last row or column is averaged with
+    the margin, or left out where there is none."""
     means = new_array(tuple((side - 2 * margin + (margin > 0)) // 2 for side in picture.shape))
     _average_fours(0, len(means), picture, np.array([margin], np.float32), means)
     return means
@@ -101,8 +107,10 @@ def enlarge_motion(flow: np.ndarray, height: int, width: int) -> np.ndarray:
     return larger
 
 
-def consistent_motion(ahead: np.ndarray, back: np.ndarray, scale: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Motion of two pictures to each other, NaN where the way there and back does not end where it began.
+def consistent_motion(ahead: np.ndarray, back: np.ndarray,
+                      scale: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Motion of two pictures to each other, NaN where the way there and back does not end where it
+    began.
 
     scale: pixels of a picture `scale` times as large are what counts, and what the result is in.
     """
@@ -112,19 +120,22 @@ def consistent_motion(ahead: np.ndarray, back: np.ndarray, scale: int = 1) -> tu
     return found
 
 
-def bring_to_time(flow: np.ndarray, known: np.ndarray, one: np.ndarray, other: np.ndarray, scale: int, share: float
-                  ) -> np.ndarray:
-    """Flow (rows, columns, 2) of cells after a share of its way, in pixels: a thing's flow is where the thing is then.
+def bring_to_time(flow: np.ndarray, known: np.ndarray, one: np.ndarray, other: np.ndarray,
+                  scale: int, share: float) -> np.ndarray:
+    """Flow (rows, columns, 2) of cells after a share of its way, in pixels: a thing's flow is where
+    the thing is then.
 
-    What planes tell, too, is left out (NaN). The rest is moved, away from edges between things that move differently.
-    Where several arrive, that counts whose ends look most alike; where none does, flow stays as it is.
+    What planes tell, too, is left out (NaN). The rest is moved, away from edges between things that
+    move differently. Where several arrive, that counts whose ends look most alike; where none does,
+    flow stays as it is.
 
-    known: likewise, in cells, motion by planes; NaN where there is none. one, other: grey pictures (rows, columns) of
-    this frame and of the one that flow leads to. scale: pixels of a cell.
+    known: likewise, in cells, motion by planes; NaN where there is none. one, other: grey pictures
+    (rows, columns) of this frame and of the one that flow leads to. scale: pixels of a cell.
     """
     brought = new_array(flow.shape)
     brought[:] = flow
     if flow.size:
         planes = (whole(plane, np.float32) for plane in (flow, known, one, other))
-        _move(0, len(flow), *planes, np.array((1 / scale, share), np.float32), filled_array(one.shape, 2), brought)
+        _move(0, len(flow), *planes, np.array((1 / scale, share), np.float32),
+              filled_array(one.shape, 2), brought)
     return brought

@@ -1,5 +1,5 @@
-"""The contract of a pass: reflect, compile once a spec, encode every frame. Passes are one file or package each, found
-through the entry-point group `postfx.passes`.
+"""The contract of a pass: reflect, compile once a spec, encode every frame. Passes are one file or
+package each, found through the entry-point group `postfx.passes`.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class Reflection:
         reads: planes it cannot do without.
         may_read: planes it uses if the frame has them.
         writes: planes it replaces or adds.
-        output: spec of the frame it leaves. Planes that are not in it are dropped, so a pass that changes the size
-            names only the planes that exist at the new size. So are guides.
+        output: spec of the frame it leaves. Planes that are not in it are dropped, so a pass that
+            changes the size names only the planes that exist at the new size. So are guides.
         may_read_guides: planes at output size that it uses if the frame has them.
         parts: names of the parts of the picture that it reads, and leaves at the output's size.
         notes: what else the user may want to know of its work on such frames, as short clauses.
@@ -57,22 +57,28 @@ class ResidentFrame:
 
     Attributes:
         spec: current size, planes and encoding of the frame.
-        tensors: role -> tensor (height, width, channels) float32, units and directions as in `postfx.frame.ROLES`.
+        tensors: role -> tensor (height, width, channels) float32, units and directions as in
+            `postfx.frame.ROLES`.
         number: frame number in its sequence.
-        jitter: sub-pixel sample position minus 0.5, pixels of the rendered frame, x right, y down. A pass whose
-            output is no longer jittered sets it to (0, 0).
-        exposure_factor: what this frame's light is multiplied by, > 0; the viewer should see their product.
+        jitter: sub-pixel sample position minus 0.5, pixels of the rendered frame, x right, y down.
+            A pass whose output is no longer jittered sets it to (0, 0).
+        exposure_factor: what this frame's light is multiplied by, > 0; the viewer should see their
+            product.
         reset: True when history must be dropped before this frame.
-        unusable: True when most of the colour was not finite and became 0: the next frame should not build on it.
+        unusable: True when most of the colour was not finite and became 0: the next frame should
+            not build on it.
         samples, world_to_camera, fov_x, metadata, guide_jitter: as in `postfx.frame.Frame`.
         guides: role -> tensor at output size, like `tensors`; only those that passes read.
-        host_planes: role -> plane on the host, for planes that no pass has replaced: to decide what to record.
+        host_planes: role -> plane on the host, for planes that no pass has replaced: to decide what
+            to record.
         host_guides: likewise, for guides.
         parts: name -> tensor of a part that passes read, see `postfx.frame.Frame`.
         host_parts: likewise, for parts.
         blank: roles of planes that a pass replaced and that are 0 everywhere.
-        history_only: True when only the history that passes keep of this frame is needed, not its picture.
-        is_away: True when the planes came in the device's memory, so that looking at `host_planes` copies them.
+        history_only: True when only the history that passes keep of this frame is needed, not its
+            picture.
+        is_away: True when the planes came in the device's memory, so that looking at `host_planes`
+            copies them.
     """
 
     spec: FrameSpec
@@ -98,12 +104,14 @@ class ResidentFrame:
 
     @classmethod
     def of(
-        cls, frame: Frame, spec: FrameSpec, tensors: Mapping[Role, Tensor], guides: Mapping[Role, Tensor],
+        cls, frame: Frame, spec: FrameSpec, tensors: Mapping[Role, Tensor],
+        guides: Mapping[Role, Tensor],
         parts: Mapping[str, Tensor], exposure_factor: float, unusable: bool
     ) -> ResidentFrame:
         """A frame on the host, of whose planes, guides and parts these lie on the device."""
         return cls(
-            spec, dict(tensors), frame.number, frame.jitter, exposure_factor, frame.reset, unusable, frame.samples,
+            spec, dict(tensors), frame.number, frame.jitter, exposure_factor, frame.reset, unusable,
+            frame.samples,
             frame.world_to_camera, frame.fov_x, frame.metadata, dict(guides), frame.guide_jitter,
             host_planes={role: frame.planes[role] for role in tensors},
             host_guides={role: frame.guides[role] for role in guides},
@@ -112,7 +120,8 @@ class ResidentFrame:
     def __getitem__(self, role: Role) -> Tensor:
         """Tensor of a plane; FrameError when the frame does not hold it."""
         if role not in self.tensors:
-            raise FrameError(f"frame {self.number} has no plane '{role}': it has {', '.join(self.tensors)}")
+            raise FrameError(f"frame {self.number} has no plane '{role}': it has "
+                             f"{', '.join(self.tensors)}")
         return self.tensors[role]
 
     def __contains__(self, role: object) -> bool:
@@ -132,18 +141,21 @@ class ResidentFrame:
         return is_blank(self.host_planes[role])
 
     def set(self, role: Role, tensor: Tensor, blank: bool = False) -> None:
-        """Replace or add a plane: a float32 tensor (height, width, channels) that a recorded command writes, or, if it
-        is `blank`, of zeros."""
-        if tensor.dtype != "float32" or len(tensor.shape) != 3 or tensor.shape[2] != ROLES[role].channels:
+        """Replace or add a plane: a float32 tensor (height, width, channels) that a recorded
+        command writes, or, if it is `blank`, of zeros."""
+        if (tensor.dtype != "float32" or len(tensor.shape) != 3
+            or tensor.shape[2] != ROLES[role].channels):
             expected = f"(height, width, {ROLES[role].channels}) float32"
-            raise FrameError(f"tensor '{tensor.name}' is {tensor.shape} {tensor.dtype}: plane '{role}' is {expected}")
+            raise FrameError(f"tensor '{tensor.name}' is {tensor.shape} {tensor.dtype}: plane "
+                             f"'{role}' is {expected}")
         self.tensors[role] = tensor
         self.host_planes.pop(role, None)
         (self.blank.add if blank else self.blank.discard)(role)
 
 
 class Downloads(MutableMapping[Role, "np.ndarray"]):
-    """Planes on the host of a frame that came in the device's memory: copied when something looks at them."""
+    """Planes on the host of a frame that came in the device's memory: copied when something looks
+    at them."""
 
     def __init__(self, tensors: Mapping[Role, Tensor]) -> None:
         self._tensors = dict(tensors)
@@ -175,34 +187,41 @@ class Downloads(MutableMapping[Role, "np.ndarray"]):
 
 def share_planes(device: Device, kind: str, planes: Mapping[Role | str, Any],
                  last: Mapping[Role, Tensor] = MappingProxyType({})) -> dict[Role, Tensor]:
-    """Arrays of any library as tensors of the device; `kind` is what messages call them. Those of the `last` frame are
-    taken again for arrays in the same memory, so that its commands are known again.
+    """Arrays of any library as tensors of the device; `kind` is what messages call them. Those of
+    the `last` frame are taken again for arrays in the same memory, so that its commands are known
+    again.
 
-    Raises FrameError for an unknown role, a wrong shape or type, BindingError for what cannot be read.
+    Raises FrameError for an unknown role, a wrong shape or type, BindingError for what cannot be
+    read.
     """
     found, waits = {}, False
     for name, plane in planes.items():
         try:
             role = Role(name)
         except ValueError:
-            raise FrameError(f"{kind} '{name}' has no meaning here: roles are {', '.join(Role)}") from None
+            raise FrameError(f"{kind} '{name}' has no meaning here: roles are "
+                             f"{', '.join(Role)}") from None
         before = last.get(role)
         if before and before.is_on(plane):
             found[role], waits = before, waits or not device.memory.host_visible
             continue
         tensor = device.wrap(str(role), plane)
         found[role] = tensor = before if before and before.is_same_memory(tensor) else tensor
-        if tensor.dtype != "float32" or len(tensor.shape) != 3 or tensor.shape[2] != ROLES[role].channels:
-            raise FrameError(f"{kind} '{role}' is {tensor.shape} {tensor.dtype}: it needs (height, width, "
-                             f"{ROLES[role].channels}) float32")
+        if (tensor.dtype != "float32" or len(tensor.shape) != 3
+            or tensor.shape[2] != ROLES[role].channels):
+            raise FrameError(f"{kind} '{role}' is {tensor.shape} {tensor.dtype}: it needs (height, "
+                             f"width, {ROLES[role].channels}) float32")
     if waits:  # once for all, as PyTorch's work on them was given to its stream before
         follow_torch(device.memory)
     return found
 
 
-def spec_of(planes: Mapping[Role, Tensor], guides: Mapping[Role, Tensor], encoding: str) -> FrameSpec:
-    """Spec of a frame of tensors. FrameError when sizes differ, GuideError for a role that is no guide."""
-    return _spec_of(*(tuple([(role, tensor.shape) for role, tensor in held.items()]) for held in (planes, guides)),
+def spec_of(planes: Mapping[Role, Tensor], guides: Mapping[Role, Tensor],
+            encoding: str) -> FrameSpec:
+    """Spec of a frame of tensors. FrameError when sizes differ, GuideError for a role that is no
+    guide."""
+    return _spec_of(*(tuple([(role, tensor.shape) for role, tensor in held.items()])
+                      for held in (planes, guides)),
                     encoding)
 
 
@@ -225,9 +244,10 @@ def _spec_of(planes: Shapes, guides: Shapes, encoding: str) -> FrameSpec:
 class Pass:
     """Base of all passes. A pass is compiled once for a spec and then encodes frame after frame.
 
-    Subclasses set `name`, take their options as keywords with defaults, which they hand to `super().__init__`, and
-    implement `reflect`, `compile` and `encode`; `compile` and `encode` call `super()` first. The first option may come
-    without its name. A pass never reaches into another: planes are shared only through the frame.
+    Subclasses set `name`, take their options as keywords with defaults, which they hand to
+    `super().__init__`, and implement `reflect`, `compile` and `encode`; `compile` and `encode` call
+    `super()` first. The first option may come without its name. A pass never reaches into another:
+    planes are shared only through the frame.
     """
 
     name: ClassVar[str]
@@ -244,24 +264,27 @@ class Pass:
         if "__init__" in cls.__dict__ and "defaults" not in cls.__dict__:
             options = signature(cls).parameters.values()
             named = Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY
-            cls.defaults = MappingProxyType({option.name: option.default for option in options if option.kind in named})
+            cls.defaults = MappingProxyType({option.name: option.default
+                                             for option in options if option.kind in named})
 
     def __init__(self, **options: Any) -> None:
         for old in set(options) & set(self.renamed):
-            warnings.warn(f"pass '{self.name}': option '{old}' is now '{self.renamed[old]}'", DeprecationWarning,
-                          stacklevel=3)
+            warnings.warn(f"pass '{self.name}': option '{old}' is now '{self.renamed[old]}'",
+                          DeprecationWarning, stacklevel=3)
             options[self.renamed[old]] = options.pop(old)
         unknown = sorted(set(options) - set(self.defaults))
         if unknown:
             valid = ", ".join(self.defaults) or "none"
-            raise PassOptionError(f"pass '{self.name}' has no option '{unknown[0]}': its options are {valid}")
+            raise PassOptionError(f"pass '{self.name}' has no option '{unknown[0]}': its options "
+                                  f"are {valid}")
         self.options: Mapping[str, Any] = MappingProxyType({**self.defaults, **options})
         self._spec: FrameSpec | None = None
 
     def __repr__(self) -> str:
         """The call that makes it, with the options that are not the defaults."""
         said = (f"{name}={value!r}" for name, value in self.options.items()
-                if name not in self.defaults or value is not self.defaults[name] and value != self.defaults[name])
+                if name not in self.defaults
+                or value is not self.defaults[name] and value != self.defaults[name])
         return f"{type(self).__name__}({', '.join(said)})"
 
     def __reduce__(self) -> tuple[Callable[..., Pass], tuple[type[Pass], dict[str, Any]]]:
@@ -269,26 +292,32 @@ class Pass:
         return _make_pass, (type(self), dict(self.options))
 
     def reflect(self, spec: FrameSpec) -> Reflection:
-        """What the pass reads, may read and writes for frames of `spec`. Pure: depends on options and spec only."""
+        """What the pass reads, may read and writes for frames of `spec`. Pure: depends on options
+        and spec only."""
         raise NotImplementedError
 
     def skip(self, spec: FrameSpec) -> str | None:
-        """Why the pass would change nothing for frames of `spec`, as a short clause for the user; else None.
+        """Why the pass would change nothing for frames of `spec`, as a short clause for the user;
+        else None.
 
-        Asked before `reflect`, so a pass whose optional plane is absent answers here instead of failing.
+        Asked before `reflect`, so a pass whose optional plane is absent answers here instead of
+        failing.
         """
         return None
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
-        """What the user should know about the result for frames of `spec`, such as a plane that would improve it."""
+        """What the user should know about the result for frames of `spec`, such as a plane that
+        would improve it."""
         return ()
 
     def accumulates(self, spec: FrameSpec) -> bool:
-        """Whether results for frames of `spec` improve with the number of frames of the shot seen before."""
+        """Whether results for frames of `spec` improve with the number of frames of the shot seen
+        before."""
         return False
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        """Make pipeline states and heap tensors for frames of `spec`, and drop the history. Not called when skipped.
+        """Make pipeline states and heap tensors for frames of `spec`, and drop the history. Not
+        called when skipped.
 
         Tensors that are only used within a frame are made by `device.heap.transient`.
         """
@@ -303,47 +332,55 @@ class Pass:
         return False
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
-        """Record the work for one frame; touch no pixel. Replaces planes by `frame.set(role, tensor)`.
+        """Record the work for one frame; touch no pixel. Replaces planes by `frame.set(role,
+        tensor)`.
 
         Raises NotCompiledError when the pass was not compiled for this frame's spec.
         """
         if self._spec is not frame.spec and self._spec != frame.spec:
             state = "not compiled" if self._spec is None else "compiled for another spec"
-            raise NotCompiledError(f"pass '{self.name}' is {state}: call compile(device, frame.spec) before encode")
+            raise NotCompiledError(f"pass '{self.name}' is {state}: call compile(device, "
+                                   "frame.spec) before encode")
 
     def packages(self) -> Mapping[str, str]:
-        """Other packages that decide its pixels, with their versions, for headers and for what resumes a run."""
+        """Other packages that decide its pixels, with their versions, for headers and for what
+        resumes a run."""
         return {}
 
     def note_time(self, milliseconds: float) -> None:
         """Called with the device time of the last frame's commands."""
 
     def choice(self) -> str | None:
-        """The pass's choice for the last frame, as a word for the user; None if it has no choice."""
+        """The pass's choice for the last frame, as a word for the user; None if it has no
+        choice."""
         return None
 
     def notice(self) -> str | None:
-        """What the last frame shows that the user should mend, in a line; each thing once. None for nothing."""
+        """What the last frame shows that the user should mend, in a line; each thing once. None for
+        nothing."""
         return None
 
     def savings(self) -> tuple[tuple[str, str], ...]:
-        """Work that the frames since `compile` did not need, each with the reason and the measured time it saved."""
+        """Work that the frames since `compile` did not need, each with the reason and the measured
+        time it saved."""
         return ()
 
     def reset(self) -> None:
-        """Drop the history: the next frame is treated as the first. Does nothing in passes without history.
+        """Drop the history: the next frame is treated as the first. Does nothing in passes without
+        history.
 
         May be called at any time between frames, also before `compile`.
         """
 
     def history(self) -> dict[str, np.ndarray] | None:
-        """Between two frames: what the next result depends on beside its frame, by name; to be looked at before the
-        next frame begins. Empty without a history, None where a pass has one and does not tell it."""
+        """Between two frames: what the next result depends on beside its frame, by name; to be
+        looked at before the next frame begins. Empty without a history, None where a pass has one
+        and does not tell it."""
         return {} if type(self).reset is Pass.reset else None
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
-        """After `compile`: go on as a pass that had this `history`. Raises KeyError or BindingError if it is not one of
-        this pass, compiled for the same spec."""
+        """After `compile`: go on as a pass that had this `history`. Raises KeyError or BindingError
+        if it is not one of this pass, compiled for the same spec."""
 
 
 def _make_pass(kind: type[Pass], options: dict[str, Any]) -> Pass:

@@ -1,6 +1,8 @@
-"""Passes that mix a plane with alpha into the colour, in scene-linear light, after denoising and before tone mapping.
+"""Passes that mix a plane with alpha into the colour, in scene-linear light, after denoising and
+before tone mapping.
 
-`Overlay` puts a transparency overlay over the picture; `BothWays` mixes in the result of the later frames.
+`Overlay` puts a transparency overlay over the picture; `BothWays` mixes in the result of the later
+frames.
 """
 
 from __future__ import annotations
@@ -21,11 +23,13 @@ LATEST = 64
 
 
 class Overlay(Pass):
-    """Composites the plane `overlay`, premultiplied linear RGBA, over colour and alpha, in scene-linear light.
+    """Composites the plane `overlay`, premultiplied linear RGBA, over colour and alpha, in
+    scene-linear light.
 
-    colour = overlay + (1 - coverage) * colour, and so alpha, where the frame has one (Porter and Duff 1984). The
-    overlay is then removed. Without this pass the frame keeps it, at the colour's size, as a separate layer. No
-    options. Frames whose overlay is 0 everywhere do not change by a bit.
+    colour = overlay + (1 - coverage) * colour, and so alpha, where the frame has one (Porter and
+    Duff 1984). The overlay is then removed. Without this pass the frame keeps it, at the colour's
+    size, as a separate layer. No options. Frames whose overlay is 0 everywhere do not change by a
+    bit.
     """
 
     name: ClassVar[str] = "overlay"
@@ -45,10 +49,12 @@ class Overlay(Pass):
         if spec.has(Role.OVERLAY):
             return None
         larger = Role.OVERLAY in spec.guide_roles
-        return "the overlay has the output's size, and nothing enlarges the colour" if larger else "there is no overlay"
+        return ("the overlay has the output's size, and nothing enlarges the colour" if larger
+                else "there is no overlay")
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        self._over = {Role.COLOUR: OVER} | ({Role.ALPHA: OVER_ALPHA} if spec.has(Role.ALPHA) else {})
+        self._over = {Role.COLOUR: OVER} | ({Role.ALPHA: OVER_ALPHA} if spec.has(Role.ALPHA)
+                                            else {})
         self._outputs = {role: device.heap.transient(f"{role} under the overlay",
                                                      (spec.height, spec.width, spec.channels(role)))
                          for role in self._over}
@@ -64,7 +70,8 @@ class Overlay(Pass):
         if not self._recorded:
             return
         for role, kernel in self._over.items():
-            planes = {"overlay": frame[Role.OVERLAY], str(role): frame[role], "output": self._outputs[role]}
+            planes = {"overlay": frame[Role.OVERLAY], str(role): frame[role],
+                      "output": self._outputs[role]}
             commands.run(kernel, "over", **planes)
             frame.set(role, self._outputs[role])
 
@@ -75,13 +82,16 @@ class Overlay(Pass):
     def savings(self) -> tuple[tuple[str, str], ...]:
         if not self._blank:
             return ()
-        saved = f"which takes {median(self._times):.1f} ms a frame" if self._times else "time not measured yet"
-        return ((f"compositing for {self._blank} frame{'s' * (self._blank > 1)}", f"the overlay is 0 there; {saved}"),)
+        saved = (f"which takes {median(self._times):.1f} ms a frame" if self._times
+                 else "time not measured yet")
+        return ((f"compositing for {self._blank} frame{'s' * (self._blank > 1)}",
+                 f"the overlay is 0 there; {saved}"),)
 
 
 class PartShares:
-    """Brings parts of a picture to one that took its place: each gets the same share of it as before, so that light
-    adds up to it. `parts`: those of the denoiser, of which light of three channels counts."""
+    """Brings parts of a picture to one that took its place: each gets the same share of it as
+    before, so that light adds up to it. `parts`: those of the denoiser, of which light of three
+    channels counts."""
 
     def __init__(self, parts: Sequence[Part | str]) -> None:
         self._lights = [part if isinstance(part, str) else part.name for part in parts
@@ -94,7 +104,8 @@ class PartShares:
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         """Get ready for frames of a spec."""
-        self._balanced = {name: device.heap.transient(f"{name} of the mixture", (1, spec.height, spec.width, 3))
+        self._balanced = {name: device.heap.transient(f"{name} of the mixture",
+                                                      (1, spec.height, spec.width, 3))
                           for name in self._lights}
         if not self._lights:
             return
@@ -104,27 +115,32 @@ class PartShares:
         self._everywhere.fill(1)
         device.make_ready(BALANCE)
 
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame, before: Tensor, after: Tensor) -> None:
-        """Record the work, once the picture `after` is there, which takes the place of the one `before`."""
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame, before: Tensor,
+               after: Tensor) -> None:
+        """Record the work, once the picture `after` is there, which takes the place of the one
+        `before`."""
         for name, balanced in self._balanced.items():
             part = frame.parts.get(name)
             if part is None or part.shape[2] != 3:
                 continue
-            commands.run(BALANCE, "mix", parts=part.view(name, (1, *part.shape), 0), whole=before, picture=after,
+            commands.run(BALANCE, "mix", parts=part.view(name, (1, *part.shape), 0), whole=before,
+                         picture=after,
                          complete=self._none, reached=self._everywhere, balanced=balanced)
             frame.parts[name] = balanced.view(name, part.shape, 0)
 
 
 class BothWays(Pass):
-    """Mixes the plane `later` into the colour: later + (1 - weight) * colour, in scene-linear light.
+    """Mixes the plane `later` into the colour: later + (1 - weight) * colour, in scene-linear
+    light.
 
-    `postfx.Backwards` makes the plane, of the upscaler's output size. Its weight is how much the later frames know
-    about a pixel compared with the earlier ones: one half in the middle of a shot, 1 where only later frames show it
-    well. The plane is then removed.
+    `postfx.Backwards` makes the plane, of the upscaler's output size. Its weight is how much the
+    later frames know about a pixel compared with the earlier ones: one half in the middle of a
+    shot, 1 where only later frames show it well. The plane is then removed.
 
     Options:
-        parts: those of the denoiser. They only know the earlier frames; light of three channels is brought to the mixed
-            picture, of which it gets the same share as of the picture before, so that parts add up to it.
+        parts: those of the denoiser. They only know the earlier frames; light of three channels is
+            brought to the mixed picture, of which it gets the same share as of the picture before,
+            so that parts add up to it.
     """
 
     name: ClassVar[str] = "both_ways"
@@ -134,7 +150,8 @@ class BothWays(Pass):
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         kept = tuple(plane for plane in spec.planes if plane[0] is not Role.LATER)
-        return Reflection(reads=(Role.COLOUR, Role.LATER), writes=(Role.COLOUR,), output=replace(spec, planes=kept),
+        return Reflection(reads=(Role.COLOUR, Role.LATER), writes=(Role.COLOUR,),
+                          output=replace(spec, planes=kept),
                           parts=PartShares(self.options["parts"]).read_of(spec))
 
     def skip(self, spec: FrameSpec) -> str | None:
@@ -143,14 +160,17 @@ class BothWays(Pass):
         return None if spec.has(Role.LATER) else "later frames were not processed"
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        self._output = device.heap.transient("colour of both directions", (spec.height, spec.width, 3))
+        self._output = device.heap.transient("colour of both directions",
+                                             (spec.height, spec.width, 3))
         device.make_ready(OVER)
-        self._parts = PartShares(self.options["parts"])  # not in common with copies, which other views get
+        # not in common with copies, which other views get
+        self._parts = PartShares(self.options["parts"])
         self._parts.compile(device, spec)
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        commands.run(OVER, "mix", overlay=frame[Role.LATER], colour=frame[Role.COLOUR], output=self._output)
+        commands.run(OVER, "mix", overlay=frame[Role.LATER], colour=frame[Role.COLOUR],
+                     output=self._output)
         self._parts.encode(commands, frame, frame[Role.COLOUR], self._output)
         frame.set(Role.COLOUR, self._output)

@@ -25,14 +25,16 @@ THREAD_ROWS = 32
 
 
 class Display(Pass):
-    """Colour to code values of a display, in its primaries; values that the display cannot show are clipped.
+    """Colour to code values of a display, in its primaries; values that the display cannot show are
+    clipped.
 
-    Scene-linear colour is exposed first; its 1 becomes diffuse white. Pictures made for an SDR display keep their
-    colours: white stays white, on an HDR display at the light that it gives to diffuse white, and nothing is brighter.
+    Scene-linear colour is exposed first; its 1 becomes diffuse white. Pictures made for an SDR
+    display keep their colours: white stays white, on an HDR display at the light that it gives to
+    diffuse white, and nothing is brighter.
 
     Options:
-        display: 'srgb', 'p3', 'rec709', 'rec2020', 'pq' or 'hlg', the last two with ',peak=NITS' (1000) and
-            ',white=NITS' (203, diffuse white), see `postfx.colour.displays`.
+        display: 'srgb', 'p3', 'rec709', 'rec2020', 'pq' or 'hlg', the last two with ',peak=NITS'
+            (1000) and ',white=NITS' (203, diffuse white), see `postfx.colour.displays`.
     """
 
     name: ClassVar[str] = "display"
@@ -52,8 +54,8 @@ class Display(Pass):
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         if _source(spec, self._target) is None or not self._target.hdr:
             return ()
-        return (f"the picture was made for {spec.encoding}: its white is shown at {self._target.white:g} nits, nothing "
-                "is brighter",)
+        return (f"the picture was made for {spec.encoding}: its white is shown at "
+                f"{self._target.white:g} nits, nothing is brighter",)
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         source = _source(spec, self._target)
@@ -69,14 +71,16 @@ class Display(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._params.upload(parameters(self._source, self._target, frame.exposure_factor if self._exposed else 1.0))
-        commands.run(ENCODE_DISPLAY, "encode", colour=frame[Role.COLOUR], params=self._params, output=self._output,
-                     **self._curves)
+        self._params.upload(parameters(self._source, self._target,
+                                       frame.exposure_factor if self._exposed else 1.0))
+        commands.run(ENCODE_DISPLAY, "encode", colour=frame[Role.COLOUR], params=self._params,
+                     output=self._output, **self._curves)
         frame.set(Role.COLOUR, self._output)
 
 
 def parameters(source: Target | None, target: Target, exposure_factor: float = 1.0) -> np.ndarray:
-    """Parameters of the kernel `encode_display`, from code values of a display, or from light in Rec.709 (None)."""
+    """Parameters of the kernel `encode_display`, from code values of a display, or from light in
+    Rec.709 (None)."""
     matrix = matrix_between(source.kind.primaries if source else REC709, target.kind.primaries)
     exponent = 1 / target.system_gamma - 1
     matrix = matrix * exposure_factor / target.unit
@@ -86,12 +90,14 @@ def parameters(source: Target | None, target: Target, exposure_factor: float = 1
 
 def decoding(source: Target | None) -> np.ndarray:
     """Table `decode` of the kernel; zeros where colour is light."""
-    light = source.kind.curve.decode(np.linspace(0, 1, STEPS + 1)) if source else np.zeros(STEPS + 1)
+    light = (source.kind.curve.decode(np.linspace(0, 1, STEPS + 1)) if source
+             else np.zeros(STEPS + 1))
     return _table(light)
 
 
 def encoding(target: Target) -> np.ndarray:
-    """Table `encode` of the kernel. Between the entries it errs by less than 2e-6 (PQ: 5e-6) of the code range."""
+    """Table `encode` of the kernel. Between the entries it errs by less than 2e-6 (PQ: 5e-6) of the
+    code range."""
     return _table(target.kind.curve.encode(np.linspace(0, 1, STEPS + 1) ** ROOT))
 
 
@@ -100,36 +106,44 @@ def _table(values: np.ndarray) -> np.ndarray:
 
 
 def _source(spec: FrameSpec, target: Target) -> Target | None:
-    """The display of the colour's code values, None for light. Raises PassOptionError for HDR pictures."""
+    """The display of the colour's code values, None for light. Raises PassOptionError for HDR
+    pictures."""
     source = None if spec.encoding in LINEAR else parse_display(spec.encoding)
     if source and source.hdr and str(source) != str(target):
-        raise PassOptionError(f"pass 'display' cannot turn {source} into {target}: tone-map for that display instead")
+        raise PassOptionError(f"pass 'display' cannot turn {source} into {target}: tone-map for "
+                              "that display instead")
     return source
 
 
 class View(Pass):
-    """Exposed scene-linear colour to code values of a display, by a view of OpenColorIO, a look-up table or a formula.
+    """Exposed scene-linear colour to code values of a display, by a view of OpenColorIO, a look-up
+    table or a formula.
 
-    A view is evaluated for every pixel on the host. With `exact=False` a cube of 65x65x65 stands in for it, on the
-    device, which takes a fraction of the time. In saturated light it is up to 10 of 255 steps off.
+    A view is evaluated for every pixel on the host. With `exact=False` a cube of 65x65x65 stands in
+    for it, on the device, which takes a fraction of the time. In saturated light it is up to 10 of
+    255 steps off.
 
     Options:
-        view: 'neutral' (Khronos PBR Neutral), 'reinhard', 'ocio:VIEW' of the config $OCIO or the built-in ACES 2
-            config, 'ocio:VIEW@DISPLAY', or 'FILE.cube,input=SPACE', see `postfx.colour.views.find_view`.
+        view: 'neutral' (Khronos PBR Neutral), 'reinhard', 'ocio:VIEW' of the config $OCIO or the
+            built-in ACES 2 config, 'ocio:VIEW@DISPLAY', or 'FILE.cube,input=SPACE', see
+            `postfx.colour.views.find_view`.
         display: the display to make the picture for, see `Display`. A view that is
-            made for one display keeps it: 'neutral' gives srgb, a table the display that it is made for.
-        exact: whether the view is evaluated for every pixel, not looked up in a cube. What is not finite counts as 0,
-            or as the brightest light there is.
+            made for one display keeps it: 'neutral' gives srgb, a table the display that it is made
+            for.
+        exact: whether the view is evaluated for every pixel, not looked up in a cube. What is not
+            finite counts as 0, or as the brightest light there is.
 
     Raises ColourError if there is no such view.
     """
 
     name: ClassVar[str] = "view"
 
-    def __init__(self, view: str = "neutral", *, display: str = "srgb", exact: bool = True, **unknown: Never) -> None:
+    def __init__(self, view: str = "neutral", *, display: str = "srgb", exact: bool = True,
+                 **unknown: Never) -> None:
         super().__init__(view=view, display=display, exact=exact, **unknown)
         self._view, self._exact = find_view(view, parse_display(display)), bool(exact)
-        self._view.apply(np.zeros((1, 3)))  # a table is read now, so that a broken one is told before any frame
+        # a table is read now, so that a broken one is told before any frame
+        self._view.apply(np.zeros((1, 3)))
 
     @property
     def output(self) -> str:
@@ -165,8 +179,8 @@ class View(Pass):
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         self._params.put(np.array([frame.exposure_factor, AXIS_TOE, AXIS_SCALE], np.float32))
-        commands.run(self._state, "view", colour=frame[Role.COLOUR], params=self._params, output=self._output,
-                     **self._cube)
+        commands.run(self._state, "view", colour=frame[Role.COLOUR], params=self._params,
+                     output=self._output, **self._cube)
         frame.set(Role.COLOUR, self._output)
 
     def _matrix(self) -> np.ndarray:
@@ -177,21 +191,23 @@ class View(Pass):
 
         def show_rows(first: int) -> None:
             rows = slice(first, first + THREAD_ROWS)
-            light = np.nan_to_num(colour[rows].astype(np.float64), posinf=most, neginf=-most) @ matrix.T
+            light = np.nan_to_num(colour[rows].astype(np.float64), posinf=most,
+                                  neginf=-most) @ matrix.T
             output[rows] = self._view.apply(np.clip(light, -most, most))
 
         with ThreadPoolExecutor(self._threads) as workers:
             list(workers.map(show_rows, range(0, len(colour), THREAD_ROWS)))
 
 
-def is_shown(is_picture: bool, tonemap: str | None = None, display: str | None = None, **_: object) -> bool:
+def is_shown(is_picture: bool, tonemap: str | None = None, display: str | None = None,
+             **_: object) -> bool:
     """Whether the options of a look, and files that hold pictures, ask for colours of a display."""
     return is_picture or display is not None or tonemap is not None
 
 
 def make_display_passes(
-    is_picture: bool, tonemap: str | None = None, no_tonemap: bool = False, display: str | None = None,
-    fast: bool = False
+    is_picture: bool, tonemap: str | None = None, no_tonemap: bool = False,
+    display: str | None = None, fast: bool = False
 ) -> tuple[list[Pass], list[Skip]]:
     """Passes that make pictures for a display, and what is left out.
 
@@ -200,7 +216,8 @@ def make_display_passes(
     Raises ColourError for an unknown display or view.
     """
     if not is_shown(is_picture, tonemap, display):
-        why = "--no-tonemap" if no_tonemap else "EXR output stays scene-linear; --tonemap changes that"
+        why = ("--no-tonemap" if no_tonemap
+               else "EXR output stays scene-linear; --tonemap changes that")
         return [], [Skip("tonemap", why)]
     shown_on = str(parse_display(display or "srgb"))
     if no_tonemap:
@@ -217,9 +234,10 @@ def make_display_passes(
 
 def _find_look(tag: str) -> str:
     """The tag or file of a network; ColourError that lists all looks for any other word."""
-    tags = [name.removeprefix("tonemap.") for name in Library().names() if name.startswith("tonemap.")]
+    tags = [name.removeprefix("tonemap.")
+            for name in Library().names() if name.startswith("tonemap.")]
     if tag not in tags and not tag.endswith(".onnx"):
         looks = [*tags, *VIEWS]
-        raise ColourError(f"no look '{tag}'{suggest(tag, looks) or ':'} there are {', '.join(looks)}, ocio:VIEW, "
-                          "FILE.cube,input=SPACE and FILE.onnx")
+        raise ColourError(f"no look '{tag}'{suggest(tag, looks) or ':'} there are "
+                          f"{', '.join(looks)}, ocio:VIEW, FILE.cube,input=SPACE and FILE.onnx")
     return tag

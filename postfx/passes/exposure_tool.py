@@ -1,4 +1,5 @@
-"""Exposure tool: a grey checkerboard over the frame, to see whether later software applies the given exposure."""
+"""Exposure tool: a grey checkerboard over the frame, to see whether later software applies the
+given exposure."""
 
 from __future__ import annotations
 
@@ -25,10 +26,12 @@ GREYS = (KEY * 2**-STOPS, KEY * 2**STOPS)
 
 
 class ExposureTool(Pass):
-    """Covers the frame, or a part of it, with a checkerboard of two greys around 0.18, divided by the exposure.
+    """Covers the frame, or a part of it, with a checkerboard of two greys around 0.18, divided by
+    the exposure.
 
-    Software that applies the frame's exposure shows a steady mid grey. If the board is too dark, too bright or
-    changing, it applies another exposure. Alpha becomes 1 there; an overlay is removed.
+    Software that applies the frame's exposure shows a steady mid grey. If the board is too dark,
+    too bright or changing, it applies another exposure. Alpha becomes 1 there; an overlay is
+    removed.
 
     Options:
         reference: frame number -> multiplier to divide by; None: each frame's own exposure.
@@ -37,7 +40,8 @@ class ExposureTool(Pass):
 
     name: ClassVar[str] = "exposure_tool"
 
-    def __init__(self, *, reference: Mapping[int, float] | None = None, part: bool = False, **unknown: Never) -> None:
+    def __init__(self, *, reference: Mapping[int, float] | None = None, part: bool = False,
+                 **unknown: Never) -> None:
         super().__init__(reference=reference, part=part, **unknown)
 
     def reflect(self, spec: FrameSpec) -> Reflection:
@@ -47,7 +51,8 @@ class ExposureTool(Pass):
                           output=replace(spec, planes=kept))
 
     def skip(self, spec: FrameSpec) -> str | None:
-        return None if spec.encoding == "scene-linear" else f"colour is {spec.encoding}, exposed already"
+        return (None if spec.encoding == "scene-linear"
+                else f"colour is {spec.encoding}, exposed already")
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         covered = "a part of the picture" if self.options["part"] else "the picture"
@@ -75,8 +80,10 @@ class ExposureTool(Pass):
     def _compile_part(self, device: Device, spec: FrameSpec) -> None:
         size = spec.height, spec.width
         self._board = device.heap.tensor("checkerboard", (*size, 4))
-        self._over = {Role.COLOUR: OVER} | ({Role.ALPHA: OVER_ALPHA} if spec.has(Role.ALPHA) else {})
-        self._outputs = {role: device.heap.transient(f"{role} under the board", (*size, spec.channels(role)))
+        self._over = {Role.COLOUR: OVER} | ({Role.ALPHA: OVER_ALPHA} if spec.has(Role.ALPHA)
+                                            else {})
+        self._outputs = {role: device.heap.transient(f"{role} under the board",
+                                                     (*size, spec.channels(role)))
                          for role in self._over}
         device.make_ready(*self._over.values())
 
@@ -88,16 +95,19 @@ class ExposureTool(Pass):
             self._encode_part(commands, frame, factor)
             return
         self._greys.upload(np.array(GREYS) / factor)
-        commands.run(CHECKERBOARD, "checkerboard", greys=self._greys, output=self._output, **self._cells)
+        commands.run(CHECKERBOARD, "checkerboard", greys=self._greys, output=self._output,
+                     **self._cells)
         frame.set(Role.COLOUR, self._output)
         if Role.ALPHA in frame:
             frame.set(Role.ALPHA, self._opaque)
 
-    def _encode_part(self, commands: CommandBuffer, frame: ResidentFrame, exposure_factor: float) -> None:
+    def _encode_part(self, commands: CommandBuffer, frame: ResidentFrame,
+                     exposure_factor: float) -> None:
         board = np.zeros(self._board.shape, np.float32)
         area = board[board_area(board.shape[0], board.shape[1], part=True)]
         rows, columns = cells(area.shape[0], area.shape[1])
-        area[..., :3] = np.where(rows[:, None] == columns[None, :], *GREYS)[..., None] / exposure_factor
+        area[..., :3] = np.where(rows[:, None] == columns[None, :],
+                                 *GREYS)[..., None] / exposure_factor
         area[..., 3] = 1
         self._board.upload(board)
         for role, kernel in self._over.items():
@@ -107,8 +117,10 @@ class ExposureTool(Pass):
 
 
 def board_area(height: int, width: int, part: bool) -> tuple[slice, slice]:
-    """Rows and columns of a frame that the board covers: all, or the third of each that is at the lower left."""
-    return (slice(height - height // 3, height), slice(0, width // 3)) if part else (slice(0, height), slice(0, width))
+    """Rows and columns of a frame that the board covers: all, or the third of each that is at the
+    lower left."""
+    return ((slice(height - height // 3, height), slice(0, width // 3)) if part
+            else (slice(0, height), slice(0, width)))
 
 
 def cells(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -125,8 +137,8 @@ def asked_form() -> Literal["whole", "part"] | None:
     if word in ("1", "true", "on", "yes"):
         return "whole"
     if word != "part":
-        raise ExposureError(f"{TOOL_VARIABLE}={word}: use 1, part (a board at the lower left, beside the picture), or "
-                            "0")
+        raise ExposureError(f"{TOOL_VARIABLE}={word}: use 1, part (a board at the lower left, "
+                            "beside the picture), or 0")
     return "part"
 
 
@@ -135,7 +147,8 @@ MIXERS = ("both_ways", "partner", "mix_partner")
 
 
 def with_tool(passes: tuple[Pass, ...]) -> tuple[Pass, ...]:
-    """The passes, and the tool after the upscaler (first, without one) where the environment variable asks for it.
+    """The passes, and the tool after the upscaler (first, without one) where the environment
+    variable asks for it.
 
     Under a board that covers the whole frame nothing is denoised: the upscaler only gives the size.
     """

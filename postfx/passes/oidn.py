@@ -19,18 +19,21 @@ NORMALS = (Role.DENOISING_NORMAL, Role.NORMAL)
 
 
 class Oidn(Pass):
-    """Denoises with Open Image Denoise, at the render's size and each frame alone; needs the package pyoidn.
+    """Denoises with Open Image Denoise, at the render's size and each frame alone; needs the
+    package pyoidn.
 
-    The albedo and the normal are filtered alone first and then help with the picture. The albedo is the plane
-    `denoising_albedo`, or without it diffuse and specular albedo, added up. The normal is the plane `denoising_normal`
-    beside a `denoising_albedo`, as Blender takes both, else `normal`.
-    Without an albedo the colour is denoised alone. What is not finite counts as 0, as does light below 0.
+    The albedo and the normal are filtered alone first and then help with the picture. The albedo is
+    the plane `denoising_albedo`, or without it diffuse and specular albedo, added up. The normal is
+    the plane `denoising_normal` beside a `denoising_albedo`, as Blender takes both, else `normal`.
+    Without an albedo the colour is denoised alone. What is not finite counts as 0, as does light
+    below 0.
 
     Options:
         quality: 'high', 'balanced' or 'fast'.
         alpha: whether alpha is denoised, too, in frames where it is neither 0 nor 1 somewhere.
 
-    Parts of the picture stay as they are. Raises PassOptionError for another quality, DeviceError without the package.
+    Parts of the picture stay as they are. Raises PassOptionError for another quality, DeviceError
+    without the package.
     """
 
     name: ClassVar[str] = "oidn"
@@ -38,14 +41,16 @@ class Oidn(Pass):
     def __init__(self, quality: str = "high", *, alpha: bool = True, **unknown: Never) -> None:
         super().__init__(quality=quality, alpha=alpha, **unknown)
         if quality not in QUALITIES:
-            raise PassOptionError(f"pass 'oidn' has no quality '{quality}': give {', '.join(QUALITIES)}")
+            raise PassOptionError(f"pass 'oidn' has no quality '{quality}': give "
+                                  f"{', '.join(QUALITIES)}")
         oidn.require()
         self._quality, self._alpha = quality, bool(alpha)
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         written = (Role.COLOUR, Role.ALPHA) if self._denoises_alpha(spec) else (Role.COLOUR,)
         albedos = self._albedos(spec) or PREFERRED_ALBEDOS
-        return Reflection(reads=(Role.COLOUR,), may_read=(*albedos, *self._normals(spec), *written[1:]), writes=written,
+        return Reflection(reads=(Role.COLOUR,),
+                          may_read=(*albedos, *self._normals(spec), *written[1:]), writes=written,
                           output=spec)
 
     def skip(self, spec: FrameSpec) -> str | None:
@@ -55,7 +60,8 @@ class Oidn(Pass):
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         found = [] if self._albedos(spec) else ["no albedo, so Open Image Denoise blurs more"]
-        found += [f"light groups and passes stay noisy: {', '.join(spec.part_names)}"] if spec.part_names else []
+        found += ([f"light groups and passes stay noisy: {', '.join(spec.part_names)}"]
+                  if spec.part_names else [])
         return tuple(found)
 
     def packages(self) -> Mapping[str, str]:
@@ -70,13 +76,16 @@ class Oidn(Pass):
         size = spec.height, spec.width
         self._colour = device.host_state("oidn", names, ("output",), self._denoise_colour)
         self._output = device.heap.transient("colour by oidn", (*size, 3))
-        self._coverage = device.host_state("oidn alpha", ("alpha",), ("output",), self._denoise_alpha_plane)
-        self._covered = device.heap.transient("alpha by oidn", (*size, 1)) if self._denoises_alpha(spec) else None
+        self._coverage = device.host_state("oidn alpha", ("alpha",), ("output",),
+                                           self._denoise_alpha_plane)
+        self._covered = (device.heap.transient("alpha by oidn", (*size, 1))
+                         if self._denoises_alpha(spec) else None)
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        commands.run(self._colour, "filters", output=self._output, **{str(role): frame[role] for role in self._roles})
+        commands.run(self._colour, "filters", output=self._output,
+                     **{str(role): frame[role] for role in self._roles})
         frame.set(Role.COLOUR, self._output)
         if self._covered:
             commands.run(self._coverage, "filters", alpha=frame[Role.ALPHA], output=self._covered)
@@ -104,11 +113,13 @@ class Oidn(Pass):
         return self._alpha and spec.has(Role.ALPHA)
 
     def _albedos(self, spec: FrameSpec) -> tuple[Role, ...]:
-        """The albedos that are added up: one of what is seen in mirrors and glass, too, is enough."""
+        """The albedos that are added up: one of what is seen in mirrors and glass, too, is
+        enough."""
         found = tuple(role for role in PREFERRED_ALBEDOS if spec.has(role))
         return found[:1] if Role.DENOISING_ALBEDO in found else found
 
     def _normals(self, spec: FrameSpec) -> tuple[Role, ...]:
-        """The normal that is taken: one of what is seen in mirrors and glass goes with such an albedo."""
+        """The normal that is taken: one of what is seen in mirrors and glass goes with such an
+        albedo."""
         follows = spec.has(Role.DENOISING_ALBEDO) and spec.has(Role.DENOISING_NORMAL)
         return (Role.DENOISING_NORMAL,) if follows else (Role.NORMAL,)

@@ -1,7 +1,7 @@
 """Passes that run another denoiser beside the project's own and mix both results.
 
-`Partner` runs before the upscaler and adds the other denoiser's picture as the plane `partner`. The upscaler brings
-that plane to the output's size. `MixPartner` runs after the upscaler and mixes.
+`Partner` runs before the upscaler and adds the other denoiser's picture as the plane `partner`. The
+upscaler brings that plane to the output's size. `MixPartner` runs after the upscaler and mixes.
 """
 
 from __future__ import annotations
@@ -22,30 +22,34 @@ from postfx.passes.registry import BUILT_IN, make_asked, parse_pass, plug_ins
 from postfx.runtime import CommandBuffer, Device
 
 LASTING = 0.3
-"""How much the partner counts in the mean of logarithms at the render's size, however long the history is."""
+"""How much the partner counts in the mean of logarithms at the render's size, however long the
+history is."""
 WITHOUT_HISTORY = 0.5
-"""How much more it counts in a frame without a history; with n frames, itself included, an nth of that."""
+"""How much more it counts in a frame without a history; with n frames, itself included, an nth of
+that."""
 ENLARGEMENT_POWER = 0.75
 """Its weight falls with this power of the enlargement, as it is enlarged without knowing edges."""
 BACKWARD_FRAMES = 2
 """Frames of history that a run in both directions has where one direction has none."""
 MIXTURE_REACH_SHARE = 0.3
-"""How far the last mixture may lie from that mean, as a share of the way to the nearer picture. More is steadier, but
-keeps what the partner counted when there was no history. On thirteen kinds at 1x, 0.15 has 30.02 dB and flicker 24.9,
-0.3 has 30.01 and 24.6, 0.5 has 29.96 and 24.3."""
+"""How far the last mixture may lie from that mean, as a share of the way to the nearer picture.
+More is steadier, but keeps what the partner counted when there was no history. On thirteen kinds at
+1x, 0.15 has 30.02 dB and flicker 24.9, 0.3 has 30.01 and 24.6, 0.5 has 29.96 and 24.3."""
 MIXING_PLANES = (Role.MOTION, Role.STRENGTH)
 """Planes that the mixture uses where the frame has them."""
 
 
 class Partner(Pass):
-    """Runs another denoiser and keeps its picture as the plane `partner`, for the pass `mix_partner`.
+    """Runs another denoiser and keeps its picture as the plane `partner`, for the pass
+    `mix_partner`.
 
     Options:
-        of: the other pass and its options, as in 'oidn' or 'oidn,quality=fast': any pass that leaves a picture of the
-            frame's size, in scene-linear light.
+        of: the other pass and its options, as in 'oidn' or 'oidn,quality=fast': any pass that
+            leaves a picture of the frame's size, in scene-linear light.
 
-    All other planes stay as they are. Frames that only give a history are left out where the other pass has none.
-    Raises OptionError for words that name no pass, FrameError for a pass that changes the size.
+    All other planes stay as they are. Frames that only give a history are left out where the other
+    pass has none. Raises OptionError for words that name no pass, FrameError for a pass that
+    changes the size.
     """
 
     name: ClassVar[str] = "partner"
@@ -54,7 +58,8 @@ class Partner(Pass):
         super().__init__(of=of, **unknown)
         asked = parse_pass(of, "--with")
         if asked.before or asked.after:
-            raise PassOptionError(f"partner '{of}' runs before the upscaler: leave before= and after= out")
+            raise PassOptionError(f"partner '{of}' runs before the upscaler: leave before= and "
+                                  "after= out")
         if asked.name == "oidn":
             asked.options.setdefault("alpha", "false")  # the upscaler denoises it
         self._own = make_asked(asked)
@@ -64,13 +69,15 @@ class Partner(Pass):
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         own = self._own.reflect(spec)
-        if (own.output.width, own.output.height) != (spec.width, spec.height) or Role.COLOUR not in own.writes:
-            raise FrameError(f"{spec.source or 'frame'}: pass '{self._own.name}' cannot be a partner: it does not make "
-                             "a picture of the frame's size")
+        if ((own.output.width, own.output.height) != (spec.width, spec.height)
+            or Role.COLOUR not in own.writes):
+            raise FrameError(f"{spec.source or 'frame'}: pass '{self._own.name}' cannot be a "
+                             "partner: it does not make a picture of the frame's size")
         kept = tuple(plane for plane in spec.planes if plane[0] is not Role.PARTNER)
         output = replace(spec, planes=(*kept, (Role.PARTNER, 3)))
-        return Reflection(reads=own.reads, may_read=own.may_read, writes=(Role.PARTNER,), output=output,
-                          may_read_guides=own.may_read_guides, notes=(f"runs {self.described()}", *own.notes))
+        return Reflection(reads=own.reads, may_read=own.may_read, writes=(Role.PARTNER,),
+                          output=output, may_read_guides=own.may_read_guides,
+                          notes=(f"runs {self.described()}", *own.notes))
 
     def skip(self, spec: FrameSpec) -> str | None:
         return self._own.skip(spec)
@@ -80,10 +87,12 @@ class Partner(Pass):
 
     def described(self) -> str:
         """The other pass, and the packages that its pixels depend on."""
-        return " ".join([self._own.name, *(f"({name} {version})" for name, version in self.packages().items())])
+        return " ".join([self._own.name,
+                         *(f"({name} {version})" for name, version in self.packages().items())])
 
     def packages(self) -> Mapping[str, str]:
-        found = {} if self._own.name in BUILT_IN else {f"pass {self._own.name}": plug_ins().get(self._own.name, "")}
+        found = ({} if self._own.name in BUILT_IN
+                 else {f"pass {self._own.name}": plug_ins().get(self._own.name, "")})
         return {**found, **self._own.packages()}
 
     def accumulates(self, spec: FrameSpec) -> bool:
@@ -98,7 +107,8 @@ class Partner(Pass):
         if frame.history_only and type(self._own).reset is Pass.reset:
             frame.set(Role.PARTNER, frame[Role.COLOUR])
             return
-        other = replace(frame, tensors=dict(frame.tensors), guides=dict(frame.guides), parts=dict(frame.parts),
+        other = replace(frame, tensors=dict(frame.tensors), guides=dict(frame.guides),
+                        parts=dict(frame.parts),
                         host_planes=ChainMap({}, frame.host_planes), blank=set(frame.blank))
         self._own.encode(commands, other)
         frame.set(Role.PARTNER, other[Role.COLOUR])
@@ -120,48 +130,55 @@ class Partner(Pass):
 
 
 def partner_weight(frames: int, scale: float = 1.0) -> float:
-    """How much a partner that knows one frame alone counts beside a denoiser with a history of so many ``frames``, the
-    present one included, where the picture is enlarged by ``scale``.
+    """How much a partner that knows one frame alone counts beside a denoiser with a history of so
+    many ``frames``, the present one included, where the picture is enlarged by ``scale``.
 
-    On thirteen kinds of content the best weight at the render's size was 0.75 to 0.8 in the first frame and 0.6 to 0.7
-    in the third; on five longer sequences 0.75, 0.4, and 0.25 in the eighth; at 2x 0.5, 0.25 to 0.4, and 0.25.
+    On thirteen kinds of content the best weight at the render's size was 0.75 to 0.8 in the first
+    frame and 0.6 to 0.7 in the third; on five longer sequences 0.75, 0.4, and 0.25 in the eighth;
+    at 2x 0.5, 0.25 to 0.4, and 0.25.
     """
     weight: float = (LASTING + WITHOUT_HISTORY / frames) / scale**ENLARGEMENT_POWER
     return weight
 
 
 class MixPartner(Pass):
-    """Mixes the plane `partner` into the colour, pixel by pixel, so that the mixture is steady over time.
+    """Mixes the plane `partner` into the colour, pixel by pixel, so that the mixture is steady over
+    time.
 
-    Both pictures are compared in logarithms of exposed light. The last mixture is moved along the motion and held near
-    the weighted mean of both, between the two pictures. Without a motion plane, and in a shot's first frame, it is the
-    mean. There the partner counts most, and less with each frame of history (`partner_weight`).
+    Both pictures are compared in logarithms of exposed light. The last mixture is moved along the
+    motion and held near the weighted mean of both, between the two pictures. Without a motion
+    plane, and in a shot's first frame, it is the mean. There the partner counts most, and less with
+    each frame of history (`partner_weight`).
     The plane is then removed, and so are `motion` and `strength`.
 
     Options:
         scale: by how much the denoiser enlarges.
         both_ways: whether the denoised picture knows later frames, too.
         strength: as the denoiser's; the plane `strength` counts, too.
-        parts: those of the denoiser. Light of three channels is brought to the mixed picture, of which it gets the same
-            share as of the picture before, so that parts add up to it.
+        parts: those of the denoiser. Light of three channels is brought to the mixed picture, of
+            which it gets the same share as of the picture before, so that parts add up to it.
     """
 
     name: ClassVar[str] = "mix_partner"
 
     def __init__(self, *, strength: float = 1.0, scale: float = 1.0, both_ways: bool = False,
                  parts: Sequence[Part | str] = (), **unknown: Never) -> None:
-        super().__init__(strength=strength, scale=scale, both_ways=both_ways, parts=parts, **unknown)
+        super().__init__(strength=strength, scale=scale, both_ways=both_ways, parts=parts,
+                         **unknown)
         self._frames = 0
         self._scale = max(float(scale), 1.0)
         self._more = BACKWARD_FRAMES if both_ways else 0
         self._strength = float(strength)
         if not 0 <= self._strength <= 1:
-            raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not {self._strength:g}: give one of them")
+            raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not "
+                                  f"{self._strength:g}: give one of them")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
-        kept = tuple(plane for plane in spec.planes if plane[0] not in (Role.PARTNER, *MIXING_PLANES))
-        return Reflection(reads=(Role.COLOUR, Role.PARTNER), may_read=MIXING_PLANES, writes=(Role.COLOUR,),
-                          output=replace(spec, planes=kept), parts=PartShares(self.options["parts"]).read_of(spec))
+        kept = tuple(plane
+                     for plane in spec.planes if plane[0] not in (Role.PARTNER, *MIXING_PLANES))
+        return Reflection(reads=(Role.COLOUR, Role.PARTNER), may_read=MIXING_PLANES,
+                          writes=(Role.COLOUR,), output=replace(spec, planes=kept),
+                          parts=PartShares(self.options["parts"]).read_of(spec))
 
     def skip(self, spec: FrameSpec) -> str | None:
         if spec.encoding != "scene-linear":
@@ -175,10 +192,12 @@ class MixPartner(Pass):
             output.fill(0)
         self._settings = device.heap.tensor("settings of the mixture", (4,))
         self._weight = device.heap.tensor("weight of the partner", (1, 1, 1))
-        self._absent = {Role.STRENGTH: device.wrap("strength of the mixture", np.ones((1, 1, 1), np.float32)),
+        self._absent = {Role.STRENGTH: device.wrap("strength of the mixture",
+                                                   np.ones((1, 1, 1), np.float32)),
                         Role.MOTION: device.wrap("no motion", np.zeros((1, 1, 2), np.float32))}
         device.make_ready(MIX_PARTNER)
-        self._parts = PartShares(self.options["parts"])  # not in common with copies, which other views get
+        # not in common with copies, which other views get
+        self._parts = PartShares(self.options["parts"])
         self._parts.compile(device, spec)
         super().compile(device, spec)
 
@@ -188,14 +207,16 @@ class MixPartner(Pass):
         seen = self._frames + 1 if keep else 1
         self._frames = 0 if frame.unusable else seen
         self._outputs.reverse()
-        self._settings.put(np.array([frame.exposure_factor, MIXTURE_REACH_SHARE, keep, self._strength], np.float32))
+        self._settings.put(np.array([frame.exposure_factor, MIXTURE_REACH_SHARE, keep,
+                                     self._strength], np.float32))
         weight = partner_weight(seen + self._more, self._scale)
         self._weight.put(np.full((1, 1, 1), weight, np.float32))
         whole = frame[Role.COLOUR]
         history, output = self._outputs
-        commands.run(MIX_PARTNER, "mix", colour=whole, partner=frame[Role.PARTNER], history=history, output=output,
-                     settings=self._settings, weight=self._weight,
-                     **{str(role): frame[role] if role in frame else self._absent[role] for role in MIXING_PLANES})
+        commands.run(MIX_PARTNER, "mix", colour=whole, partner=frame[Role.PARTNER], history=history,
+                     output=output, settings=self._settings, weight=self._weight,
+                     **{str(role): frame[role] if role in frame else self._absent[role]
+                        for role in MIXING_PLANES})
         self._parts.encode(commands, frame, whole, output)
         frame.set(Role.COLOUR, self._outputs[1])
 

@@ -1,7 +1,7 @@
 """Finding passes by name, and making them of words such as 'vignette,amount=0.5'.
 
-Passes are entry points of the group `postfx.passes`. Those that come with postfx are listed here instead, so that a
-checkout works without being installed; no other package can take their names.
+Passes are entry points of the group `postfx.passes`. Those that come with postfx are listed here
+instead, so that a checkout works without being installed; no other package can take their names.
 """
 
 from __future__ import annotations
@@ -49,29 +49,37 @@ def names() -> tuple[str, ...]:
 
 
 def load(name: str) -> type[Pass]:
-    """The class of a pass. Raises RegistryError if the name is unknown or its target is not a pass of that name."""
-    points = [EntryPoint(name, BUILT_IN[name], ENTRY_POINT_GROUP)] if name in BUILT_IN else _installed().get(name, ())
+    """The class of a pass. Raises RegistryError if the name is unknown or its target is not a pass
+    of that name."""
+    points = ([EntryPoint(name, BUILT_IN[name], ENTRY_POINT_GROUP)] if name in BUILT_IN
+              else _installed().get(name, ()))
     if not points:
-        raise RegistryError(f"no pass '{name}'{suggest(name, names()) or ':'} there are {', '.join(names())}")
+        raise RegistryError(f"no pass '{name}'{suggest(name, names()) or ':'} there are "
+                            f"{', '.join(names())}")
     if len(points) > 1:
-        raise RegistryError(f"pass '{name}' comes with {' and with '.join(map(package_of, points))}: "
-                            "uninstall all but one of them")
+        raise RegistryError(f"pass '{name}' comes with "
+                            f"{' and with '.join(map(package_of, points))}: uninstall all but one "
+                            "of them")
     try:
         found = points[0].load()
     except Exception as error:  # other people's code
         raise RegistryError(f"pass '{name}' cannot be loaded: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Pass)):
-        raise RegistryError(f"pass '{name}' points to {found!r}, which is not a subclass of postfx.passes.Pass")
+        raise RegistryError(f"pass '{name}' points to {found!r}, which is not a subclass of "
+                            "postfx.passes.Pass")
     if getattr(found, "name", None) != name:
-        raise RegistryError(f"pass '{name}' points to a class whose name is '{getattr(found, 'name', '')}': "
-                            f"set name = \"{name}\" in {found.__qualname__}")
+        raise RegistryError(f"pass '{name}' points to a class whose name "
+                            f"is '{getattr(found, 'name', '')}': set name = \"{name}\" in "
+                            f"{found.__qualname__}")
     if taken := {PLACE_BEFORE, PLACE_AFTER} & set(found.defaults):
-        raise RegistryError(f"pass '{name}' has an option '{taken.pop()}', which says where a pass stands: rename it")
+        raise RegistryError(f"pass '{name}' has an option '{taken.pop()}', which says where a pass "
+                            "stands: rename it")
     return found
 
 
 def create(name: str, **options: Any) -> Pass:
-    """A pass by name. Raises RegistryError for an unknown name, PassOptionError for an unknown option."""
+    """A pass by name. Raises RegistryError for an unknown name, PassOptionError for an unknown
+    option."""
     kind = load(name)
     try:
         return kind(**options)
@@ -88,11 +96,13 @@ def package_of(point: EntryPoint) -> str:
 
 def plug_ins() -> dict[str, str]:
     """Name -> package and version, of the passes that do not come with postfx."""
-    return {name: ", ".join(map(package_of, points)) for name, points in _installed().items() if name not in BUILT_IN}
+    return {name: ", ".join(map(package_of, points))
+            for name, points in _installed().items() if name not in BUILT_IN}
 
 
 def describe_passes() -> str:
-    """All passes, a paragraph each: name, package, options with their defaults, and the first line of the docstring."""
+    """All passes, a paragraph each: name, package, options with their defaults, and the first line
+    of the docstring."""
     return "\n".join(line for name in names() for line in _description(name))
 
 
@@ -107,15 +117,18 @@ def _description(name: str) -> list[str]:
                         for key, value in kind.defaults.items())
     summary = " ".join((kind.__doc__ or "").strip().partition("\n\n")[0].split())
     lines = [f"{name}  ({origin})", f"    {summary}", f"    options: {options or 'none'}"]
-    return lines + [f"    a pass of this name in {package_of(point)} is not used: rename it" for point in hidden]
+    return lines + [f"    a pass of this name in {package_of(point)} is not used: rename it"
+                    for point in hidden]
 
 
 def _spell(value: Any) -> str:
-    return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+    return ("none" if value is None else str(value).lower() if isinstance(value, bool)
+            else str(value))
 
 
 class PassRequest(NamedTuple):
-    """A pass as words ask for it: its name, its options as texts, and which pass it stands before or after."""
+    """A pass as words ask for it: its name, its options as texts, and which pass it stands before
+    or after."""
 
     name: str
     options: dict[str, str]
@@ -128,7 +141,8 @@ def parse_pass(text: str, flag: str = "--pass") -> PassRequest:
     names the flag, for anything else."""
     name, *words = _COMMA.split(text.strip())
     if not re.fullmatch(r"[\w.-]+", name):
-        raise OptionError(f"{flag} {text}: give a name and options, e.g. vignette,amount=0.5,before=tonemap")
+        raise OptionError(f"{flag} {text}: give a name and options, e.g. "
+                          "vignette,amount=0.5,before=tonemap")
     options: dict[str, str] = {}
     for word in words:
         key, _, value = word.partition("=")
@@ -144,14 +158,17 @@ def parse_pass(text: str, flag: str = "--pass") -> PassRequest:
 def make_asked(asked: PassRequest) -> Pass:
     """The pass, its options read as values of the same kind as their defaults.
 
-    Raises RegistryError for an unknown name, PassOptionError for an unknown option or a value of another kind.
+    Raises RegistryError for an unknown name, PassOptionError for an unknown option or a value of
+    another kind.
     """
     defaults = load(asked.name).defaults
-    options = {key: _value(asked.name, key, text, defaults.get(key)) for key, text in asked.options.items()}
+    options = {key: _value(asked.name, key, text, defaults.get(key))
+               for key, text in asked.options.items()}
     return create(asked.name, **options)
 
 
-_BOOLEANS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
+_BOOLEANS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False,
+             "off": False, "0": False}
 
 
 def _value(name: str, key: str, text: str, default: Any) -> Any:
@@ -172,10 +189,11 @@ def _value(name: str, key: str, text: str, default: Any) -> Any:
 
 
 def insert_passes(chain: Sequence[Pass], asked: Sequence[PassRequest], default: int) -> list[Pass]:
-    """A chain with passes that were asked for; those without a place stand before position `default` of it.
+    """A chain with passes that were asked for; those without a place stand before position
+    `default` of it.
 
-    Passes of one place stand in the order in which they were asked for, and may name each other. Raises OptionError
-    for a place that is not in the chain.
+    Passes of one place stand in the order in which they were asked for, and may name each other.
+    Raises OptionError for a place that is not in the chain.
     """
     added = [(one, make_asked(one)) for one in asked]
     free = [instance for one, instance in added if not (one.before or one.after)]
@@ -185,9 +203,11 @@ def insert_passes(chain: Sequence[Pass], asked: Sequence[PassRequest], default: 
     while waiting:
         placed = next((pair for pair in waiting if _at(result, pair[0]) is not None), None)
         if placed is None:
-            anchor, there = waiting[0][0].before or waiting[0][0].after, [instance.name for instance in result]
-            raise OptionError(f"--pass {waiting[0][0].name}: no pass '{anchor}' runs here"
-                              f"{suggest(str(anchor), there) or ':'} there are {', '.join(there) or 'none'}")
+            anchor, there = (waiting[0][0].before or waiting[0][0].after,
+                             [instance.name for instance in result])
+            raise OptionError(f"--pass {waiting[0][0].name}: no pass '{anchor}' runs "
+                              f"here{suggest(str(anchor), there) or ':'} there are "
+                              f"{', '.join(there) or 'none'}")
         waiting.remove(placed)
         one, instance = placed
         at = _at(result, one) or 0
@@ -201,7 +221,8 @@ def insert_passes(chain: Sequence[Pass], asked: Sequence[PassRequest], default: 
 
 def _at(chain: Sequence[Pass], one: PassRequest) -> int | None:
     """Where the pass stands that another one is to stand before or after."""
-    return next((at for at, instance in enumerate(chain) if instance.name == (one.before or one.after)), None)
+    return next((at for at, instance in enumerate(chain)
+                 if instance.name == (one.before or one.after)), None)
 
 
 @cache

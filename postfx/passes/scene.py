@@ -1,7 +1,8 @@
-"""Passes by networks that know light of scenes: ambient occlusion of any scene, and irradiance and shading of one.
+"""Passes by networks that know light of scenes: ambient occlusion of any scene, and irradiance and
+shading of one.
 
-Their work around the networks is done by the host, in `Device.host_state`, so they run on every device. On a GPU planes
-are copied to the host and back for it.
+Their work around the networks is done by the host, in `Device.host_state`, so they run on every
+device. On a GPU planes are copied to the host and back for it.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from postfx.runtime import (
 from postfx.runtime.model_file import parse_model
 from postfx.system import in_bands
 
-# What they share -----------------------------------------------------------------------------------
+# What they share ----------------------------------------------------------------------------------
 
 class _Linear(Pass):
     """A pass that needs light of the scene."""
@@ -56,7 +57,8 @@ def _missing_planes(spec: FrameSpec, roles: tuple[Role, ...]) -> str | None:
     lacking = [str(role) for role in roles if not spec.has(role)]
     if not lacking:
         return None
-    return f"no plane {', '.join(lacking)} here; those of the render are there with before=denoise_upscale"
+    return (f"no plane {', '.join(lacking)} here; those of the render are there with "
+            "before=denoise_upscale")
 
 
 def _find_model(pass_name: str, model: str) -> tuple[Library, str, tuple[str, ...]]:
@@ -68,10 +70,11 @@ def _find_model(pass_name: str, model: str) -> tuple[Library, str, tuple[str, ..
     if path.suffix != ".onnx" or not path.is_file():
         raise PassOptionError(f"pass '{pass_name}' finds no model '{model}': give an ONNX file")
     library = Library(path.parent)
-    return library, path.stem, tuple(value.name for value in parse_model(library.load(path.stem)).inputs)
+    return library, path.stem, tuple(value.name
+                                     for value in parse_model(library.load(path.stem)).inputs)
 
 
-# Ambient occlusion ---------------------------------------------------------------------------------
+# Ambient occlusion --------------------------------------------------------------------------------
 
 SIDE_MULTIPLE_PX = 16
 """Sides of what the network sees are multiples of this."""
@@ -87,10 +90,12 @@ MODEL = "occlusion"
 
 
 class Occlusion(_Linear):
-    """Darkens what little light of the surroundings can reach: ambient occlusion, for renders without indirect light.
+    """Darkens what little light of the surroundings can reach: ambient occlusion, for renders
+    without indirect light.
 
-    GTAO (Jimenez 2016) looks at depth and normals; a network (1.09 million parameters) corrects it. Where no network
-    can run, GTAO alone is used. Without normals, or a camera in the file that turns them, they come from depth.
+    GTAO (Jimenez 2016) looks at depth and normals; a network (1.09 million parameters) corrects it.
+    Where no network can run, GTAO alone is used. Without normals, or a camera in the file that
+    turns them, they come from depth.
 
     Options:
         radius: how far surfaces occlude, in scene units; None: an eighth of the median depth.
@@ -113,7 +118,8 @@ class Occlusion(_Linear):
         self._told = False
 
     def reflect(self, spec: FrameSpec) -> Reflection:
-        return Reflection(reads=(Role.COLOUR, Role.DEPTH), may_read=(Role.NORMAL,), writes=(Role.COLOUR,), output=spec)
+        return Reflection(reads=(Role.COLOUR, Role.DEPTH), may_read=(Role.NORMAL,),
+                          writes=(Role.COLOUR,), output=spec)
 
     def _missing(self, spec: FrameSpec) -> str | None:
         if self.options["strength"] == 0:
@@ -125,13 +131,15 @@ class Occlusion(_Linear):
         return self._choice
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        rows, columns = (-(-side // SIDE_MULTIPLE_PX) * SIDE_MULTIPLE_PX for side in (spec.height, spec.width))
+        rows, columns = (-(-side // SIDE_MULTIPLE_PX) * SIDE_MULTIPLE_PX
+                         for side in (spec.height, spec.width))
         state = self._find_network(device, rows, columns) if self.options["network"] else None
         self._choice = "gtao" if state is None else "network"
         self._reads = ("depth", "normal") if spec.has(Role.NORMAL) else ("depth",)
         shapes = {"normal": (rows, columns, 3), "depth": (rows, columns, 1), "camera": (CAMERA,),
                   "raw": (rows, columns), "smooth": (rows, columns)}
-        made = {name: device.heap.transient(f"occlusion {name}", shape) for name, shape in shapes.items()}
+        made = {name: device.heap.transient(f"occlusion {name}", shape)
+                for name, shape in shapes.items()}
         self._turn = device.heap.tensor("camera", (CAMERA,))
         given = ("turn", *(f"seen {name}" for name in self._reads))
         looks = device.host_state("occlusion", given, tuple(shapes), self._look)
@@ -141,7 +149,8 @@ class Occlusion(_Linear):
         if state is not None:
             visible = device.heap.transient("visible", (rows, columns))
             self._network = ArgumentTable(state, made | {"visible": visible})
-        darkens = device.host_state("occlusion of colour", ("colour", "visible"), ("output",), self._darken)
+        darkens = device.host_state("occlusion of colour", ("colour", "visible"), ("output",),
+                                    self._darken)
         output = device.heap.transient("occluded", (spec.height, spec.width, 3))
         self._darkens = ArgumentTable(darkens, {"visible": visible, "output": output})
         super().compile(device, spec)
@@ -158,7 +167,8 @@ class Occlusion(_Linear):
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         if frame.world_to_camera is None and not self._told:
-            TOLD.warning("frame %s has no camera in its file: occlusion takes normals from depth", frame.number)
+            TOLD.warning("frame %s has no camera in its file: occlusion takes normals from depth",
+                         frame.number)
             self._told = True
         self._turn.put(_turn_of(frame))
         for name in self._reads:
@@ -171,14 +181,15 @@ class Occlusion(_Linear):
         frame.set(Role.COLOUR, self._darkens["output"])
 
     def _look(self, turn: np.ndarray, depth: np.ndarray, *others: np.ndarray) -> None:
-        """What the network reads: planes with sides that it takes, the camera, and GTAO's visibility, raw and
-        smooth."""
+        """What the network reads: planes with sides that it takes, the camera, and GTAO's
+        visibility, raw and smooth."""
         *normals, normal, far, camera, raw, smooth = others
         middle = _middle(depth.shape, raw.shape)
         normal[...], far[...] = 0, DEPTH_MISS
         far[middle] = depth
         camera[:] = turn
-        camera[:9] = np.eye(3, dtype=np.float32).ravel()  # the network has learnt from normals that are turned
+        # the network has learnt from normals that are turned
+        camera[:9] = np.eye(3, dtype=np.float32).ravel()
         normal[middle] = normals[0] @ turn[:9].reshape(3, 3) if normals and turn[:9].any() \
             else _normals_of(depth[..., 0], turn[10:])
         camera[9] = self.options["radius"] or _usual_radius(depth)
@@ -203,7 +214,8 @@ def _middle(inner: tuple[int, ...], outer: tuple[int, ...]) -> tuple[slice, slic
 
 
 def _turn_of(frame: ResidentFrame) -> np.ndarray:
-    """Numbers of a frame's camera as kernels want them, without a radius; a turn of zeros where it is not known."""
+    """Numbers of a frame's camera as kernels want them, without a radius; a turn of zeros where it
+    is not known."""
     height, width = frame.spec.height, frame.spec.width
     tangent = np.tan(np.radians(frame.fov_x or USUAL_FOV) / 2)
     turn = np.zeros(9)
@@ -218,8 +230,8 @@ def _usual_radius(depth: np.ndarray) -> np.float32:
 
 
 def _normals_of(depth: np.ndarray, tangents: np.ndarray) -> np.ndarray:
-    """Normals (h, w, 3) in camera space of the surface that depth draws. To each side the nearer neighbour counts, so
-    that edges stay sharp."""
+    """Normals (h, w, 3) in camera space of the surface that depth draws. To each side the nearer
+    neighbour counts, so that edges stay sharp."""
     height, width = depth.shape
     across = ((np.arange(width) + 0.5) / width * 2 - 1) * tangents[0]
     down = (1 - (np.arange(height) + 0.5) / height * 2) * tangents[1]
@@ -244,17 +256,18 @@ def _slope(place: np.ndarray, axis: int) -> np.ndarray:
     return nearer
 
 
-# Networks of one scene -----------------------------------------------------------------------------
+# Networks of one scene ----------------------------------------------------------------------------
 
 MOST_IRRADIANCE = 1e6
 """Irradiance that a network may give at most."""
 
 
 class Irradiance(_Linear):
-    """Lights surfaces by a network of one scene: colour becomes diffuse albedo times the irradiance of the normal / pi.
+    """Lights surfaces by a network of one scene: colour becomes diffuse albedo times the irradiance
+    of the normal / pi.
 
-    `python -m training.train_scene irradiance` trains it. Misses, and what reflects nothing diffusely, keep their
-    colour.
+    `python -m training.train_scene irradiance` trains it. Misses, and what reflects nothing
+    diffusely, keep their colour.
 
     Options:
         model: ONNX file; without one the pass does nothing.
@@ -268,8 +281,9 @@ class Irradiance(_Linear):
         super().__init__(model=model, **unknown)
         self._found = None if model is None else _find_model(self.name, model)
         if self._found and self._found[2] != ("points",):
-            raise ModelError(f"model '{model}' reads {', '.join(self._found[2])}, where pass 'irradiance' has points: "
-                             "train one by python -m training.train_scene irradiance")
+            raise ModelError(f"model '{model}' reads {', '.join(self._found[2])}, where pass "
+                             "'irradiance' has points: train one by python -m "
+                             "training.train_scene irradiance")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         reads = (Role.COLOUR, Role.NORMAL, Role.DIFFUSE_ALBEDO)
@@ -289,7 +303,8 @@ class Irradiance(_Linear):
         self._directions = ArgumentTable(directions, {"points": points})
         network = device.pipeline_state(library, name, {"points": count})
         self._network = ArgumentTable(network, {"points": points, "values": values})
-        lights = device.host_state("light of surfaces", ("colour", "normal", "albedo", "values"), ("output",), _lit)
+        lights = device.host_state("light of surfaces", ("colour", "normal", "albedo", "values"),
+                                   ("output",), _lit)
         output = new("lit", (spec.height, spec.width, 3))
         self._lights = ArgumentTable(lights, {"values": values, "output": output})
         super().compile(device, spec)
@@ -297,7 +312,8 @@ class Irradiance(_Linear):
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         self._directions["normal"] = self._lights["normal"] = frame[Role.NORMAL]
-        self._lights["colour"], self._lights["albedo"] = frame[Role.COLOUR], frame[Role.DIFFUSE_ALBEDO]
+        self._lights["colour"], self._lights["albedo"] = (frame[Role.COLOUR],
+                                                          frame[Role.DIFFUSE_ALBEDO])
         for table in (self._directions, self._network, self._lights):
             self._dispatch(commands, "irradiance", table)
         frame.set(Role.COLOUR, self._lights["output"])
@@ -308,14 +324,15 @@ def _directions(normal: np.ndarray, points: np.ndarray) -> None:
     np.divide(normal, np.maximum(length, 1e-6), out=points.reshape(normal.shape))
 
 
-def _lit(colour: np.ndarray, normal: np.ndarray, albedo: np.ndarray, values: np.ndarray, output: np.ndarray) -> None:
+def _lit(colour: np.ndarray, normal: np.ndarray, albedo: np.ndarray, values: np.ndarray,
+         output: np.ndarray) -> None:
     shines = ((normal ** 2).sum(-1) > 0.01) & (albedo.max(-1) > 0)
     light = np.exp(np.minimum(values.reshape(colour.shape), np.float32(np.log(MOST_IRRADIANCE))))
     output[...] = np.where(shines[..., None], albedo * light / np.float32(np.pi), colour)
 
 
-SCENE_PLANES = {"diffuse_albedo": 3, "specular_albedo": 3, "normal": 3, "roughness": 1, "depth": 1, "motion": 2,
-                "colour": 3}
+SCENE_PLANES = {"diffuse_albedo": 3, "specular_albedo": 3, "normal": 3, "roughness": 1, "depth": 1,
+                "motion": 2, "colour": 3}
 """Planes that a network of a scene may read, with their channels."""
 POINT_PLANES = ("depth", "normal", "diffuse_albedo", "specular_albedo", "colour")
 """Planes that are read around a network of points."""
@@ -326,9 +343,9 @@ CAMERA_NUMBERS = 16
 class SceneShading(_Linear):
     """Shades frames by a network that knows one scene, from their planes.
 
-    A network of points sees each pixel alone; a U-Net sees its neighbours, and some kinds also read what they made of
-    the frame before, or a noisy colour. `python -m training.train_scene` trains all of them. Frames need the camera
-    and its field of view.
+    A network of points sees each pixel alone; a U-Net sees its neighbours, and some kinds also read
+    what they made of the frame before, or a noisy colour. `python -m training.train_scene` trains
+    all of them. Frames need the camera and its field of view.
 
     Options:
         model: ONNX file; without one the pass does nothing.
@@ -348,8 +365,8 @@ class SceneShading(_Linear):
             self._inputs = (*POINT_PLANES, "camera")
         strange = [name for name in self._inputs if name not in (*SCENE_PLANES, "camera", "before")]
         if strange or (self._found and "camera" not in self._inputs):
-            raise ModelError(f"model '{model}' reads {', '.join(self._inputs)}, which is no network of a scene: train "
-                             "one by python -m training.train_scene")
+            raise ModelError(f"model '{model}' reads {', '.join(self._inputs)}, which is no "
+                             "network of a scene: train one by python -m training.train_scene")
         self._states: list[Tensor] = []
         self._fresh = True
 
@@ -395,11 +412,14 @@ class SceneShading(_Linear):
         count, new = spec.height * spec.width, device.heap.transient
         points, values = new("points", (count, POINT)), new("light", (count, 3))
 
-        def look(camera: np.ndarray, depth: np.ndarray, normal: np.ndarray, seen: np.ndarray) -> None:
+        def look(camera: np.ndarray, depth: np.ndarray, normal: np.ndarray,
+                 seen: np.ndarray) -> None:
             seen[...] = points_of(camera, depth, normal, box)
 
-        looks = device.host_state("points of a scene", ("camera", "depth", "normal"), ("points",), look)
-        lights = device.host_state("light of points", ("values", "diffuse_albedo", "specular_albedo", "colour"),
+        looks = device.host_state("points of a scene", ("camera", "depth", "normal"), ("points",),
+                                  look)
+        lights = device.host_state("light of points",
+                                   ("values", "diffuse_albedo", "specular_albedo", "colour"),
                                    ("output",), _shade)
         self._looks = ArgumentTable(looks, {"camera": self._camera, "points": points})
         network = device.pipeline_state(library, name, {"points": count})
@@ -456,10 +476,13 @@ def camera_of(frame: Frame | ResidentFrame) -> np.ndarray:
     """
     if frame.world_to_camera is None or not frame.fov_x:
         lacking = "field of view" if frame.world_to_camera is not None else "camera"
-        raise FrameError(f"frame {frame.number} has no {lacking} in its file, which pass 'scene_shading' needs: render "
-                         "with the camera's matrix and field of view in the header")
+        raise FrameError(f"frame {frame.number} has no {lacking} in its file, which pass "
+                         "'scene_shading' needs: render with the camera's matrix and field of "
+                         "view in the header")
     to_world = np.linalg.inv(np.asarray(frame.world_to_camera).T)
     tangent = np.tan(np.radians(frame.fov_x) / 2)
-    height, width = frame[Role.DEPTH].shape[:2] if isinstance(frame, Frame) else (frame.spec.height, frame.spec.width)
+    height, width = (frame[Role.DEPTH].shape[:2] if isinstance(frame, Frame)
+                     else (frame.spec.height, frame.spec.width))
     ratio = height / width
-    return np.array([*to_world[:3, :4].T.ravel(), tangent, tangent * ratio, *frame.jitter], np.float32)
+    return np.array([*to_world[:3, :4].T.ravel(), tangent, tangent * ratio, *frame.jitter],
+                    np.float32)

@@ -46,7 +46,8 @@ class SceneBox(NamedTuple):
         reach = float(facts.get("reach", 0))
         if middle.shape != (3,) or not np.isfinite(middle).all() or not 0 < reach < np.inf:
             raise ModelError(f"model '{model}' has no card with the scene's box beside it: keep "
-                             "the JSON file that python -m training.train_scene points wrote with it")
+                             "the JSON file that python -m training.train_scene points wrote with "
+                             "it")
         return cls(middle, reach)
 
     def card(self) -> dict[str, Any]:

@@ -1,4 +1,5 @@
-"""Neural tone mapper: exposed scene-linear colour in, display colour of a trained look out, steady over time."""
+"""Neural tone mapper: exposed scene-linear colour in, display colour of a trained look out, steady
+over time."""
 
 from __future__ import annotations
 
@@ -45,29 +46,35 @@ def shaper(library: Library, model: str) -> Shaper:
     """The shaper of a model, from its card. ModelError if it is missing or impossible."""
     given: Any = library.card(model).get("shaper")
     try:
-        found = Shaper(float(given["toe"]), float(given["scale"]), np.array(given["matrix"], np.float32))
+        found = Shaper(float(given["toe"]), float(given["scale"]),
+                       np.array(given["matrix"], np.float32))
     except (KeyError, TypeError, ValueError, OverflowError):
-        raise ModelError(f"card of model '{model}' gives no shaper ({_SHAPER}): export the model again") from None
+        raise ModelError(f"card of model '{model}' gives no shaper ({_SHAPER}): export the model "
+                         "again") from None
     if found.matrix.shape != (9,) or not (np.isfinite(found.matrix).all() and 0 < found.toe < np.inf
                                           and 0 < found.scale < np.inf):
-        raise ModelError(f"card of model '{model}' gives a shaper that cannot be: it needs {_SHAPER}")
+        raise ModelError(f"card of model '{model}' gives a shaper that cannot be: it needs "
+                         f"{_SHAPER}")
     return found
 
 
 def keep_of(library: Library, model: str) -> float:
-    """Part of the last frame's grid that a look keeps, from its card. ModelError when it is not from 0 to below 1."""
+    """Part of the last frame's grid that a look keeps, from its card. ModelError when it is not
+    from 0 to below 1."""
     given = library.card(model).get("keep", _KEEP)
     if not _is_number(given) or not 0 <= given < 1:
-        raise ModelError(f"card of model '{model}' keeps {given!r} of the last grid, not 0 to below 1")
+        raise ModelError(f"card of model '{model}' keeps {given!r} of the last grid, not 0 to "
+                         "below 1")
     return float(given)
 
 
 def follow_of(library: Library, model: str) -> float:
-    """Part of the way that the grid goes in a frame when light changes, from a look's card. ModelError when it is not
-    from 0 to 1."""
+    """Part of the way that the grid goes in a frame when light changes, from a look's card.
+    ModelError when it is not from 0 to 1."""
     given = library.card(model).get("follow", _FOLLOW)
     if not _is_number(given) or not 0 <= given <= 1:
-        raise ModelError(f"card of model '{model}' follows {given!r} of a change of light, not 0 to 1")
+        raise ModelError(f"card of model '{model}' follows {given!r} of a change of light, not 0 "
+                         "to 1")
     return float(given)
 
 
@@ -76,27 +83,32 @@ def _is_number(given: object) -> bool:
 
 
 def check_constants(model: str, constants: Mapping[str, np.ndarray], has_grid: bool) -> None:
-    """ModelError when a look's constants are not those that the kernels take: they look up without checking bounds."""
+    """ModelError when a look's constants are not those that the kernels take: they look up without
+    checking bounds."""
     wanted = {"cube", "guide"} if has_grid else {"cube"}
     if set(constants) != wanted:
-        raise ModelError(f"model '{model}' is not a look: its card marks {', '.join(sorted(constants)) or 'no output'} "
-                         f"as constant, not {', '.join(sorted(wanted))}")
+        raise ModelError(f"model '{model}' is not a look: its card marks "
+                         f"{', '.join(sorted(constants)) or 'no output'} as constant, not "
+                         f"{', '.join(sorted(wanted))}")
     shape = constants["cube"].shape
     if len(shape) != 4 or min(shape) < 2 or shape[3] != 3:
-        raise ModelError(f"model '{model}' is not a look: its cube is {shape}, not (n, n, n, 3) with n of 2 and more")
+        raise ModelError(f"model '{model}' is not a look: its cube is {shape}, not (n, n, n, 3) "
+                         "with n of 2 and more")
     if not all((np.abs(values) <= _MOST).all() for values in constants.values()):
         raise ModelError(f"model '{model}' is not a look: it holds NaN or numbers beyond {_MOST:g}")
 
 
 class _History(NamedTuple):
-    """What a frame leaves to the next: the smoothed grid or exposure, and the light that it is made for."""
+    """What a frame leaves to the next: the smoothed grid or exposure, and the light that it is made
+    for."""
 
     held: Tensor
     light: Tensor
 
 
 class _Kind(NamedTuple):
-    """What a network makes of a frame, the kernel that holds it still, and the one that shows it, by which argument."""
+    """What a network makes of a frame, the kernel that holds it still, and the one that shows it,
+    by which argument."""
 
     made: str
     hold: Kernel
@@ -104,21 +116,24 @@ class _Kind(NamedTuple):
     shown_by: str
 
 
-_LOOK_KINDS = _Kind("grid", SMOOTH_GRID, SLICE_APPLY, "grid"), _Kind("stops", EXPOSE, APPLY_CUBE, "params")
+_LOOK_KINDS = _Kind("grid", SMOOTH_GRID, SLICE_APPLY, "grid"), _Kind("stops", EXPOSE, APPLY_CUBE,
+                                                                     "params")
 
 
 class ToneMap(Pass):
     """Gives scene-linear light a look for an sRGB display.
 
-    A small network looks at a 256x256 copy and gives a grid of colour matrices, looked up at every pixel (HDRNet), or
-    one exposure. A colour cube follows. Looks that depend on colour alone are a cube without a network.
+    A small network looks at a 256x256 copy and gives a grid of colour matrices, looked up at every
+    pixel (HDRNet), or one exposure. A colour cube follows. Looks that depend on colour alone are a
+    cube without a network.
 
     Options:
-        look: its name, as in ``tonemap.<look>``, or the file of a model: ``looks/tonemap.mine.onnx``.
+        look: its name, as in ``tonemap.<look>``, or the file of a model:
+            ``looks/tonemap.mine.onnx``.
         keep: part of the last frame's grid or exposure that is kept in steady light, 0 up to (not
             including) 1, by default as the look's card says; less is kept while light changes
-            (``postfx.kernels.tonemap``), and none at the first frame and at cuts. Still pictures do not change; 0
-            ignores earlier frames.
+            (``postfx.kernels.tonemap``), and none at the first frame and at cuts. Still pictures do
+            not change; 0 ignores earlier frames.
 
     Colour comes out sRGB-encoded in [0, 1]. Raises PassOptionError for a keep outside [0, 1).
     """
@@ -130,7 +145,8 @@ class ToneMap(Pass):
     def __init__(self, look: str = "aces2", *, keep: float | None = None, **unknown: Never) -> None:
         super().__init__(look=look, keep=keep, **unknown)
         if keep is not None and not 0 <= float(keep) < 1:
-            raise PassOptionError(f"pass '{self.name}' keeps 0 to below 1 of the last grid, not {keep}")
+            raise PassOptionError(f"pass '{self.name}' keeps 0 to below 1 of the last grid, not "
+                                  f"{keep}")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         output = FrameSpec(spec.width, spec.height, spec.planes, "srgb")
@@ -148,10 +164,12 @@ class ToneMap(Pass):
         self._shaper, given = shaper(library, model), self.options["keep"]
         keep = keep_of(library, model) if given is None else float(given)
         self._following = keep, follow_of(library, model)
-        self._params, matrix = device.heap.tensor("tonemap params", (3,)), device.heap.tensor("tonemap matrix", (9,))
+        self._params, matrix = (device.heap.tensor("tonemap params", (3,)),
+                                device.heap.tensor("tonemap matrix", (9,)))
         matrix.upload(self._shaper.matrix)
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
-        self._show, constants = self._kind.show if self._kind else APPLY_CUBE, dict(network.constants)
+        self._show, constants = (self._kind.show if self._kind else APPLY_CUBE,
+                                 dict(network.constants))
         if self._show is APPLY_CUBE:
             self._show, constants["cube"] = form_of(constants["cube"], device.gpu is not None)
         self._shaping = {"params": self._params, "matrix": matrix}
@@ -166,7 +184,8 @@ class ToneMap(Pass):
         """The network's part, and what lies between the kernels around it."""
         self._network = network
         device.make_ready(LOWRES, LIGHT, FOLLOW, kind.hold)
-        self._lowres, self._made = (device.heap.transient(name, network.shapes[name]) for name in ("lowres", kind.made))
+        self._lowres, self._made = (device.heap.transient(name, network.shapes[name])
+                                    for name in ("lowres", kind.made))
         self._light = device.heap.transient("tonemap light", LIGHT.fixed_shape("light"))
         self._pace = device.heap.tensor("tonemap pace", FOLLOW.fixed_shape("params"))
         self._history = [_History(device.heap.tensor("held", kind.hold.fixed_shape("result")),
@@ -179,7 +198,8 @@ class ToneMap(Pass):
         self._fresh = False
 
     def history(self) -> dict[str, np.ndarray]:
-        return {name: tensor.content() for name, tensor in self._history[1]._asdict().items()} if self._fresh else {}
+        return ({name: tensor.content() for name, tensor in self._history[1]._asdict().items()}
+                if self._fresh else {})
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         self._fresh = bool(history)
@@ -189,7 +209,8 @@ class ToneMap(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._params.put(np.array([frame.exposure_factor, self._shaper.toe, self._shaper.scale], np.float32))
+        self._params.put(np.array([frame.exposure_factor, self._shaper.toe, self._shaper.scale],
+                                  np.float32))
         colour = frame[Role.COLOUR]
         if self._kind:
             past = self._fresh and not frame.reset
@@ -199,7 +220,8 @@ class ToneMap(Pass):
                             partial(self._encode_network, commands, colour, self._kind))
             self._fresh = True
         else:
-            commands.repeat((self, self._output, colour), partial(self._encode_cube, commands, colour))
+            commands.repeat((self, self._output, colour),
+                            partial(self._encode_cube, commands, colour))
         frame.set(Role.COLOUR, self._output)
 
     def _encode_cube(self, commands: CommandBuffer, colour: Tensor) -> None:
@@ -210,9 +232,13 @@ class ToneMap(Pass):
         before, after = self._history
         commands.run(LOWRES, "lowres", colour=colour, lowres=self._lowres, **self._shaping)
         commands.run(LIGHT, "lowres", lowres=self._lowres, light=self._light)
-        commands.run(FOLLOW, "lowres", light=self._light, params=self._pace, before=before.light, after=after.light)
-        commands.run(self._network, "coefficients", **{"lowres": self._lowres, kind.made: self._made})
-        held = {"current": self._made, "previous": before.held, "keep": after.light, "result": after.held}
-        commands.run(kind.hold, "show", **held, **{name: self._shown[name] for name in kind.hold.reads
-                                                   if name in self._shown})
-        commands.run(self._show, "show", **self._shown | {"colour": colour, kind.shown_by: after.held})
+        commands.run(FOLLOW, "lowres", light=self._light, params=self._pace, before=before.light,
+                     after=after.light)
+        commands.run(self._network, "coefficients",
+                     **{"lowres": self._lowres, kind.made: self._made})
+        held = {"current": self._made, "previous": before.held, "keep": after.light,
+                "result": after.held}
+        commands.run(kind.hold, "show", **held,
+                     **{name: self._shown[name] for name in kind.hold.reads if name in self._shown})
+        commands.run(self._show, "show",
+                     **self._shown | {"colour": colour, kind.shown_by: after.held})

@@ -1,4 +1,5 @@
-"""Captures in plain types, as in capture.json; edges between commands that share data; differences of two captures."""
+"""Captures in plain types, as in capture.json; edges between commands that share data; differences
+of two captures."""
 
 from __future__ import annotations
 
@@ -33,11 +34,13 @@ CAPTURE_FILE = "capture.json"
 def as_dict(capture: Capture) -> dict[str, Any]:
     """The capture in JSON's types, without pictures; numbers that are not finite become text.
 
-    'commands' are all dispatches in order; 'buffers' have the order of dispatches and barriers; 'edges' say which
-    command wrote the data that another one reads (see `edges`). Times are milliseconds, memory bytes.
+    'commands' are all dispatches in order; 'buffers' have the order of dispatches and barriers;
+    'edges' say which command wrote the data that another one reads (see `edges`). Times are
+    milliseconds, memory bytes.
     """
     commands = [
-        _command(dispatch, number) for number, buffer in enumerate(capture.buffers) for dispatch in buffer.dispatches
+        _command(dispatch, number) for number, buffer in enumerate(capture.buffers)
+        for dispatch in buffer.dispatches
     ]
     return {
         "format": CAPTURE_FORMAT,
@@ -51,7 +54,8 @@ def as_dict(capture: Capture) -> dict[str, Any]:
 
 
 def read(path: str | Path) -> tuple[dict[str, Any], Path]:
-    """Read a capture.json, given as a file or its folder; returns it and the folder. Raises ReadError."""
+    """Read a capture.json, given as a file or its folder; returns it and the folder. Raises
+    ReadError."""
     file = Path(path)
     file = file / CAPTURE_FILE if os.path.isdir(file) else file
     try:
@@ -59,7 +63,8 @@ def read(path: str | Path) -> tuple[dict[str, Any], Path]:
     except (OSError, ValueError) as error:
         raise ReadError(f"capture '{file}' cannot be read: {error}") from error
     if not isinstance(data, dict) or data.get("format") != CAPTURE_FORMAT:
-        raise ReadError(f"'{file}' is not a capture by this version of postfx: make one with postfx run --capture")
+        raise ReadError(f"'{file}' is not a capture by this version of postfx: make one with "
+                        "postfx run --capture")
     return data, file.parent
 
 
@@ -82,7 +87,8 @@ def _command(dispatch: CapturedDispatch, buffer: int) -> dict[str, Any]:
 
 
 def _network(network: CapturedNetwork) -> dict[str, Any]:
-    return {"difference": finite_or_text(network.difference), "nodes": [_node(node) for node in network.nodes]}
+    return {"difference": finite_or_text(network.difference),
+            "nodes": [_node(node) for node in network.nodes]}
 
 
 def _node(node: CapturedNode) -> dict[str, Any]:
@@ -102,10 +108,12 @@ def _tensor(tensor: CapturedTensor) -> dict[str, Any]:
 
 
 def _value(tensor: CapturedValue) -> dict[str, Any]:
-    plain = {"name": tensor.name, "shape": list(tensor.shape), "dtype": tensor.dtype, "bytes": tensor.nbytes}
+    plain = {"name": tensor.name, "shape": list(tensor.shape), "dtype": tensor.dtype,
+             "bytes": tensor.nbytes}
     if tensor.snapshot is None:
         return plain
-    figures = {name: finite_or_text(value) for name, value in asdict(tensor.snapshot.statistics).items()}
+    figures = {name: finite_or_text(value)
+               for name, value in asdict(tensor.snapshot.statistics).items()}
     known = tensor.snapshot.values
     values = None if known is None else [finite_or_text(value) for value in known]
     kept = {"statistics": figures, "channels": tensor.snapshot.channels, "values": values}
@@ -114,7 +122,8 @@ def _value(tensor: CapturedValue) -> dict[str, Any]:
 
 def _buffer(buffer: CapturedBuffer) -> dict[str, Any]:
     heap = {"used": buffer.heap_used, "peak": buffer.heap_peak, "size": buffer.heap_size}
-    return {"label": buffer.label, "heap": heap, "records": [_record(record) for record in buffer.records]}
+    return {"label": buffer.label, "heap": heap,
+            "records": [_record(record) for record in buffer.records]}
 
 
 def _record(record: CapturedDispatch | CapturedBarrier) -> dict[str, Any]:
@@ -125,7 +134,8 @@ def _record(record: CapturedDispatch | CapturedBarrier) -> dict[str, Any]:
 
 
 def edges(commands: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Edges {'from', 'to', 'tensor'}: command `from` was the last to write memory that command `to` reads.
+    """Edges {'from', 'to', 'tensor'}: command `from` was the last to write memory that command `to`
+    reads.
 
     Args:
         commands: in the order of commit, as in `postfx.report.capture_data`.
@@ -168,10 +178,11 @@ class Difference:
 
     Attributes:
         index, label, command: the command's, as in the first capture.
-        access: 'input' for a tensor from outside, 'node' for the output of a network's node, 'write' for the output of
-            the command.
+        access: 'input' for a tensor from outside, 'node' for the output of a network's node,
+            'write' for the output of the command.
         node: "node 12 Conv 'name'"; None except for nodes.
-        error: the largest relative error, see `compare`; infinite if one value is finite and the other is not.
+        error: the largest relative error, see `compare`; infinite if one value is finite and the
+            other is not.
         place: index of the element with that error; () for a tensor of one element.
     """
 
@@ -187,7 +198,8 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All tensors in the order in which commands used them; `first` is the first one over the tolerance, or None."""
+    """All tensors in the order in which commands used them; `first` is the first one over the
+    tolerance, or None."""
 
     tolerance: float
     differences: list[Difference]
@@ -196,27 +208,32 @@ class Comparison:
     def as_dict(self) -> dict[str, Any]:
         """In plain types; an infinite error is the text 'inf'."""
         rows = [_plain(difference) for difference in self.differences]
-        return {"tolerance": self.tolerance, "first": _plain(self.first) if self.first else None, "tensors": rows}
+        return {"tolerance": self.tolerance, "first": _plain(self.first) if self.first else None,
+                "tensors": rows}
 
 
 def compare(a: str | Path, b: str | Path, tolerance: float = 1e-3) -> Comparison:
-    """Compare two captures that kept all of their tensors (tensors='all'), command by command in order.
+    """Compare two captures that kept all of their tensors (tensors='all'), command by command in
+    order.
 
-    If both captured nodes of a network (network=True), its nodes come before the output of the command.
+    If both captured nodes of a network (network=True), its nodes come before the output of the
+    command.
 
-    The relative error of an element is |a - b| / max(|b|, mean of |b| over the tensor): b is the reference, and
-    elements near 0 are compared with the tensor's mean size. NaN equals NaN, and infinities of one sign are equal.
+    The relative error of an element is |a - b| / max(|b|, mean of |b| over the tensor): b is the
+    reference, and elements near 0 are compared with the tensor's mean size. NaN equals NaN, and
+    infinities of one sign are equal.
 
     Args:
         a, b: capture.json files or their folders.
 
-    Raises CompareError when commands or tensors do not correspond or content was not kept, ReadError when a file
-    cannot be read.
+    Raises CompareError when commands or tensors do not correspond or content was not kept,
+    ReadError when a file cannot be read.
     """
     (first, first_folder), (second, second_folder) = read(a), read(b)
     if len(first["commands"]) != len(second["commands"]):
         counts = f"{len(first['commands'])} and {len(second['commands'])}"
-        raise CompareError(f"the captures have {counts} commands: capture the same passes, options and frame")
+        raise CompareError(f"the captures have {counts} commands: capture the same passes, options "
+                           "and frame")
     differences = []
     for one, other in zip(first["commands"], second["commands"], strict=True):
         for access, node, left, right in _pairs(one, other):
@@ -227,11 +244,14 @@ def compare(a: str | Path, b: str | Path, tolerance: float = 1e-3) -> Comparison
     return Comparison(tolerance, differences, next(over, None))
 
 
-def _pairs(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, str | None, Tensor, Tensor]]:
-    """Tensors to compare: inputs whose content both captures have, nodes if both have them, and all outputs."""
+def _pairs(one: dict[str, Any],
+           other: dict[str, Any]) -> Iterator[tuple[str, str | None, Tensor, Tensor]]:
+    """Tensors to compare: inputs whose content both captures have, nodes if both have them, and all
+    outputs."""
     where = f"command {one['index']} '{one['label']}'"
     if (one["label"], one["stage"]) != (other["label"], other["stage"]):
-        raise CompareError(f"{where} is '{other['label']}' in the other capture: capture the same passes and options")
+        raise CompareError(f"{where} is '{other['label']}' in the other capture: capture the same "
+                           "passes and options")
     for access, key in (("input", "reads"), ("write", "writes")):
         mine, theirs = one[key], other[key]
         if [_shape(tensor) for tensor in mine] != [_shape(tensor) for tensor in theirs]:
@@ -249,9 +269,12 @@ def _node_pairs(
 ) -> Iterator[tuple[str, str, Tensor, Tensor]]:
     """Outputs of nodes, except constants, up to the first node that failed in either capture."""
     failed = any(node["error"] for node in (*mine, *theirs))
-    pairs = [pair for pair in zip(mine, theirs, strict=False) if not (pair[0]["error"] or pair[1]["error"])]
-    if any(_kind(one) != _kind(other) for one, other in pairs) or (len(mine) != len(theirs) and not failed):
-        raise CompareError(f"{where} has other nodes in the other capture: compare frames of one size and one network")
+    pairs = [pair for pair in zip(mine, theirs, strict=False)
+             if not (pair[0]["error"] or pair[1]["error"])]
+    if (any(_kind(one) != _kind(other) for one, other in pairs)
+        or (len(mine) != len(theirs) and not failed)):
+        raise CompareError(f"{where} has other nodes in the other capture: compare frames of one "
+                           "size and one network")
     for one, other in pairs:
         name = f"node {one['index']} {one['op']}" + (f" '{one['name']}'" if one["name"] else "")
         for left, right in zip(one["outputs"], other["outputs"], strict=True):
@@ -270,13 +293,16 @@ def _shape(tensor: dict[str, Any]) -> tuple[str, list[int]]:
 def _load(folder: Path, tensor: dict[str, Any]) -> np.ndarray:
     if not tensor.get("file"):
         command = "postfx run --capture DIR --capture-tensors all"
-        raise CompareError(f"capture in '{folder}' has no content of tensor '{tensor['name']}': make it with {command}")
+        raise CompareError(f"capture in '{folder}' has no content of tensor '{tensor['name']}': "
+                           f"make it with {command}")
     try:
         array: np.ndarray = np.load(folder / tensor["file"], mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError) as error:
-        raise ReadError(f"tensor file '{folder / tensor['file']}' cannot be read: {error}") from error
+        raise ReadError(f"tensor file '{folder / tensor['file']}' cannot be read: "
+                        f"{error}") from error
     if list(array.shape) != tensor["shape"]:
-        raise ReadError(f"tensor file '{folder / tensor['file']}' is {array.shape}, not {tuple(tensor['shape'])}")
+        raise ReadError(f"tensor file '{folder / tensor['file']}' is {array.shape}, not "
+                        f"{tuple(tensor['shape'])}")
     return array
 
 

@@ -1,4 +1,5 @@
-"""Charts over the frames of a sequence: a canvas that needs no plotting library, a false-colour key, and curves."""
+"""Charts over the frames of a sequence: a canvas that needs no plotting library, a false-colour
+key, and curves."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ Colour = tuple[int, int, int]
 
 
 class Canvas:
-    """A picture to draw on; positions are x right and y down in pixels, colours sRGB code values 0..255.
+    """A picture to draw on; positions are x right and y down in pixels, colours sRGB code values
+    0..255.
 
     Attributes:
         pixels: float32 (height, width, 3), 0..255.
@@ -30,7 +32,8 @@ class Canvas:
         self.pixels = np.empty((height, width, 3), np.float32)
         self.pixels[:] = colour
 
-    def box(self, x0: float, y0: float, x1: float, y1: float, colour: Colour, opacity: float = 1.0) -> None:
+    def box(self, x0: float, y0: float, x1: float, y1: float, colour: Colour,
+            opacity: float = 1.0) -> None:
         """Fill from (x0, y0) to (x1, y1), exclusive, rounded to whole pixels."""
         part = self.pixels[round(y0) : round(y1), round(x0) : round(x1)]
         part += opacity * (np.array(colour, np.float32) - part)
@@ -45,18 +48,22 @@ class Canvas:
         points = np.column_stack([x, y]).astype(float)
         self._strokes(zip(points, points, strict=True), colour, width)
 
-    def text(self, x: float, y: float, text: str, colour: Colour, size: int = 15, align: str = "left") -> None:
-        """A line of text; (x, y) is the middle of its left, right or centre ('left', 'right', 'center')."""
+    def text(self, x: float, y: float, text: str, colour: Colour, size: int = 15,
+             align: str = "left") -> None:
+        """A line of text; (x, y) is the middle of its left, right or centre ('left', 'right',
+        'center')."""
         buffer = oiio.ImageBuf(np.ascontiguousarray(self.pixels / 255))
         channels = tuple(value / 255 for value in colour)
-        oiio.ImageBufAlgo.render_text(buffer, round(x), round(y), text, size, "DroidSans", channels, align, "center")
+        oiio.ImageBufAlgo.render_text(buffer, round(x), round(y), text, size, "DroidSans", channels,
+                                      align, "center")
         self.pixels = np.asarray(buffer.get_pixels(oiio.FLOAT), np.float32) * 255
 
     def save(self, path: Path) -> None:
         """Write a PNG; WriteError if that fails."""
         save_png(path, (np.clip(self.pixels, 0, 255) + 0.5).astype(np.uint8))
 
-    def _strokes(self, strokes: Iterable[tuple[np.ndarray, np.ndarray]], colour: Colour, width: float) -> None:
+    def _strokes(self, strokes: Iterable[tuple[np.ndarray, np.ndarray]], colour: Colour,
+                 width: float) -> None:
         cover = np.zeros(self.pixels.shape[:2], np.float32)
         for start, end in strokes:
             self._cover_segment(cover, start, end, width)
@@ -82,7 +89,8 @@ def save_png(path: Path, pixels: np.ndarray) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, lambda file: file.write(png(pixels)), durable=True)
     except OSError as error:
-        raise WriteError(f"{path}: cannot be written: {error.strerror}; check the folder and its rights") from error
+        raise WriteError(f"{path}: cannot be written: {error.strerror}; check the folder and its "
+                         "rights") from error
 
 
 KEY_PAPER = (24, 24, 26)
@@ -107,8 +115,8 @@ def add_key(picture: np.ndarray) -> np.ndarray:
 
 
 class Chart(NamedTuple):
-    """A chart of all readings whose names begin with `prefix`; the rest of a name is the curve's name. `span` is the
-    least height in the readings' unit."""
+    """A chart of all readings whose names begin with `prefix`; the rest of a name is the curve's
+    name. `span` is the least height in the readings' unit."""
 
     prefix: str
     title: str
@@ -117,29 +125,35 @@ class Chart(NamedTuple):
 
 
 CHARTS = (
-    Chart("change ", "Change along the motion", 10, "1000 times the mean difference to the frame before, followed by "
-          "the motion, in code values as shown, of the calmest 80 % of the pixels: flicker and changes of light."),
-    Chart("exposure ", "Exposure, EV", 1, "Used: the exposure of the run. Metered: the meter's reading of each input "
-          "frame alone."),
-    Chart("psnr ", "PSNR against the reference, dB", 2, "Of code values as shown, at full size; up is better."),
-    Chart("flip ", "FLIP against the reference", 0.02, "Mean error as the eye sees it at 67 pixels a degree, 0 to 1; "
-          "down is better."),
-    Chart("ms ", "Milliseconds a frame", 10, "In the passes, without reading and writing; the first frame, which "
-          "compiles, is left out."),
+    Chart("change ", "Change along the motion", 10,
+          "1000 times the mean difference to the frame before, followed by the motion, in code "
+          "values as shown, of the calmest 80 % of the pixels: flicker and changes of light."),
+    Chart("exposure ", "Exposure, EV", 1,
+          "Used: the exposure of the run. Metered: the meter's reading of each input frame alone."),
+    Chart("psnr ", "PSNR against the reference, dB", 2,
+          "Of code values as shown, at full size; up is better."),
+    Chart("flip ", "FLIP against the reference", 0.02,
+          "Mean error as the eye sees it at 67 pixels a degree, 0 to 1; down is better."),
+    Chart("ms ", "Milliseconds a frame", 10,
+          "In the passes, without reading and writing; the first frame, which compiles, is left "
+          "out."),
 )
 
 
 def charts(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Charts with a curve of at least two values: 'title', 'note', least 'span', and 'curves': name -> values."""
+    """Charts with a curve of at least two values: 'title', 'note', least 'span', and 'curves':
+    name -> values."""
     names = dict.fromkeys(name for row in rows for name in row.readings)
     curves = {name: [row.readings.get(name) for row in rows] for name in names}
-    drawn = {name: values for name, values in curves.items() if sum(value is not None for value in values) > 1}
+    drawn = {name: values
+             for name, values in curves.items() if sum(value is not None for value in values) > 1}
     found = [_drawn(chart, drawn) for chart in CHARTS]
     return [chart for chart in found if chart["curves"]]
 
 
 def _drawn(chart: Chart, curves: Mapping[str, list[float | None]]) -> dict[str, Any]:
-    own = {name.removeprefix(chart.prefix): curve for name, curve in curves.items() if name.startswith(chart.prefix)}
+    own = {name.removeprefix(chart.prefix): curve
+           for name, curve in curves.items() if name.startswith(chart.prefix)}
     return {"title": chart.title, "note": chart.note, "span": chart.span, "curves": own}
 
 
@@ -189,21 +203,26 @@ class _Plot:
         return middle
 
     def y(self, ev: np.ndarray | float) -> np.ndarray:
-        place: np.ndarray = (PLOT_BOTTOM_PX
-                             - (np.asarray(ev) - self.low) / (self.high - self.low) * (PLOT_BOTTOM_PX - PLOT_TOP_PX))
+        place: np.ndarray = (PLOT_BOTTOM_PX - (np.asarray(ev) - self.low) / (self.high - self.low)
+                             * (PLOT_BOTTOM_PX - PLOT_TOP_PX))
         return place
 
     def axes(self) -> None:
-        step = next(step for step in (0.25, 0.5, 1, 2, 4, 8, 16) if (self.high - self.low) / step <= 8)
+        step = next(step
+                    for step in (0.25, 0.5, 1, 2, 4, 8, 16) if (self.high - self.low) / step <= 8)
         for ev in np.arange(np.ceil(self.low / step), np.floor(self.high / step) + 1) * step:
             y = float(self.y(ev))
-            self.canvas.box(PLOT_LEFT_PX, y, PLOT_RIGHT_PX, y + 1, FAINT_RGB if ev == 0 else GRID_RGB)
-            self.canvas.text(PLOT_LEFT_PX - 10, y, f"{ev:+g} EV" if ev else "0 EV", FAINT_RGB, 14, "right")
+            self.canvas.box(PLOT_LEFT_PX, y, PLOT_RIGHT_PX, y + 1,
+                            FAINT_RGB if ev == 0 else GRID_RGB)
+            self.canvas.text(PLOT_LEFT_PX - 10, y, f"{ev:+g} EV" if ev else "0 EV", FAINT_RGB, 14,
+                             "right")
         every = -(-len(self.used) // 16)
         for index in range(0, len(self.used), every):
             number = str(self.report.readings[index].number)
-            self.canvas.text(float(self.x(index)), STRIP_ROWS_PX[1] + 16, number, FAINT_RGB, 14, "center")
-        self.canvas.text((PLOT_LEFT_PX + PLOT_RIGHT_PX) / 2, STRIP_ROWS_PX[1] + 44, "frame", FAINT_RGB, 14, "center")
+            self.canvas.text(float(self.x(index)), STRIP_ROWS_PX[1] + 16, number, FAINT_RGB, 14,
+                             "center")
+        self.canvas.text((PLOT_LEFT_PX + PLOT_RIGHT_PX) / 2, STRIP_ROWS_PX[1] + 44, "frame",
+                         FAINT_RGB, 14, "center")
 
     def curves(self) -> None:
         cuts = [index for index, item in enumerate(self.report.readings) if item.cut and index]
@@ -217,7 +236,8 @@ class _Plot:
             index = np.arange(begin, end)
             for values, colour in ((self.needed, NEEDED_RGB), (self.used, USED_RGB)):
                 self.canvas.line(self.x(index), self.y(values[index]), colour, 3)
-                self.canvas.dots(self.x(index), self.y(values[index]), colour, min(8, 300 / len(self.used) + 3))
+                self.canvas.dots(self.x(index), self.y(values[index]), colour,
+                                 min(8, 300 / len(self.used) + 3))
             self._name(shot, self.edges[begin], self.edges[end])
             begin = end
 
@@ -227,7 +247,8 @@ class _Plot:
         right = round(self.report.grey * 255)
         for index, item in enumerate(self.report.readings):
             level = round(item.level * 255)
-            self.canvas.box(self.edges[index], top, self.edges[index + 1], bottom, (level, level, level))
+            self.canvas.box(self.edges[index], top, self.edges[index + 1], bottom,
+                            (level, level, level))
         self.canvas.box(PLOT_LEFT_PX, bottom - 14, PLOT_RIGHT_PX, bottom, (right, right, right))
         self.canvas.text(PLOT_LEFT_PX - 10, top + 21, "seen", FAINT_RGB, 14, "right")
         self.canvas.text(PLOT_LEFT_PX - 10, bottom - 7, "right", FAINT_RGB, 14, "right")
@@ -247,10 +268,11 @@ def _legend(canvas: Canvas) -> None:
         canvas.text(x + 36, 52, text, INK_RGB, 15)
 
 
-def draw_pacing(title: str, interval: float, intervals: Sequence[float], histogram: Mapping[float, int],
-                bucket: float, path: Path) -> None:
-    """Write the PNG of measured ``intervals`` in seconds, 1200x560: each in order, and right of it how many fall into
-    each bucket, of a width of ``bucket`` of the wanted ``interval``. Raises WriteError."""
+def draw_pacing(title: str, interval: float, intervals: Sequence[float],
+                histogram: Mapping[float, int], bucket: float, path: Path) -> None:
+    """Write the PNG of measured ``intervals`` in seconds, 1200x560: each in order, and right of it
+    how many fall into each bucket, of a width of ``bucket`` of the wanted ``interval``. Raises
+    WriteError."""
     canvas = Canvas(PAGE_WIDTH_PX, PAGE_HEIGHT_PX, PAPER_RGB)
     canvas.text(PLOT_LEFT_PX, 24, title, INK_RGB, 18)
     measured, bottom, middle = np.array(intervals), PAGE_HEIGHT_PX - 60, round(0.75 * PAGE_WIDTH_PX)
@@ -261,15 +283,21 @@ def draw_pacing(title: str, interval: float, intervals: Sequence[float], histogr
 
     for turns in range(int(top / interval) + 1):
         place = float(y(turns * interval))
-        canvas.box(PLOT_LEFT_PX, place, PLOT_RIGHT_PX, place + 1, FAINT_RGB if turns == 1 else GRID_RGB)
-        canvas.text(PLOT_LEFT_PX - 10, place, f"{1e3 * turns * interval:.1f} ms", FAINT_RGB, 14, "right")
+        canvas.box(PLOT_LEFT_PX, place, PLOT_RIGHT_PX, place + 1,
+                   FAINT_RGB if turns == 1 else GRID_RGB)
+        canvas.text(PLOT_LEFT_PX - 10, place, f"{1e3 * turns * interval:.1f} ms", FAINT_RGB, 14,
+                    "right")
     if measured.size:
-        canvas.dots(np.linspace(PLOT_LEFT_PX + 8, middle - 20, measured.size), y(measured), INK_RGB, 5)
+        canvas.dots(np.linspace(PLOT_LEFT_PX + 8, middle - 20, measured.size), y(measured), INK_RGB,
+                    5)
     half, most = bucket * interval / 2, max(histogram.values(), default=1)
     for seconds, count in histogram.items():
         end = middle + (PLOT_RIGHT_PX - middle - 60) * count / most
-        canvas.box(middle, float(y(seconds + half)), max(end, middle + 2), float(y(seconds - half)), INK_RGB, 0.6)
+        canvas.box(middle, float(y(seconds + half)), max(end, middle + 2), float(y(seconds - half)),
+                   INK_RGB, 0.6)
         canvas.text(end + 8, float(y(seconds)), str(count), INK_RGB, 14)
-    canvas.text((PLOT_LEFT_PX + middle) / 2, bottom + 26, "pictures in order", FAINT_RGB, 14, "center")
-    canvas.text((middle + PLOT_RIGHT_PX) / 2, bottom + 26, "intervals of each length", FAINT_RGB, 14, "center")
+    canvas.text((PLOT_LEFT_PX + middle) / 2, bottom + 26, "pictures in order", FAINT_RGB, 14,
+                "center")
+    canvas.text((middle + PLOT_RIGHT_PX) / 2, bottom + 26, "intervals of each length", FAINT_RGB,
+                14, "center")
     canvas.save(path)

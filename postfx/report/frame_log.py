@@ -33,7 +33,8 @@ Motion = np.ndarray | None | Mapping[str, np.ndarray | None]
 
 @dataclass(frozen=True)
 class Look:
-    """How light is shown: scene-linear light is exposed and compressed by x / (1 + x), display light is not changed."""
+    """How light is shown: scene-linear light is exposed and compressed by x / (1 + x), display
+    light is not changed."""
 
     display: bool
 
@@ -48,7 +49,8 @@ class Look:
 
     def codes(self, light: np.ndarray, exposure_factor: float) -> np.ndarray:
         """Code values 0..1."""
-        return srgb_encode(np.minimum(np.nan_to_num(light), 1)) if self.display else to_codes(light, exposure_factor)
+        return (srgb_encode(np.minimum(np.nan_to_num(light), 1)) if self.display
+                else to_codes(light, exposure_factor))
 
 
 @dataclass
@@ -62,7 +64,8 @@ class Row:
 
 @dataclass
 class Sight:
-    """One frame's pictures: name -> codes of `encode_light`; `maps`: name -> sRGB (height, width, 3) uint8."""
+    """One frame's pictures: name -> codes of `encode_light`; `maps`: name -> sRGB (height,
+    width, 3) uint8."""
 
     exposure_factor: float
     size: tuple[int, int]
@@ -71,10 +74,12 @@ class Sight:
 
 
 class FrameLog:
-    """Keeps the figures of every frame, and pictures of four: the first, the middle, the last and the least steady one.
+    """Keeps the figures of every frame, and pictures of four: the first, the middle, the last and
+    the least steady one.
 
-    numbers: numbers of the coming frames, in order. judged: name of the picture whose change along the motion decides
-    which frame is least steady. The pictures of the previous frame are kept as well, at full size.
+    numbers: numbers of the coming frames, in order. judged: name of the picture whose change along
+    the motion decides which frame is least steady. The pictures of the previous frame are kept as
+    well, at full size.
     """
 
     def __init__(self, numbers: Sequence[int], look: Look, judged: str) -> None:
@@ -87,11 +92,13 @@ class FrameLog:
         self.rows: list[Row] = []
 
     def add(
-        self, number: int, pictures: Pixels, exposure_factor: float, motion: Motion = None, cut: bool = False,
+        self, number: int, pictures: Pixels, exposure_factor: float, motion: Motion = None,
+        cut: bool = False,
         readings: Mapping[str, float | None] | None = None, maps: Pixels | None = None,
     ) -> None:
-        """Add a frame: `pictures` by name, light (height, width, 3) of one size; `motion`, (h, w, 2) in its own pixels,
-        of all or by the name of the picture, ignored at a `cut`; `maps` by name, colours (height, width, 3) 0..1.
+        """Add a frame: `pictures` by name, light (height, width, 3) of one size; `motion`, (h,
+        w, 2) in its own pixels, of all or by the name of the picture, ignored at a `cut`; `maps` by
+        name, colours (height, width, 3) 0..1.
         """
         motions = motion if isinstance(motion, Mapping) else dict.fromkeys(pictures, motion)
         changes = {name: self._change(name, light, exposure_factor, None if cut else motions[name])
@@ -113,19 +120,23 @@ class FrameLog:
         """The kept frames, in order, for the page's viewer."""
         return [self._frame(number, sight) for number, sight in sorted(self._sights.items())]
 
-    def _change(self, name: str, light: np.ndarray, exposure_factor: float, motion: np.ndarray | None) -> float | None:
+    def _change(self, name: str, light: np.ndarray, exposure_factor: float,
+                motion: np.ndarray | None) -> float | None:
         if motion is None or name not in self._before:
             return None
-        return measure_change(self._before[name], light, motion, lambda part: self.look.codes(part, exposure_factor))
+        return measure_change(self._before[name], light, motion,
+                              lambda part: self.look.codes(part, exposure_factor))
 
     def _sight(self, pictures: Pixels, exposure_factor: float, maps: Pixels) -> Sight:
         def codes(light: np.ndarray) -> np.ndarray:
-            return encode_light(shrink(self.look.expose(light, exposure_factor), LONGEST_SIDE_PX), self.look.highest)
+            return encode_light(shrink(self.look.expose(light, exposure_factor), LONGEST_SIDE_PX),
+                                self.look.highest)
 
         size = next(iter(pictures.values())).shape[1::-1]
         small = {name: np.rint(255 * np.clip(shrink(one, LONGEST_SIDE_PX), 0, 1)).astype(np.uint8)
                  for name, one in maps.items()}
-        return Sight(exposure_factor, size, {name: codes(light) for name, light in pictures.items()}, small)
+        return Sight(exposure_factor, size,
+                     {name: codes(light) for name, light in pictures.items()}, small)
 
     def _frame(self, number: int, sight: Sight) -> dict[str, Any]:
         why = [self._wanted[number]] if number in self._wanted else []
@@ -135,7 +146,8 @@ class FrameLog:
             "why": ", ".join(why),
             "exposure_ev": float(np.log2(sight.exposure_factor)),
             "size": sight.size,
-            "pictures": {name: pack_codes(codes, self.look.highest) for name, codes in sight.pictures.items()},
+            "pictures": {name: pack_codes(codes, self.look.highest)
+                         for name, codes in sight.pictures.items()},
             "maps": {name: png_uri(pixels) for name, pixels in sight.maps.items()},
         }
 
@@ -144,7 +156,8 @@ LIBRARIES = {"flip_evaluator": "flip-evaluator", "skimage": "scikit-image"}
 
 
 class Comparison(NamedTuple):
-    """Figures of a frame: 'psnr after', ..., and 'FLIP': its error as a colour (height, width, 3) 0..1."""
+    """Figures of a frame: 'psnr after', ..., and 'FLIP': its error as a colour (height, width, 3)
+    0..1."""
 
     figures: dict[str, float]
     flip: np.ndarray
@@ -153,26 +166,28 @@ class Comparison(NamedTuple):
 class References:
     """Noise-free references at output size; frames without one are not compared.
 
-    views: those that each frame has, where there are several. Raises SequenceError if there are none, ReportError if
-    their size is not (width, height), a view has none, or a library is missing.
+    views: those that each frame has, where there are several. Raises SequenceError if there are
+    none, ReportError if their size is not (width, height), a view has none, or a library is
+    missing.
     """
 
     def __init__(self, source: str, size: tuple[int, int], views: Sequence[str] = ()) -> None:
         for module, package in LIBRARIES.items():
             if find_spec(module) is None:
-                raise ReportError(f"{package} is not installed, and --reference needs it: {pip_install('bench')}")
+                raise ReportError(f"{package} is not installed, and --reference needs it: "
+                                  f"{pip_install('bench')}")
         self._sequence, self._size = FrameSequence(source), size
         with self._sequence.open(self._sequence.numbers[0]) as files:
             spec = files.spec()
             held = {*files.views, self._sequence.view, *self._sequence.views}
         if absent := [view for view in views if view not in held]:
-            raise ReportError(f"{self._sequence.pattern}: references have no view '{absent[0]}': give them for all "
-                              "views, or choose one with --view NAME")
+            raise ReportError(f"{self._sequence.pattern}: references have no view '{absent[0]}': "
+                              "give them for all views, or choose one with --view NAME")
         self._check(spec.width, spec.height)
 
     def colour(self, number: int, view: str | None = None) -> np.ndarray | None:
-        """Light of a frame's reference, (height, width, 3), of one of the views if there are several; None if it has no
-        file."""
+        """Light of a frame's reference, (height, width, 3), of one of the views if there are
+        several; None if it has no file."""
         if not self._sequence.holds(number):
             return None
         colour = self._sequence.reader(view).read(number, [Role.COLOUR], [])[Role.COLOUR]
@@ -182,7 +197,8 @@ class References:
     def _check(self, width: int, height: int) -> None:
         if (width, height) != self._size:
             sizes = f"{width}x{height}, the output {self._size[0]}x{self._size[1]}"
-            raise ReportError(f"{self._sequence.pattern}: references are {sizes}: give them at the size of the output")
+            raise ReportError(f"{self._sequence.pattern}: references are {sizes}: give them at the "
+                              "size of the output")
 
 
 def measure_errors(codes: Mapping[str, np.ndarray]) -> Comparison:
@@ -193,7 +209,8 @@ def measure_errors(codes: Mapping[str, np.ndarray]) -> Comparison:
     from postfx.bench.metrics import flip_map, psnr  # libraries of the extra 'bench'
 
     flip, colours = flip_map(codes["after"], codes["reference"])
-    figures = {f"psnr {name}": psnr(codes[name], codes["reference"]) for name in ("before", "after")}
+    figures = {f"psnr {name}": psnr(codes[name], codes["reference"])
+               for name in ("before", "after")}
     return Comparison({**figures, "flip after": flip}, colours)
 
 
@@ -202,13 +219,16 @@ FEWEST_MEASURED_POINTS = 100
 CALMEST = 0.8
 
 
-def measure_change(before: np.ndarray, now: np.ndarray, motion: np.ndarray, curve: Curve) -> float | None:
-    """1000 times the mean absolute difference to the previous frame along the motion: how unsteady the picture is.
+def measure_change(before: np.ndarray, now: np.ndarray, motion: np.ndarray,
+                   curve: Curve) -> float | None:
+    """1000 times the mean absolute difference to the previous frame along the motion: how unsteady
+    the picture is.
 
-    before, now: light (height, width, 3), which `curve` turns into code values 0..1; motion: (h, w, 2) in its own
-    pixels. Takes an even grid of up to 40000 pixels, leaves out those that come from outside the picture, and uses the
-    calmest 80 % of the rest, to leave out disoccluded pixels. None if too few pixels are left or the sizes differ.
-    Moving reflections and shadows count, so even a clean picture is above 0: compare pictures of the same frames.
+    before, now: light (height, width, 3), which `curve` turns into code values 0..1; motion: (h,
+    w, 2) in its own pixels. Takes an even grid of up to 40000 pixels, leaves out those that come
+    from outside the picture, and uses the calmest 80 % of the rest, to leave out disoccluded
+    pixels. None if too few pixels are left or the sizes differ. Moving reflections and shadows
+    count, so even a clean picture is above 0: compare pictures of the same frames.
     """
     height, width = now.shape[:2]
     if before.shape != now.shape:

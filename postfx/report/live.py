@@ -60,8 +60,9 @@ def parse_address(text: str) -> Address:
 
 
 class LiveViewer:
-    """Sends pictures to a viewer from a thread of its own. A viewer that is missing, closed or slow never holds or
-    stops the frames: what it does not take is left out, and `notice` tells of it once.
+    """Sends pictures to a viewer from a thread of its own. A viewer that is missing, closed or slow
+    never holds or stops the frames: what it does not take is left out, and `notice` tells of it
+    once.
 
     Raises OptionError for an address that is none.
     """
@@ -102,7 +103,8 @@ class LiveViewer:
             if time.monotonic() > self._deadline:
                 continue
             try:
-                connection = connection or socket.create_connection(self._address, VIEWER_TIMEOUT_SECONDS)
+                connection = (connection
+                              or socket.create_connection(self._address, VIEWER_TIMEOUT_SECONDS))
                 for packet in packets(*item):
                     connection.sendall(packet)
             except OSError as error:
@@ -115,8 +117,9 @@ class LiveViewer:
 
     def _tell(self, error: OSError) -> None:
         if not self._has_failed:
-            self._notice = (f"{self._address} takes no pictures ({error.strerror or error}): "
-                            "the run goes on without; open the viewer, and the next ones are sent to it")
+            self._notice = (f"{self._address} takes no pictures ({error.strerror or error}): the "
+                            "run goes on without; open the viewer, and the next ones are sent to "
+                            "it")
         self._has_failed = True
 
 

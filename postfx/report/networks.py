@@ -33,9 +33,9 @@ def describe(path: Path, dims: Mapping[str, int]) -> dict[str, Any]:
         inputs, outputs: names.
         values: name -> 'dtype' and 'shape', if they can be inferred without running the graph.
         weights: name -> 'dtype', 'shape', 'bytes', 'statistics' and, if it is small, 'values'.
-        nodes: in the order of the file. A node has 'op', 'domain', 'name', 'attributes', 'inputs' and 'outputs';
-            'constant', whether it depends on no input of the graph; and 'weights', the names of the weights that it
-            reads, directly or through constant nodes.
+        nodes: in the order of the file. A node has 'op', 'domain', 'name', 'attributes', 'inputs'
+            and 'outputs'; 'constant', whether it depends on no input of the graph; and 'weights',
+            the names of the weights that it reads, directly or through constant nodes.
         blocks: lists of node numbers, in the order to draw them.
         note: why there are no nodes, or None.
     """
@@ -43,7 +43,8 @@ def describe(path: Path, dims: Mapping[str, int]) -> dict[str, Any]:
     try:
         return {**head, "note": None, **_graph(load_graph(path), dims)}
     except (CaptureError, ModelError) as error:
-        empty: dict[str, Any] = {"inputs": [], "outputs": [], "values": {}, "weights": {}, "nodes": [], "blocks": []}
+        empty: dict[str, Any] = {"inputs": [], "outputs": [], "values": {}, "weights": {},
+                                 "nodes": [], "blocks": []}
         return {**head, "note": str(error), **empty}
 
 
@@ -66,7 +67,8 @@ def _graph(model: ModelProto, dims: Mapping[str, int]) -> dict[str, Any]:
 def _nodes(model: ModelProto, weights: set[str]) -> list[dict[str, Any]]:
     constant, behind, found = constant_nodes(model), {name: [name] for name in weights}, []
     for index, node in enumerate(model.graph.node):
-        own = list(dict.fromkeys(weight for name in names_read(node) for weight in behind.get(name, ())))
+        own = list(dict.fromkeys(weight for name in names_read(node)
+                                 for weight in behind.get(name, ())))
         if index in constant:
             behind.update(dict.fromkeys(node.output, own))
         found.append(_node(node, index in constant, own))
@@ -98,7 +100,8 @@ def _attribute(item: AttributeProto) -> Any:
         return f"graph of {len(value.node)} nodes"
     if item.type == AttributeProto.FLOAT:
         return finite_or_text(float(value))
-    if item.type == AttributeProto.INT or (item.type == AttributeProto.INTS and len(value) <= MOST_SHOWN_VALUES):
+    if (item.type == AttributeProto.INT
+        or (item.type == AttributeProto.INTS and len(value) <= MOST_SHOWN_VALUES)):
         return value if isinstance(value, int) else list(value)
     text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
     return text if len(text) <= LONGEST_TEXT else text[:LONGEST_TEXT] + "..."
@@ -114,11 +117,13 @@ def _weight(item: TensorProto) -> dict[str, Any]:
     figures = {name: finite_or_text(value) for name, value in asdict(statistics(array)).items()}
     if array.size > MOST_SHOWN_VALUES:
         return {**plain, "statistics": figures}
-    return {**plain, "statistics": figures, "values": [finite_or_text(value) for value in array.ravel().tolist()]}
+    return {**plain, "statistics": figures,
+            "values": [finite_or_text(value) for value in array.ravel().tolist()]}
 
 
 def _values(model: ModelProto, dims: Mapping[str, int]) -> dict[str, dict[str, Any]]:
-    """Type and shape of every value, as far as they follow without running the graph; '?' for an unknown size."""
+    """Type and shape of every value, as far as they follow without running the graph; '?' for an
+    unknown size."""
     from onnx import ModelProto, helper, shape_inference
 
     fixed = ModelProto()
@@ -136,14 +141,16 @@ def _values(model: ModelProto, dims: Mapping[str, int]) -> dict[str, dict[str, A
     found = {}
     for item in (*fixed.graph.input, *fixed.graph.value_info, *fixed.graph.output):
         kind = item.type.tensor_type
-        shape = [size.dim_param or size.dim_value or "?" for size in kind.shape.dim] if kind.HasField("shape") else None
+        shape = ([size.dim_param or size.dim_value or "?" for size in kind.shape.dim]
+                 if kind.HasField("shape") else None)
         dtype = helper.tensor_dtype_to_np_dtype(kind.elem_type).name if kind.elem_type else "?"
         found[item.name] = {"dtype": dtype, "shape": shape}
     return found
 
 
 class Node(NamedTuple):
-    """Names that a node reads and writes, and whether it is constant, which means that it depends on no input."""
+    """Names that a node reads and writes, and whether it is constant, which means that it depends
+    on no input."""
 
     inputs: Sequence[str]
     outputs: Sequence[str]
@@ -153,8 +160,8 @@ class Node(NamedTuple):
 def blocks(nodes: Sequence[Node]) -> list[list[int]]:
     """All nodes' numbers, in blocks. Every node comes after those that it reads from.
 
-    A block continues while a node is the only reader of the previous one and reads from no other. Constant nodes are
-    not part of such a run: each comes right before the first node that reads it.
+    A block continues while a node is the only reader of the previous one and reads from no other.
+    Constant nodes are not part of such a run: each comes right before the first node that reads it.
     """
     before, after = _neighbours(nodes)
     following = {a: b for a, (b, *more) in after.items() if not more and len(before[b]) == 1}
@@ -166,8 +173,10 @@ def blocks(nodes: Sequence[Node]) -> list[list[int]]:
 
 
 def _neighbours(nodes: Sequence[Node]) -> tuple[dict[int, list[int]], dict[int, list[int]]]:
-    """For every node that is not constant, the nodes that it reads from, and the nodes that read from it."""
-    writer = {name: n for n, node in enumerate(nodes) if not node.constant for name in node.outputs if name}
+    """For every node that is not constant, the nodes that it reads from, and the nodes that read
+    from it."""
+    writer = {name: n for n, node in enumerate(nodes) if not node.constant
+              for name in node.outputs if name}
     before, after = defaultdict(list), defaultdict(list)
     for n, node in enumerate(nodes):
         for other in dict.fromkeys(writer[name] for name in node.inputs if name in writer):
@@ -184,7 +193,8 @@ def _chain(head: int, following: dict[int, int]) -> list[int]:
 
 
 def _in_order(chains: dict[int, list[int]], before: dict[int, list[int]]) -> list[int]:
-    """Heads of the chains: each after the heads that it depends on, otherwise in the order of the file."""
+    """Heads of the chains: each after the heads that it depends on, otherwise in the order of the
+    file."""
     chain_of = {n: head for head, chain in chains.items() for n in chain}
     waits = {head: {chain_of[n] for n in before[head]} for head in chains}
     needed = defaultdict(list)
@@ -204,8 +214,10 @@ def _in_order(chains: dict[int, list[int]], before: dict[int, list[int]]) -> lis
 
 
 def _with_constants(nodes: Sequence[Node], chains: list[list[int]]) -> list[list[int]]:
-    """The chains with each constant node before its first reader; constant nodes without a reader come last."""
-    writer = {name: n for n, node in enumerate(nodes) if node.constant for name in node.outputs if name}
+    """The chains with each constant node before its first reader; constant nodes without a reader
+    come last."""
+    writer = {name: n for n, node in enumerate(nodes) if node.constant
+              for name in node.outputs if name}
     placed: set[int] = set()
 
     def with_constants(n: int) -> Iterator[int]:

@@ -1,7 +1,7 @@
 """Pages that open from the disk: one HTML file that needs no other files and no network.
 
-`write_report` writes the page of a sequence, `write_capture` the page and the JSON of a capture, and `FrameCapture`
-captures one frame of a run.
+`write_report` writes the page of a sequence, `write_capture` the page and the JSON of a capture,
+and `FrameCapture` captures one frame of a run.
 """
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ _ASSETS = Path(__file__).parent / "assets"
 
 
 def page(title: str, name: str, scripts: Sequence[str], data: dict[str, Any]) -> str:
-    """The file's text: the elements of `name`.html with the style of page.css and `name`.css, and the scripts.
+    """The file's text: the elements of `name`.html with the style of page.css and `name`.css, and
+    the scripts.
 
-    page.js runs before the `scripts`, which are files of `assets` and read `data` (JSON types) from a variable `data`.
+    page.js runs before the `scripts`, which are files of `assets` and read `data` (JSON types) from
+    a variable `data`.
     """
     parts = {
         "title": html.escape(title),
@@ -54,7 +56,8 @@ def _as_script(data: dict[str, Any]) -> str:
 def _fill(template: str, parts: dict[str, str]) -> str:
     """The template with each `{{name}}` replaced; inserted text is not searched again."""
     pieces = template.split("{{")
-    return pieces[0] + "".join(parts[name] + rest for name, _, rest in (piece.partition("}}") for piece in pieces[1:]))
+    return pieces[0] + "".join(parts[name] + rest
+                               for name, _, rest in (piece.partition("}}") for piece in pieces[1:]))
 
 
 def _part(name: str) -> str:
@@ -65,14 +68,14 @@ REPORT_SCRIPTS = ("report_light.js", "report_viewer.js", "report_charts.js", "re
 
 
 def write_report(
-    path: Path, title: str, log: FrameLog, facts: Mapping[str, dict[str, Any]], firsts: Mapping[str, Frame],
-    run: dict[str, Any] | None = None,
+    path: Path, title: str, log: FrameLog, facts: Mapping[str, dict[str, Any]],
+    firsts: Mapping[str, Frame], run: dict[str, Any] | None = None,
 ) -> None:
     """Write the page. Raises WriteError.
 
-    log: data of the frames. facts: view ('' if there is only one) -> facts about the input, as `postfx inspect --json`
-    prints them. firsts: view -> the input's first frame with all planes. run: as `postfx run --json` prints it, with
-    'plan', the text of --explain.
+    log: data of the frames. facts: view ('' if there is only one) -> facts about the input, as
+    `postfx inspect --json` prints them. firsts: view -> the input's first frame with all planes.
+    run: as `postfx run --json` prints it, with 'plan', the text of --explain.
     """
     data = {
         "postfx": __version__,
@@ -85,7 +88,8 @@ def write_report(
         "readings": {row.number: row.readings for row in log.rows},
         "facts": next(iter(facts.values())),
         "views": facts,
-        "sheet": [{**one, "view": view} for view, first in firsts.items() for one in contact_sheet(first)],
+        "sheet": [{**one, "view": view} for view, first in firsts.items()
+                  for one in contact_sheet(first)],
         "run": run,
     }
     try:
@@ -113,7 +117,8 @@ def write_capture(capture: Capture, folder: str | Path, title: str) -> Path:
         write_text(folder / CAPTURE_FILE, json.dumps(data, indent=1, allow_nan=False))
         write_text(folder / PAGE, _page(capture, data, title))
     except OSError as error:
-        raise WriteError(f"capture in '{folder}' cannot be written: {error.strerror or error}") from error
+        raise WriteError(f"capture in '{folder}' cannot be written: "
+                         f"{error.strerror or error}") from error
     return folder / PAGE
 
 
@@ -137,7 +142,8 @@ class _Pictures:
         self, plain: list[dict[str, Any]], values: Sequence[CapturedValue], draw: Draw
     ) -> list[dict[str, Any]]:
         """The values' entries with 'pictures', a number in `sets` or None."""
-        return [{**entry, "pictures": self._number(v.snapshot, draw)} for entry, v in zip(plain, values, strict=True)]
+        return [{**entry, "pictures": self._number(v.snapshot, draw)}
+                for entry, v in zip(plain, values, strict=True)]
 
     def _number(self, snapshot: Snapshot | None, draw: Draw) -> int | None:
         if snapshot is None or not snapshot.pictures:
@@ -148,13 +154,16 @@ class _Pictures:
         return self._known[id(snapshot)]
 
 
-def _with_pictures(plain: dict[str, Any], dispatch: CapturedDispatch, pictures: _Pictures) -> dict[str, Any]:
+def _with_pictures(plain: dict[str, Any], dispatch: CapturedDispatch,
+                   pictures: _Pictures) -> dict[str, Any]:
     """A command's entry with numbers of pictures, and its nodes' entries likewise."""
-    accesses = {key: pictures.add(plain[key], getattr(dispatch, key), _pictures) for key in ("reads", "writes")}
+    accesses = {key: pictures.add(plain[key], getattr(dispatch, key), _pictures)
+                for key in ("reads", "writes")}
     if dispatch.network is None:
         return {**plain, **accesses}
     pairs = zip(plain["network"]["nodes"], dispatch.network.nodes, strict=True)
-    nodes = [{**entry, "outputs": pictures.add(entry["outputs"], node.outputs, _node_picture)} for entry, node in pairs]
+    nodes = [{**entry, "outputs": pictures.add(entry["outputs"], node.outputs, _node_picture)}
+             for entry, node in pairs]
     return {**plain, **accesses, "network": {**plain["network"], "nodes": nodes}}
 
 
@@ -165,14 +174,17 @@ def _node_picture(snapshot: Snapshot) -> list[dict[str, Any]]:
 
 
 def _pictures(snapshot: Snapshot) -> list[dict[str, Any]]:
-    """The first three slices as one picture and, if all slices were captured, each as a picture of its own."""
+    """The first three slices as one picture and, if all slices were captured, each as a picture of
+    its own."""
     slices = snapshot.pictures
     together = slices[:3]
-    label = "the only channel" if snapshot.channels == 1 else f"channels 0 to {len(together) - 1} as colour"
+    label = ("the only channel" if snapshot.channels == 1
+             else f"channels 0 to {len(together) - 1} as colour")
     pictures = [{**picture(together), "label": label}]
     if snapshot.file is None or len(slices) == 1:
         return pictures
-    return pictures + [{**picture([one]), "label": f"channel {number}"} for number, one in enumerate(slices)]
+    return pictures + [{**picture([one]), "label": f"channel {number}"}
+                       for number, one in enumerate(slices)]
 
 
 def _networks(data: dict[str, Any]) -> list[dict[str, Any]]:
@@ -180,8 +192,10 @@ def _networks(data: dict[str, Any]) -> list[dict[str, Any]]:
     ran: dict[tuple[str, tuple[tuple[str, int], ...]], list[int]] = {}
     for command in data["commands"]:
         if command["model"]:
-            ran.setdefault((command["model"], tuple(command["dims"].items())), []).append(command["index"])
-    return [{**describe(Path(model), dict(dims)), "commands": numbers} for (model, dims), numbers in ran.items()]
+            ran.setdefault((command["model"], tuple(command["dims"].items())),
+                           []).append(command["index"])
+    return [{**describe(Path(model), dict(dims)), "commands": numbers}
+            for (model, dims), numbers in ran.items()]
 
 
 class FrameCapture:
@@ -193,8 +207,8 @@ class FrameCapture:
         tensors, network: as for `Device.capture`.
         check: whether to check that the folder can be written.
 
-    Raises WriteError if the folder cannot be written; CaptureError if options do not fit together, or if a package that
-    they need is missing.
+    Raises WriteError if the folder cannot be written; CaptureError if options do not fit together,
+    or if a package that they need is missing.
 
     Attributes:
         page: path of the page; None before it is written.
@@ -213,22 +227,25 @@ class FrameCapture:
             check_folder(self._folder, "capture")
 
     def choose(self, numbers: Sequence[int]) -> None:
-        """Choose among the frames that will be processed, in their order. Raises SequenceError if the number is none of
-        them.
+        """Choose among the frames that will be processed, in their order. Raises SequenceError if
+        the number is none of them.
 
-        Without --capture-frame it is the second frame, which has a history, or the first if there is no other.
+        Without --capture-frame it is the second frame, which has a history, or the first if there
+        is no other.
         """
         if not numbers:
             return
         if self._number is None:
             self._number, *self._following = numbers[min(1, len(numbers) - 1):]
         if self._number not in numbers:
-            raise SequenceError(f"frame {self._number} of --capture-frame is not processed: take one that is")
+            raise SequenceError(f"frame {self._number} of --capture-frame is not processed: take "
+                                "one that is")
 
     @contextmanager
     def around(self, number: int) -> Iterator[None]:
-        """Context in which a frame is processed. For the frame to capture it writes the capture at the end, even if a
-        command fails. If the frame fails before any command, the next one is captured, unless --capture-frame names it.
+        """Context in which a frame is processed. For the frame to capture it writes the capture at
+        the end, even if a command fails. If the frame fails before any command, the next one is
+        captured, unless --capture-frame names it.
         """
         if self.page or number != self._number:
             yield
@@ -248,7 +265,8 @@ class FrameCapture:
             self.warnings = [f"frame {number} could not be processed: nothing was captured"]
 
     def _make_capture(self) -> Capture:
-        return self._device.capture(self._tensors, self._folder if self._tensors == "all" else None, self._network)
+        return self._device.capture(self._tensors, self._folder if self._tensors == "all" else None,
+                                    self._network)
 
     def _write(self, capture: Capture, number: int) -> None:
         self.page = str(write_capture(capture, self._folder, f"postfx capture: frame {number}"))

@@ -1,4 +1,5 @@
-"""Pixels for a page: PNG data URIs, slices of tensors as pictures, and light that a page can expose anew."""
+"""Pixels for a page: PNG data URIs, slices of tensors as pictures, and light that a page can expose
+anew."""
 
 from __future__ import annotations
 
@@ -26,10 +27,12 @@ _NOT_FINITE = (255, 0, 255)
 
 
 def picture(slices: list[np.ndarray]) -> dict[str, str]:
-    """A picture of one slice (grey), two (red, green) or three (red, green, blue): {'src': data URI, 'range': text}.
+    """A picture of one slice (grey), two (red, green) or three (red, green, blue): {'src': data
+    URI, 'range': text}.
 
-    Values are float (height, width) of any range; black and white are chosen for all slices together. Without
-    negative values, black is 0 and the gamma is 2.2; otherwise the scale is linear. NaN and infinities are magenta.
+    Values are float (height, width) of any range; black and white are chosen for all slices
+    together. Without negative values, black is 0 and the gamma is 2.2; otherwise the scale is
+    linear. NaN and infinities are magenta.
     """
     stack = np.stack(slices, axis=-1)
     shown, text = _shown(stack)
@@ -39,8 +42,9 @@ def picture(slices: list[np.ndarray]) -> dict[str, str]:
 
 
 def sheet(slices: list[np.ndarray]) -> dict[str, Any]:
-    """A picture with a grey tile for each slice, `SHEET_COLUMNS` in a row: as `picture`, plus "tiles", [columns, rows],
-    and "liveliest", the number of the slice with the most contrast, or of one with values that are not finite."""
+    """A picture with a grey tile for each slice, `SHEET_COLUMNS` in a row: as `picture`, plus
+    "tiles", [columns, rows], and "liveliest", the number of the slice with the most contrast, or of
+    one with values that are not finite."""
     stack = np.stack(slices)
     shown, text = _shown(stack)
     tiles = np.repeat(shown[..., None], 3, axis=-1)
@@ -50,17 +54,21 @@ def sheet(slices: list[np.ndarray]) -> dict[str, Any]:
     padded = np.zeros((rows * columns, *tiles.shape[1:]), np.uint8)
     padded[: len(tiles)] = tiles
     height, width = tiles.shape[1:3]
-    grid = padded.reshape(rows, columns, height, width, 3).swapaxes(1, 2).reshape(rows * height, columns * width, 3)
-    return {"src": png_uri(grid), "range": text, "tiles": [columns, rows], "liveliest": _liveliest(stack, shown)}
+    grid = padded.reshape(rows, columns, height, width,
+                          3).swapaxes(1, 2).reshape(rows * height, columns * width, 3)
+    return {"src": png_uri(grid), "range": text, "tiles": [columns, rows],
+            "liveliest": _liveliest(stack, shown)}
 
 
 def png(pixels: np.ndarray) -> bytes:
     """A PNG file of uint8 (height, width, 3)."""
     height, width, _ = pixels.shape
-    rows = np.zeros((height, 1 + 3 * width), np.uint8)  # each row begins with its filter, 0 for none
+    # each row begins with its filter, 0 for none
+    rows = np.zeros((height, 1 + 3 * width), np.uint8)
     rows[:, 1:] = pixels.reshape(height, -1)
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    chunks = [_chunk(b"IHDR", header), _chunk(b"IDAT", zlib.compress(rows.tobytes(), 9)), _chunk(b"IEND", b"")]
+    chunks = [_chunk(b"IHDR", header), _chunk(b"IDAT", zlib.compress(rows.tobytes(), 9)),
+              _chunk(b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
@@ -75,7 +83,8 @@ def shrink(pixels: np.ndarray, most: int) -> np.ndarray:
     share = most / max(height, width)
     if share >= 1:
         return pixels
-    size = oiio.ROI(0, max(round(width * share), 1), 0, max(round(height * share), 1), 0, 1, 0, channels)
+    size = oiio.ROI(0, max(round(width * share), 1), 0, max(round(height * share), 1), 0, 1, 0,
+                    channels)
     source = oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32))
     found = oiio.ImageBufAlgo.resize(source, filtername="box", roi=size).get_pixels(oiio.FLOAT)
     assert found is not None, "pixels in memory can be resized"
@@ -96,12 +105,14 @@ def notebook_picture(colour: np.ndarray, encoding: str, exposure_factor: float) 
     return png((np.clip(shown, 0, 1) * 255 + 0.5).astype(np.uint8))
 
 
-def notebook_page(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], picture: bytes | None) -> str:
+def notebook_page(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]],
+                  picture: bytes | None) -> str:
     """HTML of a table, under a PNG file's picture if there is one."""
     source = base64.b64encode(picture or b"").decode("ascii")
     image = f'<img src="data:image/png;base64,{source}" alt="colour">' if picture else ""
     head = "".join(f"<th>{escape(column)}</th>" for column in columns)
-    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
+                   for row in rows)
     return f"<p>{escape(title)}</p>{image}<table><tr>{head}</tr>{body}</table>"
 
 
@@ -138,7 +149,8 @@ def _as_rgb(pixels: np.ndarray) -> np.ndarray:
 
 
 def _chunk(kind: bytes, content: bytes) -> bytes:
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+    return (struct.pack(">I", len(content)) + kind + content
+            + struct.pack(">I", zlib.crc32(kind + content)))
 
 
 LARGEST_SIDE_PX = 511
@@ -148,10 +160,11 @@ NOT_FINITE = (LARGEST_SIDE_PX, 0, LARGEST_SIDE_PX)
 
 
 def encode_light(light: np.ndarray, highest: float) -> np.ndarray:
-    """Light (height, width, 3) as codes 0..511, uint16: 511 log(1 + light / EVEN_LIGHT) / log(1 + highest / TOE).
+    """Light (height, width, 3) as codes 0..511, uint16: 511 log(1 + light / EVEN_LIGHT) / log(1 +
+    highest / TOE).
 
-    Negative light and light above `highest` is clipped; non-finite pixels become magenta. Up to 64, a stop has 36
-    codes; x / (1 + x) in sRGB has at most 32 of a screen's 255 steps in a stop.
+    Negative light and light above `highest` is clipped; non-finite pixels become magenta. Up to 64,
+    a stop has 36 codes; x / (1 + x) in sRGB has at most 32 of a screen's 255 steps in a stop.
     """
     steps = (np.log1p(np.clip(np.nan_to_num(light), 0, highest) / np.float32(EVEN_LIGHT))
              / np.log1p(highest / EVEN_LIGHT))
@@ -161,15 +174,18 @@ def encode_light(light: np.ndarray, highest: float) -> np.ndarray:
 
 
 def pack_codes(codes: np.ndarray, highest: float) -> dict[str, Any]:
-    """Codes for the page's script: 'width', 'height', 'toe', 'highest', and 'data', which is base64 of zlib.
+    """Codes for the page's script: 'width', 'height', 'toe', 'highest', and 'data', which is base64
+    of zlib.
 
-    It holds three planes, green, red - green and blue - green. Each row is stored as differences to the pixel before,
-    folded as 0, -1, 1, -2, ... -> 0, 1, 2, 3, ...; the low bytes of all planes come first, then the high bytes.
+    It holds three planes, green, red - green and blue - green. Each row is stored as differences to
+    the pixel before, folded as 0, -1, 1, -2, ... -> 0, 1, 2, 3, ...; the low bytes of all planes
+    come first, then the high bytes.
     """
     red, green, blue = np.moveaxis(codes.astype(np.int32), 2, 0)
     steps = np.diff(np.stack([green, red - green, blue - green]), axis=2, prepend=0)
     folded = np.where(steps < 0, -2 * steps - 1, 2 * steps).astype("<u2").ravel()
-    content = zlib.compress((folded & 255).astype(np.uint8).tobytes() + (folded >> 8).astype(np.uint8).tobytes(), 9)
+    content = zlib.compress((folded & 255).astype(np.uint8).tobytes()
+                            + (folded >> 8).astype(np.uint8).tobytes(), 9)
     height, width = codes.shape[:2]
     data = base64.b64encode(content).decode("ascii")
     return {"width": width, "height": height, "toe": EVEN_LIGHT, "highest": highest, "data": data}

@@ -1,8 +1,8 @@
 """A run's part of an output folder: its claim, its entries in the manifest, its checkpoint.
 
-A checkpoint is the history of all passes after a frame, so that a run can resume with the same pixels. Its file holds a
-line of text with the format, a line of JSON that describes the arrays, the raw arrays, and the SHA-256 of everything
-before it.
+A checkpoint is the history of all passes after a frame, so that a run can resume with the same
+pixels. Its file holds a line of text with the format, a line of JSON that describes the arrays, the
+raw arrays, and the SHA-256 of everything before it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,14 @@ from postfx.files import (
     write_atomically,
 )
 from postfx.runs.locks import Claim, FolderLock, is_alive
-from postfx.runs.manifest import MANIFEST_NAME, WORK_FOLDER, Manifest, Output, load_manifest, update_manifest
+from postfx.runs.manifest import (
+    MANIFEST_NAME,
+    WORK_FOLDER,
+    Manifest,
+    Output,
+    load_manifest,
+    update_manifest,
+)
 
 # Least seconds between two writes of the manifest, and the largest share of the run's time that
 # they take.
@@ -48,8 +55,8 @@ _DIGEST = 32  # bytes
 class RunFolder:
     """Reserves the files of one run in an output folder, and records them there.
 
-    names: of the files that the run may write. Raises RunError if another run is writing one of them, OSError if the
-    folder cannot be written, ManifestReadError if its manifest cannot be read.
+    names: of the files that the run may write. Raises RunError if another run is writing one of
+    them, OSError if the folder cannot be written, ManifestReadError if its manifest cannot be read.
 
     Attributes:
         before: the manifest of earlier runs.
@@ -98,14 +105,15 @@ class RunFolder:
         try:
             update_manifest(self._folder, self._enter)
         except OSError as error:
-            raise WriteError(f"{self._folder / MANIFEST_NAME}: cannot be written: {error.strerror}; check free "
-                             "space") from error
+            raise WriteError(f"{self._folder / MANIFEST_NAME}: cannot be written: "
+                             f"{error.strerror}; check free space") from error
         self._unsaved.clear()
         self._flushed = time.monotonic()
         self._cost = self._flushed - begin
 
     def checkpoints(self, pattern: str, fingerprint: str) -> dict[int, Path]:
-        """Intact checkpoints that a run with this pattern and fingerprint can use, by frame number."""
+        """Intact checkpoints that a run with this pattern and fingerprint can use, by frame
+        number."""
         found: dict[int, Path] = {}
         for path, about in self._abouts():
             if (about.pattern, about.fingerprint) == (pattern, fingerprint):
@@ -120,11 +128,12 @@ class RunFolder:
              relax: Callable[[], None]) -> int:
         """Replace the run's last checkpoint; returns the new one's size in bytes."""
         about = About(self._run, pattern, frame, fingerprint)
-        return save_checkpoint(self._work / f"{self._run}{CHECKPOINT_SUFFIX}", about, history, relax)
+        return save_checkpoint(self._work / f"{self._run}{CHECKPOINT_SUFFIX}", about, history,
+                               relax)
 
     def close(self, facts: Mapping[str, Any], finished: Collection[int], pattern: str) -> None:
-        """End the run. Removes checkpoints after frames in `finished`, which are no longer needed, and the manifest's
-        entries of a run that wrote nothing."""
+        """End the run. Removes checkpoints after frames in `finished`, which are no longer needed,
+        and the manifest's entries of a run that wrote nothing."""
         try:
             self.note(facts, {})
             if not self._wrote:
@@ -151,7 +160,8 @@ class RunFolder:
         mine = {name for name, output in manifest.outputs.items() if output.run == self._run}
         for name in mine:
             del manifest.outputs[name]
-        manifest.outputs |= {name: self.before.outputs[name] for name in mine & self.before.outputs.keys()}
+        manifest.outputs |= {name: self.before.outputs[name]
+                             for name in mine & self.before.outputs.keys()}
         manifest.runs = self.before.runs | manifest.runs
         manifest.drop_idle_runs()
 
@@ -162,9 +172,11 @@ class RunFolder:
         except ManifestError as error:
             path = self._folder / MANIFEST_NAME
             with FolderLock(self._work / "lock"):
-                despite_readers(lambda: os.replace(path, path.with_name(f"{MANIFEST_NAME}.damaged")))
+                despite_readers(lambda: os.replace(path,
+                                                   path.with_name(f"{MANIFEST_NAME}.damaged")))
             fault = str(error).rpartition(': delete')[0]
-            self.warnings.append(f"{fault}: renamed to {MANIFEST_NAME}.damaged, a new one is started")
+            self.warnings.append(f"{fault}: renamed to {MANIFEST_NAME}.damaged, a new one is "
+                                 "started")
             return Manifest()
 
     def _abouts(self) -> list[tuple[Path, About]]:
@@ -191,7 +203,8 @@ class About:
         run: id of the run.
         pattern: of the output files.
         frame: number of the frame after which it was made.
-        fingerprint: of everything that affects pixels; a run with another fingerprint cannot use the checkpoint.
+        fingerprint: of everything that affects pixels; a run with another fingerprint cannot use
+            the checkpoint.
     """
 
     run: str
@@ -201,10 +214,12 @@ class About:
 
 
 def save_checkpoint(
-    path: Path, about: About, history: Mapping[str, np.ndarray], relax: Callable[[], None] | None = None
+    path: Path, about: About, history: Mapping[str, np.ndarray],
+    relax: Callable[[], None] | None = None
 ) -> int:
     """Write a checkpoint; returns its size in bytes. `relax` is called between pieces."""
-    arrays = {name: np.ascontiguousarray(array).reshape(np.shape(array)) for name, array in history.items()}
+    arrays = {name: np.ascontiguousarray(array).reshape(np.shape(array))
+              for name, array in history.items()}
     shapes = [[name, array.dtype.name, array.shape] for name, array in arrays.items()]
     header = CHECKPOINT_MAGIC + json.dumps({**asdict(about), "arrays": shapes}).encode() + b"\n"
 
@@ -226,18 +241,20 @@ def save_checkpoint(
 
 
 def read_about(path: Path) -> About:
-    """Description of a checkpoint, without reading its arrays; CheckpointError if it cannot be read."""
+    """Description of a checkpoint, without reading its arrays; CheckpointError if it cannot be
+    read."""
     with _open(path) as file:
         header = _header(path, file)
     try:
-        return About(str(header.get("run")), str(header.get("pattern")), int(header.get("frame", 0)),
-                     str(header.get("fingerprint")))
+        return About(str(header.get("run")), str(header.get("pattern")),
+                     int(header.get("frame", 0)), str(header.get("fingerprint")))
     except (ValueError, TypeError, OverflowError) as error:
         raise CheckpointError(f"{path}: is damaged") from error
 
 
 def load_checkpoint(path: Path) -> dict[str, np.ndarray]:
-    """The history that a checkpoint holds, as read-only arrays; CheckpointError if it is damaged."""
+    """The history that a checkpoint holds, as read-only arrays; CheckpointError if it is
+    damaged."""
     if _is_altered(path):
         raise CheckpointError(f"{path}: is damaged")
     with _open(path) as file:
@@ -256,8 +273,8 @@ def load_checkpoint(path: Path) -> dict[str, np.ndarray]:
 
 
 def _array(path: Path, kind: str, at: int, shape: tuple[int, ...]) -> np.ndarray:
-    """An array of a file: mapped, so that memory holds it only while it is used; read on Windows, where the next
-    checkpoint could not replace a mapped file."""
+    """An array of a file: mapped, so that memory holds it only while it is used; read on Windows,
+    where the next checkpoint could not replace a mapped file."""
     if os.name != "nt":
         return np.memmap(path, kind, "r", at, shape or (1,)).reshape(shape)
     found = np.fromfile(path, kind, math.prod(shape), offset=at).reshape(shape)

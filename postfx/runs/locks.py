@@ -1,4 +1,5 @@
-"""Locks of an output folder, claims to files in it, and the processes that hold them, across machines."""
+"""Locks of an output folder, claims to files in it, and the processes that hold them, across
+machines."""
 
 from __future__ import annotations
 
@@ -42,8 +43,8 @@ class Process(NamedTuple):
     def of(cls, facts: Any) -> Process:
         """The process that `as_dict` described; missing facts become unknown."""
         facts = facts if isinstance(facts, dict) else {}
-        return cls(str(facts.get("host", "")), str(facts.get("space", "")), _number(facts.get("pid")),
-                   _number(facts.get("begun")))
+        return cls(str(facts.get("host", "")), str(facts.get("space", "")),
+                   _number(facts.get("pid")), _number(facts.get("begun")))
 
     def as_dict(self) -> dict[str, Any]:
         """The process in plain types."""
@@ -60,7 +61,8 @@ class Process(NamedTuple):
 
 
 def age_of(path: Path) -> float:
-    """Seconds since a file was written or touched, by the file server's clock; 0 if it does not exist."""
+    """Seconds since a file was written or touched, by the file server's clock; 0 if it does not
+    exist."""
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".clock.") as probe:
         try:
             return max(0.0, os.stat(probe.name).st_mtime - path.stat().st_mtime)
@@ -76,7 +78,8 @@ def _space() -> str:
 
 
 def _begun(pid: int) -> int:
-    """Start time of a process (field 22 of /proc/PID/stat, elsewhere hundredths of a second); 0 if unknown."""
+    """Start time of a process (field 22 of /proc/PID/stat, elsewhere hundredths of a second); 0 if
+    unknown."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -98,15 +101,17 @@ LOCK_TIMEOUT_SECONDS = 30.0
 OLD = 60.0
 """Seconds after which a lock counts as abandoned if its holder cannot be checked from here."""
 EMPTY = 5.0
-"""The same where it does not name its holder: it is empty for milliseconds, on file systems without links."""
+"""The same where it does not name its holder: it is empty for milliseconds, on file systems without
+links."""
 LOCK_PAUSE_SECONDS = 0.02
 
 
 class FolderLock:
     """A lock on a folder, as a context manager around a few reads and writes.
 
-    The file names host and process from its first moment on. A lock whose process has ended is taken over, and so is
-    what names no process, such as a pipe. Raises RunError if the lock cannot be acquired in time.
+    The file names host and process from its first moment on. A lock whose process has ended is
+    taken over, and so is what names no process, such as a pipe. Raises RunError if the lock cannot
+    be acquired in time.
     """
 
     def __init__(self, path: Path, patience: float = LOCK_TIMEOUT_SECONDS) -> None:
@@ -119,7 +124,8 @@ class FolderLock:
                 self._break()
             elif time.monotonic() > end:
                 holder = _holder(self._path)
-                raise RunError(f"{self._path}: held by {holder}: delete the file if that process has ended")
+                raise RunError(f"{self._path}: held by {holder}: delete the file if that process "
+                               "has ended")
             else:
                 time.sleep(LOCK_PAUSE_SECONDS)
         return self
@@ -129,7 +135,8 @@ class FolderLock:
             remove(self._path)
 
     def _break(self) -> None:
-        """Remove an abandoned lock. Only one process at a time may do so, so that none removes a new lock."""
+        """Remove an abandoned lock. Only one process at a time may do so, so that none removes a
+        new lock."""
         breaking = self._path.with_name(f"{self._path.name}.breaking")
         if not _create(breaking):
             if _is_left(breaking):
@@ -140,7 +147,8 @@ class FolderLock:
             if _is_left(self._path):
                 remove(self._path)
         except IsADirectoryError as error:
-            raise RunError(f"{self._path}: is a folder, where a file has to be: delete it") from error
+            raise RunError(f"{self._path}: is a folder, where a file has to be: delete "
+                           "it") from error
         finally:
             remove(breaking)
 
@@ -163,7 +171,8 @@ def _holder(path: Path) -> Process:
 
 
 def _is_left(path: Path) -> bool:
-    """Whether nobody holds a lock: its process has ended, or it is nothing that a process of postfx would leave."""
+    """Whether nobody holds a lock: its process has ended, or it is nothing that a process of postfx
+    would leave."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return True
@@ -184,8 +193,9 @@ CLAIM_SUFFIX = ".claim"
 class Claim:
     """Reserves files of a folder for one run. Make it while holding the folder's lock.
 
-    A thread touches the claim's file as a heartbeat. Claims of runs that have ended are removed, and so are claims that
-    a killed run had begun to write. Raises RunError if a run that has not ended claims one of the files.
+    A thread touches the claim's file as a heartbeat. Claims of runs that have ended are removed,
+    and so are claims that a killed run had begun to write. Raises RunError if a run that has not
+    ended claims one of the files.
     """
 
     def __init__(self, folder: Path, run: str, names: Iterable[str]) -> None:
@@ -225,8 +235,9 @@ def _refuse_shared(path: Path, wanted: set[str]) -> None:
         return
     shared = sorted(wanted & files)
     if shared:
-        raise RunError(f"{path.parent.parent / shared[0]}: is being written by {process}: wait for it, or choose other "
-                       f"frames or another folder (if it has ended, delete {path})")
+        raise RunError(f"{path.parent.parent / shared[0]}: is being written by {process}: wait for "
+                       "it, or choose other frames or another folder (if it has ended, delete "
+                       f"{path})")
 
 
 def _process(path: Path) -> tuple[Process, set[str]]:

@@ -1,4 +1,5 @@
-"""The manifest of an output folder: its runs, their settings, the hash of every file, and verification."""
+"""The manifest of an output folder: its runs, their settings, the hash of every file, and
+verification."""
 
 from __future__ import annotations
 
@@ -31,7 +32,8 @@ class Output:
         frame: frame number.
         sha256: of the file; None until it is written.
         bytes, width, height: of the file, once it is written.
-        inputs: path -> size in bytes and modification time in nanoseconds, of the frame's input files.
+        inputs: path -> size in bytes and modification time in nanoseconds, of the frame's input
+            files.
         starts: whether the frame begins a shot, so that earlier frames do not affect it.
     """
 
@@ -59,13 +61,16 @@ class Manifest:
 
     def to_json(self) -> str:
         """The manifest as text."""
-        head = json.dumps({"format": MANIFEST_FORMAT, "version": MANIFEST_VERSION, "runs": self.runs}, indent=1)
-        lines = [f"  {json.dumps(name)}: {json.dumps(vars(self.outputs[name]))}" for name in sorted(self.outputs)]
+        head = json.dumps({"format": MANIFEST_FORMAT, "version": MANIFEST_VERSION,
+                           "runs": self.runs}, indent=1)
+        lines = [f"  {json.dumps(name)}: {json.dumps(vars(self.outputs[name]))}"
+                 for name in sorted(self.outputs)]
         return f'{head[:-2]},\n "outputs": {{\n' + ",\n".join(lines) + "\n }\n}\n"
 
     @classmethod
     def from_json(cls, text: str) -> Manifest:
-        """Parse a manifest; ManifestError if the text is not one. Output names must be plain file names."""
+        """Parse a manifest; ManifestError if the text is not one. Output names must be plain file
+        names."""
         try:
             facts = parse_json(text)
             if facts["format"] != MANIFEST_FORMAT or facts["version"] != MANIFEST_VERSION:
@@ -73,25 +78,29 @@ class Manifest:
             outputs = {str(name): _output(entry) for name, entry in facts["outputs"].items()}
             runs = {str(run): dict(entry) for run, entry in facts["runs"].items()}
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
-            raise ManifestError(f"it is damaged ({type(error).__name__}: {make_printable(str(error))})") from error
+            raise ManifestError(f"it is damaged ({type(error).__name__}: "
+                                f"{make_printable(str(error))})") from error
         strange = [name for name in (*outputs, *runs) if not is_plain_name(name)]
         if strange:
-            raise ManifestError(f"it names a file outside of its folder: {make_printable(strange[0])}")
+            raise ManifestError("it names a file outside of its folder: "
+                                f"{make_printable(strange[0])}")
         return cls(runs, outputs)
 
 
 def load_manifest(folder: Path) -> Manifest:
-    """A folder's manifest, empty if there is none; ManifestError if it is damaged, ManifestReadError if it cannot be
-    read."""
+    """A folder's manifest, empty if there is none; ManifestError if it is damaged,
+    ManifestReadError if it cannot be read."""
     path = folder / MANIFEST_NAME
     try:
         return Manifest.from_json(read_text(path))
     except FileNotFoundError:
         return Manifest()
     except OSError as error:
-        raise ManifestReadError(f"{path}: cannot be read: {error.strerror}; check its rights") from error
+        raise ManifestReadError(f"{path}: cannot be read: {error.strerror}; check its "
+                                "rights") from error
     except (ValueError, ManifestError) as error:
-        raise ManifestError(f"{path}: {error}: delete it; --skip-existing then decodes every frame") from error
+        raise ManifestError(f"{path}: {error}: delete it; --skip-existing then decodes every "
+                            "frame") from error
 
 
 def update_manifest(folder: Path, change: Callable[[Manifest], None]) -> None:
@@ -129,8 +138,10 @@ class Verification:
         missing: files that were written and no longer exist.
         unfinished: files that a run should have written but did not.
         unknown: files that match a run's pattern but that no run wrote.
-        differing: where frames must be those of one sequence, runs with other settings or versions than the first one.
-        runs: run id -> 'finished', 'stopped', 'failed', 'running', or 'killed' for a run that ended without saying so.
+        differing: where frames must be those of one sequence, runs with other settings or versions
+            than the first one.
+        runs: run id -> 'finished', 'stopped', 'failed', 'running', or 'killed' for a run that ended
+            without saying so.
     """
 
     whole: list[str] = field(default_factory=list)
@@ -144,7 +155,8 @@ class Verification:
     @property
     def is_well(self) -> bool:
         """Whether every file is whole, none is missing or unknown, and all were made alike."""
-        return not (self.altered or self.missing or self.unfinished or self.unknown or self.differing)
+        return not (self.altered or self.missing or self.unfinished or self.unknown
+                    or self.differing)
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
@@ -154,7 +166,8 @@ class Verification:
 def verify(folder: Path) -> Verification:
     """Check a folder; ManifestError if it has no manifest."""
     if not os.path.isfile(folder / MANIFEST_NAME):
-        raise ManifestError(f"{folder}: has no {MANIFEST_NAME}: give the folder that 'postfx run' wrote to")
+        raise ManifestError(f"{folder}: has no {MANIFEST_NAME}: give the folder that 'postfx run' "
+                            "wrote to")
     manifest = load_manifest(folder)
     found = Verification(runs=_states(folder, manifest))
     for name, output in manifest.outputs.items():
@@ -167,7 +180,8 @@ def verify(folder: Path) -> Verification:
             try:
                 whole = path.stat().st_size == output.bytes and hash_file(path) == output.sha256
             except OSError as error:
-                raise ManifestError(f"{path}: cannot be read: {error.strerror}; check its rights") from error
+                raise ManifestError(f"{path}: cannot be read: {error.strerror}; check its "
+                                    "rights") from error
             (found.whole if whole else found.altered).append(name)
     found.unknown = _unknown(folder, manifest)
     return found
@@ -176,8 +190,9 @@ def verify(folder: Path) -> Verification:
 def verify_together(folders: Iterable[Path], frames: Collection[int]) -> Verification:
     """Check folders that hold the chunks of one sequence, such as those of several machines.
 
-    Every frame of the range must have been written by some run, and all runs must have had the same settings, passes,
-    models and versions. Names of files have their folder where there is more than one. Raises ManifestError.
+    Every frame of the range must have been written by some run, and all runs must have had the same
+    settings, passes, models and versions. Names of files have their folder where there is more than
+    one. Raises ManifestError.
     """
     folders, found, made, written = list(folders), Verification(), [], set()
     for folder in folders:
@@ -190,13 +205,15 @@ def verify_together(folders: Iterable[Path], frames: Collection[int]) -> Verific
         written |= {output.frame for output in manifest.outputs.values()}
     patterns = sorted({str(facts.get("output", "")) for _, facts in made})
     for number in sorted(set(frames) - written):
-        found.unfinished.append(str(parse_pattern(patterns[0]).path(number)) if patterns else f"frame {number}")
+        found.unfinished.append(str(parse_pattern(patterns[0]).path(number)) if patterns
+                                else f"frame {number}")
     found.differing = [name for name, facts in made if not _are_alike(facts, made[0][1])]
     return found
 
 
 def _are_alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Whether two runs were made with the same settings, passes, versions, and files of the models that both used."""
+    """Whether two runs were made with the same settings, passes, versions, and files of the models
+    that both used."""
     models, others = dict(one.get("models", {})), dict(other.get("models", {}))
     same = all(one.get(key) == other.get(key) for key in ("settings", "passes", "versions"))
     return same and all(models[name] == others[name] for name in models.keys() & others.keys())

@@ -1,4 +1,5 @@
-"""One run: its log, its provenance, its records of written files, and checkpoints to resume from."""
+"""One run: its log, its provenance, its records of written files, and checkpoints to resume
+from."""
 
 from __future__ import annotations
 
@@ -37,8 +38,8 @@ from postfx.version import __version__
 class Log:
     """Appends events to a file as lines of JSON; without a file it does nothing.
 
-    One system call writes a line, so lines of several runs that share a file do not mix. docs/lab/reliability.md
-    lists the events. Raises WriteError if the file cannot be written.
+    One system call writes a line, so lines of several runs that share a file do not mix.
+    docs/lab/reliability.md lists the events. Raises WriteError if the file cannot be written.
     """
 
     def __init__(self, path: str | None, run: str) -> None:
@@ -48,12 +49,14 @@ class Log:
                 Path(path).parent.mkdir(parents=True, exist_ok=True)
                 self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
             except OSError as error:
-                raise WriteError(f"{path}: cannot be written: {error.strerror}: give --log another file") from error
+                raise WriteError(f"{path}: cannot be written: {error.strerror}: give --log another "
+                                 "file") from error
 
     def __call__(self, event: str, **facts: Any) -> None:
         """Write one event."""
         if self._file >= 0:
-            line = json.dumps({"time": now(), "run": self._run, "event": event, **facts}, default=str)
+            line = json.dumps({"time": now(), "run": self._run, "event": event, **facts},
+                              default=str)
             try:
                 os.write(self._file, f"{line}\n".encode())
             except OSError as error:
@@ -80,7 +83,8 @@ class Provenance:
         passes: name -> options, of the active passes.
         versions: of postfx and the libraries it uses.
         device: where it runs.
-        fingerprint: hash of all these, of the installed models, and of everything else that affects pixels.
+        fingerprint: hash of all these, of the installed models, and of everything else that affects
+            pixels.
         files: names of settings that are files; headers hold them without their folder.
     """
 
@@ -93,7 +97,8 @@ class Provenance:
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
-        return {"settings": dict(self.settings), "passes": dict(self.passes), "versions": dict(self.versions),
+        return {"settings": dict(self.settings), "passes": dict(self.passes),
+                "versions": dict(self.versions),
                 "device": dict(self.device), "fingerprint": self.fingerprint}
 
     def header(self, models: Mapping[str, str]) -> dict[str, str]:
@@ -102,8 +107,10 @@ class Provenance:
                     for name, value in self.settings.items()}
         return {
             "postfx:version": self.versions["postfx"],
-            "postfx:models": ", ".join(f"{name} sha256:{digest}" for name, digest in sorted(models.items())),
-            "postfx:settings": json.dumps({"settings": settings, "passes": dict(self.passes)}, default=str),
+            "postfx:models": ", ".join(f"{name} sha256:{digest}"
+                                       for name, digest in sorted(models.items())),
+            "postfx:settings": json.dumps({"settings": settings, "passes": dict(self.passes)},
+                                          default=str),
         }
 
 
@@ -111,34 +118,41 @@ def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also:
                   files: Collection[str] = ()) -> Provenance:
     """Provenance of a run.
 
-    settings: name -> value, of the options that change pixels; `files`: names of those that are files. also: values
-    that affect pixels but are not recorded.
+    settings: name -> value, of the options that change pixels; `files`: names of those that are
+    files. also: values that affect pixels but are not recorded.
     """
     settings = {name: _plain(settings[name]) for name in sorted(settings)}
-    passes = {step.name: {key: _plain(value) for key, value in step.instance.options.items()} for step in plan.steps}
+    passes = {step.name: {key: _plain(value) for key, value in step.instance.options.items()}
+              for step in plan.steps}
     place = {"name": device.name, "provider": str(device.placement), "threads": device.threads}
     library = Library()
     models = {name: library.sha256(name) for name in library.names()}
     foreign = {step.instance.name for step in plan.steps if step.instance.name not in BUILT_IN}
-    packages = plug_ins() if foreign else {}  # looking through all installed packages takes milliseconds
-    used = versions() | {f"pass {name}": packages[name] for name in sorted(foreign & packages.keys())}
+    # looking through all installed packages takes milliseconds
+    packages = (plug_ins() if foreign else {})
+    used = versions() | {f"pass {name}": packages[name]
+                         for name in sorted(foreign & packages.keys())}
     for step in plan.steps:
         used |= step.instance.packages()
     own = [_hashes_of(value) for step in plan.steps for value in step.instance.options.values()]
-    where = {key: value for key, value in place.items() if key != "threads"}  # pixels are the same by any number
+    # pixels are the same by any number
+    where = {key: value for key, value in place.items() if key != "threads"}
     decisive = [settings, passes, used, where, plan.as_dict(), models, own, *also]
     text = json.dumps(decisive, sort_keys=True, default=str)
-    return Provenance(settings, passes, used, place, hashlib.sha256(text.encode()).hexdigest(), files)
+    return Provenance(settings, passes, used, place, hashlib.sha256(text.encode()).hexdigest(),
+                      files)
 
 
 def _hashes_of(option: Any) -> dict[str, str]:
-    """Hashes of the models that an option of a pass names, with those that lie beside them: by name."""
+    """Hashes of the models that an option of a pass names, with those that lie beside them: by
+    name."""
     path = Path(os.path.expanduser(option)) if isinstance(option, str | Path) else Path()
     if isinstance(option, str) and path.suffix == ".onnx" and os.path.isfile(path):
         option = Library(path.parent)
     if isinstance(option, Path) and os.path.isdir(path):
         option = Library(path)
-    return {name: option.sha256(name) for name in option.names()} if isinstance(option, Library) else {}
+    return ({name: option.sha256(name) for name in option.names()} if isinstance(option, Library)
+            else {})
 
 
 def versions() -> dict[str, str]:
@@ -171,8 +185,10 @@ class Options:
     Attributes:
         log: file for JSON lines, or None.
         checkpoint: seconds of work between two checkpoints; None for none.
-        rerun: finished frames to run again for the history of an unfinished one; None for as many as needed.
-        preroll: frames to run before the first one of the sequence; 'auto' for those that `find_preroll` finds.
+        rerun: finished frames to run again for the history of an unfinished one; None for as many
+            as needed.
+        preroll: frames to run before the first one of the sequence; 'auto' for those that
+            `find_preroll` finds.
     """
 
     log: str | None = None
@@ -184,7 +200,8 @@ class Options:
 class Run:
     """A run, as a context manager around its frames.
 
-    Raises RunError if another run writes the same files, WriteError if the folder cannot be written.
+    Raises RunError if another run writes the same files, WriteError if the folder cannot be
+    written.
 
     Attributes:
         works: the frames to run, in order.
@@ -197,7 +214,8 @@ class Run:
         self.works: list[Work] = []
         self.skips: list[Skip] = []
         self.warnings: list[str] = []
-        self._outputs, self._sequence, self._pipeline, self._plan = outputs, sequence, pipeline, plan
+        self._outputs, self._sequence, self._pipeline, self._plan = (outputs, sequence, pipeline,
+                                                                     plan)
         self._provenance, self._options = provenance, options
         self._id = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{os.urandom(4).hex()}"
         self._log = Log(options.log, self._id)
@@ -207,7 +225,8 @@ class Run:
 
     def __enter__(self) -> Run:
         first = self._outputs.path(self._sequence.numbers[0])
-        names = {path.name: number for number in self._sequence.numbers for path in self._outputs.paths(number)}
+        names = {path.name: number for number in self._sequence.numbers
+                 for path in self._outputs.paths(number)}
         try:
             self._folder = RunFolder(first.parent, self._id, names)
         except OSError as error:
@@ -221,8 +240,10 @@ class Run:
             raise
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
-        status = "finished" if kind is None else "stopped" if issubclass(kind, KeyboardInterrupt) else "failed"
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 _: object) -> None:
+        status = ("finished" if kind is None else "stopped" if issubclass(kind, KeyboardInterrupt)
+                  else "failed")
         finished = self._sequence.numbers if kind is None else ()
         try:
             self._folder.close({"status": status, "ended": now()}, finished, self._pattern)
@@ -231,7 +252,8 @@ class Run:
                 raise
         finally:
             code = 0 if error is None else error.exit_code if isinstance(error, Interrupted) else 2
-            self._log("end", status=status, written=self._written, exit_code=code, error=str(error) if error else None)
+            self._log("end", status=status, written=self._written, exit_code=code,
+                      error=str(error) if error else None)
             self._log.close()
 
     def recall(self, work: Work, frame: Frame) -> None:
@@ -245,19 +267,22 @@ class Run:
         height, width = next(iter(frame.planes.values())).shape[:2]
         width, height = self._sequence.shown_size(width, height)
         output = self._folder.add_output(
-            path, {"models": dict(self._pipeline.device.models)}, frame=number, width=width, height=height,
-            inputs=self._inputs(number), starts=frame.reset)
+            path, {"models": dict(self._pipeline.device.models)}, frame=number, width=width,
+            height=height, inputs=self._inputs(number), starts=frame.reset)
         self._written += 1
-        self._log("frame", frame=number, file=str(path), bytes=output.bytes, sha256=output.sha256, **facts)
+        self._log("frame", frame=number, file=str(path), bytes=output.bytes, sha256=output.sha256,
+                  **facts)
 
     def note_retry(self, number: int, error: ReadError) -> None:
         """Log a failed read that is tried again."""
         self._log("retry", frame=number, error=str(error))
 
     def end_frame(self, number: int, finish: Callable[[], None], is_last: bool) -> None:
-        """End a frame; save a checkpoint if one is due, or if the run stops here before its last frame.
+        """End a frame; save a checkpoint if one is due, or if the run stops here before its last
+        frame.
 
-        `finish` waits until all files are written: a checkpoint is useless if the manifest lacks a file before it.
+        `finish` waits until all files are written: a checkpoint is useless if the manifest lacks a
+        file before it.
         """
         seconds = self._options.checkpoint
         if seconds is None or not (is_last or time.monotonic() - self._checkpointed >= seconds):
@@ -274,7 +299,8 @@ class Run:
         try:
             size = self._folder.save(self._pattern, self._provenance.fingerprint, number, history,
                                      self._pipeline.device.memory.relax)
-            self._log("checkpoint", frame=number, bytes=size, ms=round(1000 * (time.monotonic() - begin), 1))
+            self._log("checkpoint", frame=number, bytes=size,
+                      ms=round(1000 * (time.monotonic() - begin), 1))
         except OSError as error:  # frames matter more than a checkpoint
             text = f"no checkpoint could be written: {error.strerror}"
             self.warnings += [] if text in self.warnings else [text]
@@ -287,8 +313,10 @@ class Run:
     def _begin(self, names: dict[str, int]) -> None:
         self.warnings = self._folder.warnings
         wanted = self._choose(names)
-        pending = {name: Output(self._id, number) for name, number in names.items() if number in wanted}
-        facts = {**self._provenance.as_dict(), "command": sys.argv, "process": Process.me().as_dict(),
+        pending = {name: Output(self._id, number)
+                   for name, number in names.items() if number in wanted}
+        facts = {**self._provenance.as_dict(), "command": sys.argv,
+                 "process": Process.me().as_dict(),
                  "input": str(self._sequence.pattern), "output": self._pattern, "began": now()}
         self._folder.note({**facts, "status": "running"}, pending)
         self.works = self._schedule(wanted)
@@ -312,13 +340,16 @@ class Run:
             if not all(one.kept for one in found):
                 wanted.add(number)
                 continue
-            there = f"{paths[0]} exists and is" if len(paths) == 1 else " and ".join(map(str, paths)) + " exist and are"
+            there = (f"{paths[0]} exists and is" if len(paths) == 1
+                     else " and ".join(map(str, paths)) + " exist and are")
             self.skips.append(Skip(f"frame {number}", f"{there} complete"))
-            self.warnings += [f"{path} {one.why}" for path, one in zip(paths, found, strict=True) if one.why]
+            self.warnings += [f"{path} {one.why}"
+                              for path, one in zip(paths, found, strict=True) if one.why]
             others += [number] if any(one and not self._is_alike(one) for one in known) else []
         if others:
-            self.warnings.append(f"{len(others)} kept frames, {others[0]} the first, were made with other settings, "
-                                 "models or versions: --overwrite makes them again")
+            self.warnings.append(f"{len(others)} kept frames, {others[0]} the first, were made "
+                                 "with other settings, models or versions: --overwrite makes them "
+                                 "again")
         return wanted
 
     def _schedule(self, wanted: set[int]) -> list[Work]:
@@ -328,8 +359,9 @@ class Run:
         works = schedule(numbers, wanted, self._known(), options.rerun, self._sequence.holds)
         again = sum(not work.write for work in works)
         if again > MANY_RERUN_FRAMES and options.rerun is None:
-            self.warnings.append(f"{again} finished frames are run again, for the history of unfinished ones: "
-                                 "--resume 8 runs fewer and gives nearly the same")
+            self.warnings.append(f"{again} finished frames are run again, for the history "
+                                 "of unfinished ones: --resume 8 runs fewer and gives nearly the "
+                                 "same")
         if works and works[0].number == numbers[0] and not works[0].checkpoint:
             before = find_preroll(self._sequence, numbers[0], options.preroll)
             works = [Work(number, False) for number in before] + works
@@ -341,7 +373,8 @@ class Run:
             return EarlierRuns()
         starts = {output.frame for output in self._folder.before.outputs.values()
                   if output.starts and output.sha256 and self._is_alike(output)}
-        return EarlierRuns(starts, self._folder.checkpoints(self._pattern, self._provenance.fingerprint))
+        return EarlierRuns(starts,
+                           self._folder.checkpoints(self._pattern, self._provenance.fingerprint))
 
     def _is_alike(self, output: Output) -> bool:
         run = self._folder.before.runs.get(output.run, {})

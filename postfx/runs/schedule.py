@@ -1,7 +1,9 @@
-"""Which frames a run processes, which existing files it keeps, and how a sequence is cut into chunks for several runs.
+"""Which frames a run processes, which existing files it keeps, and how a sequence is cut into
+chunks for several runs.
 
-A chunk's first frame has no history of its own, so the frames before it run first, without being written. Those that
-are further away than `PREROLL` frames no longer matter: the seam differs from an unbroken run by less than its noise.
+A chunk's first frame has no history of its own, so the frames before it run first, without being
+written. Those that are further away than `PREROLL` frames no longer matter: the seam differs from
+an unbroken run by less than its noise.
 """
 
 from __future__ import annotations
@@ -45,8 +47,8 @@ class EarlierRuns(NamedTuple):
 
 
 def schedule(
-    numbers: tuple[int, ...] | list[int], wanted: Collection[int], known: EarlierRuns, most: int | None,
-    is_readable: Callable[[int], bool],
+    numbers: tuple[int, ...] | list[int], wanted: Collection[int], known: EarlierRuns,
+    most: int | None, is_readable: Callable[[int], bool],
 ) -> list[Work]:
     """Frames to run, in order.
 
@@ -56,8 +58,8 @@ def schedule(
         most: frames to run again for the history of each wanted one; None for as many as needed.
         is_readable: whether a frame's input exists; a gap ends the history.
 
-    The history of a wanted frame starts at the nearest of: the last frame that this run processed, a checkpoint, the
-    first frame of the shot.
+    The history of a wanted frame starts at the nearest of: the last frame that this run processed,
+    a checkpoint, the first frame of the shot.
     """
     works: list[Work] = []
     last = -1  # index of the last frame to run
@@ -78,7 +80,8 @@ def schedule(
 
 
 def _first(
-    numbers: tuple[int, ...] | list[int], begin: int, at: int, known: EarlierRuns, is_readable: Callable[[int], bool]
+    numbers: tuple[int, ...] | list[int], begin: int, at: int, known: EarlierRuns,
+    is_readable: Callable[[int], bool]
 ) -> int:
     """Index, from `begin` on, at which the history of frame `at` starts."""
     holes = [index + 1 for index in range(begin, at) if not is_readable(numbers[index])]
@@ -104,8 +107,9 @@ def judge(path: Path, known: Output | None, size: tuple[int, int], inputs: Input
         size: required width and height.
         inputs: the files from which its frame would be read now.
 
-    A file that is not in the manifest, or was altered since, is kept if it decodes to its last pixel: it may be
-    someone's work. A file that its run never reached is older than that run, and is not kept.
+    A file that is not in the manifest, or was altered since, is kept if it decodes to its last
+    pixel: it may be someone's work. A file that its run never reached is older than that run, and
+    is not kept.
     """
     if not os.path.isfile(path):
         return Judgement(False, "does not exist")
@@ -134,8 +138,8 @@ def _has_changed(before: Inputs, now: Inputs) -> bool:
 AUTO_PREROLL = "auto"
 """As many frames before the first one as its shot has."""
 PREROLL = 96
-"""Most frames that run before a chunk: on five sequences the first and the third frame after a seam were then at 57 dB
-or more against an unbroken run (docs/howto/farm.md)."""
+"""Most frames that run before a chunk: on five sequences the first and the third frame after a seam
+were then at 57 dB or more against an unbroken run (docs/howto/farm.md)."""
 
 
 @dataclass(frozen=True)
@@ -166,10 +170,11 @@ class Chunk:
 
 
 def find_preroll(sequence: Sequence, number: int, preroll: int | str = AUTO_PREROLL) -> list[int]:
-    """Frames to run before one that has no history: so many, or by 'auto' those of its shot that lead to it without a
-    hole, at most `PREROLL`.
+    """Frames to run before one that has no history: so many, or by 'auto' those of its shot that
+    lead to it without a hole, at most `PREROLL`.
 
-    Headers and the sequence's cuts say where the shot begins; a frame that cannot be opened ends the search.
+    Headers and the sequence's cuts say where the shot begins; a frame that cannot be opened ends
+    the search.
     """
     if preroll != AUTO_PREROLL:
         return sequence.before(number, int(preroll))
@@ -196,4 +201,5 @@ def make_chunks(sequence: Sequence, size: int, ahead: int = 0) -> Iterator[Chunk
         frames = sequence.numbers[first : first + size]
         preroll = find_preroll(sequence, frames[0])
         before = sequence.read_for_motion((preroll or frames)[0])
-        yield Chunk(tuple(frames), tuple(preroll), tuple(sequence.after(frames[-1], ahead)), tuple(before))
+        yield Chunk(tuple(frames), tuple(preroll), tuple(sequence.after(frames[-1], ahead)),
+                    tuple(before))

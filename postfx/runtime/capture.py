@@ -1,4 +1,5 @@
-"""Captures: what command buffers did, command by command and inside networks node by node, and what each wrote."""
+"""Captures: what command buffers did, command by command and inside networks node by node, and what
+each wrote."""
 
 from __future__ import annotations
 
@@ -43,7 +44,8 @@ if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto, TensorProto
 
 KEPT_TENSORS = ("thumbnails", "none", "all")
-"""What a capture keeps of tensors: figures and small pictures, nothing, or also the whole content in files."""
+"""What a capture keeps of tensors: figures and small pictures, nothing, or also the whole content
+in files."""
 
 
 class CapturableDevice(TensorDevice, Protocol):
@@ -76,13 +78,15 @@ class CapturableCommands(Protocol):
 
 @dataclass
 class Recorder:
-    """Fills a captured buffer while its commands run; the command buffer calls it on the queue's thread."""
+    """Fills a captured buffer while its commands run; the command buffer calls it on the queue's
+    thread."""
 
     capture: Capture
     buffer: CapturedBuffer
     _commands: CapturableCommands
     _of: dict[Dispatch, CapturedDispatch]
-    _inputs: dict[tuple[int, int, tuple[int, ...], str], Snapshot | None] = field(default_factory=dict)
+    _inputs: dict[tuple[int, int, tuple[int, ...], str],
+                  Snapshot | None] = field(default_factory=dict)
     done: threading.Event = field(default_factory=threading.Event)
 
     def note_run(self, dispatch: Dispatch, milliseconds: float) -> None:
@@ -103,7 +107,8 @@ class Recorder:
     def finish(self) -> None:
         """Finish the buffer: no more of its commands will run. Drops its tensors."""
         heap = self._commands.device.heap
-        self.buffer.heap_used, self.buffer.heap_peak, self.buffer.heap_size = heap.used, heap.peak, heap.size
+        self.buffer.heap_used, self.buffer.heap_peak, self.buffer.heap_size = (heap.used, heap.peak,
+                                                                               heap.size)
         self._of = {}
         self.done.set()
 
@@ -127,7 +132,8 @@ class Recorder:
         if not self.capture.network or dispatch.model is None:
             return
         placement, ran = self._commands.device.placement, captured.error is None
-        captured.network = look_inside(dispatch, placement, partial(self.capture.value, captured.index), ran)
+        captured.network = look_inside(dispatch, placement,
+                                       partial(self.capture.value, captured.index), ran)
 
     def _input(self, tensor: Tensor, index: int) -> Snapshot | None:
         key = (tensor.start, tensor.end, tensor.shape, tensor.dtype)
@@ -137,7 +143,8 @@ class Recorder:
 
 
 class Capture:
-    """Records the command buffers committed while it is active. Made by `Device.capture`; a context manager.
+    """Records the command buffers committed while it is active. Made by `Device.capture`; a context
+    manager.
 
     Leaving it blocks until the recorded buffers are done; the caller still has to `wait` for each.
 
@@ -146,13 +153,16 @@ class Capture:
         tensors, folder, network: what it keeps, see `Device.capture`.
     """
 
-    def __init__(self, device: CapturableDevice, tensors: str, folder: str | Path | None, network: bool) -> None:
+    def __init__(self, device: CapturableDevice, tensors: str, folder: str | Path | None,
+                 network: bool) -> None:
         if tensors not in KEPT_TENSORS:
-            raise CaptureError(f"a capture cannot keep '{tensors}' of tensors: use one of {', '.join(KEPT_TENSORS)}")
+            raise CaptureError(f"a capture cannot keep '{tensors}' of tensors: use one of "
+                               f"{', '.join(KEPT_TENSORS)}")
         if (tensors == "all") != (folder is not None):
             raise CaptureError("a capture with tensors='all' needs a folder=, any other has none")
         if network and tensors == "none":
-            raise CaptureError("a capture of networks (network=True, --capture-network) cannot keep 'none' of tensors")
+            raise CaptureError("a capture of networks (network=True, --capture-network) cannot "
+                               "keep 'none' of tensors")
         if network:
             require_onnx()
         self.device = device
@@ -168,7 +178,8 @@ class Capture:
     def __enter__(self) -> Self:
         with self.device.commit_lock:
             if self.device.active_capture is not None:
-                raise CaptureError(f"{self.device!r} is being captured already: end that capture first")
+                raise CaptureError(f"{self.device!r} is being captured already: end that capture "
+                                   "first")
             self.device.active_capture = self
         return self
 
@@ -180,7 +191,8 @@ class Capture:
         for recorder in self._recorders:
             recorder.done.wait()
         if self.failure is not None:
-            raise CaptureError(f"the capture is not complete: {first_line(self.failure)}") from self.failure
+            raise CaptureError("the capture is not complete: "
+                               f"{first_line(self.failure)}") from self.failure
 
     def record(self, commands: CapturableCommands) -> Recorder:
         """Start recording a buffer; its commit calls this, under the commit lock."""
@@ -201,8 +213,10 @@ class Capture:
         return take(content(tensor), Pictures(MOST_SLICES if self.folder else 3), self.folder,
                     _file(number, tensor.name))
 
-    def value(self, index: int, array: np.ndarray, name: str, figures_only: bool) -> Snapshot | None:
-        """The output of a node inside the network of command `index`, as far as this capture keeps it."""
+    def value(self, index: int, array: np.ndarray, name: str,
+              figures_only: bool) -> Snapshot | None:
+        """The output of a node inside the network of command `index`, as far as this capture keeps
+        it."""
         if figures_only:
             return take(array, Pictures(0))
         return take(array, NODE_PICTURES, self.folder, _file(f"{index:04d}", name))
@@ -215,42 +229,48 @@ def _file(number: str, name: str) -> str:
 
 def _capture_dispatch(index: int, dispatch: Dispatch) -> CapturedDispatch:
     names = (dispatch.label, dispatch.command, dispatch.stage, dispatch.encoder, dispatch.model)
-    dims: dict[str, int] = dict(dispatch.state.dims) if isinstance(dispatch.state, PipelineState) else {}
+    dims: dict[str, int] = (dict(dispatch.state.dims) if isinstance(dispatch.state, PipelineState)
+                            else {})
     reads, writes = _capture_tensors(dispatch.reads), _capture_tensors(dispatch.writes)
     return CapturedDispatch(index, *names, reads, writes, dims=dims)
 
 
 def _capture_tensors(tensors: Iterable[Tensor]) -> list[CapturedTensor]:
-    return [CapturedTensor(str(t.name), t.shape, t.dtype, t.nbytes, t.start, t.end) for t in tensors]
+    return [CapturedTensor(str(t.name), t.shape, t.dtype, t.nbytes, t.start, t.end)
+            for t in tensors]
 
 
 def _capture_barrier(record: Barrier) -> CapturedBarrier:
     if isinstance(record, EncoderBarrier):
         return CapturedBarrier("encoder", record.encoder)
     form = "consumer" if isinstance(record, ConsumerBarrier) else "producer"
-    return CapturedBarrier(form, record.encoder, tuple(sorted(record.after)), tuple(sorted(record.before)))
+    return CapturedBarrier(form, record.encoder, tuple(sorted(record.after)),
+                           tuple(sorted(record.before)))
 
 
 Keep = Callable[[np.ndarray, str, bool], Snapshot | None]
-"""Keeps a snapshot of an array. Arguments: the array, a name for its file, whether to keep figures only."""
+"""Keeps a snapshot of an array. Arguments: the array, a name for its file, whether to keep figures
+only."""
 
 
 def look_inside(dispatch: Dispatch, placement: Placement, keep: Keep, ran: bool) -> CapturedNetwork:
-    """Run the nodes of a dispatch's network; `ran` tells whether the network itself has written its outputs.
+    """Run the nodes of a dispatch's network; `ran` tells whether the network itself has written its
+    outputs.
 
     Checks no hazards: the caller stands between two commands of the queue.
     """
     assert dispatch.state is not None and dispatch.model is not None  # it runs a network
     bindings = dispatch.state.bindings
     if any(binding.access == "read-write" for binding in bindings):
-        raise CaptureError(f"{dispatch} changes what it reads in place, so its nodes cannot be run again: capture "
-                           "without network=True")
+        raise CaptureError(f"{dispatch} changes what it reads in place, so its nodes cannot be run "
+                           "again: capture without network=True")
     inputs = _name_content(bindings, "read", dispatch.reads)
     written = _name_content(bindings, "write", dispatch.writes) if ran else {}
     found, errors = CapturedNetwork(), []
     for node in run_nodes(dispatch.model, placement, inputs):
         found.nodes.append(_capture_node(node, keep))
-        errors += [largest_error(written[n], array)[0] for n, array in node.outputs.items() if n in written]
+        errors += [largest_error(written[n], array)[0]
+                   for n, array in node.outputs.items() if n in written]
     if errors and not any(node.error for node in found.nodes):
         found.difference = max(errors)
     return found
@@ -262,12 +282,15 @@ def _capture_node(node: NodeRun, keep: Keep) -> CapturedNode:
                       snapshot=keep(array, f"n{node.index:04d}.{name}", node.constant))
         for name, array in node.outputs.items()
     ]
-    return CapturedNode(node.index, node.op, node.name, node.constant, node.milliseconds, node.error, values)
+    return CapturedNode(node.index, node.op, node.name, node.constant, node.milliseconds,
+                        node.error, values)
 
 
-def _name_content(bindings: Sequence[Binding], access: str, tensors: Sequence[Tensor]) -> dict[str, np.ndarray]:
+def _name_content(bindings: Sequence[Binding], access: str,
+                  tensors: Sequence[Tensor]) -> dict[str, np.ndarray]:
     names = [binding.name for binding in bindings if binding.access == access]
-    return {name: content(tensor) for name, tensor in zip(names, tensors, strict=True) if tensor.nbytes}
+    return {name: content(tensor)
+            for name, tensor in zip(names, tensors, strict=True) if tensor.nbytes}
 
 
 @dataclass(frozen=True)
@@ -291,11 +314,12 @@ class NodeRun:
     error: str | None = None
 
 
-def run_nodes(path: Path, placement: Placement, inputs: Mapping[str, np.ndarray]) -> Iterator[NodeRun]:
+def run_nodes(path: Path, placement: Placement,
+              inputs: Mapping[str, np.ndarray]) -> Iterator[NodeRun]:
     """Run the nodes of a file one by one in order, up to the first that fails.
 
-    Each runs as a model of its own: no optimisation can change its output, and memory holds only values that later
-    nodes read. All outputs of `denoise_upscale.m` at 960x544 would take 1.6 GB.
+    Each runs as a model of its own: no optimisation can change its output, and memory holds only
+    values that later nodes read. All outputs of `denoise_upscale.m` at 960x544 would take 1.6 GB.
 
     Args:
         inputs: the network's inputs by name.
@@ -310,7 +334,8 @@ def run_nodes(path: Path, placement: Placement, inputs: Mapping[str, np.ndarray]
         what = index, node.op_type, node.name, index in constant
         given = {name: values[name] for name in names_read(node) if name in values}
         try:
-            outputs, milliseconds = run_profiled(_extract_node(model, node, weights, given), placement, given)
+            outputs, milliseconds = run_profiled(_extract_node(model, node, weights, given),
+                                                 placement, given)
         except Exception as error:  # ONNX Runtime's errors have no common base
             yield NodeRun(*what, error=first_line(error))
             return
@@ -323,16 +348,19 @@ def run_nodes(path: Path, placement: Placement, inputs: Mapping[str, np.ndarray]
 
 
 def _extract_node(
-    model: ModelProto, node: NodeProto, weights: Mapping[str, TensorProto], given: Mapping[str, np.ndarray]
+    model: ModelProto, node: NodeProto, weights: Mapping[str, TensorProto],
+    given: Mapping[str, np.ndarray]
 ) -> bytes:
     """A model of one node, with the weights that it reads."""
     from onnx import ValueInfoProto, helper
 
     inputs = [
-        helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(array.dtype), array.shape)
+        helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(array.dtype),
+                                      array.shape)
         for name, array in given.items()
     ]
-    outputs = [ValueInfoProto(name=name) for name in node.output if name]  # ONNX Runtime works the types out
+    # ONNX Runtime works the types out
+    outputs = [ValueInfoProto(name=name) for name in node.output if name]
     own = [weights[name] for name in names_read(node) if name in weights and name not in given]
     alone = helper.make_model(
         helper.make_graph([node], "node", inputs, outputs, own),
@@ -355,13 +383,15 @@ def _last_reads(model: ModelProto) -> dict[str, int]:
 def run_profiled(
     model: bytes, placement: Placement, inputs: Mapping[str, np.ndarray]
 ) -> tuple[dict[str, np.ndarray], float]:
-    """Outputs by name, and the milliseconds of the kernels alone. Nothing is fused, moved or folded."""
+    """Outputs by name, and the milliseconds of the kernels alone. Nothing is fused, moved or
+    folded."""
     options = session_options(placement, {})
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
     options.enable_profiling = True
     with tempfile.TemporaryDirectory(prefix="postfx-profile-") as folder:
         options.profile_file_prefix = str(Path(folder) / "run")
-        session = ort.InferenceSession(model, options, providers=providers_of(placement, exclusive=False))
+        session = ort.InferenceSession(model, options,
+                                       providers=providers_of(placement, exclusive=False))
         names = [item.name for item in session.get_outputs()]
         try:
             arrays = session.run(names, dict(inputs))
@@ -372,7 +402,8 @@ def run_profiled(
 
 def _milliseconds(profile: Path) -> float:
     events = json.loads(profile.read_text(encoding="utf-8"))
-    return float(sum(e["dur"] for e in events if e.get("cat") == "Node" and e["name"].endswith("_kernel_time"))) / 1000
+    return float(sum(e["dur"] for e in events
+                     if e.get("cat") == "Node" and e["name"].endswith("_kernel_time"))) / 1000
 
 
 MISSING = f"the graphs of networks need the package onnx: {pip_install('capture')}"
@@ -401,7 +432,8 @@ def load_graph(path: Path) -> ModelProto:
 
 
 def names_read(node: NodeProto) -> list[str]:
-    """Names of the values that a node may read, without repeats: its inputs and all names in its subgraphs."""
+    """Names of the values that a node may read, without repeats: its inputs and all names in its
+    subgraphs."""
     inner = [graph for item in node.attribute for graph in (item.g, *item.graphs)]
     deeper = (name for graph in inner for child in graph.node for name in names_read(child))
     results = (item.name for graph in inner for item in graph.output)
@@ -409,8 +441,10 @@ def names_read(node: NodeProto) -> list[str]:
 
 
 def constant_nodes(model: ModelProto) -> set[int]:
-    """Numbers of the nodes that depend on no input of the graph, such as those that unpack weights."""
-    varying = {item.name for item in model.graph.input} - {item.name for item in model.graph.initializer}
+    """Numbers of the nodes that depend on no input of the graph, such as those that unpack
+    weights."""
+    varying = {item.name for item in model.graph.input} - {item.name
+                                                           for item in model.graph.initializer}
     found = set()
     for index, node in enumerate(model.graph.node):
         if varying.isdisjoint(names_read(node)):
@@ -426,15 +460,16 @@ _BLOCK_BYTES = 1 << 20
 def largest_error(a: np.ndarray, b: np.ndarray) -> tuple[float, tuple[int, ...]]:
     """The largest relative error of `a` against the reference `b`, and its index.
 
-    An element's is |a - b| / max(|b|, mean of |b|): elements near 0 are measured by the array's usual size. NaN equals
-    NaN and an infinity one of its sign; finite against not finite is an infinite error. Works on blocks, so it takes
-    little memory.
+    An element's is |a - b| / max(|b|, mean of |b|): elements near 0 are measured by the array's
+    usual size. NaN equals NaN and an infinity one of its sign; finite against not finite is an
+    infinite error. Works on blocks, so it takes little memory.
     """
     left, right = a.reshape(-1), b.reshape(-1)
     usual = _mean_size(right)
     worst, place = 0.0, 0
     for start in range(0, left.size, _BLOCK_BYTES):
-        errors = _errors(left[start : start + _BLOCK_BYTES], right[start : start + _BLOCK_BYTES], usual)
+        errors = _errors(left[start : start + _BLOCK_BYTES], right[start : start + _BLOCK_BYTES],
+                         usual)
         at = int(errors.argmax())
         if errors[at] > worst:
             worst, place = float(errors[at]), start + at

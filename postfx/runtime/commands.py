@@ -71,10 +71,11 @@ class CommandDevice(CapturableDevice, Protocol):
 
 
 class CommandBuffer:
-    """Commands for one device, recorded by encoders one after the other. Made by `Device.command_buffer`.
+    """Commands for one device, recorded by encoders one after the other. Made by
+    `Device.command_buffer`.
 
-    It is open at first, then committed, and done once `wait` returns. Then it can be committed again unchanged, or
-    recorded again after `begin`.
+    It is open at first, then committed, and done once `wait` returns. Then it can be committed
+    again unchanged, or recorded again after `begin`.
 
     Attributes:
         label: name in messages, for example 'frame 12'.
@@ -93,7 +94,8 @@ class CommandBuffer:
         self._groups: list[str] = []
         self._passages: list[Passage] = []
         self._encoder: Encoder | None = None
-        self._running: Encoder | None = None  # the encoder of the last `run`, which another one may go on with
+        # the encoder of the last `run`, which another one may go on with
+        self._running: Encoder | None = None
         self._tables = Tables()
         self._runs: Counter[tuple[State, str]] = Counter()
         self._state = "open"
@@ -108,10 +110,12 @@ class CommandBuffer:
         device.hazards.open(self)
 
     def begin(self, label: str | None = None) -> None:
-        """Drop all records and timings and start recording again, under a new label if one is given.
+        """Drop all records and timings and start recording again, under a new label if one is
+        given.
 
-        Like Metal 4's `beginCommandBuffer`, except that the buffer owns its records, so a committed buffer must be
-        waited for first. Raises EncodingError before that, or while an encoder is open.
+        Like Metal 4's `beginCommandBuffer`, except that the buffer owns its records, so a committed
+        buffer must be waited for first. Raises EncodingError before that, or while an encoder is
+        open.
         """
         if self._state == "committed":
             raise EncodingError(f"'{self.label}' cannot begin again: {_STATES['committed']}")
@@ -129,22 +133,25 @@ class CommandBuffer:
 
     def machine_learning_encoder(self, label: str) -> MachineLearningEncoder:
         """Begin to record networks under a label."""
-        return self._start(MachineLearningEncoder(self, self._full(label), self.device.next_encoder()))
+        return self._start(MachineLearningEncoder(self, self._full(label),
+                                                  self.device.next_encoder()))
 
     def run(self, kernel: Kernel | State, label: str = "", /, **tensors: Tensor) -> None:
         """Record one run of a kernel, or of a network, on tensors by the names of its bindings.
 
-            commands.run(LOWRES, "prepare", colour=colour, params=params, matrix=matrix, lowres=small)
+            commands.run(LOWRES, "prepare", colour=colour, params=params, matrix=matrix,
+                         lowres=small)
 
-        Encoders and argument tables are made inside. It runs after what it depends on, by what all commands read and
-        write. Runs in a row under one label are one entry of `timings`.
+        Encoders and argument tables are made inside. It runs after what it depends on, by what all
+        commands read and write. Runs in a row under one label are one entry of `timings`.
 
         Args:
-            kernel: a `Kernel`, or what `Device.pipeline_state`, `compute_state` or `host_state` made.
+            kernel: a `Kernel`, or what `Device.pipeline_state`, `compute_state` or `host_state`
+                made.
             label: default: the name of the kernel or network.
 
-        Raises BindingError for tensors that are missing, unknown or do not fit, HazardError for aliased ones,
-        EncodingError after commit or while an encoder is open.
+        Raises BindingError for tensors that are missing, unknown or do not fit, HazardError for
+        aliased ones, EncodingError after commit or while an encoder is open.
         """
         state = self.device.compute_state(kernel) if isinstance(kernel, Kernel) else kernel
         label = label or state.name
@@ -156,14 +163,17 @@ class CommandBuffer:
             table.bind(tensors)
         except BindingError as error:
             raise BindingError(f"'{full}': {error}") from None
-        if self._running is None or (self._running.label, self._running.stage) != (full, state.stage):
-            kind = MachineLearningEncoder if state.stage == MachineLearningEncoder.stage else ComputeEncoder
+        if (self._running is None
+            or (self._running.label, self._running.stage) != (full, state.stage)):
+            kind = (MachineLearningEncoder if state.stage == MachineLearningEncoder.stage
+                    else ComputeEncoder)
             self._running = self._start(kind(self, full, self.device.next_encoder()))
         self._running.dispatch(state, table)
 
     @contextmanager
     def group(self, name: str) -> Iterator[None]:
-        """Labels of encoders begun inside are prefixed by 'name/': they are the keys of `timings`."""
+        """Labels of encoders begun inside are prefixed by 'name/': they are the keys of
+        `timings`."""
         self._groups.append(name)
         try:
             yield
@@ -171,15 +181,16 @@ class CommandBuffer:
             self._groups.pop()
 
     def keep(self, *tensors: Tensor) -> None:
-        """Keep transient tensors for the host to read: their memory stays theirs until another buffer with transient
-        tensors is committed. Raises EncodingError after commit."""
+        """Keep transient tensors for the host to read: their memory stays theirs until another
+        buffer with transient tensors is committed. Raises EncodingError after commit."""
         self._require_open()
         self._kept.update(tensor.allocation for tensor in tensors)
 
     def repeat(self, key: tuple[object, ...], record: Callable[[], R]) -> R:
-        """Let `record` record some commands, or repeat what it recorded for an equal `key` in a buffer before; returns
-        what it returned. The key holds all tensors that the commands use and the caller may change, and whatever else
-        they depend on. `record` touches nothing but this buffer."""
+        """Let `record` record some commands, or repeat what it recorded for an equal `key` in a
+        buffer before; returns what it returned. The key holds all tensors that the commands use and
+        the caller may change, and whatever else they depend on. `record` touches nothing but this
+        buffer."""
         if self.known is None:
             return record()
         self._require_open()
@@ -198,28 +209,30 @@ class CommandBuffer:
         return known
 
     def add_completed_handler(self, handler: Callable[[CommandBuffer], None]) -> None:
-        """Call `handler(buffer)` whenever the commands are done or one has failed, on a thread of the device.
+        """Call `handler(buffer)` whenever the commands are done or one has failed, on a thread of
+        the device.
 
-        Keep it short: `wait` of other threads returns after it. It may `wait` itself, which then returns or raises at
-        once, and read results. What it raises goes to the
-        log. Metal's `addCompletedHandler:`; `begin` drops it. Raises EncodingError after commit.
+        Keep it short: `wait` of other threads returns after it. It may `wait` itself, which then
+        returns or raises at once, and read results. What it raises goes to the log. Metal's
+        `addCompletedHandler:`; `begin` drops it. Raises EncodingError after commit.
         """
         self._require_open()
         self._handlers.append(handler)
 
     def commit(self) -> None:
-        """Order commands, give transient tensors their memory, check all hazards and hand all to the device's queue.
+        """Order commands, give transient tensors their memory, check all hazards and hand all to
+        the device's queue.
 
-        Commands that read or write what others write come after them as they were recorded, unless the device has
-        explicit barriers; recorded barriers add to that.
+        Commands that read or write what others write come after them as they were recorded, unless
+        the device has explicit barriers; recorded barriers add to that.
 
         Nothing can be recorded until `begin`.
 
-        After `wait`, a buffer can be committed again without recording: the same dispatches run on the same tensors,
-        whose content may have been replaced by `upload`.
+        After `wait`, a buffer can be committed again without recording: the same dispatches run on
+        the same tensors, whose content may have been replaced by `upload`.
 
-        Raises HazardError, which discards the buffer; EncodingError if an encoder is still open or the buffer is in
-        flight or discarded; DeviceError in a forked process.
+        Raises HazardError, which discards the buffer; EncodingError if an encoder is still open or
+        the buffer is in flight or discarded; DeviceError in a forked process.
         """
         self._require_no_encoder("be committed")
         self.device.require_process()
@@ -235,7 +248,8 @@ class CommandBuffer:
             self._place()
             stands_apart = self.device.hazards.commit(self)
             if self.known and key:
-                self.known.keep(key, KnownCommands(self.records, self._placement, self.footprint(), self._passages))
+                self.known.keep(key, KnownCommands(self.records, self._placement, self.footprint(),
+                                                   self._passages))
             self.device.heap.arena.give_back()
             self._state = "committed"
             capture = self.device.active_capture if self.captured else None
@@ -251,19 +265,24 @@ class CommandBuffer:
             self._close("discarded")
 
     def wait(self, timeout: float | None = None) -> None:
-        """Block until all commands are done and their handlers have run, or for `timeout` seconds (None: no limit).
+        """Block until all commands are done and their handlers have run, or for `timeout` seconds
+        (None: no limit).
 
-        Raises CommandTimeout when they are not done in time, CommandError when one failed, EncodingError before
-        commit.
+        Raises CommandTimeout when they are not done in time, CommandError when one failed,
+        EncodingError before commit.
         """
         if self._state not in ("committed", "done"):
-            raise EncodingError(f"'{self.label}' cannot be waited for: it is {self._state}, commit it first")
+            raise EncodingError(f"'{self.label}' cannot be waited for: it is {self._state}, commit "
+                                "it first")
         begin, handled = time.monotonic(), self._handled
         if not self.is_done(timeout):
-            raise timeout_error(f"'{self.label}' was not done after {timeout:g} s", self.device.hazards.in_flight())
+            raise timeout_error(f"'{self.label}' was not done after {timeout:g} s",
+                                self.device.hazards.in_flight())
         left = None if timeout is None else max(0.0, timeout - (time.monotonic() - begin))
-        if handled is not None and threading.get_ident() != self._handling and not handled.wait(left):
-            raise CommandTimeout(f"a handler of '{self.label}' was not done after {timeout:g} s", None, ())
+        if (handled is not None and threading.get_ident() != self._handling
+            and not handled.wait(left)):
+            raise CommandTimeout(f"a handler of '{self.label}' was not done after {timeout:g} s",
+                                 None, ())
         if self._state == "committed":
             self._state = "done"
             self.device.hazards.retire(self)
@@ -271,8 +290,8 @@ class CommandBuffer:
             raise self._error
 
     def is_done(self, timeout: float | None = 0.0) -> bool:
-        """Whether all commands are done within `timeout` seconds (None: no limit). The buffer still counts as in flight
-        until `wait`."""
+        """Whether all commands are done within `timeout` seconds (None: no limit). The buffer still
+        counts as in flight until `wait`."""
         return self._done.wait(timeout)
 
     @property
@@ -282,8 +301,8 @@ class CommandBuffer:
 
     @property
     def timings(self) -> list[tuple[str, float]]:
-        """(label, milliseconds) of every encoder that ran, in order; complete after `wait`. Where the commands ran as
-        one CUDA graph, those of a group are one, 'GROUP/*'."""
+        """(label, milliseconds) of every encoder that ran, in order; complete after `wait`. Where
+        the commands ran as one CUDA graph, those of a group are one, 'GROUP/*'."""
         return list(self._timings.values())
 
     def footprint(self) -> Footprint:
@@ -305,13 +324,15 @@ class CommandBuffer:
         self._require_open()
         self._end_run()
         if self._encoder is not None:
-            raise EncodingError(f"'{encoder.label}' cannot begin: encoder '{self._encoder.label}' is still open")
+            raise EncodingError(f"'{encoder.label}' cannot begin: encoder '{self._encoder.label}' "
+                                "is still open")
         self._encoder = encoder
         return encoder
 
     def _require_open(self) -> None:
         if self._state != "open":
-            raise EncodingError(f"nothing can be recorded into '{self.label}': {_STATES[self._state]}")
+            raise EncodingError(f"nothing can be recorded into '{self.label}': "
+                                f"{_STATES[self._state]}")
 
     def _end_run(self) -> None:
         """End the encoder of the last `run`."""
@@ -322,16 +343,19 @@ class CommandBuffer:
     def _require_no_encoder(self, what: str) -> None:
         self._end_run()
         if self._encoder is not None:
-            raise EncodingError(f"'{self.label}' cannot {what}: encoder '{self._encoder.label}' is still open: end it")
+            raise EncodingError(f"'{self.label}' cannot {what}: encoder '{self._encoder.label}' is "
+                                "still open: end it")
 
     def _close(self, state: str) -> None:
         self._state = state
         self.device.hazards.close(self)
 
     def _recognise(self) -> tuple[object, ...] | None:
-        """Take the placement and the accesses of the same commands, if they are known; else the key to keep them by.
-        Nothing may be in flight, as barriers of equal encoders cannot be told apart."""
-        if self.known is None or self._placement or self._footprint or self.device.hazards.in_flight():
+        """Take the placement and the accesses of the same commands, if they are known; else the key
+        to keep them by. Nothing may be in flight, as barriers of equal encoders cannot be told
+        apart."""
+        if (self.known is None or self._placement or self._footprint
+            or self.device.hazards.in_flight()):
             return None
         key = self.known.key(self.records, self._kept, self._passages)
         again = self.known.find(key)
@@ -341,12 +365,14 @@ class CommandBuffer:
         return None
 
     def _order(self) -> None:
-        """Add the barriers that commands need among themselves, before transient tensors get their memory by them."""
+        """Add the barriers that commands need among themselves, before transient tensors get their
+        memory by them."""
         if not (self.device.hazards.explicit or self._footprint):
             self.records = with_barriers(Accesses(self.records))
 
     def _place(self) -> None:
-        placement = self.device.heap.arena.place(self.records, self._kept, self._placement, self.label)
+        placement = self.device.heap.arena.place(self.records, self._kept, self._placement,
+                                                 self.label)
         if placement is not None and placement is not self._placement:
             self.records, self._placement, self._footprint = placement.records, placement, None
 
@@ -354,7 +380,8 @@ class CommandBuffer:
         return "/".join([*self._groups, label])
 
     def _run(self) -> None:
-        execution = self._execution = Execution(self.device, self.label, self.footprint(), self._recorder)
+        execution = self._execution = Execution(self.device, self.label, self.footprint(),
+                                                self._recorder)
         execution.run()
         self._error, self._timings = execution.error, execution.timings
         self._execution = None
@@ -404,17 +431,20 @@ class Execution:
         try:
             spans = self._at_once()
             if spans is None:
-                beside = self._footprint.narrow and self._recorder is None and runs_side_by_side(self._device)
+                beside = (self._footprint.narrow and self._recorder is None
+                          and runs_side_by_side(self._device))
                 spans = self._side_by_side() if beside else self._one_by_one()
             self._memory.synchronise()
             self.timings = _timings(self._memory, spans)
         except BaseException as error:  # work that a GPU has only started may fail later
-            self.error = self.error or CommandError(f"'{self._label}' failed: {first_line(error)}", self._label)
+            self.error = self.error or CommandError(f"'{self._label}' failed: {first_line(error)}",
+                                                    self._label)
             self.error.__cause__ = self.error.__cause__ or error
         self.running = None
 
     def _at_once(self) -> list[Span] | None:
-        """Put all on a GPU's streams, as one CUDA graph if it can be; None if each command has to be looked at."""
+        """Put all on a GPU's streams, as one CUDA graph if it can be; None if each command has to
+        be looked at."""
         dispatches, memory, footprint = self._dispatches, self._memory, self._footprint
         forks = footprint.narrow and any(map(_stream, dispatches))
         if not (memory.replays or forks) or self._recorder is not None:
@@ -429,18 +459,24 @@ class Execution:
                 spans = memory.replay(footprint.signature, states, self._enqueue_all)
             return self._enqueue_all() if spans is None and forks else spans
         except BaseException as error:
-            self._fail(dispatches, CommandError(f"'{self._label}' failed: {first_line(error)}", self._label), error)
+            self._fail(dispatches,
+                       CommandError(f"'{self._label}' failed: {first_line(error)}", self._label),
+                       error)
             return []
 
     def _enqueue_all(self) -> list[Span]:
-        return self._enqueue(self._dispatches, predecessors(self._footprint.records) if self._footprint.narrow else ())
+        return self._enqueue(self._dispatches, predecessors(self._footprint.records)
+                             if self._footprint.narrow else ())
 
     def _enqueue(self, dispatches: Sequence[Dispatch], before: Sequence[int] = (0,)) -> list[Span]:
-        """Run dispatches, or put them on a GPU's streams; returns the start and end of each encoder's.
+        """Run dispatches, or put them on a GPU's streams; returns the start and end of each
+        encoder's.
 
-        Those with streams of their own wait for the ones `before` them, and what comes later for all of them.
+        Those with streams of their own wait for the ones `before` them, and what comes later for
+        all of them.
         """
-        fork = self._memory.fork([*map(_stream, dispatches)], before) if self._footprint.narrow else None
+        fork = (self._memory.fork([*map(_stream, dispatches)], before) if self._footprint.narrow
+                else None)
         if fork is not None:
             with fork:
                 return [Span(dispatch.encoder, dispatch.label, *fork.run(index, _work(dispatch)))
@@ -449,15 +485,18 @@ class Execution:
         for (label, _), group in groupby(dispatches, self._measured_with):
             for dispatch in group:
                 _work(dispatch)()
-            end = self._memory.mark()  # where the next one begins: a mark takes a GPU as long as a small kernel
+            # where the next one begins: a mark takes a GPU as long as a small kernel
+            end = self._memory.mark()
             spans.append(Span(dispatch.encoder, label, begin, end))
             begin = end
         return spans
 
     def _measured_with(self, dispatch: Dispatch) -> tuple[str, int]:
-        """Label and number of what is measured together: an encoder; on a GPU all of a group, without number."""
+        """Label and number of what is measured together: an encoder; on a GPU all of a group,
+        without number."""
         group = dispatch.label.rpartition("/")[0]
-        return (f"{group}/*", -1) if group and self._memory.replays else (dispatch.label, dispatch.encoder)
+        return ((f"{group}/*", -1) if group and self._memory.replays
+                else (dispatch.label, dispatch.encoder))
 
     def _one_by_one(self) -> list[Span]:
         spans: list[Span] = []
@@ -473,13 +512,15 @@ class Execution:
         return spans
 
     def _side_by_side(self) -> list[Span]:
-        """Run commands beside each other that no barrier orders, as far as the device has threads for them."""
+        """Run commands beside each other that no barrier orders, as far as the device has threads
+        for them."""
         earlier, slots = predecessors(self._footprint.records), self._device.slots
         done, spans = 0, []
         waiting, running = dict(enumerate(self._dispatches)), dict[Future[list[Span]], int]()
         while waiting or running:
             for index, dispatch in list(waiting.items()):
-                if earlier[index] & ~done or not slots.take(_threads(dispatch), patient=not running):
+                if (earlier[index] & ~done
+                    or not slots.take(_threads(dispatch), patient=not running)):
                     continue
                 if self._cannot_run(dispatch, list(waiting.values())):
                     slots.give(_threads(dispatch))
@@ -499,7 +540,8 @@ class Execution:
         return spans
 
     def _cannot_run(self, dispatch: Dispatch, left: Sequence[Dispatch]) -> bool:
-        """Whether a command failed to write what a dispatch reads; then it and all that is left count as failed."""
+        """Whether a command failed to write what a dispatch reads; then it and all that is left
+        count as failed."""
         lost = self._lost_input(dispatch)
         if lost is not None:
             what = f"{dispatch} of '{self._label}' did not run: it reads {lost[0]}, but {lost[1]}"
@@ -507,7 +549,8 @@ class Execution:
         return lost is not None
 
     def _failure(self, dispatch: Dispatch, error: BaseException) -> CommandError:
-        return CommandError(f"{dispatch} of '{self._label}' failed: {first_line(error)}", dispatch.label)
+        return CommandError(f"{dispatch} of '{self._label}' failed: {first_line(error)}",
+                            dispatch.label)
 
     def _execute(self, dispatch: Dispatch) -> list[Span]:
         memory = self._memory
@@ -527,7 +570,8 @@ class Execution:
         return spans
 
     def _lost_input(self, dispatch: Dispatch) -> tuple[str, CommandError] | None:
-        """Name of a tensor that the dispatch reads but a failed command did not write, and that command's error."""
+        """Name of a tensor that the dispatch reads but a failed command did not write, and that
+        command's error."""
         for tensor in dispatch.reads:
             first = self._hazards.loss(tensor) if tensor.allocation.lost else None
             if first is not None:
@@ -536,17 +580,19 @@ class Execution:
 
     def _fail(self, dispatches: Sequence[Dispatch], error: CommandError, cause: BaseException,
                 first: CommandError | None = None) -> None:
-        """Note the error. The outputs of the dispatches are lost, because of it or of the `first` error."""
+        """Note the error. The outputs of the dispatches are lost, because of it or of the `first`
+        error."""
         self.error = error
         error.__cause__ = cause
-        self._hazards.mark_lost([tensor for left in dispatches for tensor in left.writes], first or error)
+        self._hazards.mark_lost([tensor for left in dispatches for tensor in left.writes],
+                                first or error)
         if self._recorder is not None:
             self._recorder.note_failure(dispatches[0], first or error, ran=first is None)
 
 
 def runs_side_by_side(device: CommandDevice) -> bool:
-    """Whether threads of a device may run commands side by side: not those of a GPU's streams, and not within a memory
-    budget."""
+    """Whether threads of a device may run commands side by side: not those of a GPU's streams, and
+    not within a memory budget."""
     return device.memory.host_visible and device.scratch is None
 
 

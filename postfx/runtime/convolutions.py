@@ -1,9 +1,10 @@
-"""Networks of convolutions in half precision as a list of our own CUDA kernels, in place of ONNX Runtime.
+"""Networks of convolutions in half precision as a list of our own CUDA kernels, in place of ONNX
+Runtime.
 
-ONNX Runtime runs such a network as one library call a node, with copies between layouts. Here a convolution is one
-kernel (postfx/kernels/convolution.cuh) with all that follows it: bias, ReLU, a constant, the largest of 2x2 pixels.
-What is enlarged and added comes with its input. Two that read the same may be one kernel: the heads of a level, and
-what the next finer level gets.
+ONNX Runtime runs such a network as one library call a node, with copies between layouts. Here a
+convolution is one kernel (postfx/kernels/convolution.cuh) with all that follows it: bias, ReLU, a
+constant, the largest of 2x2 pixels. What is enlarged and added comes with its input. Two that read
+the same may be one kernel: the heads of a level, and what the next finer level gets.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ ARGUMENTS = ("input", "coarse", "weights", "bias", "added", "output", "second")
 HALF = np.dtype(np.float16)
 _FLOAT = 1
 _FLOAT16 = 10
-_NEAREST = {"mode": "nearest", "nearest_mode": "floor", "coordinate_transformation_mode": "asymmetric"}
+_NEAREST = {"mode": "nearest", "nearest_mode": "floor",
+            "coordinate_transformation_mode": "asymmetric"}
 
 
 class Head(NamedTuple):
@@ -62,8 +64,8 @@ class Head(NamedTuple):
         name: of the output that it becomes.
         planes: how many there are, of all channels of a pixel or of each part.
         shares, states: the first planes of these, behind the weights of filters.
-        side: pixels of a side that a pixel of the network stands for, 1 or 2; then its four parts are one after the
-            other, top left first.
+        side: pixels of a side that a pixel of the network stands for, 1 or 2; then its four parts
+            are one after the other, top left first.
     """
 
     name: str
@@ -76,7 +78,8 @@ class Head(NamedTuple):
 class Options(ctypes.Structure):
     """What else a kernel is told: see postfx/kernels/convolution.cuh."""
 
-    _fields_ = tuple((name, ctypes.c_int) for name in ("height", "width", "tiles", "split", "positive"))
+    _fields_ = tuple((name, ctypes.c_int)
+                     for name in ("height", "width", "tiles", "split", "positive"))
 
 
 @dataclass
@@ -93,7 +96,8 @@ class Layer:
         positive: whether nothing of it is less than 0.
         added: (channels,) that are added at last.
         pooled: name of the largest of 2x2 pixels of the result, '' for none.
-        others: name of what holds the channels from the `split`-th on; '' if the result holds all of them.
+        others: name of what holds the channels from the `split`-th on; '' if the result holds all
+            of them.
         head: how the result is given, if not as it is.
     """
 
@@ -128,23 +132,29 @@ class Layer:
     @property
     def tiles(self) -> tuple[int, ...]:
         """Numbers of channels that a block of threads may make, the largest first."""
-        if self.head and self.head.side == 2:  # all planes of the two pixels of a row, or half of them
-            return tuple(tile for tile in TILES if tile in (2 * self.head.planes, self.head.planes) and tile % 16 == 0)
+        # all planes of the two pixels of a row, or half of them
+        if (self.head and self.head.side == 2):
+            return tuple(tile for tile in TILES
+                         if tile in (2 * self.head.planes, self.head.planes) and tile % 16 == 0)
         least = self.head.planes if self.head else 0  # they are in the first tile
         return tuple(tile for tile in TILES if self.channels % tile == 0 and tile >= least)
 
     def give(self, head: Head) -> bool:
         """Give the result in this form; whether the kernels can."""
-        rows = self.channels == 4 * head.planes and 2 * head.planes in TILES and 2 * head.planes % STEP == 0
-        parts = (rows if head.side == 2 else head.planes <= self.channels) and not self.positive and self.added is None
+        rows = (self.channels == 4 * head.planes and 2 * head.planes in TILES
+                and 2 * head.planes % STEP == 0)
+        parts = ((rows if head.side == 2 else head.planes <= self.channels) and not self.positive
+                 and self.added is None)
         if parts:
             self.head = head
         return parts
 
     def factors(self, tile: int) -> tuple[np.ndarray, np.ndarray]:
-        """The weights and the bias in the order of the kernels: (tiles, steps, 4, tile, 8), tap by tap; (channels,)."""
+        """The weights and the bias in the order of the kernels: (tiles, steps, 4, tile, 8), tap by
+        tap; (channels,)."""
         count, side, order = self.channels, self.taps, np.arange(self.channels)
-        if self.head and self.head.side == 2:  # rows, and of the planes of their two pixels a tile's half
+        # rows, and of the planes of their two pixels a tile's half
+        if (self.head and self.head.side == 2):
             order = order.reshape(2, 2, -1, tile // 2).transpose(0, 2, 1, 3).reshape(-1)
         weight = self.weight[order]
         if self.cells:  # the channels of a cell: its rows, their pixels, their channels
@@ -160,7 +170,8 @@ class Unfit(ValueError):
 
 
 def read_layers(content: bytes, folder: Path) -> list[Layer]:
-    """The layers of a network in the order in which they run. Raises Unfit where it is not made of such layers only.
+    """The layers of a network in the order in which they run. Raises Unfit where it is not made of
+    such layers only.
 
     Args:
         content: of the model, which has been checked.
@@ -170,7 +181,8 @@ def read_layers(content: bytes, folder: Path) -> list[Layer]:
 
 
 class _Reader:
-    """Follows the nodes of a model: what is not part of a layer yet waits under the name of its result."""
+    """Follows the nodes of a model: what is not part of a layer yet waits under the name of its
+    result."""
 
     def __init__(self, model: ModelFile, folder: Path) -> None:
         self._model, self._folder = model, folder
@@ -187,8 +199,8 @@ class _Reader:
 
     def layers(self) -> list[Layer]:
         steps: dict[str, Callable[[Node], None]] = {
-            "Transpose": self._transpose, "Conv": self._convolve, "Relu": self._bound, "MaxPool": self._pool,
-            "Resize": self._enlarge, "Add": self._add}
+            "Transpose": self._transpose, "Conv": self._convolve, "Relu": self._bound,
+            "MaxPool": self._pool, "Resize": self._enlarge, "Add": self._add}
         for node in self._model.nodes:
             if node.domain or node.operator not in steps or len(node.outputs) != 1:
                 raise Unfit(f"it has {node.operator}")
@@ -199,7 +211,8 @@ class _Reader:
         found = list(self._layers.values())
         if {value.name for value in self._model.outputs} != self._given:
             raise Unfit("it has outputs that no convolution makes, or channels first")
-        known = {name for layer in found for name in (layer.output, layer.pooled)} | set(self._same.values())
+        known = ({name for layer in found for name in (layer.output, layer.pooled)}
+                 | set(self._same.values()))
         if not {name for layer in found for name in (layer.source, layer.coarse)} <= known | {""}:
             raise Unfit("it reads channels first, or what comes before an activation")
         return found
@@ -221,12 +234,15 @@ class _Reader:
         side = weight.shape[2]
         shape = (ints.get("strides", (1, 1))[0], ints.get("pads", (0,) * 4)[0])
         known = {(1, 1, 0): False, (3, 1, 1): False, (2, 2, 0): True, (4, 2, 1): True}
-        plain = (ints.get("group", (1,)), set(ints.get("dilations", (1,))), len(set(ints.get("pads", (0,)))),
-                 len(set(ints.get("strides", (1,)))), weight.shape[3], node.words.get("auto_pad", "NOTSET"))
-        if (side, *shape) not in known or plain != ((1,), {1}, 1, 1, side, "NOTSET") or len(node.inputs) != 3:
+        plain = (ints.get("group", (1,)), set(ints.get("dilations", (1,))),
+                 len(set(ints.get("pads", (0,)))), len(set(ints.get("strides", (1,)))),
+                 weight.shape[3], node.words.get("auto_pad", "NOTSET"))
+        if ((side, *shape) not in known or plain != ((1,), {1}, 1, 1, side, "NOTSET")
+            or len(node.inputs) != 3):
             raise Unfit("it has other convolutions")
         source, coarse = self._sums.get(node.inputs[0], (node.inputs[0], ""))
-        layer = Layer(self._same.get(source, source), weight, self._array(node.inputs[2]).astype(np.float32),
+        layer = Layer(self._same.get(source, source), weight,
+                      self._array(node.inputs[2]).astype(np.float32),
                       node.outputs[0], known[side, *shape], coarse)
         if coarse and layer.cells:
             raise Unfit("it adds to an input")
@@ -242,14 +258,17 @@ class _Reader:
     def _pool(self, node: Node) -> None:
         layer, ints = self._layers.get(node.inputs[0]), node.integers
         shape = tuple(ints.get(name, (standard,)) for name, standard in
-                      (("kernel_shape", 1), ("strides", 1), ("dilations", 1), ("pads", 0), ("ceil_mode", 0)))
-        if layer is None or layer.pooled or [set(part) for part in shape] != [{2}, {2}, {1}, {0}, {0}]:
+                      (("kernel_shape", 1), ("strides", 1), ("dilations", 1), ("pads", 0),
+                       ("ceil_mode", 0)))
+        if (layer is None or layer.pooled
+            or [set(part) for part in shape] != [{2}, {2}, {1}, {0}, {0}]):
             raise Unfit("it pools otherwise")
         layer.pooled = node.outputs[0]
 
     def _enlarge(self, node: Node) -> None:
         scale = self._array(node.inputs[2], _FLOAT) if len(node.inputs) > 2 else np.empty(0)
-        if scale.tolist() != [1, 1, 2, 2] or {name: node.words.get(name) for name in _NEAREST} != _NEAREST:
+        if (scale.tolist() != [1, 1, 2, 2]
+            or {name: node.words.get(name) for name in _NEAREST} != _NEAREST):
             raise Unfit("it resizes otherwise")
         self._enlarged[node.outputs[0]] = node.inputs[0]
 
@@ -296,16 +315,20 @@ class _Reader:
 
 
 def _join(layers: list[Layer]) -> list[Layer]:
-    """Layers of one pixel that read the same become one, where one of them is enlarged afterwards: its result comes
-    last."""
+    """Layers of one pixel that read the same become one, where one of them is enlarged afterwards:
+    its result comes last."""
     coarse, joined = {layer.coarse for layer in layers}, list[Layer]()
-    alike = {layer.output: layer for layer in layers if layer.taps == 1 and not (layer.cells or layer.positive)}
+    alike = {layer.output: layer
+             for layer in layers if layer.taps == 1 and not (layer.cells or layer.positive)}
     heads = {layer.source: layer for layer in alike.values() if layer.output not in coarse}
     for layer in layers:
-        other = heads.get(layer.source) if layer.output in coarse and layer.output in alike else None
+        other = (heads.get(layer.source) if layer.output in coarse and layer.output in alike
+                 else None)
         if other is not None:
-            weight, bias = np.concatenate((other.weight, layer.weight)), np.concatenate((other.bias, layer.bias))
-            layer = Layer(layer.source, weight, bias, other.output, others=layer.output, split=other.channels)
+            weight, bias = (np.concatenate((other.weight, layer.weight)),
+                            np.concatenate((other.bias, layer.bias)))
+            layer = Layer(layer.source, weight, bias, other.output, others=layer.output,
+                          split=other.channels)
         joined.append(layer)
     taken = {layer.output for layer in joined if layer.others}
     return [layer for layer in joined if layer.others or layer.output not in taken]
@@ -313,8 +336,8 @@ def _join(layers: list[Layer]) -> list[Layer]:
 
 def give_heads(layers: Sequence[Layer], shapes: Mapping[str, tuple[int, ...]],
                heads: Mapping[str, Head]) -> tuple[dict[str, tuple[int, ...]], dict[str, str]]:
-    """Give results as these heads, by the names of outputs, where the kernels can: the shapes of inputs and outputs
-    then, and the new names of those that have one."""
+    """Give results as these heads, by the names of outputs, where the kernels can: the shapes of
+    inputs and outputs then, and the new names of those that have one."""
     found, names = dict(shapes), dict[str, str]()
     for layer in layers:
         if (head := heads.get(layer.output)) and layer.give(head):
@@ -332,7 +355,8 @@ class Launch:
         tile: channels of a block.
         groups: how many groups of threads a block has, each of which takes 64 pixels at a time.
         held: blocks that a processor holds at once.
-        slots: parts of its weights that a block holds at once, half of a tap's each; 0 for all of them.
+        slots: parts of its weights that a block holds at once, half of a tap's each; 0 for all of
+            them.
     """
 
     layer: Layer
@@ -358,8 +382,8 @@ class Launch:
     def given(self) -> tuple[int, ...]:
         """Numbers that the kernel is compiled for."""
         layer, head = self.layer, self.layer.head or Head("", 0, 0, 0, 0)
-        return (layer.taps, int(layer.cells), int(bool(layer.coarse)), layer.read, self.tile, self.slots, head.side,
-                *head[1:4])
+        return (layer.taps, int(layer.cells), int(bool(layer.coarse)), layer.read, self.tile,
+                self.slots, head.side, *head[1:4])
 
     @property
     def name(self) -> str:
@@ -369,9 +393,11 @@ class Launch:
     @property
     def source(self) -> str:
         """The kernel's, to follow postfx/kernels/convolution.cuh."""
-        return (f'\nextern "C" __global__ void __launch_bounds__({self.groups * GROUP}, {self.held}) {self.name}('
-                f'{", ".join(f"View {name}" for name in ARGUMENTS)}, Options options) {{\n'
-                f'    convolve<{", ".join(map(str, self.given))}>({", ".join(ARGUMENTS)}, options);\n}}\n')
+        return (f'\nextern "C" __global__ void __launch_bounds__({self.groups * GROUP}, '
+                f'{self.held}) {self.name}({", ".join(f"View {name}" for name in ARGUMENTS)}, '
+                'Options options) {\n'
+                f'    convolve<{", ".join(map(str, self.given))}>({", ".join(ARGUMENTS)}, '
+                'options);\n}\n')
 
     @property
     def factors(self) -> int:
@@ -387,7 +413,8 @@ class Launch:
     @property
     def shared(self) -> int:
         """Bytes of shared memory of a block: weights, and for each group a square."""
-        weights = self.slots * (self.layer.read * self.tile + 16) if self.slots else 2 * self.factors * self.tile
+        weights = (self.slots * (self.layer.read * self.tile + 16) if self.slots
+                   else 2 * self.factors * self.tile)
         return weights + self.groups * self.square
 
 
@@ -426,22 +453,25 @@ def choices(layer: Layer, rows: int, columns: int, gpu: Gpu) -> list[Launch]:
             for groups in GROUP_COUNTS:
                 launch = Launch(layer, rows, columns, tile, groups, 1, slots)
                 most = 65536 // (groups * GROUP * (48 + tile // 2))  # as registers allow
-                held = min((gpu.most_shared + 1024) // (launch.shared + 1024), most, MOST_GROUPS // groups)
+                held = min((gpu.most_shared + 1024) // (launch.shared + 1024), most,
+                           MOST_GROUPS // groups)
                 if held == 1 or held and groups > 1:  # one of more groups shares its weights
                     found.append(replace(launch, held=held))
             if not slots and found and found[-1].tile == tile:
                 break  # all its weights can stay
     if not found:
-        raise Unfit(f"a layer needs more than the {gpu.most_shared} bytes of shared memory that there are")
+        raise Unfit(f"a layer needs more than the {gpu.most_shared} bytes of shared memory that "
+                    "there are")
     return sorted(found, key=lambda launch: _cycles(launch, gpu))
 
 
 def _cycles(launch: Launch, gpu: Gpu) -> float:
-    """About how long a launch takes, fitted to what layers of these networks take on an H100, to 14 %.
+    """About how long a launch takes, fitted to what layers of these networks take on an H100, to 14
+    %.
 
-    Groups of a processor multiply one after the other: 64 pixels and 16 factors take half a cycle a channel, without
-    warpgroups one and 16. Each round of groups waits for its first pixels. A block's weights come once, or in parts
-    for each round.
+    Groups of a processor multiply one after the other: 64 pixels and 16 factors take half a cycle a
+    channel, without warpgroups one and 16. Each round of groups waits for its first pixels. A
+    block's weights come once, or in parts for each round.
     """
     tile, tasks = launch.tile, launch.squares * launch.tiles
     blocks = -(-launch.squares // launch.groups) * launch.tiles
@@ -449,19 +479,24 @@ def _cycles(launch: Launch, gpu: Gpu) -> float:
     load = held * launch.groups
     rounds = -(-tasks // (gpu.processors * load))
     product = launch.factors // 16 * (tile / 2 if gpu.warpgroups else 16 + tile)
-    weights = held * 2 * launch.factors * tile / CYCLE_WEIGHT_BYTES * (rounds if launch.slots else 1)
-    return weights + rounds * (WAIT + load * (product + WRITE * tile + launch.square / CYCLE_PIXEL_BYTES))
+    weights = held * 2 * launch.factors * tile / CYCLE_WEIGHT_BYTES * (rounds if launch.slots
+                                                                       else 1)
+    return weights + rounds * (WAIT + load
+                               * (product + WRITE * tile + launch.square / CYCLE_PIXEL_BYTES))
 
 
 def multiply_source(tile: int) -> str:
     """Products of a warpgroup for so many channels, for postfx/kernels/convolution.cuh."""
     count = tile // 2
-    sums, left = ", ".join(f'"+f"(sums[{i}])' for i in range(count)), ", ".join(f'"r"(left[{i}])' for i in range(4))
+    sums, left = (", ".join(f'"+f"(sums[{i}])' for i in range(count)),
+                  ", ".join(f'"r"(left[{i}])' for i in range(4)))
     places = [f"%{i}" for i in range(count + 5)]
-    given = f'{{{", ".join(places[:count])}}}, {{{", ".join(places[count:-1])}}}, {places[-1]}, 1, 1, 1, 0;'
+    given = (f'{{{", ".join(places[:count])}}}, {{{", ".join(places[count:-1])}}}, {places[-1]}, '
+             '1, 1, 1, 0;')
     return (f"\ntemplate <> __device__ inline void multiply<{count}>("
             f"float (&sums)[{count}], const Two (&left)[4], Matrices right) {{\n"
-            f'    asm volatile("wgmma.mma_async.sync.aligned.m64n{tile}k16.f32.f16.f16 {given}" : {sums} : {left}, '
+            f'    asm volatile("wgmma.mma_async.sync.aligned.m64n{tile}k16.f32.f16.f16 {given}" '
+            f': {sums} : {left}, '
             '"l"(right) : "memory");\n}\n')
 
 
@@ -493,7 +528,8 @@ class Convolutions:
             rows, columns = (side // (1 + layer.cells) for side in sizes[layer.source])
             sizes |= dict.fromkeys((layer.output, layer.others), (rows, columns))
             sizes[layer.pooled] = rows // 2, columns // 2
-            for name, channels in ((layer.output, layer.split or layer.channels), (layer.pooled, layer.channels),
+            for name, channels in ((layer.output, layer.split or layer.channels),
+                                   (layer.pooled, layer.channels),
                                    (layer.others, layer.channels - layer.split)):
                 if name and name not in shapes:
                     self._between[name] = 1, *sizes[name], channels
@@ -530,16 +566,20 @@ class Convolutions:
                          for name, shape in self._between.items()}
         return self._own
 
-    def bind(self, tensors: Mapping[str, Tensor], memory: Tensor | None = None) -> Callable[[], None]:
-        """A function that runs the network on these inputs and outputs, and in this memory in between."""
+    def bind(self, tensors: Mapping[str, Tensor],
+             memory: Tensor | None = None) -> Callable[[], None]:
+        """A function that runs the network on these inputs and outputs, and in this memory in
+        between."""
         known, runs = {**self._intermediates(memory), **tensors}, list[Callable[[], None]]()
         for launch, given in zip(self._launches, self._given, strict=True):
             layer = launch.layer
             named = {"input": layer.source, "coarse": layer.coarse, "output": layer.output,
                      "second": layer.others or layer.pooled}
             used = given | {name: known[other] for name, other in named.items() if other}
-            options = Options(launch.rows, launch.columns, launch.tiles, layer.split, layer.positive)
-            runs.append(self._gpu.convolution(launch, self._source, [used.get(name) for name in ARGUMENTS], options))
+            options = Options(launch.rows, launch.columns, launch.tiles, layer.split,
+                              layer.positive)
+            runs.append(self._gpu.convolution(launch, self._source,
+                                              [used.get(name) for name in ARGUMENTS], options))
 
         def run() -> None:
             for launch in runs:

@@ -1,8 +1,10 @@
-"""A CUDA GPU beside ONNX Runtime: its streams, its memory, kernels compiled from source when needed, and CUDA graphs.
+"""A CUDA GPU beside ONNX Runtime: its streams, its memory, kernels compiled from source when
+needed, and CUDA graphs.
 
-Commands that ran before on the same tensors are launched as one graph. Each family of kernels is a source file; the
-constants of Python and code that all families share are compiled before it. A plug-in's kernels come from files in its
-own folder, and share only the declaration of arguments with ours.
+Commands that ran before on the same tensors are launched as one graph. Each family of kernels is a
+source file; the constants of Python and code that all families share are compiled before it. A
+plug-in's kernels come from files in its own folder, and share only the declaration of arguments
+with ours.
 """
 
 from __future__ import annotations
@@ -56,8 +58,8 @@ class CudaChunk:
 
 
 class CudaMemory:
-    """One GPU: memory for tensors, the stream that all work runs on, others for what may run beside it, and compiled
-    kernels.
+    """One GPU: memory for tensors, the stream that all work runs on, others for what may run beside
+    it, and compiled kernels.
 
     Raises DeviceError if there is no GPU or no library to drive it.
     """
@@ -68,7 +70,8 @@ class CudaMemory:
         try:
             from cuda.core import Device
         except ImportError:
-            raise DeviceError(f"CUDA needs the package cuda-core: install it by {pip_install('cuda')}") from None
+            raise DeviceError("CUDA needs the package cuda-core: install it by "
+                              f"{pip_install('cuda')}") from None
         self._device = Device(index)
         self.place = CUDA, index
         self._thread = threading.local()
@@ -93,7 +96,8 @@ class CudaMemory:
     def fork(self, streams: Sequence[int], before: Sequence[int]) -> Fork | None:
         """Commands on streams of their own, see `Fork`; None if all are on the device's."""
         self._enter()
-        return Fork(self.stream, streams, before, lambda: self._graphs.capturing) if any(streams) else None
+        return (Fork(self.stream, streams, before, lambda: self._graphs.capturing) if any(streams)
+                else None)
 
     def allocate(self, nbytes: int) -> CudaChunk:
         """A new chunk."""
@@ -101,19 +105,23 @@ class CudaMemory:
             return CudaChunk(self._device.allocate(nbytes, stream=self._stream), nbytes)
 
     def write(self, pointer: int, array: np.ndarray) -> None:
-        """Copy a C-contiguous host array to `pointer` once the stream's earlier work is done. Nothing waits for a small
-        one: the driver keeps what it is given from pageable memory, as a new array's is."""
+        """Copy a C-contiguous host array to `pointer` once the stream's earlier work is done.
+        Nothing waits for a small one: the driver keeps what it is given from pageable memory, as a
+        new array's is."""
         with self._hold():
             small = array.nbytes <= SMALL_WRITE_BYTES
             given = array.copy() if small else array
-            check_result(driver().cuMemcpyHtoDAsync(pointer, address(given), array.nbytes, self.stream))
+            check_result(driver().cuMemcpyHtoDAsync(pointer, address(given), array.nbytes,
+                                                    self.stream))
             if not small:
                 self._stream.sync()
 
     def read(self, pointer: int, array: np.ndarray) -> None:
-        """Copy from `pointer` into a C-contiguous host array once the stream's earlier work is done."""
+        """Copy from `pointer` into a C-contiguous host array once the stream's earlier work is
+        done."""
         with self._hold():
-            check_result(driver().cuMemcpyDtoHAsync(address(array), pointer, array.nbytes, self.stream))
+            check_result(driver().cuMemcpyDtoHAsync(address(array), pointer, array.nbytes,
+                                                    self.stream))
             self._stream.sync()
 
     def copy(self, target: int, source: int, nbytes: int) -> None:
@@ -122,7 +130,8 @@ class CudaMemory:
         check_result(driver().cuMemcpyDtoDAsync(target, source, nbytes, self.stream))
 
     def follow(self, stream: int | None) -> int:
-        """Let what comes on the stream wait for the work that a producer's stream has now; the number of ours."""
+        """Let what comes on the stream wait for the work that a producer's stream has now; the
+        number of ours."""
         if stream is not None and stream != self.stream:
             with self._hold():
                 if self._producer is None:
@@ -156,7 +165,8 @@ class CudaMemory:
         self._stream.sync()
 
     def launcher(
-        self, name: str, source: Path, extent: tuple[int, int], blocks: Blocks | None, tensors: Sequence[Tensor]
+        self, name: str, source: Path, extent: tuple[int, int], blocks: Blocks | None,
+        tensors: Sequence[Tensor]
     ) -> Callable[[], None]:
         """A function that puts a kernel of a source file on the stream.
 
@@ -185,8 +195,8 @@ class CudaMemory:
 
     @property
     def convolves(self) -> bool:
-        """Whether it has what the kernels of `postfx.runtime.convolutions` need: they were written for GPUs of compute
-        capability 8.0 and newer."""
+        """Whether it has what the kernels of `postfx.runtime.convolutions` need: they were written
+        for GPUs of compute capability 8.0 and newer."""
         return bool(self._device.compute_capability >= (8, 0))
 
     @property
@@ -216,32 +226,38 @@ class CudaMemory:
         """
         self._enter()
         arch = f"{self._device.arch}{'a' * self.warpgroups}"
-        kernel = _compile(launch.name, convolution_source(self.warpgroups) + kernels, arch, "convolution.cuh")
+        kernel = _compile(launch.name, convolution_source(self.warpgroups) + kernels, arch,
+                          "convolution.cuh")
         handle, shared = _allow_shared(kernel.handle, launch.shared, self.place[1])
         threads, tiles = launch.groups * GROUP, launch.tiles
         held = driver().cuOccupancyMaxActiveBlocksPerMultiprocessor(handle, threads, shared)
-        at_once = max(1, int(check_result(held)) * self.processors // tiles)  # they go on to other pixels
+        # they go on to other pixels
+        at_once = max(1, int(check_result(held)) * self.processors // tiles)
         blocks = min(at_once, -(-launch.squares // launch.groups)) * tiles
         views = [View() if tensor is None else _view(tensor) for tensor in tensors]
-        return self._launcher(launch.name, kernel, handle, (blocks, 1), (threads, 1), shared, [*views, options])
+        return self._launcher(launch.name, kernel, handle, (blocks, 1), (threads, 1), shared,
+                              [*views, options])
 
-    def _launcher(self, name: str, kept: Any, handle: Any, grid: tuple[int, int], block: tuple[int, int], shared: int,
+    def _launcher(self, name: str, kept: Any, handle: Any, grid: tuple[int, int],
+                  block: tuple[int, int], shared: int,
                   given: Sequence[ctypes.Structure]) -> Callable[[], None]:
         arguments = (ctypes.c_void_p * len(given))(*map(ctypes.addressof, given))
         launch = partial(driver().cuLaunchKernel, handle, *grid, 1, *block, 1, shared, self.stream)
 
-        def run(held: tuple[object, ...] = (kept, given)) -> None:  # keeps the arguments' memory alive
+        # keeps the arguments' memory alive
+        def run(held: tuple[object, ...] = (kept, given)) -> None:
             self._enter()
             (status,) = launch(ctypes.addressof(arguments), 0)
             if int(status):
-                raise DeviceError(f"CUDA: {status.name} for kernel '{name}' with a grid of {grid}, blocks of {block} "
-                                  f"threads and {shared} bytes of shared memory")
+                raise DeviceError(f"CUDA: {status.name} for kernel '{name}' with a grid of {grid}, "
+                                  f"blocks of {block} threads and {shared} bytes of shared memory")
 
         return run
 
     @contextmanager
     def _hold(self) -> Iterator[None]:
-        """Hold the stream alone: work that other threads add during a capture would become part of the graph."""
+        """Hold the stream alone: work that other threads add during a capture would become part of
+        the graph."""
         with self._lock:
             self._enter()
             yield
@@ -254,12 +270,14 @@ class CudaMemory:
 
 
 def _allow_shared(kernel: Any, wanted: int, index: int) -> tuple[Any, int]:
-    """A kernel's function in the current context, and how many bytes of dynamic shared memory a launch takes: those
-    that are wanted, or as many as the GPU has. That many are allowed, as other launches of it may take more."""
+    """A kernel's function in the current context, and how many bytes of dynamic shared memory a
+    launch takes: those that are wanted, or as many as the GPU has. That many are allowed, as other
+    launches of it may take more."""
     attributes = driver().CUfunction_attribute
     is_function = isinstance(kernel, driver().CUfunction)
     function = kernel if is_function else check_result(driver().cuKernelGetFunction(int(kernel)))
-    fixed = check_result(driver().cuFuncGetAttribute(attributes.CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES, function))
+    fixed = check_result(driver().cuFuncGetAttribute(attributes.CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES,
+                                                     function))
     most = _most_shared(index) - int(fixed)
     allowed = attributes.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
     check_result(driver().cuFuncSetAttribute(function, allowed, most))
@@ -268,7 +286,8 @@ def _allow_shared(kernel: Any, wanted: int, index: int) -> tuple[Any, int]:
 
 def _most_shared(index: int) -> int:
     most = driver().CUdevice_attribute.CU_DEVICE_ATTRIBUTE_MAX_SHARED_MEMORY_PER_BLOCK_OPTIN
-    return int(check_result(driver().cuDeviceGetAttribute(most, check_result(driver().cuDeviceGet(index)))))
+    return int(check_result(driver()
+                            .cuDeviceGetAttribute(most, check_result(driver().cuDeviceGet(index)))))
 
 
 def _view(tensor: Tensor) -> View:
@@ -280,7 +299,8 @@ def _compile(name: str, source: str, arch: str, file: str) -> Any:
     try:
         return _compile_family(source, arch).get_kernel(name)
     except Exception as error:
-        raise ModelError(f"kernel '{name}' of {file} cannot be compiled for sm_{arch}: {error}") from error
+        raise ModelError(f"kernel '{name}' of {file} cannot be compiled for sm_{arch}: "
+                         f"{error}") from error
 
 
 @cache
@@ -298,8 +318,9 @@ MOST_BESIDE = 4
 class Fork:
     """Commands on several streams: each waits for those that barriers put before it, and no others.
 
-    The streams begin after what the device's stream holds now. At the end of a `with` block that one waits for all of
-    them, so whatever comes later does not have to know of them. It may become part of a graph that is being captured.
+    The streams begin after what the device's stream holds now. At the end of a `with` block that
+    one waits for all of them, so whatever comes later does not have to know of them. It may become
+    part of a graph that is being captured.
 
     Args:
         own: the device's stream.
@@ -307,7 +328,8 @@ class Fork:
         before: the commands before each one, as a bit mask of indices.
     """
 
-    def __init__(self, own: int, streams: Sequence[int], before: Sequence[int], capturing: Callable[[], bool]) -> None:
+    def __init__(self, own: int, streams: Sequence[int], before: Sequence[int],
+                 capturing: Callable[[], bool]) -> None:
         self._own, self._streams = own, [stream or own for stream in streams]
         self._before, self._capturing = before, capturing
         self._begun = Event(own, False)
@@ -320,7 +342,8 @@ class Fork:
         if stream not in self._last:
             _let_wait(stream, self._begun)
         before = [other for other in self._ends if self._before[index] >> other & 1]
-        for event in {self._streams[other]: self._ends[other] for other in before}.values():  # the last one of each
+        # the last one of each
+        for event in {self._streams[other]: self._ends[other] for other in before}.values():
             _let_wait(stream, event)
         begin = Event(stream, self._capturing())
         execute()
@@ -343,7 +366,8 @@ def _let_wait(stream: int, event: Event) -> None:
 
 
 MOST_CAPTURED_GRAPHS = 16
-"""Graphs that are kept. A pipeline needs two, because its history alternates between two sets of tensors."""
+"""Graphs that are kept. A pipeline needs two, because its history alternates between two sets of
+tensors."""
 
 
 class Event:
@@ -368,7 +392,8 @@ class Event:
 
 
 class Graph:
-    """A captured graph, the capturing function's result, and the objects that must live as long as the graph."""
+    """A captured graph, the capturing function's result, and the objects that must live as long as
+    the graph."""
 
     def __init__(self, captured: Any, result: Any, kept: Any) -> None:
         self.result = result
@@ -390,8 +415,8 @@ class Graph:
 class CudaGraphs:
     """Graphs of one stream, by a key that identifies their commands.
 
-    Commands run one by one the first time, when libraries choose algorithms and allocate memory, and are captured the
-    second time. Commands that cannot be captured always run one by one.
+    Commands run one by one the first time, when libraries choose algorithms and allocate memory,
+    and are captured the second time. Commands that cannot be captured always run one by one.
     """
 
     def __init__(self, stream: int) -> None:
@@ -402,7 +427,8 @@ class CudaGraphs:
         self.capturing = False
 
     def replay(self, key: Hashable, kept: Any, enqueue: Callable[[], Any]) -> Any:
-        """Launch the work of `enqueue` as a graph and return its result; None if it has to run command by command."""
+        """Launch the work of `enqueue` as a graph and return its result; None if it has to run
+        command by command."""
         if key in self._refused:
             return None
         if key not in self._known:
@@ -443,7 +469,8 @@ def driver() -> Any:
 
 
 def check_result(result: tuple[Any, ...]) -> Any:
-    """The result of a driver function without its status. Raises DeviceError if the status is a failure."""
+    """The result of a driver function without its status. Raises DeviceError if the status is a
+    failure."""
     if int(result[0]):
         raise DeviceError(f"CUDA: {result[0].name}")
     return result[1] if len(result) == 2 else None

@@ -1,4 +1,5 @@
-"""The device: memory, threads, queue, and the states that run on it; how a name picks provider and memory."""
+"""The device: memory, threads, queue, and the states that run on it; how a name picks provider and
+memory."""
 
 from __future__ import annotations
 
@@ -81,27 +82,32 @@ class Device:
     """Where passes run.
 
     Args:
-        name: 'cpu', 'cuda', 'cuda:1', or 'auto': CUDA where ONNX Runtime can really use it, else the CPU.
-        threads: CPU threads for kernels and networks; default: the cores that this process may use, by its
-            affinity and its container's quota.
-        compiled_kernels: use the kernels written for the device if there are any: compiled rows on the CPU, CUDA
-            sources on a GPU. If False, use their portable ONNX definitions.
-        memory: bytes of memory for the process, as a number or like '4G'. Tensors beyond it go to temporary files, and
-            passes work in tiles. CPU only; 'auto' then means the CPU.
+        name: 'cpu', 'cuda', 'cuda:1', or 'auto': CUDA where ONNX Runtime can really use it, else
+            the CPU.
+        threads: CPU threads for kernels and networks; default: the cores that this process may use,
+            by its affinity and its container's quota.
+        compiled_kernels: use the kernels written for the device if there are any: compiled rows on
+            the CPU, CUDA sources on a GPU. If False, use their portable ONNX definitions.
+        memory: bytes of memory for the process, as a number or like '4G'. Tensors beyond it go to
+            temporary files, and passes work in tiles. CPU only; 'auto' then means the CPU.
         kernels: library of portable definitions that go before those which come with the kernels.
         graphs: launch commands that ran before on the same tensors as one CUDA graph.
-        provider: an execution provider of ONNX Runtime for the networks, as 'OpenVINO,device_type=CPU': its name,
-            options of its own, and library=, a plug-in's file or package. Kernels and tensors stay on the CPU, and so
-            do nodes that it cannot run; 'auto' then means the CPU.
-        explicit_barriers: order commands by the barriers that encoders record and nothing else, as Metal 4 does: one
-            that is missing is a HazardError. If False, what commands read and write orders them, too.
+        provider: an execution provider of ONNX Runtime for the networks, as
+            'OpenVINO,device_type=CPU': its name, options of its own, and library=, a plug-in's file
+            or package. Kernels and tensors stay on the CPU, and so do nodes that it cannot run;
+            'auto' then means the CPU.
+        explicit_barriers: order commands by the barriers that encoders record and nothing else, as
+            Metal 4 does: one that is missing is a HazardError. If False, what commands read and
+            write orders them, too.
 
     Attributes:
-        models: name -> SHA-256 of the networks that are loaded, or may be for frames of another size.
-        results_lock: hold it from commit until the host has read transient results, if several threads commit.
+        models: name -> SHA-256 of the networks that are loaded, or may be for frames of another
+            size.
+        results_lock: hold it from commit until the host has read transient results, if several
+            threads commit.
 
-    Raises DeviceError when the device is not available or an option does not fit it, MemoryBudgetError for a budget
-    that cannot be read.
+    Raises DeviceError when the device is not available or an option does not fit it,
+    MemoryBudgetError for a budget that cannot be read.
     """
 
     def __init__(
@@ -117,7 +123,8 @@ class Device:
     ) -> None:
         if threads is not None and threads < 1:
             raise DeviceError(f"a device needs at least 1 thread, not {threads}")
-        self._arguments = name, threads, compiled_kernels, kernels, memory, graphs, provider, explicit_barriers
+        self._arguments = (name, threads, compiled_kernels, kernels, memory, graphs, provider,
+                           explicit_barriers)
         self.threads = threads or usable_cores()
         self.scratch = None if memory is None else Scratch(memory)
         name = "cpu" if (self.scratch or provider) and name == "auto" else name
@@ -170,8 +177,10 @@ class Device:
     def _helpers(self) -> Helpers:
         return Helpers(max(1, self.threads - 1))
 
-    def divide(self, rows: Callable[[int, int], None], first: int, last: int, least: int = MINIMUM_ROWS) -> None:
-        """Run `rows(first, last)` in bands of at least `least` rows over the threads of this device."""
+    def divide(self, rows: Callable[[int, int], None], first: int, last: int,
+               least: int = MINIMUM_ROWS) -> None:
+        """Run `rows(first, last)` in bands of at least `least` rows over the threads of this
+        device."""
         count = min(self.threads, (last - first) // least)
         if count < 2:
             rows(first, last)
@@ -184,22 +193,26 @@ class Device:
 
     @property
     def lent(self) -> Callable[[Callable[[int, int], None], int], None] | None:
-        """What the host's work on planes is divided by; None within a memory budget, where it goes piece by piece."""
+        """What the host's work on planes is divided by; None within a memory budget, where it goes
+        piece by piece."""
         return None if self.scratch else lambda rows, count: self.divide(rows, 0, count, 1)
 
     def wrap(self, name: str, array: Any, copy: Tensor | None = None) -> Tensor:
         """A tensor with an array's content: the same memory on the CPU, an upload elsewhere.
 
-        The tensor counts as written. Do not change the array while commands use it. One with strides, such as a crop or
-        a transposed array, is copied by every command that uses it on the CPU.
+        The tensor counts as written. Do not change the array while commands use it. One with
+        strides, such as a crop or a transposed array, is copied by every command that uses it on
+        the CPU.
 
         Args:
-            array: of NumPy, or of any library that has `__dlpack__` or `__cuda_array_interface__`; one in this GPU's
-                memory stays there and is not copied, and its producer's work is waited for on the GPU.
-            copy: a tensor of the same shape and type to upload to, where the device has its own memory.
+            array: of NumPy, or of any library that has `__dlpack__` or `__cuda_array_interface__`;
+                one in this GPU's memory stays there and is not copied, and its producer's work is
+                waited for on the GPU.
+            copy: a tensor of the same shape and type to upload to, where the device has its own
+                memory.
 
-        Raises BindingError when the array is of a type or byte order that tensors cannot have, or in the memory of
-        another device.
+        Raises BindingError when the array is of a type or byte order that tensors cannot have, or
+        in the memory of another device.
         """
         if not isinstance(array, np.ndarray):
             borrowed = self._borrow(name, array)
@@ -207,24 +220,30 @@ class Device:
                 return borrowed
             array = borrowed
         if not array.dtype.isnative:
-            raise BindingError(f"array '{name}' has the byte order of other machines: pass it as {array.dtype.name}")
+            raise BindingError(f"array '{name}' has the byte order of other machines: pass it as "
+                               f"{array.dtype.name}")
         if not self.memory.host_visible:
             copy = copy or self.heap.tensor(name, array.shape, array.dtype.name)
-            tensor = Tensor(self, name, copy.shape, copy.dtype, Allocation(name, copy.start, copy.nbytes, owner=copy))
+            tensor = Tensor(self, name, copy.shape, copy.dtype,
+                            Allocation(name, copy.start, copy.nbytes, owner=copy))
             tensor.upload(array)
             return tensor
         strided = None if array.flags.c_contiguous else array
-        first, end = (address(array), address(array) + array.nbytes) if strided is None else byte_span(array)
-        allocation = Allocation(name, first, end - first, owner=array, writable=array.flags.writeable)
+        first, end = ((address(array), address(array) + array.nbytes) if strided is None
+                      else byte_span(array))
+        allocation = Allocation(name, first, end - first, owner=array,
+                                writable=array.flags.writeable)
         tensor = Tensor(self, name, array.shape, name_of(array.dtype), allocation, strided=strided)
         self.hazards.mark_written(tensor)
         return tensor
 
     def _borrow(self, name: str, array: Any) -> Tensor | np.ndarray:
-        """A tensor on an array of another library in this device's memory, or NumPy's view of one in the host's."""
+        """A tensor on an array of another library in this device's memory, or NumPy's view of one
+        in the host's."""
         if not (hasattr(array, "__dlpack__") or hasattr(array, "__cuda_array_interface__")):
             kind = type(array).__name__
-            raise BindingError(f"array '{name}' is {kind}: give a NumPy array, or one of a library with DLPack")
+            raise BindingError(f"array '{name}' is {kind}: give a NumPy array, or one of a library "
+                               "with DLPack")
         try:
             place = array.__dlpack_device__() if hasattr(array, "__dlpack_device__") else None
             if place and place[0] in HOST_KINDS:
@@ -232,44 +251,54 @@ class Device:
             held = borrow(array, self.memory, place)
         except (ValueError, TypeError, BufferError, RuntimeError) as error:
             kind = type(array).__name__
-            raise BindingError(f"array '{name}' cannot be read from {kind}: {first_line(error)}") from error
+            raise BindingError(f"array '{name}' cannot be read from {kind}: "
+                               f"{first_line(error)}") from error
         nbytes = size_in_bytes(held.shape, held.dtype) if held.dtype in DTYPES else 0
-        allocation = Allocation(name, held.pointer, nbytes, owner=held.owner, writable=not held.is_read_only)
+        allocation = Allocation(name, held.pointer, nbytes, owner=held.owner,
+                                writable=not held.is_read_only)
         tensor = Tensor(self, name, held.shape, held.dtype, allocation)
         self.hazards.mark_written(tensor)
         return tensor
 
     def pipeline_state(
         self, library: Library, name: str, dims: Dims | None = None,
-        in_place: Mapping[str, str] | None = None, threads: int | None = None, heads: Mapping[str, Head] | None = None,
-        codes: bool = False,
+        in_place: Mapping[str, str] | None = None, threads: int | None = None,
+        heads: Mapping[str, Head] | None = None, codes: bool = False,
     ) -> PipelineState:
         """A network of a library, with its free dimensions fixed.
 
         Args:
-            dims: free dimension name -> size; a dimension without a name is given by (input or output, axis).
-            in_place: input -> output that replaces its content: one binding of the access 'read-write', by the input's
-                name.
-            threads: how many of the device's threads it takes, default all of them. Commands that no barrier orders and
-                that take fewer run side by side; on a GPU, each on one of a few streams, unless it is `in_place`.
-            heads: outputs that become others where our own kernels run the network. The state's bindings tell.
-            codes: whether a CPU leaves integer products at the end of the network to the caller: the state's
-                `products`.
+            dims: free dimension name -> size; a dimension without a name is given by (input or
+                output, axis).
+            in_place: input -> output that replaces its content: one binding of the access
+                'read-write', by the input's name.
+            threads: how many of the device's threads it takes, default all of them. Commands that
+                no barrier orders and that take fewer run side by side; on a GPU, each on one of a
+                few streams, unless it is `in_place`.
+            heads: outputs that become others where our own kernels run the network. The state's
+                bindings tell.
+            codes: whether a CPU leaves integer products at the end of the network to the caller:
+                the state's `products`.
 
-        Raises ModelError when the model is missing, damaged or cannot run here, a dimension is left free, or two
-        bindings cannot be one.
+        Raises ModelError when the model is missing, damaged or cannot run here, a dimension is left
+        free, or two bindings cannot be one.
         """
         fixed = {key: int(size) for key, size in (dims or {}).items()}
-        content, named = _load(library, name, fixed), {key: size for key, size in fixed.items() if isinstance(key, str)}
+        content, named = _load(library, name, fixed), {key: size for key, size in fixed.items()
+                                                       if isinstance(key, str)}
         taken = self.threads if threads is None else threads
         if not 1 <= taken <= self.threads:
-            raise DeviceError(f"network '{name}' cannot take {taken} of the {self.threads} threads of {self!r}")
+            raise DeviceError(f"network '{name}' cannot take {taken} of the {self.threads} threads "
+                              f"of {self!r}")
         narrow = taken < self.threads and not in_place
         if self.gpu and self.gpu.convolves and not (narrow or in_place):
             try:
-                layers, host = read_layers(content, library.path(name).parent), Placement(CPU, "cpu", 0, taken)
-                session = self._session(content, library, name, host, fixed)  # tells sizes and constants
-                state = PipelineState(self, name, session, named, library.path(name), library.constants(name))
+                layers, host = (read_layers(content, library.path(name).parent),
+                                Placement(CPU, "cpu", 0, taken))
+                # tells sizes and constants
+                session = self._session(content, library, name, host, fixed)
+                state = PipelineState(self, name, session, named, library.path(name),
+                                      library.constants(name))
                 state.convolve(layers, self.gpu, heads or {})
                 self.name_model(library, name)
                 return state
@@ -291,21 +320,22 @@ class Device:
                 return None
             again = _load(library, name, fixed)
             given = take_products(again)[0] if products else again
-            return Session(given, name, replace(placement, stream=0), named, library.path(name).parent,
-                           of_its_own=True).intermediates()
+            return Session(given, name, replace(placement, stream=0), named,
+                           library.path(name).parent, of_its_own=True).intermediates()
 
-        return PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken,
-                             products, measure)
+        return PipelineState(self, name, session, named, library.path(name),
+                             library.constants(name), in_place, taken, products, measure)
 
     def intermediates(self, *needed: PipelineState | int) -> Intermediates:
-        """Memory for the intermediates of networks that run one after the other: enough for the largest of these
-        states, or bytes."""
+        """Memory for the intermediates of networks that run one after the other: enough for the
+        largest of these states, or bytes."""
         sizes = [item if isinstance(item, int) else item.intermediates_size or 0 for item in needed]
         return Intermediates(self, max(sizes, default=0))
 
     def _session(self, content: bytes, library: Library, name: str, placement: Placement,
                  fixed: Dims) -> Session | TableSession:
-        """A network's session, all of whose dimensions are fixed; without ONNX Runtime its tables, if it is no more."""
+        """A network's session, all of whose dimensions are fixed; without ONNX Runtime its tables,
+        if it is no more."""
         if not has_networks():
             with contextlib.suppress(ValueError):
                 return TableSession(content)
@@ -313,10 +343,11 @@ class Device:
         session = Session(content, name, placement, named, library.path(name).parent,
                           placement.provider != CPU and placement.stream != 0)
         for value in (*session.inputs, *session.outputs):
-            free = [str(size or f"axis {axis}") for axis, size in enumerate(value.shape) if not isinstance(size, int)]
+            free = [str(size or f"axis {axis}")
+                    for axis, size in enumerate(value.shape) if not isinstance(size, int)]
             if free:
-                raise ModelError(f"network '{name}' leaves {', '.join(free)} of '{value.name}' free: dims were "
-                                 f"{_text_dims(fixed)}")
+                raise ModelError(f"network '{name}' leaves {', '.join(free)} of '{value.name}' "
+                                 f"free: dims were {_text_dims(fixed)}")
         return session
 
     def name_model(self, library: Library, name: str) -> None:
@@ -327,7 +358,8 @@ class Device:
         """A kernel made ready, once per device: compiled rows on the CPU, its CUDA source or its
         portable definition elsewhere.
 
-        Raises ModelError when the portable definition is needed and missing, or its bindings are not the kernel's.
+        Raises ModelError when the portable definition is needed and missing, or its bindings are
+        not the kernel's.
         """
         if kernel not in self._compute_states:
             self._compute_states[kernel] = self._make_state(kernel)
@@ -340,8 +372,8 @@ class Device:
 
     def host_state(self, name: str, reads: Sequence[str], writes: Sequence[str],
                    work: Callable[..., None]) -> State:
-        """Work of another library among the commands: `work` gets an array of the host for each of the names that it
-        `reads` and then `writes`, float32 of any shape."""
+        """Work of another library among the commands: `work` gets an array of the host for each of
+        the names that it `reads` and then `writes`, float32 of any shape."""
         return HostState(self, name, reads, writes, work)
 
     @property
@@ -354,9 +386,10 @@ class Device:
         """The GPU that kernels run on by their CUDA sources; None where they run otherwise."""
         return self.memory if self._compiled and isinstance(self.memory, CudaMemory) else None
 
-    def command_buffer(self, label: str, captured: bool = True, known: Recordings | None = None) -> CommandBuffer:
-        """A new, empty command buffer. An active capture records it if `captured`; what it records is looked up among
-        `known` recordings."""
+    def command_buffer(self, label: str, captured: bool = True,
+                       known: Recordings | None = None) -> CommandBuffer:
+        """A new, empty command buffer. An active capture records it if `captured`; what it records
+        is looked up among `known` recordings."""
         return CommandBuffer(self, label, captured, known)
 
     def capture(
@@ -365,13 +398,14 @@ class Device:
         """A capture, for a `with` block: it records the command buffers committed inside.
 
         Args:
-            tensors: what to keep of each command's output: 'thumbnails' (figures and small pictures), 'none', or 'all'
-                (its whole content too, in files).
+            tensors: what to keep of each command's output: 'thumbnails' (figures and small
+                pictures), 'none', or 'all' (its whole content too, in files).
             folder: where 'all' puts the files, in a folder `tensors`.
-            network: also run every network once more, node by node, and keep each node's output and time. Takes several
-                times the network's own time and needs the package `onnx`.
+            network: also run every network once more, node by node, and keep each node's output and
+                time. Takes several times the network's own time and needs the package `onnx`.
 
-        Raises CaptureError if the options do not fit together, or another capture of this device is active.
+        Raises CaptureError if the options do not fit together, or another capture of this device is
+        active.
         """
         return Capture(self, tensors, folder, network)
 
@@ -386,10 +420,11 @@ class Device:
         wait_for_all(repr(self), self.hazards.in_flight(), timeout)
 
     def require_process(self) -> None:
-        """Raises DeviceError in a process forked after the device was made: a fork has none of its threads."""
+        """Raises DeviceError in a process forked after the device was made: a fork has none of its
+        threads."""
         if self._process != os.getpid():
-            raise DeviceError(f"{self!r} belongs to the process that this one was forked from: make devices and "
-                              "pipelines here, or start processes by 'spawn'")
+            raise DeviceError(f"{self!r} belongs to the process that this one was forked from: "
+                              "make devices and pipelines here, or start processes by 'spawn'")
 
     def next_encoder(self) -> int:
         """A number for a new encoder; numbers rise in the order of recording."""
@@ -411,15 +446,16 @@ class Device:
         if self._kernels and kernel.name in self._kernels:
             return self._kernels.load(kernel.name)
         if not kernel.portable.is_file():
-            raise ModelError(f"kernel '{kernel.name}' has no form that runs on {self!r}: there is no "
-                             f"'{kernel.portable}' (docs/howto/passes.md says how to export it)")
+            raise ModelError(f"kernel '{kernel.name}' has no form that runs on {self!r}: there is "
+                             f"no '{kernel.portable}' (docs/howto/passes.md says how to export it)")
         return Library(kernel.portable.parent).load(kernel.name)
 
 
 def _run_by(placement: Placement, provider: str | Provider, name: str) -> Placement:
     """The CPU's placement, with networks on another provider."""
     if placement.provider != CPU:
-        raise DeviceError(f"a provider works on the host's memory, not on '{name}': leave one of them out")
+        raise DeviceError(f"a provider works on the host's memory, not on '{name}': leave one of "
+                          "them out")
     asked = find_provider(parse_provider(provider) if isinstance(provider, str) else provider)
     return replace(placement, provider=asked.name, asked=asked)
 
@@ -427,18 +463,21 @@ def _run_by(placement: Placement, provider: str | Provider, name: str) -> Placem
 def _within(scratch: Scratch, memory: Memory, name: str) -> HostMemory:
     """Memory of a device with a budget."""
     if not memory.host_visible:
-        raise DeviceError(f"a memory budget is for the CPU, not for '{name}': leave one of them out")
+        raise DeviceError(f"a memory budget is for the CPU, not for '{name}': leave one of them "
+                          "out")
     return HostMemory(scratch)
 
 
 def _check_portable(kernel: Kernel, session: Session) -> None:
-    for values, names, what in ((session.inputs, kernel.reads, "inputs"), (session.outputs, kernel.writes, "outputs")):
-        renamed = {result: name for name, result in kernel.in_place.items()} if what == "outputs" else {}
+    for values, names, what in ((session.inputs, kernel.reads, "inputs"),
+                                (session.outputs, kernel.writes, "outputs")):
+        renamed = ({result: name for name, result in kernel.in_place.items()} if what == "outputs"
+                   else {})
         found = sorted((renamed.get(value.name, value.name), value.dtype) for value in values)
         wanted = sorted((name, kernel.types.get(name, "float32")) for name in names)
         if found != wanted:
-            raise ModelError(f"portable definition of kernel '{kernel.name}' has the {what} {_text(found)}: "
-                             f"they must be {_text(wanted)}")
+            raise ModelError(f"portable definition of kernel '{kernel.name}' has the {what} "
+                             f"{_text(found)}: they must be {_text(wanted)}")
 
 
 def _load(library: Library, name: str, fixed: Dims) -> bytes:
@@ -450,11 +489,13 @@ def _load(library: Library, name: str, fixed: Dims) -> bytes:
     try:
         return fix_dimensions(content, by_axis)
     except ValueError as error:
-        raise ModelError(f"network '{name}' cannot have the dims {_text_dims(by_axis)}: {error}") from error
+        raise ModelError(f"network '{name}' cannot have the dims {_text_dims(by_axis)}: "
+                         f"{error}") from error
 
 
 def _text_dims(dims: Dims) -> str:
-    given = {key if isinstance(key, str) else f"{key[0]}[{key[1]}]": size for key, size in dims.items()}
+    given = {key if isinstance(key, str) else f"{key[0]}[{key[1]}]": size
+             for key, size in dims.items()}
     return ", ".join(f"{key}={size}" for key, size in given.items()) or "none"
 
 
@@ -466,7 +507,8 @@ _DEVICE_NAME = re.compile(r"(auto|cpu|cuda)(?::(\d+))?")
 
 
 def choose(name: str, threads: int, graphs: bool = True) -> tuple[Placement, Memory]:
-    """Placement and memory of 'cpu', 'cuda', 'cuda:1' or 'auto'. Raises DeviceError when it is not available."""
+    """Placement and memory of 'cpu', 'cuda', 'cuda:1' or 'auto'. Raises DeviceError when it is not
+    available."""
     match = _DEVICE_NAME.fullmatch(name)
     if match is None or (match[2] and match[1] != "cuda"):
         raise DeviceError(f"no device '{name}': use auto, cpu, cuda or cuda:N")
@@ -492,7 +534,8 @@ def cuda_fault(index: int) -> str | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            getattr(ort, "preload_dlls", lambda: None)()  # since 1.21: CUDA libraries that came by pip
+            # since 1.21: CUDA libraries that came by pip
+            getattr(ort, "preload_dlls", lambda: None)()
             ProviderMemory(Placement("CUDAExecutionProvider", "cuda", index, 1)).check()
     except (PostfxError, RuntimeError, OSError) as error:
         return first_line(error)
@@ -506,14 +549,15 @@ class ProviderChunk:
     """A chunk that ONNX Runtime allocated on the provider's device."""
 
     def __init__(self, placement: Placement, nbytes: int) -> None:
-        self._value = ort.OrtValue.ortvalue_from_shape_and_type([nbytes], np.uint8, placement.memory, placement.index)
+        self._value = ort.OrtValue.ortvalue_from_shape_and_type([nbytes], np.uint8,
+                                                                placement.memory, placement.index)
         self.pointer = self._value.data_ptr()
         self.nbytes = nbytes
 
 
 class ProviderMemory(Immediate):
-    """Memory of `placement`. ONNX Runtime copies between devices where a session's inputs and outputs are bound, and
-    waits at the end of each run."""
+    """Memory of `placement`. ONNX Runtime copies between devices where a session's inputs and
+    outputs are bound, and waits at the end of each run."""
 
     host_visible = False
 

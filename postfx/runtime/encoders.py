@@ -51,7 +51,8 @@ class Dispatch:
 class EncoderBarrier:
     """Orders the dispatches of one encoder: all before it, then all after it.
 
-    Metal 4's `barrierAfterEncoderStages:beforeEncoderStages:`; an encoder has one stage, so it needs no masks.
+    Metal 4's `barrierAfterEncoderStages:beforeEncoderStages:`; an encoder has one stage, so it
+    needs no masks.
     """
 
     encoder: int
@@ -59,7 +60,8 @@ class EncoderBarrier:
 
 @dataclass(frozen=True)
 class ConsumerBarrier:
-    """Dispatches of `after` in earlier encoders come before later dispatches of `before`, here and in later encoders.
+    """Dispatches of `after` in earlier encoders come before later dispatches of `before`, here and
+    in later encoders.
 
     Metal 4's `barrierAfterQueueStages:beforeStages:`.
     """
@@ -71,8 +73,8 @@ class ConsumerBarrier:
 
 @dataclass(frozen=True)
 class ProducerBarrier:
-    """Dispatches of `after` recorded so far, here and in earlier encoders, come before dispatches of `before` in later
-    ones.
+    """Dispatches of `after` recorded so far, here and in earlier encoders, come before dispatches
+    of `before` in later ones.
 
     Metal 4's `barrierAfterStages:beforeQueueStages:`.
     """
@@ -89,7 +91,8 @@ Stages = str | Iterable[str]
 """What a barrier orders: one stage or several of them."""
 
 MOST_RECORDINGS = 4
-"""Recordings that are known again: histories swap from frame to frame, and some frames are unlike others."""
+"""Recordings that are known again: histories swap from frame to frame, and some frames are unlike
+others."""
 
 
 MOST_PASSAGES = 4 * MOST_RECORDINGS
@@ -98,15 +101,17 @@ MOST_PASSAGES = 4 * MOST_RECORDINGS
 
 @dataclass(eq=False, slots=True)
 class Passage:
-    """Commands in a row that are recorded once and then repeated, and what recording them returned."""
+    """Commands in a row that are recorded once and then repeated, and what recording them
+    returned."""
 
     records: list[Record]
     result: Any
 
 
 class KnownCommands(NamedTuple):
-    """Commands that were committed before, the heap's `Placement` of their transient tensors or None, the `Footprint`
-    of what they access, and the passages in them; the first two types belong to modules above this one."""
+    """Commands that were committed before, the heap's `Placement` of their transient tensors or
+    None, the `Footprint` of what they access, and the passages in them; the first two types belong
+    to modules above this one."""
 
     records: list[Record]
     placement: Any
@@ -119,8 +124,9 @@ MOST_TABLES = 1024
 
 
 class Tables:
-    """Argument tables of commands that need none of the caller's, by state, label, and how many of them came before: so
-    each finds the tensors of the frame before in its table, which are mostly the same."""
+    """Argument tables of commands that need none of the caller's, by state, label, and how many of
+    them came before: so each finds the tensors of the frame before in its table, which are mostly
+    the same."""
 
     def __init__(self) -> None:
         self._tables: LRUCache[tuple[State, str, int], ArgumentTable] = LRUCache(MOST_TABLES)
@@ -135,8 +141,8 @@ class Tables:
 
 
 class Recordings:
-    """Knows commands again that were recorded before, on the same tensors, so that they need not be recorded, placed
-    and searched for hazards anew. It keeps what they use alive.
+    """Knows commands again that were recorded before, on the same tensors, so that they need not be
+    recorded, placed and searched for hazards anew. It keeps what they use alive.
 
     Attributes:
         tables: argument tables of commands that need none of the caller's.
@@ -157,7 +163,8 @@ class Recordings:
 
     def key(self, records: Sequence[Record], kept: Iterable[Allocation],
             passages: Sequence[Passage] = ()) -> tuple[object, ...]:
-        """What two recordings that are alike have in common: the passages, if there is nothing else in them."""
+        """What two recordings that are alike have in common: the passages, if there is nothing else
+        in them."""
         parts: list[object] = [frozenset(item for item in kept if isinstance(item, Transient))]
         if sum([len(passage.records) for passage in passages]) == len(records):
             return (*parts, *passages)
@@ -177,13 +184,14 @@ class Recordings:
         return self._known[key] if key in self._known else None
 
     def keep(self, key: tuple[object, ...], recorded: KnownCommands) -> None:
-        """Know these commands from now on. Forgets those in other transient memory, with released tensors, and with
-        wrapped arrays that these do not use."""
+        """Know these commands from now on. Forgets those in other transient memory, with released
+        tensors, and with wrapped arrays that these do not use."""
         memory, users = recorded.placement and recorded.placement.memory, recorded.footprint.users
         for other in list(self._known):
             old = self._known.peek(other)
-            if (old.placement and old.placement.memory) is not memory or any(
-                    item.released or (item.borrowed and item not in users) for item in old.footprint.users):
+            if ((old.placement and old.placement.memory) is not memory or any(
+                    item.released or (item.borrowed and item not in users)
+                    for item in old.footprint.users)):
                 self._known.drop(other)
         self._known[key] = recorded
         alive = {passage for one in self._known for passage in self._known.peek(one).passages}
@@ -243,17 +251,19 @@ class Encoder:
         self._dispatch(state, table)
 
     def barrier(
-        self, after: Stages | None = None, before: Stages | None = None, before_queue: Stages | None = None
+        self, after: Stages | None = None, before: Stages | None = None,
+        before_queue: Stages | None = None
     ) -> None:
         """Order commands. Three forms, as in Metal 4:
 
-        - `barrier()`, inside an encoder: every dispatch recorded so far in this encoder comes before every later one
-          in it.
-        - `barrier(after=, before=)`, the consumer's: dispatches of the `after` stages in earlier encoders come before
-          dispatches of the `before` stages that follow, in this encoder and all later ones.
-        - `barrier(after=, before_queue=)`, the producer's: dispatches of the `after` stages recorded so far, in this
-          encoder and earlier ones, come before dispatches of the `before_queue` stages in all later encoders, not in
-          this one.
+        - `barrier()`, inside an encoder: every dispatch recorded so far in this encoder comes
+          before every later one in it.
+        - `barrier(after=, before=)`, the consumer's: dispatches of the `after` stages in earlier
+          encoders come before dispatches of the `before` stages that follow, in this encoder and
+          all later ones.
+        - `barrier(after=, before_queue=)`, the producer's: dispatches of the `after` stages
+          recorded so far, in this encoder and earlier ones, come before dispatches of the
+          `before_queue` stages in all later encoders, not in this one.
 
         "Earlier" and "later" refer to the whole queue, including other command buffers.
 
@@ -261,22 +271,26 @@ class Encoder:
             after: 'compute', 'machine-learning' or both.
             before, before_queue: the same.
 
-        Raises EncodingError if a stage mask is empty or names an unknown stage, or if the masks fit none of the forms.
+        Raises EncodingError if a stage mask is empty or names an unknown stage, or if the masks fit
+        none of the forms.
         """
         if after is None and before is None and before_queue is None:
             self._record(EncoderBarrier(self._number))
         elif after is not None and before is not None and before_queue is None:
-            self._record(ConsumerBarrier(self._number, self._mask(after, "after"), self._mask(before, "before")))
+            self._record(ConsumerBarrier(self._number, self._mask(after, "after"),
+                                         self._mask(before, "before")))
         elif after is not None and before is None and before_queue is not None:
             masks = self._mask(after, "after"), self._mask(before_queue, "before_queue")
             self._record(ProducerBarrier(self._number, *masks))
         else:
             raise EncodingError(self._no_form(after, before, before_queue))
 
-    def _dispatch(self, state: State, table: ArgumentTable, heap: Intermediates | None = None) -> None:
+    def _dispatch(self, state: State, table: ArgumentTable,
+                  heap: Intermediates | None = None) -> None:
         if state.stage != self.stage:
             fix = f"use commands.{state.stage.replace('-', '_')}_encoder()"
-            message = f"'{self.label}' takes {self.stage} work, but {state.command} is {state.stage} work: {fix}"
+            message = (f"'{self.label}' takes {self.stage} work, but {state.command} is "
+                       f"{state.stage} work: {fix}")
             raise EncodingError(message)
         if state.device is not self._commands.device:
             raise EncodingError(f"'{self.label}': {state.command} was made for another device")
@@ -284,7 +298,8 @@ class Encoder:
             made, fix = table.state.command, f"make one for {state.command}"
             raise BindingError(f"'{self.label}': the argument table was made for {made}: {fix}")
         try:
-            memory = heap.memory_for(state) if heap is not None and isinstance(state, PipelineState) else None
+            memory = (heap.memory_for(state)
+                      if heap is not None and isinstance(state, PipelineState) else None)
             arguments = table.arguments(memory)
         except BindingError as error:
             raise BindingError(f"'{self.label}': {error}") from None
@@ -300,14 +315,16 @@ class Encoder:
             raise EncodingError(f"encoder '{self.label}' has ended: open a new one")
         self._commands.record(record)
 
-    def _no_form(self, after: Stages | None, before: Stages | None, before_queue: Stages | None) -> str:
+    def _no_form(self, after: Stages | None, before: Stages | None,
+                 before_queue: Stages | None) -> str:
         if before is not None and before_queue is not None:
             fix = "record one barrier with before= and another with before_queue="
         elif after is None:
             fix = f"give after= too, with {'before=' if before_queue is None else 'before_queue='}"
         else:
             fix = "give before= (this and later encoders) or before_queue= (later encoders) too"
-        return f"barrier in '{self.label}': {fix}; for the commands of this encoder alone, barrier() takes no stages"
+        return (f"barrier in '{self.label}': {fix}; for the commands of this encoder alone, "
+                "barrier() takes no stages")
 
     def _mask(self, stages: Stages, side: str) -> frozenset[str]:
         try:
@@ -315,10 +332,12 @@ class Encoder:
         except TypeError:  # not iterable: named below
             mask = frozenset((str(stages),))
         if not mask:
-            raise EncodingError(f"barrier in '{self.label}': the {side}= stage mask is empty: name {_STAGES_TEXT}")
+            raise EncodingError(f"barrier in '{self.label}': the {side}= stage mask is empty: name "
+                                f"{_STAGES_TEXT}")
         unknown = sorted(str(stage) for stage in mask.difference(STAGES))
         if unknown:
-            message = f"the {side}= stage mask names '{unknown[0]}', which is not a stage: stages are {_STAGES_TEXT}"
+            message = (f"the {side}= stage mask names '{unknown[0]}', which is not a stage: stages "
+                       f"are {_STAGES_TEXT}")
             raise EncodingError(f"barrier in '{self.label}': {message}")
         return mask
 
@@ -334,19 +353,22 @@ class MachineLearningEncoder(Encoder):
 
     stage = "machine-learning"
 
-    def dispatch_network(self, state: State, table: ArgumentTable, heap: Intermediates | None = None) -> None:
+    def dispatch_network(self, state: State, table: ArgumentTable,
+                         heap: Intermediates | None = None) -> None:
         """Record one run of a network on the tensors that are in the table now.
 
         Args:
             heap: memory for its intermediates, which other networks may share; default: its own.
 
-        Raises BindingError for unbound or unfitting arguments and a heap that is too small, HazardError for aliased
-        arguments.
+        Raises BindingError for unbound or unfitting arguments and a heap that is too small,
+        HazardError for aliased arguments.
         """
         self._dispatch(state, table, heap)
 
 
 def _aliasing_error(dispatch: Dispatch, other: Tensor, written: Tensor) -> HazardError:
-    pair = f"'{other.name}' and '{written.name}'" if other.name != written.name else f"'{written.name}'"
-    message = f"{dispatch} has {pair} on the same memory, one of them written: bind separate tensors"
+    pair = (f"'{other.name}' and '{written.name}'" if other.name != written.name
+            else f"'{written.name}'")
+    message = (f"{dispatch} has {pair} on the same memory, one of them written: bind separate "
+               "tensors")
     return HazardError(message, "aliasing", written.name, None, dispatch.label)

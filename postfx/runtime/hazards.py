@@ -1,8 +1,9 @@
-"""Hazards: how barriers order dispatches, which barriers commands need, and which buffers a commit refuses.
+"""Hazards: how barriers order dispatches, which barriers commands need, and which buffers a commit
+refuses.
 
-Checks use the tensors bound at dispatch and the directions that the model file or the kernel declares, and compare
-memory by address, so a caller cannot hide an access. From the same declarations barriers are made, unless a device has
-`explicit_barriers`.
+Checks use the tensors bound at dispatch and the directions that the model file or the kernel
+declares, and compare memory by address, so a caller cannot hide an access. From the same
+declarations barriers are made, unless a device has `explicit_barriers`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,15 @@ from functools import cached_property
 from typing import NamedTuple, Protocol
 
 from postfx.errors import CommandError, HazardError
-from postfx.runtime.encoders import STAGES, Barrier, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
+from postfx.runtime.encoders import (
+    STAGES,
+    Barrier,
+    ConsumerBarrier,
+    Dispatch,
+    EncoderBarrier,
+    ProducerBarrier,
+    Record,
+)
 from postfx.runtime.memory import Ranges
 from postfx.runtime.tensor import Allocation, Tensor, TensorState, Transient, Use
 from postfx.runtime.threads import Waitable
@@ -29,13 +38,15 @@ class RecordedCommands(Waitable, Protocol):
 
 
 class Hazards:
-    """The buffers in flight on one device: from commit until the host has waited for them or a later one.
+    """The buffers in flight on one device: from commit until the host has waited for them or a
+    later one.
 
-    `wait` retires a buffer, not its last command, so a missing barrier between two buffers is found whatever the
-    timing.
+    `wait` retires a buffer, not its last command, so a missing barrier between two buffers is found
+    whatever the timing.
 
     Attributes:
-        explicit: whether commands come in the order of recorded barriers alone, so that a missing one is an error.
+        explicit: whether commands come in the order of recorded barriers alone, so that a missing
+            one is an error.
     """
 
     def __init__(self, explicit: bool = False) -> None:
@@ -55,8 +66,8 @@ class Hazards:
             self._open.discard(commands)
 
     def commit(self, commands: RecordedCommands) -> bool:
-        """Check a buffer against itself and all buffers in flight, then add it to them; whether it may run beside those
-        that are not done. HazardError if a check fails."""
+        """Check a buffer against itself and all buffers in flight, then add it to them; whether it
+        may run beside those that are not done. HazardError if a check fails."""
         with self._lock:
             footprint = commands.footprint()
             self._check_content(footprint)
@@ -73,7 +84,8 @@ class Hazards:
             return stands_apart
 
     def retire(self, commands: RecordedCommands) -> None:
-        """Retire a buffer that the host has waited for, and all that were committed before it and are done."""
+        """Retire a buffer that the host has waited for, and all that were committed before it and
+        are done."""
         with self._lock:
             if commands in self._flying:
                 place = self._flying.index(commands)
@@ -101,26 +113,31 @@ class Hazards:
                     break
             needed = Ranges((tensor.span(),) if tensor.nbytes else ())
             allocation = tensor.allocation
-            lost = tensor.device.heap.explain_loss(allocation) if isinstance(allocation, Transient) else None
+            lost = (tensor.device.heap.explain_loss(allocation) if isinstance(allocation, Transient)
+                    else None)
             failed = self._failure(resident.allocation, needed)
-            defined = lost is None and failed is None and resident.allocation.written.includes(needed)
+            defined = (lost is None and failed is None
+                       and resident.allocation.written.includes(needed))
             return TensorState(tensor.released, defined, writer, reader, recorded, failed, lost)
 
     def is_settled(self, tensor: Tensor) -> bool:
         """Whether nothing is in flight and the host may read the tensor; if not, `state` tells."""
         with self._lock:
             own, allocation = tensor.allocation, tensor.resident().allocation
-            gone = own.released or (isinstance(own, Transient) and tensor.device.heap.explain_loss(own))
-            return not (gone or self._flying or allocation.lost) and allocation.written.covers(*tensor.span())
+            gone = (own.released
+                    or (isinstance(own, Transient) and tensor.device.heap.explain_loss(own)))
+            return (not (gone or self._flying or allocation.lost)
+                    and allocation.written.covers(*tensor.span()))
 
     def is_free(self, tensor: Tensor) -> bool:
-        """Whether nothing is in flight or recorded that uses the tensor, so that the host may write it; if not, `state`
-        tells."""
+        """Whether nothing is in flight or recorded that uses the tensor, so that the host may write
+        it; if not, `state` tells."""
         with self._lock:
             allocation = tensor.allocation
             if self._flying or allocation.released or allocation.transient:
                 return False
-            return not any([_uses(record.reads, tensor) or _uses(record.writes, tensor) for commands in self._open
+            return not any([_uses(record.reads, tensor) or _uses(record.writes, tensor)
+                            for commands in self._open
                             for record in commands.records if isinstance(record, Dispatch)])
 
     def mark_written(self, tensor: Tensor) -> None:
@@ -146,13 +163,16 @@ class Hazards:
                     tensor.allocation.lost.append((Ranges((tensor.span(),)), cause))
 
     def loss(self, tensor: Tensor) -> CommandError | None:
-        """The error of the command that should have written the tensor, as far as commands have run."""
+        """The error of the command that should have written the tensor, as far as commands have
+        run."""
         needed = Ranges((tensor.span(),))
         with self._lock:
-            return next((cause for ranges, cause in tensor.allocation.lost if ranges.touches(needed)), None)
+            return next((cause for ranges, cause in tensor.allocation.lost
+                         if ranges.touches(needed)), None)
 
     def _failure(self, allocation: Allocation, needed: Ranges) -> CommandError | None:
-        """The error of the failed command because of which some of these bytes will never be written."""
+        """The error of the failed command because of which some of these bytes will never be
+        written."""
         for ranges, cause in allocation.lost:
             left = ranges.copy()
             for commands in self._flying:
@@ -162,7 +182,8 @@ class Hazards:
         return None
 
     def _stands_apart(self, footprint: Footprint) -> bool:
-        """Whether all that is not done leaves threads, and no barrier puts any of it before these commands."""
+        """Whether all that is not done leaves threads, and no barrier puts any of it before these
+        commands."""
         others = [buffer.footprint() for buffer in self._flying if not buffer.is_done()]
         if not all(other.narrow for other in others):
             return False
@@ -171,7 +192,8 @@ class Hazards:
         return bool(others) and not any(mask & (1 << count) - 1 for mask in before[count:])
 
     def _check_content(self, footprint: Footprint) -> None:
-        if footprint.filled and not any([allocation.released or allocation.lost for allocation in footprint.users]):
+        if footprint.filled and not any([allocation.released or allocation.lost
+                                         for allocation in footprint.users]):
             return
         for allocation, (tensor, dispatch) in footprint.users.items():
             if allocation.released:
@@ -184,7 +206,8 @@ class Hazards:
                 raise _lost_error(need, failed)
 
     def _check_order(self, commands: RecordedCommands, footprint: Footprint) -> None:
-        footprint.ordered |= not self.explicit  # as barriers were made before memory was shared by them
+        # as barriers were made before memory was shared by them
+        footprint.ordered |= not self.explicit
         if footprint.ordered and not self._flying:
             return
         earlier = [buffer.footprint() for buffer in self._flying]
@@ -198,7 +221,8 @@ class Hazards:
 
 
 def _dispatches(buffers: Iterable[RecordedCommands]) -> Iterator[tuple[RecordedCommands, Dispatch]]:
-    return ((buffer, record) for buffer in buffers for record in buffer.records if isinstance(record, Dispatch))
+    return ((buffer, record) for buffer in buffers
+            for record in buffer.records if isinstance(record, Dispatch))
 
 
 def _uses(tensors: Iterable[Tensor], tensor: Tensor) -> bool:
@@ -216,7 +240,8 @@ def _use(commands: RecordedCommands, dispatch: Dispatch) -> Use:
 
 
 class Need(NamedTuple):
-    """Bytes of an allocation that a dispatch reads and that none of the commands before it wrote."""
+    """Bytes of an allocation that a dispatch reads and that none of the commands before it
+    wrote."""
 
     dispatch: Dispatch
     tensor: Tensor
@@ -224,7 +249,8 @@ class Need(NamedTuple):
 
 
 class Span(NamedTuple):
-    """A byte range of device memory, and which dispatches write it or access it at all: bit masks of their indices."""
+    """A byte range of device memory, and which dispatches write it or access it at all: bit masks
+    of their indices."""
 
     start: int
     end: int
@@ -251,7 +277,8 @@ class Accesses:
         dispatches: the dispatches, in order.
         spans: the byte ranges of the dispatches' tensors, without repeats.
         ordered: whether it is known that barriers order all these commands; that stays true.
-        narrow: whether some take fewer than all threads of their device, so that others may run beside them.
+        narrow: whether some take fewer than all threads of their device, so that others may run
+            beside them.
     """
 
     def __init__(self, records: Sequence[Record]) -> None:
@@ -259,7 +286,8 @@ class Accesses:
         self.dispatches = [record for record in records if isinstance(record, Dispatch)]
         self.spans = _spans(self.dispatches)
         self.ordered = False
-        self.narrow = any([item.state is not None and item.state.narrow for item in self.dispatches])
+        self.narrow = any([item.state is not None and item.state.narrow
+                           for item in self.dispatches])
 
 
 class Footprint(Accesses):
@@ -267,9 +295,11 @@ class Footprint(Accesses):
 
     Attributes:
         users: every allocation, with the first tensor and dispatch that use it.
-        needs: the data that must exist before the commands run, by allocation and byte range of the tensor.
+        needs: the data that must exist before the commands run, by allocation and byte range of the
+            tensor.
         writes: the data that exists afterwards.
-        filled: whether they were committed before, so that what they need and write exists; that stays true.
+        filled: whether they were committed before, so that what they need and write exists; that
+            stays true.
     """
 
     def __init__(self, records: Sequence[Record]) -> None:
@@ -289,13 +319,15 @@ class Footprint(Accesses):
     @cached_property
     def signature(self) -> Signature:
         """Identifies the dispatches by their states and their tensors' addresses and shapes."""
-        return Signature((id(item.state), *((tensor.start, tensor.shape) for tensor in item.reads + item.writes))
+        return Signature((id(item.state),
+                          *((tensor.start, tensor.shape) for tensor in item.reads + item.writes))
                          for item in self.dispatches)
 
     def _read(self, dispatch: Dispatch, tensor: Tensor) -> None:
         allocation, span = tensor.allocation, tensor.span()
         written = self.writes.get(allocation)
-        if not tensor.nbytes or (allocation, span) in self.needs or (written is not None and written.covers(*span)):
+        if (not tensor.nbytes or (allocation, span) in self.needs
+            or (written is not None and written.covers(*span))):
             return
         missing = Ranges((span,))
         if written is not None:
@@ -324,11 +356,13 @@ def _spans(dispatches: Iterable[Dispatch]) -> list[Span]:
             span = tensor.start, tensor.end
             users[span] = users.get(span, 0) | bit
             writers[span] = writers.get(span, 0) | bit
-    return [Span(start, end, writers.get((start, end), 0), mask) for (start, end), mask in users.items() if start < end]
+    return [Span(start, end, writers.get((start, end), 0), mask)
+            for (start, end), mask in users.items() if start < end]
 
 
 class Conflict(NamedTuple):
-    """Two dispatches, by their index, that touch the same bytes in no certain order; at least one writes them."""
+    """Two dispatches, by their index, that touch the same bytes in no certain order; at least one
+    writes them."""
 
     first: int
     second: int
@@ -339,17 +373,20 @@ class Conflict(NamedTuple):
 class Order:
     """How barriers order dispatches, record by record.
 
-    A barrier orders two dispatches when one lies in its first scope and the other in its second; the order is
-    transitive.
+    A barrier orders two dispatches when one lies in its first scope and the other in its second;
+    the order is transitive.
 
     Attributes:
-        before: for every dispatch so far, the set of dispatches that come before it, as a bit mask of indices.
+        before: for every dispatch so far, the set of dispatches that come before it, as a bit mask
+            of indices.
     """
 
     def __init__(self) -> None:
         self.before: list[int] = []
-        self._finished = dict.fromkeys(STAGES, 0)  # dispatches of earlier encoders, with all that comes before them
-        self._waits = dict.fromkeys(STAGES, 0)     # dispatches that every later one of the stage comes after
+        # dispatches of earlier encoders, with all that comes before them
+        self._finished = dict.fromkeys(STAGES, 0)
+        # dispatches that every later one of the stage comes after
+        self._waits = dict.fromkeys(STAGES, 0)
         self._later = dict.fromkeys(STAGES, 0)     # the same, from the next encoder on
         self._encoder, self._current, self._inner, self._stage = -1, 0, 0, STAGES[0]
 
@@ -370,7 +407,8 @@ class Order:
             _order(done, record, self._later)
 
     def missing(self, dispatch: Dispatch, needed: int) -> list[Barrier]:
-        """The barriers to record before the next dispatch so that it comes after all that is `needed`."""
+        """The barriers to record before the next dispatch so that it comes after all that is
+        `needed`."""
         self._enter(dispatch)
         left = needed & ~(self._waits[dispatch.stage] | self._inner)
         found: list[Barrier] = []
@@ -383,7 +421,8 @@ class Order:
                 after.append(stage)
                 left &= ~self._finished[stage]
         if after:
-            found.append(ConsumerBarrier(dispatch.encoder, frozenset(after), frozenset((dispatch.stage,))))
+            found.append(ConsumerBarrier(dispatch.encoder, frozenset(after),
+                                         frozenset((dispatch.stage,))))
         return found
 
     def _enter(self, record: Record) -> None:
@@ -394,14 +433,16 @@ class Order:
 
 
 def predecessors(records: Iterable[Record]) -> list[int]:
-    """For every dispatch, in order, the set of dispatches that barriers put before it, as a bit mask of indices."""
+    """For every dispatch, in order, the set of dispatches that barriers put before it, as a bit
+    mask of indices."""
     order = Order()
     for record in records:
         order.add(record)
     return order.before
 
 
-def _order(done: dict[str, int], barrier: ConsumerBarrier | ProducerBarrier, waits: dict[str, int]) -> None:
+def _order(done: dict[str, int], barrier: ConsumerBarrier | ProducerBarrier,
+           waits: dict[str, int]) -> None:
     """Make the barrier's second scope wait for its first."""
     mask = 0
     for name in barrier.after:
@@ -411,11 +452,11 @@ def _order(done: dict[str, int], barrier: ConsumerBarrier | ProducerBarrier, wai
 
 
 def with_barriers(new: Accesses, earlier: Sequence[Accesses] = ()) -> list[Record]:
-    """The records of new commands, with the barriers that what they read and write needs: among themselves, or after
-    `earlier` commands if there are some. Recorded barriers stay.
+    """The records of new commands, with the barriers that what they read and write needs: among
+    themselves, or after `earlier` commands if there are some. Recorded barriers stay.
 
-    Where all commands take their whole device, so that they run one by one anyway, encoders come one after the other:
-    transient tensors of different encoders then share memory.
+    Where all commands take their whole device, so that they run one by one anyway, encoders come
+    one after the other: transient tensors of different encoders then share memory.
     """
     order, first_new = Order(), sum(len(part.dispatches) for part in earlier)
     needed = iter(_suspects(earlier, new, first_new))
@@ -438,10 +479,12 @@ def with_barriers(new: Accesses, earlier: Sequence[Accesses] = ()) -> list[Recor
 
 
 def find_conflict(earlier: Sequence[Footprint], new: Footprint) -> Conflict | None:
-    """The first conflict of new commands with each other or with earlier ones, which are already checked.
+    """The first conflict of new commands with each other or with earlier ones, which are already
+    checked.
 
-    `ordered` commands are not compared with each other again: barriers in other buffers do not affect them. Indices in
-    the result count the dispatches of all earlier commands, then those of the new ones.
+    `ordered` commands are not compared with each other again: barriers in other buffers do not
+    affect them. Indices in the result count the dispatches of all earlier commands, then those of
+    the new ones.
     """
     first_new = sum(len(part.dispatches) for part in earlier)
     suspects = _suspects(earlier, new, first_new)
@@ -457,7 +500,8 @@ def find_conflict(earlier: Sequence[Footprint], new: Footprint) -> Conflict | No
 
 
 def _suspects(earlier: Sequence[Accesses], new: Accesses, first_new: int) -> list[int]:
-    """For each new dispatch, the earlier ones that share a byte with it that one of the two writes."""
+    """For each new dispatch, the earlier ones that share a byte with it that one of the two
+    writes."""
     near = _near(earlier, new, first_new)
     result = []
     for index, dispatch in enumerate(new.dispatches, first_new):
@@ -473,20 +517,24 @@ def _suspects(earlier: Sequence[Accesses], new: Accesses, first_new: int) -> lis
 _NOBODY = (0, 0)
 
 
-def _near(earlier: Sequence[Accesses], new: Accesses, first_new: int) -> dict[tuple[int, int], tuple[int, int]]:
-    """For each byte range of new commands, the dispatches to compare: those that write and those that use a byte."""
+def _near(earlier: Sequence[Accesses], new: Accesses,
+          first_new: int) -> dict[tuple[int, int], tuple[int, int]]:
+    """For each byte range of new commands, the dispatches to compare: those that write and those
+    that use a byte."""
     spans: list[tuple[Span, bool]] = []
     shift = 0
     for part in earlier:
         spans += [(_shift(span, shift), False) for span in part.spans]
         shift += len(part.dispatches)
     for span in new.spans:
-        spans.append((Span(span.start, span.end, 0, 0) if new.ordered else _shift(span, first_new), True))
+        spans.append((Span(span.start, span.end, 0, 0) if new.ordered else _shift(span, first_new),
+                      True))
     result = {}
     for group in _group_overlapping(spans):
         for target, is_new in group:
             if is_new:
-                result[target[:2]] = _union([s for s, _ in group if s.start < target.end and target.start < s.end])
+                result[target[:2]] = _union([s for s, _ in group
+                                             if s.start < target.end and target.start < s.end])
     return result
 
 
@@ -534,20 +582,25 @@ def _conflict(dispatches: Sequence[Dispatch], first: int, second: int) -> Confli
 
 def _released_error(tensor: Tensor, dispatch: Dispatch) -> HazardError:
     """The error for a dispatch that uses a released tensor."""
-    message = f"{dispatch} uses '{tensor.name}', which was released before commit: record it with a new tensor"
+    message = (f"{dispatch} uses '{tensor.name}', which was released before commit: record it with "
+               "a new tensor")
     return HazardError(message, "released", tensor.name, None, dispatch.label)
 
 
 def _undefined_error(need: Need, dispatches: list[Dispatch]) -> HazardError:
-    """The error for a dispatch that reads an unwritten tensor, which one of `dispatches` may write later."""
+    """The error for a dispatch that reads an unwritten tensor, which one of `dispatches` may write
+    later."""
     name, label = need.tensor.name, need.dispatch.label
     later = dispatches[dispatches.index(need.dispatch) + 1:]
-    writer = next((item for item in later if any(need.tensor.overlaps(other) for other in item.writes)), None)
-    fix = f"only {writer} writes it, later: record it first" if writer else "upload to it, or write it by a command"
+    writer = next((item for item in later
+                   if any(need.tensor.overlaps(other) for other in item.writes)), None)
+    fix = (f"only {writer} writes it, later: record it first" if writer
+           else "upload to it, or write it by a command")
     what = f"'{name}', which nothing wrote before"
     if need.tensor.allocation.transient:
         what = f"transient '{name}', which nothing in this command buffer wrote before"
-        fix = fix if writer else "write it by a command, or use heap.tensor for data that outlives a buffer"
+        fix = (fix if writer
+               else "write it by a command, or use heap.tensor for data that outlives a buffer")
     message = f"read before write: {need.dispatch} reads {what}: {fix}"
     return HazardError(message, "read before write", name, writer.label if writer else None, label)
 
@@ -561,9 +614,11 @@ def _lost_error(need: Need, failed: CommandError) -> HazardError:
 
 
 def _conflict_error(
-    found: Conflict, first: tuple[RecordedCommands, Dispatch], second: tuple[RecordedCommands, Dispatch]
+    found: Conflict, first: tuple[RecordedCommands, Dispatch],
+    second: tuple[RecordedCommands, Dispatch]
 ) -> HazardError:
-    """The error for two dispatches, each with its buffer, that use the same memory in no certain order."""
+    """The error for two dispatches, each with its buffer, that use the same memory in no certain
+    order."""
     (one_buffer, one), (two_buffer, two) = first, second
     same = one_buffer is two_buffer
     does, did = ("writes" if word == "write" else "reads" for word in found.kind.split(" after "))
@@ -579,4 +634,5 @@ def _suggest_barrier(one: Dispatch, two: Dispatch) -> str:
     if one.encoder == two.encoder:
         return f"barrier() between them in '{two.label}'"
     consumer = f"barrier(after='{one.stage}', before='{two.stage}') in '{two.label}' before it"
-    return f"{consumer}, or barrier(after='{one.stage}', before_queue='{two.stage}') in '{one.label}' after it"
+    return (f"{consumer}, or barrier(after='{one.stage}', before_queue='{two.stage}') in "
+            f"'{one.label}' after it")

@@ -1,8 +1,9 @@
-"""The heap: memory that all named tensors of a device share, and the arena in it for transient tensors.
+"""The heap: memory that all named tensors of a device share, and the arena in it for transient
+tensors.
 
-A transient tensor has no memory while commands are recorded. At commit the buffer's records tell when each one is used,
-and a plan gives each an offset in the arena. Two tensors may share bytes when all uses of one come before all uses of
-the other.
+A transient tensor has no memory while commands are recorded. At commit the buffer's records tell
+when each one is used, and a plan gives each an offset in the arena. Two tensors may share bytes
+when all uses of one come before all uses of the other.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ class _Block:
 
 
 class Heap:
-    """The device's memory. A tensor's memory returns to it on `release()` or when the last view of it is dropped.
+    """The device's memory. A tensor's memory returns to it on `release()` or when the last view of
+    it is dropped.
 
     Memory is not zeroed: reading a tensor before it is written or uploaded raises HazardError.
 
@@ -83,7 +85,8 @@ class Heap:
         self.allocations = 0
 
     def tensor(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
-        """A new tensor of undefined content. `name` is what messages call it and need not be unique."""
+        """A new tensor of undefined content. `name` is what messages call it and need not be
+        unique."""
         nbytes = -(-max(1, size_in_bytes(shape, dtype)) // ALIGNMENT) * ALIGNMENT
         with self._lock:
             chunk, start = self._carve(nbytes)
@@ -94,11 +97,13 @@ class Heap:
         return Tensor(self._device, name, shape, dtype, allocation)
 
     def transient(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
-        """A new tensor for use within one command buffer; it shares memory with tensors that are used at other times.
+        """A new tensor for use within one command buffer; it shares memory with tensors that are
+        used at other times.
 
-        In every buffer, a command must write it before one reads it; otherwise commit raises HazardError. It has memory
-        from commit on, and keeps its content until another tensor takes its bytes or another buffer with transient
-        tensors is committed. Until then the host may read it. The host can never write it.
+        In every buffer, a command must write it before one reads it; otherwise commit raises
+        HazardError. It has memory from commit on, and keeps its content until another tensor takes
+        its bytes or another buffer with transient tensors is committed. Until then the host may
+        read it. The host can never write it.
         """
         if self._device.scratch:  # the arena is one allocation, all of which would end up in a file
             return self.tensor(name, shape, dtype)
@@ -116,8 +121,9 @@ class Heap:
 
     @property
     def networks(self) -> int:
-        """Bytes that ONNX Runtime's arena took from the system for the intermediates of this device's networks. All
-        devices of the process share the arena, which keeps what it has. 0 on a GPU and where the system does not tell.
+        """Bytes that ONNX Runtime's arena took from the system for the intermediates of this
+        device's networks. All devices of the process share the arena, which keeps what it has. 0 on
+        a GPU and where the system does not tell.
         """
         return self._networks
 
@@ -141,7 +147,8 @@ class Heap:
 
     def tensors(self) -> list[tuple[str, int]]:
         """Name and bytes of every live tensor, largest first."""
-        held = [(allocation.name, allocation.nbytes) for allocation in self._live if not allocation.released]
+        held = [(allocation.name, allocation.nbytes)
+                for allocation in self._live if not allocation.released]
         return sorted(held, key=lambda item: (-item[1], item[0]))
 
     def trim(self) -> None:
@@ -161,7 +168,8 @@ class Heap:
         return block.chunk, block.take(nbytes, found[0] if found else block.chunk.nbytes)
 
     def _grow(self, nbytes: int) -> _Block:
-        self._drop_idle()  # too small for this tensor; keeping them would add up all sizes ever used
+        # too small for this tensor; keeping them would add up all sizes ever used
+        self._drop_idle()
         chunk = self._memory.allocate(max(nbytes, CHUNK_BYTES))
         self._blocks.append(_Block(chunk, [(chunk.pointer, chunk.pointer + chunk.nbytes)]))
         return self._blocks[-1]
@@ -179,7 +187,8 @@ class Heap:
 
 
 _NOWHERE = 1 << 62
-"""Until a transient tensor is placed its address is a multiple of this, which no real memory has."""
+"""Until a transient tensor is placed its address is a multiple of this, which no real memory
+has."""
 
 MOST_CACHED_PLANS = 64
 """How many plans are cached; the least recently used is dropped first."""
@@ -198,8 +207,9 @@ class Placement:
 class Arena:
     """Memory that the transient tensors of all command buffers share, one buffer after the other.
 
-    The memory lives as long as any tensor placed in it. It is replaced when a plan needs more, or when the remaining
-    tensors need less after others are dropped; the old memory then returns to the system.
+    The memory lives as long as any tensor placed in it. It is replaced when a plan needs more, or
+    when the remaining tensors need less after others are dropped; the old memory then returns to
+    the system.
 
     Attributes:
         plan: the plan of the last placement, None before the first.
@@ -230,7 +240,8 @@ class Arena:
         return Tensor(self._device, name, shape, dtype, transient)
 
     def place(
-        self, records: Sequence[Record], kept: Collection[Allocation], before: Placement | None, label: str
+        self, records: Sequence[Record], kept: Collection[Allocation], before: Placement | None,
+        label: str
     ) -> Placement | None:
         """Place the transient tensors of a buffer that is being committed; None if it has none.
 
@@ -240,7 +251,8 @@ class Arena:
             before: the placement of the same records at their last commit, reused if possible.
             label: what messages call the buffer.
         """
-        if not any(isinstance(item, Dispatch) and item.arguments and item.arguments.transients for item in records):
+        if not any(isinstance(item, Dispatch) and item.arguments and item.arguments.transients
+                   for item in records):
             return None
         if before is None or before.memory is not self._get_memory():
             before = self._new(records, kept)
@@ -265,22 +277,28 @@ class Arena:
     def explain_loss(self, transient: Transient) -> str | None:
         """Why a transient tensor lost its content, as a clause; None while it still has it."""
         if transient.turn and transient.turn < self._turn:
-            return f"'{self._label}' was committed since: read it earlier, or make it with heap.tensor"
+            return (f"'{self._label}' was committed since: read it earlier, or make it with "
+                    "heap.tensor")
         fix = "pass it to commands.keep"
-        return transient.successor and f"'{transient.successor}' took its memory later in '{self._label}': {fix}"
+        return (transient.successor and f"'{transient.successor}' took its memory later in "
+                f"'{self._label}': {fix}")
 
     def _new(self, records: Sequence[Record], kept: Collection[Allocation]) -> Placement:
         uses, transients = _uses(records)
-        plan = self._plan(records, uses, [number for number, item in enumerate(transients) if item in kept], transients)
+        plan = self._plan(records, uses,
+                          [number for number, item in enumerate(transients) if item in kept],
+                          transients)
         for transient in transients:
             transient.needs = max(transient.needs, plan.nbytes)
         memory = self._memory_for(plan)
-        places = [(item, item.at(memory, start)) for item, start in zip(transients, plan.offsets, strict=True)]
+        places = [(item, item.at(memory, start))
+                  for item, start in zip(transients, plan.offsets, strict=True)]
         for transient, allocation in places:
             transient.place, allocation.written = allocation, Ranges()
         return Placement([_with_memory(record) for record in records], plan, memory, places)
 
-    def _plan(self, records: Sequence[Record], uses: Uses, kept: list[int], transients: list[Transient]) -> Plan:
+    def _plan(self, records: Sequence[Record], uses: Uses, kept: list[int],
+              transients: list[Transient]) -> Plan:
         """The plan for all buffers with records like these; made once."""
         sizes = tuple(transient.nbytes for transient in transients)
         key = (sizes, uses, tuple(kept), _order(records))
@@ -297,10 +315,12 @@ class Arena:
         if memory is None:
             return None
         places = (item.place for item in transients)
-        return Present(memory.nbytes, [p.pointer - memory.start if p and p.owner is memory else -1 for p in places])
+        return Present(memory.nbytes, [p.pointer - memory.start if p and p.owner is memory else -1
+                                       for p in places])
 
     def _memory_for(self, plan: Plan) -> Tensor:
-        """The current memory; new memory if the plan needs more, or if all live tensors need less."""
+        """The current memory; new memory if the plan needs more, or if all live tensors need
+        less."""
         memory, count = self._get_memory(), len(self._live)
         if memory is None or memory.nbytes < plan.nbytes or self._count != count:
             with self._live_lock:
@@ -316,24 +336,29 @@ class Arena:
 
 
 def _uses(records: Iterable[Record]) -> tuple[Uses, list[Transient]]:
-    """The transient tensors in the order of their first use, and for every dispatch the numbers of those it uses."""
+    """The transient tensors in the order of their first use, and for every dispatch the numbers of
+    those it uses."""
     numbers: dict[Transient, int] = {}
     dispatches = [record for record in records if isinstance(record, Dispatch)]
     used = (dispatch.arguments.transients if dispatch.arguments else () for dispatch in dispatches)
-    uses = tuple([tuple([numbers.setdefault(item, len(numbers)) for item in items]) for items in used])
+    uses = tuple([tuple([numbers.setdefault(item, len(numbers)) for item in items])
+                  for items in used])
     return uses, list(numbers)
 
 
 def _order(records: Sequence[Record]) -> tuple[object, ...]:
-    """A key for the order of dispatches: encoders in order of appearance, with stages and barriers."""
+    """A key for the order of dispatches: encoders in order of appearance, with stages and
+    barriers."""
     numbers: dict[int, int] = {}
-    return tuple((numbers.setdefault(record.encoder, len(numbers)), *_order_key(record)) for record in records)
+    return tuple((numbers.setdefault(record.encoder, len(numbers)), *_order_key(record))
+                 for record in records)
 
 
 def _order_key(record: Record) -> tuple[object, ...]:
     if isinstance(record, Dispatch):
         return (record.stage,)
-    return (type(record),) if isinstance(record, EncoderBarrier) else (type(record), record.after, record.before)
+    return ((type(record),) if isinstance(record, EncoderBarrier)
+            else (type(record), record.after, record.before))
 
 
 def _with_memory(record: Record) -> Record:
@@ -341,7 +366,8 @@ def _with_memory(record: Record) -> Record:
         return record
     placed = record.arguments.with_memory()
     names = (record.label, record.command, record.stage, record.encoder)
-    return Dispatch(*names, placed.reads, placed.writes, placed.execute, record.model, record.state, record.arguments)
+    return Dispatch(*names, placed.reads, placed.writes, placed.execute, record.model, record.state,
+                    record.arguments)
 
 
 Uses = Sequence[tuple[int, ...]]
@@ -355,7 +381,8 @@ class Plan:
     Attributes:
         offsets: of each tensor, bytes.
         nbytes: memory that they need together.
-        bound: the largest sum of sizes in use at once, given which commands may overlap; no plan needs less.
+        bound: the largest sum of sizes in use at once, given which commands may overlap; no plan
+            needs less.
         total: what they would need without sharing.
         takers: for each tensor, the number of one that later takes some of its bytes, or None.
     """
@@ -368,7 +395,8 @@ class Plan:
 
     def __str__(self) -> str:
         over = 100 * (self.nbytes / self.bound - 1) if self.bound else 0.0
-        sizes = f"{_megabytes(self.nbytes)} for {_megabytes(self.total)} in {len(self.offsets)} tensors"
+        sizes = (f"{_megabytes(self.nbytes)} for {_megabytes(self.total)} in {len(self.offsets)} "
+                 "tensors")
         return f"{sizes}, {over:.1f} % over the bound {_megabytes(self.bound)}"
 
 
@@ -380,17 +408,19 @@ class Present(NamedTuple):
 
 
 def make_plan(
-    sizes: Sequence[int], uses: Uses, kept: Iterable[int], records: Iterable[Record], present: Present | None = None
+    sizes: Sequence[int], uses: Uses, kept: Iterable[int], records: Iterable[Record],
+    present: Present | None = None
 ) -> Plan:
     """Place tensors of these sizes. Those used by commands in no certain order never share a byte.
 
-    The largest are placed first: that reached the bound for every shipped network, where orders by length or first use
-    took up to 45 % more.
+    The largest are placed first: that reached the bound for every shipped network, where orders by
+    length or first use took up to 45 % more.
 
     Args:
         kept: numbers of tensors whose content must survive the last dispatch.
         records: the dispatches of `uses`, and the barriers.
-        present: tensors stay where they are if that is allowed and the memory has room for the others.
+        present: tensors stay where they are if that is allowed and the memory has room for the
+            others.
     """
     users = _users([*uses, tuple(kept)], len(sizes))
     earlier = [*predecessors(records), (1 << len(uses)) - 1]
@@ -402,8 +432,10 @@ def make_plan(
     if offsets is None:
         offsets = _place(_largest_first(range(len(sizes)), sizes), sizes, apart, [-1] * len(sizes))
     by_time = sorted(range(len(sizes)), key=lambda i: spans[i])
-    takers = tuple(next(_takers(i, by_time, offsets, sizes, before), None) for i in range(len(sizes)))
-    return Plan(tuple(offsets), _end(offsets, sizes), _bound(spans, sizes, earlier), sum(sizes), takers)
+    takers = tuple(next(_takers(i, by_time, offsets, sizes, before), None)
+                   for i in range(len(sizes)))
+    return Plan(tuple(offsets), _end(offsets, sizes), _bound(spans, sizes, earlier), sum(sizes),
+                takers)
 
 
 def _users(uses: Uses, count: int) -> list[int]:
@@ -430,10 +462,13 @@ def _are_ordered(before: Sequence[int], one: int, other: int) -> bool:
     return one == other or bool(before[one] >> other & 1 or before[other] >> one & 1)
 
 
-def _keep_places(present: Present, sizes: Sequence[int], apart: Sequence[Sequence[int]]) -> list[int] | None:
-    """Offsets that leave tensors where they are; None if no tensor can stay, or the others do not fit."""
+def _keep_places(present: Present, sizes: Sequence[int],
+                 apart: Sequence[Sequence[int]]) -> list[int] | None:
+    """Offsets that leave tensors where they are; None if no tensor can stay, or the others do not
+    fit."""
     lying = [item for item, offset in enumerate(present.offsets) if offset >= 0]
-    if not lying or any(_touch(item, other, present.offsets, sizes) for item in lying for other in apart[item]):
+    if not lying or any(_touch(item, other, present.offsets, sizes) for item in lying
+                        for other in apart[item]):
         return None
     others = set(range(len(sizes))).difference(lying)
     offsets = _place(_largest_first(others, sizes), sizes, apart, list(present.offsets))
@@ -447,9 +482,11 @@ def _largest_first(items: Iterable[int], sizes: Sequence[int]) -> list[int]:
 def _place(
     order: Iterable[int], sizes: Sequence[int], apart: Sequence[Sequence[int]], offsets: list[int]
 ) -> list[int]:
-    """Put each tensor into the smallest gap that holds it between the placed tensors that it must not overlap."""
+    """Put each tensor into the smallest gap that holds it between the placed tensors that it must
+    not overlap."""
     for item in order:
-        taken = sorted((offsets[other], offsets[other] + sizes[other]) for other in apart[item] if offsets[other] >= 0)
+        taken = sorted((offsets[other], offsets[other] + sizes[other])
+                       for other in apart[item] if offsets[other] >= 0)
         gaps, end = [], 0
         for low, high in taken:
             if low - end >= sizes[item]:
@@ -460,7 +497,8 @@ def _place(
 
 
 def _takers(
-    item: int, by_time: Iterable[int], offsets: Sequence[int], sizes: Sequence[int], before: Sequence[int]
+    item: int, by_time: Iterable[int], offsets: Sequence[int], sizes: Sequence[int],
+    before: Sequence[int]
 ) -> Iterator[int]:
     return (i for i in by_time if before[i] >> item & 1 and _touch(item, i, offsets, sizes))
 
@@ -477,7 +515,8 @@ def _bound(spans: Sequence[tuple[int, int]], sizes: Sequence[int], earlier: Sequ
     for first in range(len(earlier)):
         while last < len(earlier) and earlier[last] >> first == 0:
             last += 1
-        most = max(most, sum(n for n, (low, end) in zip(sizes, spans, strict=True) if low < last and first < end))
+        most = max(most, sum(n for n, (low, end) in zip(sizes, spans, strict=True)
+                             if low < last and first < end))
     return most
 
 

@@ -1,4 +1,5 @@
-"""Memory of a device: chunks to carve tensors from, copies between a chunk and the host, and sets of byte ranges."""
+"""Memory of a device: chunks to carve tensors from, copies between a chunk and the host, and sets
+of byte ranges."""
 
 from __future__ import annotations
 
@@ -39,7 +40,8 @@ class Chunk(Protocol):
 
 
 class Fork(Protocol):
-    """Commands on several streams of a GPU. Whatever comes behind the `with` block waits for all of them."""
+    """Commands on several streams of a GPU. Whatever comes behind the `with` block waits for all of
+    them."""
 
     def __enter__(self) -> object: ...
 
@@ -51,15 +53,17 @@ class Fork(Protocol):
 
 
 class Memory(Protocol):
-    """Where a device's tensors live. `host_visible`: NumPy can access it without a copy; `replays`: `replay`
-    can run commands as one CUDA graph; `place`: kind and number of the device in DLPack."""
+    """Where a device's tensors live. `host_visible`: NumPy can access it without a copy; `replays`:
+    `replay` can run commands as one CUDA graph; `place`: kind and number of the device in
+    DLPack."""
 
     host_visible: bool
     replays: bool
     place: tuple[int, int]
 
     def follow(self, stream: int | None) -> int | None:
-        """Let commands run after the work of a producer's stream; the stream that they run on, None without one."""
+        """Let commands run after the work of a producer's stream; the stream that they run on, None
+        without one."""
         ...
 
     def stream_beside(self) -> int:
@@ -67,8 +71,8 @@ class Memory(Protocol):
         ...
 
     def fork(self, streams: Sequence[int], before: Sequence[int]) -> Fork | None:
-        """Commands on these streams, 0 for the device's own; None if that is all there is. `before` has the commands
-        that come before each one, as a bit mask of indices."""
+        """Commands on these streams, 0 for the device's own; None if that is all there is. `before`
+        has the commands that come before each one, as a bit mask of indices."""
         ...
 
     def allocate(self, nbytes: int) -> Chunk:
@@ -106,8 +110,8 @@ class Memory(Protocol):
     def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> T | None:
         """Run the work of `enqueue` again as one graph and return its result.
 
-        None if it has to run command by command; nothing has run then. `key` identifies unchanged work; `kept` is kept
-        alive as long as the graph.
+        None if it has to run command by command; nothing has run then. `key` identifies unchanged
+        work; `kept` is kept alive as long as the graph.
         """
         ...
 
@@ -168,8 +172,8 @@ class MappedChunk:
 
 
 class HostMemory(Immediate):
-    """Memory that NumPy, compiled kernels and CPU sessions share. With a budget, large chunks beyond its share for
-    tensors lie in temporary files."""
+    """Memory that NumPy, compiled kernels and CPU sessions share. With a budget, large chunks
+    beyond its share for tensors lie in temporary files."""
 
     host_visible = True
     place = HOST
@@ -206,7 +210,8 @@ class HostMemory(Immediate):
         if nbytes < 2 * WORTH or nbytes % 4:
             ctypes.memmove(target, source, nbytes)
             return
-        views = (view_at(pointer, (nbytes // 4,), np.dtype(np.uint32), None) for pointer in (source, target))
+        views = (view_at(pointer, (nbytes // 4,), np.dtype(np.uint32), None)
+                 for pointer in (source, target))
         share(copy_pieces, math.ceil(nbytes / WORTH), *views)
 
 
@@ -217,12 +222,14 @@ def address(array: np.ndarray) -> int:
 
 def byte_span(array: np.ndarray) -> tuple[int, int]:
     """Addresses of an array's first byte and of the one after its last, whatever its strides."""
-    reach = [(size - 1) * stride for size, stride in zip(array.shape, array.strides, strict=True) if array.size]
+    reach = [(size - 1) * stride
+             for size, stride in zip(array.shape, array.strides, strict=True) if array.size]
     first, last = (address(array) + sum(pick(0, step) for step in reach) for pick in (min, max))
     return first, last + array.itemsize * bool(array.size)
 
 
-def view_at(pointer: int, shape: tuple[int, ...], dtype: np.dtype[Any], owner: object) -> np.ndarray:
+def view_at(pointer: int, shape: tuple[int, ...], dtype: np.dtype[Any],
+            owner: object) -> np.ndarray:
     """A writable array over host memory; it keeps `owner`, which holds the memory, alive."""
     nbytes = math.prod(shape) * dtype.itemsize
     buffer: Any = (ctypes.c_char * nbytes).from_address(pointer)
@@ -280,7 +287,8 @@ class Ranges:
         return any(s < end and start < e for s, e in self.spans for start, end in other.spans)
 
 
-# Arrays of other libraries, by DLPack (https://dmlc.github.io/dlpack) and by `__cuda_array_interface__`, version 3
+# Arrays of other libraries, by DLPack (https://dmlc.github.io/dlpack) and by
+# `__cuda_array_interface__`, version 3
 
 
 class _Managed(ctypes.Structure):
@@ -298,10 +306,13 @@ _FRESH = b"dltensor"
 _CODES = {"int": 0, "uint": 1, "float": 2, "bfloat": 4, "bool": 6}
 _CODE_WORDS = {code: word for word, code in _CODES.items()}
 _python = ctypes.pythonapi
-_new_capsule = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p)(
+_new_capsule = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_char_p,
+                                 ctypes.c_void_p)(
     ("PyCapsule_New", _python))
-_open_capsule = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.py_object, ctypes.c_char_p)(("PyCapsule_GetPointer", _python))
-_is_fresh = ctypes.PYFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_char_p)(("PyCapsule_IsValid", _python))
+_open_capsule = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.py_object,
+                                  ctypes.c_char_p)(("PyCapsule_GetPointer", _python))
+_is_fresh = ctypes.PYFUNCTYPE(ctypes.c_int, ctypes.c_void_p,
+                              ctypes.c_char_p)(("PyCapsule_IsValid", _python))
 _peek_capsule = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)(
     ("PyCapsule_GetPointer", _python))
 _lent: dict[int, tuple[object, ...]] = {}
@@ -320,13 +331,16 @@ def _drop_capsule(capsule: int) -> None:
 
 _deleter = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_take_back)
 _destructor = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)(_drop_capsule)
-_DELETER, _DESTRUCTOR = (ctypes.cast(function, ctypes.c_void_p).value for function in (_deleter, _destructor))
+_DELETER, _DESTRUCTOR = (ctypes.cast(function, ctypes.c_void_p).value
+                         for function in (_deleter, _destructor))
 
 
-def lend(pointer: int, shape: tuple[int, ...], dtype: str, place: tuple[int, int], owner: object) -> object:
+def lend(pointer: int, shape: tuple[int, ...], dtype: str, place: tuple[int, int],
+         owner: object) -> object:
     """A DLPack capsule of a contiguous tensor; `owner` lives until the last array on it is gone."""
     sizes = _sizes_of(shape)
-    managed = _Managed(pointer, *place, len(shape), *_number_of(dtype), 1, sizes, None, 0, None, _DELETER)
+    managed = _Managed(pointer, *place, len(shape), *_number_of(dtype), 1, sizes, None, 0, None,
+                       _DELETER)
     address_of = ctypes.addressof(managed)
     _lent[address_of] = managed, sizes, owner
     return _new_capsule(address_of, _FRESH, _DESTRUCTOR)
@@ -363,13 +377,16 @@ class BorrowedArray(NamedTuple):
 
 
 def borrow(array: Any, memory: Memory, place: tuple[int, int] | None) -> BorrowedArray:
-    """An array in this memory, by `__cuda_array_interface__` if that is CUDA's and says what stream to wait for; else
-    by DLPack, whose producer sees to it that our stream waits. PyTorch does that slowly, so its tensors are looked at.
+    """An array in this memory, by `__cuda_array_interface__` if that is CUDA's and says what stream
+    to wait for; else by DLPack, whose producer sees to it that our stream waits. PyTorch does that
+    slowly, so its tensors are looked at.
 
     Args:
-        place: what `array.__dlpack_device__()` says; None without one, when it can only be in CUDA's memory.
+        place: what `array.__dlpack_device__()` says; None without one, when it can only be in
+            CUDA's memory.
 
-    Raises ValueError with the reason when it lies elsewhere, has strides, or does not describe itself well.
+    Raises ValueError with the reason when it lies elsewhere, has strides, or does not describe
+    itself well.
     """
     place = place or (CUDA, memory.place[1])
     if place != memory.place:
@@ -385,13 +402,15 @@ def borrow(array: Any, memory: Memory, place: tuple[int, int] | None) -> Borrowe
 
 
 def _name(place: tuple[int, int]) -> str:
-    return {1: "the host", 3: "the host", CUDA: f"cuda:{place[1]}"}.get(place[0], f"DLPack's device {place}")
+    return {1: "the host", 3: "the host", CUDA: f"cuda:{place[1]}"}.get(place[0],
+                                                                        f"DLPack's device {place}")
 
 
 def _from_interface(array: Any, told: Any, memory: Memory) -> BorrowedArray:
     try:
         (pointer, is_read_only), shape = told["data"], tuple(map(int, told["shape"]))
-        (dtype, size), strides, stream = _native_type(told["typestr"]), told.get("strides"), told.get("stream")
+        (dtype, size), strides, stream = (_native_type(told["typestr"]), told.get("strides"),
+                                          told.get("stream"))
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"its __cuda_array_interface__ cannot be read ({error!r})") from error
     if not dtype:
@@ -403,11 +422,12 @@ def _from_interface(array: Any, told: Any, memory: Memory) -> BorrowedArray:
 
 
 def is_as_lent(array: Any, pointer: int, shape: tuple[int, ...], dtype: str) -> bool:
-    """Whether an array that was borrowed is a tensor of PyTorch, which can be changed in place, and still the same."""
+    """Whether an array that was borrowed is a tensor of PyTorch, which can be changed in place, and
+    still the same."""
     torch = sys.modules.get("torch")
-    return torch is not None and isinstance(array, torch.Tensor) and bool(
-        array.data_ptr() == pointer and array.shape == shape and array.is_contiguous() and not array.requires_grad
-        and str(array.dtype) == f"torch.{dtype}")
+    return (torch is not None and isinstance(array, torch.Tensor) and bool(
+        array.data_ptr() == pointer and array.shape == shape and array.is_contiguous()
+        and not array.requires_grad and str(array.dtype) == f"torch.{dtype}"))
 
 
 def follow_torch(memory: Memory) -> None:
@@ -418,13 +438,14 @@ def follow_torch(memory: Memory) -> None:
 def _from_torch(torch: Any, array: Any, memory: Memory) -> BorrowedArray:
     """A tensor of PyTorch, after what its current stream has to do now."""
     if array.requires_grad or array.is_conj() or array.is_neg() or array.layout != torch.strided:
-        raise ValueError("it needs a gradient, is a conjugate or negative view, or is sparse: give detach(), "
-                         "resolve_conj(), resolve_neg() or to_dense() of it")
+        raise ValueError("it needs a gradient, is a conjugate or negative view, or is sparse: give "
+                         "detach(), resolve_conj(), resolve_neg() or to_dense() of it")
     shape = tuple(array.shape)
     if not array.is_contiguous():
         _require_contiguous(shape, array.stride())
     follow_torch(memory)
-    return BorrowedArray(array.data_ptr(), shape, str(array.dtype).removeprefix("torch."), False, array)
+    return BorrowedArray(array.data_ptr(), shape, str(array.dtype).removeprefix("torch."), False,
+                         array)
 
 
 @cache
@@ -442,8 +463,8 @@ def _from_capsule(array: Any, memory: Memory) -> BorrowedArray:
     if managed.strides:
         _require_contiguous(shape, managed.strides[: managed.ndim])
     # The capsule is left unused: it returns the array when it goes.
-    return BorrowedArray((managed.data or 0) + managed.offset, shape, _name_of(managed.code, managed.bits), False,
-                    capsule)
+    return BorrowedArray((managed.data or 0) + managed.offset, shape,
+                    _name_of(managed.code, managed.bits), False, capsule)
 
 
 def _require_contiguous(shape: tuple[int, ...], steps: Sequence[int]) -> None:
@@ -451,6 +472,6 @@ def _require_contiguous(shape: tuple[int, ...], steps: Sequence[int]) -> None:
     expected = 1
     for size, step in zip(reversed(shape), reversed(steps), strict=False):
         if size > 1 and step != expected:
-            raise ValueError(f"its elements do not lie in order (strides {tuple(steps)} of {shape}): make it "
-                             "contiguous")
+            raise ValueError(f"its elements do not lie in order (strides {tuple(steps)} of "
+                             f"{shape}): make it contiguous")
         expected *= size

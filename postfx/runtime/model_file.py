@@ -1,8 +1,8 @@
 """Reads the structure of an ONNX file without ONNX Runtime and without the package `onnx`.
 
-The package would take 26 MB and 50 ms of every start; this reader takes 3 ms a model, and refuses a file of a million
-empty parts before it fills the memory. Field numbers come from onnx.proto (ONNX 1.17), the format from
-https://protobuf.dev/programming-guides/encoding. Weights are not copied.
+The package would take 26 MB and 50 ms of every start; this reader takes 3 ms a model, and refuses a
+file of a million empty parts before it fills the memory. Field numbers come from onnx.proto (ONNX
+1.17), the format from https://protobuf.dev/programming-guides/encoding. Weights are not copied.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ class Weights:
 
 @dataclass(frozen=True)
 class Declaration:
-    """An input or output: a name and its dimensions, None where no tensor shape is given. '' is a free dimension."""
+    """An input or output: a name and its dimensions, None where no tensor shape is given. '' is a
+    free dimension."""
 
     name: str
     shape: tuple[Dimension, ...] | None
@@ -86,7 +87,8 @@ class ModelFile:
 
 
 def parse_model(content: bytes) -> ModelFile:
-    """The model in a file; WireError if it is not an ONNX model, is truncated, or has more than a million parts."""
+    """The model in a file; WireError if it is not an ONNX model, is truncated, or has more than a
+    million parts."""
     return _Reader().model(memoryview(content))
 
 
@@ -225,8 +227,8 @@ class _Reader:
 def fix_dimensions(content: bytes, sizes: Mapping[tuple[str, int], int]) -> bytes:
     """A model's file with sizes in place of dimensions of its inputs and outputs, by name and axis.
 
-    ONNX Runtime fixes dimensions by their symbols only, and some have none. Raises ValueError for a name or an axis
-    that the model has not, and where it says another size.
+    ONNX Runtime fixes dimensions by their symbols only, and some have none. Raises ValueError for a
+    name or an axis that the model has not, and where it says another size.
     """
     model = parse_model(content)
     shapes = {value.name: value.shape for value in (*model.inputs, *model.outputs)}
@@ -238,7 +240,8 @@ def fix_dimensions(content: bytes, sizes: Mapping[tuple[str, int], int]) -> byte
         if not 0 <= axis < len(shape):
             raise ValueError(f"'{name}' has {len(shape)} axes, counted from 0, and no axis {axis}")
         if size < 1 or (isinstance(shape[axis], int) and shape[axis] != size):
-            raise ValueError(f"axis {axis} of '{name}' is {shape[axis] or 'free'}, it cannot be {size}")
+            raise ValueError(f"axis {axis} of '{name}' is {shape[axis] or 'free'}, it cannot be "
+                             f"{size}")
 
     def fix_value(message: memoryview) -> bytes:
         name = _name_of(message)
@@ -250,7 +253,8 @@ def fix_dimensions(content: bytes, sizes: Mapping[tuple[str, int], int]) -> byte
 
         return _replace(message, (2, 1, 2, 1), fix_dimension)  # type, tensor_type, shape, dim
 
-    return _replace(_replace(content, (7, 11), fix_value), (7, 12), fix_value)  # graph, input; graph, output
+    # graph, input; graph, output
+    return _replace(_replace(content, (7, 11), fix_value), (7, 12), fix_value)
 
 
 _FLOAT_CODES = {1: "<f4", 10: "<f2"}
@@ -258,14 +262,16 @@ _FLOAT_CODES = {1: "<f4", 10: "<f2"}
 
 
 def read_tables(content: bytes) -> dict[str, np.ndarray]:
-    """Outputs of a model that reads nothing, float32: weights as they are stored, or converted to float32.
+    """Outputs of a model that reads nothing, float32: weights as they are stored, or converted to
+    float32.
 
     Raises ValueError for a model that reads or computes something.
     """
     model = parse_model(content)
     stored = {one.name: one for one in model.weights}
     from_nodes = {node.outputs[0]: node.inputs[0] for node in model.nodes
-                  if node.operator in ("Cast", "Identity") and len(node.outputs) == len(node.inputs) == 1}
+                  if node.operator in ("Cast", "Identity")
+                                   and len(node.outputs) == len(node.inputs) == 1}
     if model.inputs or len(from_nodes) < len(model.nodes):
         raise ValueError("it reads or computes something")
     found = {}
@@ -279,8 +285,8 @@ def read_tables(content: bytes) -> dict[str, np.ndarray]:
 
 
 class Product(NamedTuple):
-    """An output that was a product of 8-bit integers: the output that has its codes now, (1, h, w, C) of uint8, and
-    its factors (n, C), at most 64."""
+    """An output that was a product of 8-bit integers: the output that has its codes now, (1, h, w,
+    C) of uint8, and its factors (n, C), at most 64."""
 
     codes: str
     factors: np.ndarray
@@ -293,10 +299,11 @@ _BYTES = (2, 3)  # uint8, int8
 
 
 def take_products(content: bytes) -> tuple[bytes, dict[str, Product]]:
-    """A model's file that leaves integer products to the caller, and these by the outputs that had them.
+    """A model's file that leaves integer products to the caller, and these by the outputs that had
+    them.
 
-    Such an output is MatMulInteger(factors + z, code - 128), whose codes come from a tensor (1, C, h, w) in three nodes
-    that flatten it and change its sign. Others stay as they are.
+    Such an output is MatMulInteger(factors + z, code - 128), whose codes come from a tensor (1, C,
+    h, w) in three nodes that flatten it and change its sign. Others stay as they are.
     """
     model = parse_model(content)
     makers = {output: node for node in model.nodes for output in node.outputs}
@@ -320,19 +327,23 @@ def take_products(content: bytes) -> tuple[bytes, dict[str, Product]]:
                  if not (number == 1 and not needed & {*next(nodes).outputs})
                  and not (number == 12 and _name_of(_message(value)) in taken)]
         added = [_as_field(number, message) for source, codes in sources.items()
-                 for number, message in ((1, _channels_last(source, codes)), (12, _bytes_output(codes)))]
+                 for number, message in ((1, _channels_last(source, codes)),
+                                         (12, _bytes_output(codes)))]
         return b"".join([*parts, *added])
 
     return _replace(content, (7,), change), taken
 
 
-def _product(output: str, makers: Mapping[str, Node], weights: Mapping[str, Weights]) -> tuple[str, np.ndarray] | None:
-    """The tensor of an output's codes, and its factors; None if it is no product, or not of this kind."""
+def _product(output: str, makers: Mapping[str, Node],
+             weights: Mapping[str, Weights]) -> tuple[str, np.ndarray] | None:
+    """The tensor of an output's codes, and its factors; None if it is no product, or not of this
+    kind."""
     node = makers.get(output)
     steps = [node] if node and node.operator == "MatMulInteger" and len(node.inputs) == 4 else []
     for at in (1, 0, 0) if steps else ():
         steps.append(makers.get(steps[-1].inputs[at], Node(inputs=[""])))
-    if [step.operator for step in steps[1:]] != ["Cast", "BitwiseXor", "Reshape"] or len(steps[2].inputs) != 2:
+    if ([step.operator for step in steps[1:]] != ["Cast", "BitwiseXor", "Reshape"]
+        or len(steps[2].inputs) != 2):
         return None
     names = steps[0].inputs[0], steps[0].inputs[2], steps[0].inputs[3], steps[2].inputs[1]
     held = [weights.get(name, Weights()) for name in names]
@@ -342,7 +353,8 @@ def _product(output: str, makers: Mapping[str, Node], weights: Mapping[str, Weig
     if [middle.size, *zero, *sign] != [1, SIGN, SIGN] or held[0].dims[1] % 4:
         return None
     found = factors.reshape(held[0].dims).astype(np.int16) - middle
-    return (steps[-1].inputs[0], found.astype(np.int8)) if np.abs(found).max(initial=0) <= MOST_FACTOR else None
+    return ((steps[-1].inputs[0], found.astype(np.int8))
+            if np.abs(found).max(initial=0) <= MOST_FACTOR else None)
 
 
 def _name_of(message: memoryview) -> str:
@@ -357,8 +369,8 @@ def _channels_last(source: str, result: str) -> bytes:
     """A node Transpose, (0, 1, 2, 3) -> (0, 2, 3, 1)."""
     axes = b"".join(bytes([8 << 3, axis]) for axis in (0, 2, 3, 1))
     order = _as_field(1, b"perm") + axes + _as_varint(20 << 3) + bytes([7])  # of the type INTS
-    return b"".join((_as_field(1, source.encode()), _as_field(2, result.encode()), _as_field(4, b"Transpose"),
-                     _as_field(5, order)))
+    return b"".join((_as_field(1, source.encode()), _as_field(2, result.encode()),
+                     _as_field(4, b"Transpose"), _as_field(5, order)))
 
 
 def _bytes_output(name: str) -> bytes:
@@ -367,7 +379,8 @@ def _bytes_output(name: str) -> bytes:
     return _as_field(1, name.encode()) + _as_field(2, _as_field(1, kind))
 
 
-def _replace(message: bytes | memoryview, path: tuple[int, ...], change: Callable[[memoryview], bytes]) -> bytes:
+def _replace(message: bytes | memoryview, path: tuple[int, ...],
+             change: Callable[[memoryview], bytes]) -> bytes:
     """A message with every inner one at a path of field numbers changed."""
     parts: list[bytes | memoryview] = []
     for number, value, raw in _fields(memoryview(message)):
@@ -406,8 +419,8 @@ class WireError(ValueError):
 
 
 class Wire:
-    """Reads messages of one file, whose fields and members of integer fields are at most `most`: a file of many empty
-    ones would take far more memory than it has bytes."""
+    """Reads messages of one file, whose fields and members of integer fields are at most `most`: a
+    file of many empty ones would take far more memory than it has bytes."""
 
     def __init__(self, most: int) -> None:
         self._left = most
@@ -415,7 +428,8 @@ class Wire:
     def fields(self, message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
         """Number and value of each field: an integer for varints, raw bytes for anything else.
 
-        The format is defined at https://protobuf.dev/programming-guides/encoding. Groups are not read.
+        The format is defined at https://protobuf.dev/programming-guides/encoding. Groups are not
+        read.
         """
         for number, value, _ in _fields(message):
             self._count()
@@ -480,4 +494,5 @@ def _varint(message: memoryview, at: int) -> tuple[int, int]:
         value |= (byte & 0x7F) << (7 * index)
         if byte < 0x80:
             return value & 0xFFFFFFFFFFFFFFFF, at + index + 1
-    raise WireError("it ends early" if len(message) - at < _MOST_VARINT else "a number of more than 64 bits")
+    raise WireError("it ends early" if len(message) - at < _MOST_VARINT
+                    else "a number of more than 64 bits")

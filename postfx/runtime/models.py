@@ -1,4 +1,5 @@
-"""Model packages: folders of ONNX files with JSON cards, and the checks before ONNX Runtime loads one."""
+"""Model packages: folders of ONNX files with JSON cards, and the checks before ONNX Runtime loads
+one."""
 
 from __future__ import annotations
 
@@ -25,12 +26,13 @@ _CARDS = 64
 class Library:
     """The models of one or more folders: `<name>.onnx`, each with an optional card `<name>.json`.
 
-    Where two folders hold a model of the same name, the folder given first wins. Without a folder, the models that
-    come with postfx. Raises ModelError when a folder does not exist.
+    Where two folders hold a model of the same name, the folder given first wins. Without a folder,
+    the models that come with postfx. Raises ModelError when a folder does not exist.
 
     Args:
-        trust: load models of any operators and domains, with control flow and functions of their own, because you know
-            where they come from. Hashes, sizes, and what cards say are checked all the same.
+        trust: load models of any operators and domains, with control flow and functions of their
+            own, because you know where they come from. Hashes, sizes, and what cards say are
+            checked all the same.
     """
 
     def __init__(self, *folders: str | Path, trust: bool = False) -> None:
@@ -38,7 +40,8 @@ class Library:
         self.folders = tuple(Path(folder) for folder in folders) or (models_dir(),)
         for folder in self.folders:
             if not os.path.isdir(folder):
-                raise ModelError(f"model folder '{folder}' does not exist: check the path and its rights")
+                raise ModelError(f"model folder '{folder}' does not exist: check the path and its "
+                                 "rights")
 
     def __repr__(self) -> str:
         folders = [repr(str(folder)) for folder in self.folders]
@@ -46,7 +49,8 @@ class Library:
 
     def names(self) -> tuple[str, ...]:
         """Names of all models, sorted."""
-        return tuple(sorted({path.stem for folder in self.folders for path in folder.glob("*.onnx")}))
+        return tuple(sorted({path.stem for folder in self.folders
+                             for path in folder.glob("*.onnx")}))
 
     def __contains__(self, name: str) -> bool:
         """Whether there is a model of this name, which costs less than to list all."""
@@ -67,7 +71,8 @@ class Library:
         raise ModelError(f"no model '{name}' in {where}{meant or ':'} there are {', '.join(alike)}")
 
     def card(self, name: str) -> dict[str, Any]:
-        """The model's card, empty when it has none. Raises ModelError when the card is not a JSON object."""
+        """The model's card, empty when it has none. Raises ModelError when the card is not a JSON
+        object."""
         path = self.path(name).with_name(f"{name}.json")
         if not os.path.exists(path):
             return {}
@@ -79,19 +84,24 @@ class Library:
 
     def constants(self, name: str) -> tuple[str, ...]:
         """Outputs that the card marks as `"constant": true`: they depend on no input."""
-        return tuple(output for output, facts in self.card(name).get("outputs", {}).items() if facts.get("constant"))
+        return tuple(output for output, facts in self.card(name).get("outputs", {}).items()
+                     if facts.get("constant"))
 
     def sha256(self, name: str) -> str:
-        """The model's hash: the card's, which `load` checks, or the file's own if the card has none."""
-        return self.card(name).get("sha256") or hashlib.sha256(_content(self.path(name))).hexdigest()
+        """The model's hash: the card's, which `load` checks, or the file's own if the card has
+        none."""
+        return (self.card(name).get("sha256")
+                or hashlib.sha256(_content(self.path(name))).hexdigest())
 
     def load(self, name: str) -> bytes:
-        """The model's content. Raises ModelError when it, or a file beside it that it has weights in, is not the one
-        whose `sha256` the card gives, and when it is refused by `check_model`."""
+        """The model's content. Raises ModelError when it, or a file beside it that it has weights
+        in, is not the one whose `sha256` the card gives, and when it is refused by
+        `check_model`."""
         path, card = self.path(name), self.card(name)
         for file, expected in card.get("weights", {}).items():
             if not is_plain_name(file):
-                raise ModelError(f"card of '{path}' has weights in '{file}': name a file of the same folder")
+                raise ModelError(f"card of '{path}' has weights in '{file}': name a file of the "
+                                 "same folder")
             _read_checked(path.with_name(file), expected)
         content = _read_checked(path, card.get("sha256"))
         check_model(path, content, card, self.trust)
@@ -117,18 +127,21 @@ def _read_card(path: Path, version: tuple[int, int, int]) -> dict[str, Any]:
 def _read_checked(path: Path, sha256: str | None) -> bytes:
     content = _content(path)
     if sha256 is not None and hashlib.sha256(content).hexdigest() != sha256:
-        raise ModelError(f"model '{path}' is not the file that its card describes (sha256 differs): get it again")
+        raise ModelError(f"model '{path}' is not the file that its card describes (sha256 "
+                         "differs): get it again")
     return content
 
 
 def _content(path: Path) -> bytes:
-    """A file's bytes. Refuses files that are too large, and devices and pipes, which may never end."""
+    """A file's bytes. Refuses files that are too large, and devices and pipes, which may never
+    end."""
     try:
         if not path.is_file():
             raise ModelError(f"model '{path}' is not a file")
         if path.stat().st_size > MOST_MODEL_BYTES:
             size = f"{path.stat().st_size >> 20} MB"
-            raise ModelError(f"model '{path}' is refused: it has {size}, more than {MOST_MODEL_BYTES >> 20} MB")
+            raise ModelError(f"model '{path}' is refused: it has {size}, more than "
+                             f"{MOST_MODEL_BYTES >> 20} MB")
         return path.read_bytes()
     except OSError as error:
         raise ModelError(f"model '{path}' cannot be read: {error}") from error
@@ -143,71 +156,80 @@ MOST_SHOWN = 300
 """Characters of a reason that are shown, for it may quote the file."""
 
 OPERATORS = frozenset("""
-    Abs Acos Acosh Add AffineGrid And ArgMax ArgMin Asin Asinh Atan Atanh Attention AveragePool BatchNormalization
-    BitCast BitShift BitwiseAnd BitwiseNot BitwiseOr BitwiseXor BlackmanWindow Cast CastLike CausalConvWithState Ceil
-    Celu CenterCropPad Clip Col2Im Compress Concat Constant ConstantOfShape Conv ConvInteger ConvTranspose Cos Cosh
-    CumProd CumSum DFT DeformConv DepthToSpace DequantizeLinear Det Div Dropout DynamicQuantizeLinear Einsum Elu Equal
-    Erf Exp Expand EyeLike Flatten Floor GRU Gather GatherElements GatherND Gelu Gemm GlobalAveragePool GlobalLpPool
-    GlobalMaxPool Greater GreaterOrEqual GridSample GroupNormalization HammingWindow HannWindow HardSigmoid HardSwish
-    Hardmax Identity InstanceNormalization IsInf IsNaN LRN LSTM LayerNormalization LeakyRelu Less LessOrEqual
-    LinearAttention Log LogSoftmax LpNormalization LpPool MatMul MatMulInteger Max MaxPool MaxRoiPool MaxUnpool Mean
-    MeanVarianceNormalization MelWeightMatrix Min Mish Mod Mul Neg NonMaxSuppression NonZero Not OneHot Or PRelu Pad
-    Pow QLinearConv QLinearMatMul QuantizeLinear RMSNormalization RNN Range Reciprocal ReduceL1 ReduceL2 ReduceLogSum
-    ReduceLogSumExp ReduceMax ReduceMean ReduceMin ReduceProd ReduceSum ReduceSumSquare Relu Reshape Resize
-    ReverseSequence RoiAlign RotaryEmbedding Round STFT Scatter ScatterElements ScatterND Selu Shape Shrink Sigmoid
-    Sign SimplifiedLayerNormalization Sin Sinh Size Slice Softmax Softplus Softsign SpaceToDepth Split Sqrt Squeeze Sub
-    Sum SwiGLU Swish Tan Tanh TensorScatter ThresholdedRelu Tile TopK Transpose Trilu Unique Unsqueeze Upsample Where
-    Xor
+    Abs Acos Acosh Add AffineGrid And ArgMax ArgMin Asin Asinh Atan Atanh Attention AveragePool
+    BatchNormalization BitCast BitShift BitwiseAnd BitwiseNot BitwiseOr BitwiseXor BlackmanWindow
+    Cast CastLike CausalConvWithState Ceil Celu CenterCropPad Clip Col2Im Compress Concat Constant
+    ConstantOfShape Conv ConvInteger ConvTranspose Cos Cosh CumProd CumSum DFT DeformConv
+    DepthToSpace DequantizeLinear Det Div Dropout DynamicQuantizeLinear Einsum Elu Equal Erf Exp
+    Expand EyeLike Flatten Floor GRU Gather GatherElements GatherND Gelu Gemm GlobalAveragePool
+    GlobalLpPool GlobalMaxPool Greater GreaterOrEqual GridSample GroupNormalization HammingWindow
+    HannWindow HardSigmoid HardSwish Hardmax Identity InstanceNormalization IsInf IsNaN LRN LSTM
+    LayerNormalization LeakyRelu Less LessOrEqual LinearAttention Log LogSoftmax LpNormalization
+    LpPool MatMul MatMulInteger Max MaxPool MaxRoiPool MaxUnpool Mean MeanVarianceNormalization
+    MelWeightMatrix Min Mish Mod Mul Neg NonMaxSuppression NonZero Not OneHot Or PRelu Pad Pow
+    QLinearConv QLinearMatMul QuantizeLinear RMSNormalization RNN Range Reciprocal ReduceL1 ReduceL2
+    ReduceLogSum ReduceLogSumExp ReduceMax ReduceMean ReduceMin ReduceProd ReduceSum ReduceSumSquare
+    Relu Reshape Resize ReverseSequence RoiAlign RotaryEmbedding Round STFT Scatter ScatterElements
+    ScatterND Selu Shape Shrink Sigmoid Sign SimplifiedLayerNormalization Sin Sinh Size Slice
+    Softmax Softplus Softsign SpaceToDepth Split Sqrt Squeeze Sub Sum SwiGLU Swish Tan Tanh
+    TensorScatter ThresholdedRelu Tile TopK Transpose Trilu Unique Unsqueeze Upsample Where Xor
 """.split())
-"""ONNX operators that only compute with tensors: no control flow (it may never end), no randomness, no strings."""
+"""ONNX operators that only compute with tensors: no control flow (it may never end), no randomness,
+no strings."""
 
 MICROSOFT_OPERATORS = frozenset("""
-    Attention BiasAdd BiasGelu BiasSoftmax BiasSplitGelu CDist CausalConvWithState ComplexMul ComplexMulConj
-    ConvTransposeWithDynamicPads CropAndResize DecoderMaskedMultiHeadAttention DequantizeLinear DynamicQuantizeLSTM
-    DynamicQuantizeMatMul EmbedLayerNormalization ExpandDims FastGelu FusedConv FusedGemm FusedMatMul
-    FusedMatMulActivation GatedRelativePositionBias GatherBlockQuantized GatherND Gelu GemmFastGelu GridSample
-    GroupNorm GroupQueryAttention Inverse Irfft LinearAttention LongformerAttention MatMulBnb4 MatMulFpQ4
-    MatMulInteger16 MatMulIntegerToFloat MatMulNBits MaxpoolWithMask MulInteger MultiHeadAttention NhwcConv
-    NhwcFusedConv NhwcMaxPool PackedAttention PackedMultiHeadAttention Pad QAttention QEmbedLayerNormalization QGemm
-    QLinearAdd QLinearAveragePool QLinearConcat QLinearConv QLinearGlobalAveragePool QLinearLeakyRelu QLinearMul
-    QLinearReduceMean QLinearSigmoid QLinearSoftmax QLinearWhere QuantizeLinear QuickGelu Range ReduceSumInteger
-    RelativePositionBias Rfft RotaryEmbedding ScaledSiLU SkipGroupNorm SkipLayerNormalization
-    SkipSimplifiedLayerNormalization SparseAttention SparseToDenseMatMul SwiGLU TransposeMatMul Trilu Unique
+    Attention BiasAdd BiasGelu BiasSoftmax BiasSplitGelu CDist CausalConvWithState ComplexMul
+    ComplexMulConj ConvTransposeWithDynamicPads CropAndResize DecoderMaskedMultiHeadAttention
+    DequantizeLinear DynamicQuantizeLSTM DynamicQuantizeMatMul EmbedLayerNormalization ExpandDims
+    FastGelu FusedConv FusedGemm FusedMatMul FusedMatMulActivation GatedRelativePositionBias
+    GatherBlockQuantized GatherND Gelu GemmFastGelu GridSample GroupNorm GroupQueryAttention Inverse
+    Irfft LinearAttention LongformerAttention MatMulBnb4 MatMulFpQ4 MatMulInteger16
+    MatMulIntegerToFloat MatMulNBits MaxpoolWithMask MulInteger MultiHeadAttention NhwcConv
+    NhwcFusedConv NhwcMaxPool PackedAttention PackedMultiHeadAttention Pad QAttention
+    QEmbedLayerNormalization QGemm QLinearAdd QLinearAveragePool QLinearConcat QLinearConv
+    QLinearGlobalAveragePool QLinearLeakyRelu QLinearMul QLinearReduceMean QLinearSigmoid
+    QLinearSoftmax QLinearWhere QuantizeLinear QuickGelu Range ReduceSumInteger RelativePositionBias
+    Rfft RotaryEmbedding ScaledSiLU SkipGroupNorm SkipLayerNormalization
+    SkipSimplifiedLayerNormalization SparseAttention SparseToDenseMatMul SwiGLU TransposeMatMul
+    Trilu Unique
 """.split())
-"""ONNX Runtime's own operators of that kind. Others of its domain search with graphs of their own, draw random
-numbers, take strings apart or load programs (`EPContext`, `Snpe`)."""
+"""ONNX Runtime's own operators of that kind. Others of its domain search with graphs of their own,
+draw random numbers, take strings apart or load programs (`EPContext`, `Snpe`)."""
 
 KNOWN_OPERATORS = {"": OPERATORS, "ai.onnx": OPERATORS, "com.microsoft": MICROSOFT_OPERATORS}
 """Operators by domain."""
 
-SIZED_BY = {"AffineGrid": 1, "BlackmanWindow": 0, "Col2Im": 1, "ConstantOfShape": 0, "Expand": 1, "HammingWindow": 0,
+SIZED_BY = {"AffineGrid": 1, "BlackmanWindow": 0, "Col2Im": 1, "ConstantOfShape": 0, "Expand": 1,
+            "HammingWindow": 0,
             "HannWindow": 0, "MaxUnpool": 2, "Reshape": 1, "Resize": 3, "Tile": 1}
 """Operators whose output size is the value of an input -> the index of that input."""
 
-_ELEMENT_BITS = {1: 32, 2: 8, 3: 8, 4: 16, 5: 16, 6: 32, 7: 64, 9: 8, 10: 16, 11: 64, 12: 32, 13: 64, 16: 16, 17: 8,
-                 18: 8, 19: 8, 20: 8, 21: 4, 22: 4}
-"""Element types that tensors of a model may have, by ONNX's number -> bits; no strings, no complex numbers."""
+_ELEMENT_BITS = {1: 32, 2: 8, 3: 8, 4: 16, 5: 16, 6: 32, 7: 64, 9: 8, 10: 16, 11: 64, 12: 32,
+                 13: 64, 16: 16, 17: 8, 18: 8, 19: 8, 20: 8, 21: 4, 22: 4}
+"""Element types that tensors of a model may have, by ONNX's number -> bits; no strings, no complex
+numbers."""
 
 
 def check_model(path: Path, content: bytes, card: Mapping[str, Any], trust: bool = False) -> None:
-    """Raises ModelError with the reason when a model's file is not to be loaded; with `trust`, what its nodes do is no
-    reason."""
+    """Raises ModelError with the reason when a model's file is not to be loaded; with `trust`, what
+    its nodes do is no reason."""
     try:
         model = parse_model(content)
         if model.graphs != 1 or not model.outputs:
             raise WireError("it holds no graph")
     except WireError as error:
-        raise ModelError(f"model '{path}' is damaged or no ONNX file ({error}): get it again") from error
+        raise ModelError(f"model '{path}' is damaged or no ONNX file ({error}): get it "
+                         "again") from error
     for reason in () if trust else _unknown_work(model):
-        raise ModelError(f"model '{path}' is refused: {make_printable(reason[:MOST_SHOWN])}; if you know where it "
-                         "comes from, Library(folder, trust=True) loads it")
+        raise ModelError(f"model '{path}' is refused: {make_printable(reason[:MOST_SHOWN])}; if "
+                         "you know where it comes from, Library(folder, trust=True) loads it")
     for reason in _reasons(model, path, card):
         raise ModelError(f"model '{path}' is refused: {make_printable(reason[:MOST_SHOWN])}")
 
 
 def _unknown_work(model: ModelFile) -> Iterator[str]:
-    """What a model does beyond computing with tensors. Domains that it only declares, as optimised ones do, are no
-    harm."""
+    """What a model does beyond computing with tensors. Domains that it only declares, as optimised
+    ones do, are no harm."""
     yield from (f"it holds {extra}" for extra in sorted(model.extras))
     for node in model.nodes:
         if node.operator not in KNOWN_OPERATORS.get(node.domain, ()):
@@ -240,13 +262,16 @@ def _wrong_weights(weights: Weights, path: Path, card: Mapping[str, Any]) -> Ite
     count = math.prod(weights.dims)
     nbytes = -(-count * _ELEMENT_BITS[weights.kind] // 8)
     if weights.external is not None:
-        yield from (f"{name} {reason}" for reason in _wrong_place(weights.external, nbytes, path, card))
+        yield from (f"{name} {reason}"
+                    for reason in _wrong_place(weights.external, nbytes, path, card))
     elif nbytes != weights.held if weights.raw else count > weights.held:
         yield f"{name} says that it is {_text(weights.dims)} and holds {weights.held} bytes"
 
 
-def _wrong_place(external: Mapping[str, str], nbytes: int, path: Path, card: Mapping[str, Any]) -> Iterator[str]:
-    """Why weights in another file are refused: they must be in the model's folder, under a plain name."""
+def _wrong_place(external: Mapping[str, str], nbytes: int, path: Path,
+                 card: Mapping[str, Any]) -> Iterator[str]:
+    """Why weights in another file are refused: they must be in the model's folder, under a plain
+    name."""
     location = external.get("location", "")
     if not is_plain_name(location):
         yield f"is in '{location}': weights may lie in the model's own folder only"
@@ -259,7 +284,8 @@ def _wrong_place(external: Mapping[str, str], nbytes: int, path: Path, card: Map
     elif card.get("sha256") and location not in card.get("weights", {}):
         yield f"is in '{location}', whose hash the card does not give"
     else:
-        offset, length = (external.get(key, default) for key, default in (("offset", "0"), ("length", str(nbytes))))
+        offset, length = (external.get(key, default)
+                          for key, default in (("offset", "0"), ("length", str(nbytes))))
         if not (offset.isdecimal() and length.isdecimal() and int(length) == nbytes):
             yield f"needs {nbytes} bytes, not {length} from {offset} on"
         elif int(offset) + nbytes > file.stat().st_size:
@@ -274,7 +300,8 @@ def _wrong_sizes(model: ModelFile) -> Iterator[str]:
             constants[node.outputs[0]] = node.weights[0].values
     for node in model.nodes:
         index = SIZED_BY.get(node.operator)
-        size = constants.get(node.inputs[index], ()) if index is not None and index < len(node.inputs) else ()
+        size = (constants.get(node.inputs[index], ())
+                if index is not None and index < len(node.inputs) else ())
         if math.prod(max(1, abs(side)) for side in size) > MOST_ELEMENTS:
             yield f"a node '{node.operator}' makes {_text(size)} elements"
 
@@ -287,7 +314,8 @@ def _differences(kind: str, found: list[Declaration], card: Mapping[str, Any]) -
     declared = {name: facts for name, facts in declared.items()
                 if name in shapes or not facts.get("constant")}  # else it is in the metadata
     if set(shapes) != set(declared):
-        yield f"it has the {kind}s {', '.join(sorted(shapes))}, its card has {', '.join(sorted(declared))}"
+        yield (f"it has the {kind}s {', '.join(sorted(shapes))}, its card has "
+               f"{', '.join(sorted(declared))}")
         return
     for name, facts in declared.items():
         wanted, shape = facts.get("shape"), shapes[name]
@@ -296,15 +324,18 @@ def _differences(kind: str, found: list[Declaration], card: Mapping[str, Any]) -
 
 
 def _agree(shape: tuple[int | str, ...], wanted: list[int | str]) -> bool:
-    """Whether shapes are the same: numbers where both have one, and symbols where the file names one."""
+    """Whether shapes are the same: numbers where both have one, and symbols where the file names
+    one."""
     if len(shape) != len(wanted):
         return False
-    return all(one == other if isinstance(one, int) == isinstance(other, int) else isinstance(one, str) and one == ""
+    return all(one == other if isinstance(one, int) == isinstance(other, int)
+               else isinstance(one, str) and one == ""
                for one, other in zip(shape, wanted, strict=True) if one != "")
 
 
 def _is_huge(sizes: tuple[int, ...] | list[int]) -> bool:
-    return len(sizes) > MOST_DIMENSIONS or any(size < 0 for size in sizes) or math.prod(sizes) > MOST_ELEMENTS
+    return (len(sizes) > MOST_DIMENSIONS or any(size < 0 for size in sizes)
+            or math.prod(sizes) > MOST_ELEMENTS)
 
 
 def _text(sizes: tuple[int | str, ...] | list[int | str] | None) -> str:

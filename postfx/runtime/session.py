@@ -1,8 +1,9 @@
-"""ONNX Runtime sessions: shared arena, fixed dimensions, bindings on raw pointers, and optimised networks on disk.
+"""ONNX Runtime sessions: shared arena, fixed dimensions, bindings on raw pointers, and optimised
+networks on disk.
 
-ONNX Runtime optimises a network for the machine whenever it makes a session. The result on the CPU is cached in a file
-of the user, named by everything it depends on: the model's content, the sizes of its dimensions, ONNX Runtime's version
-and the processor. It computes the same bits.
+ONNX Runtime optimises a network for the machine whenever it makes a session. The result on the CPU
+is cached in a file of the user, named by everything it depends on: the model's content, the sizes
+of its dimensions, ONNX Runtime's version and the processor. It computes the same bits.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from postfx.runtime.model_file import read_tables
 from postfx.runtime.tensor import Tensor, element_type
 from postfx.system import allocated_bytes, private_folder, usable_memory
 
-__all__ = ["CPU", "FirstRun", "Placement", "Provider", "Session", "TableSession", "find_provider", "first_line",
-           "has_networks", "ort", "parse_provider", "providers_of", "session_options"]
+__all__ = ["CPU", "FirstRun", "Placement", "Provider", "Session", "TableSession", "find_provider",
+           "first_line", "has_networks", "ort", "parse_provider", "providers_of", "session_options"]
 
 
 class _Missing:
@@ -39,8 +40,9 @@ class _Missing:
     __version__ = "missing"
 
     def __getattr__(self, name: str) -> Any:
-        raise DeviceError("networks need the package onnxruntime: install it, or do without: --model classic filters, "
-                          "and the looks aces2, agx and pbr_neutral are tables")
+        raise DeviceError("networks need the package onnxruntime: install it, or do without: "
+                          "--model classic filters, and the looks aces2, agx and pbr_neutral are "
+                          "tables")
 
     def get_available_providers(self) -> list[str]:
         return []
@@ -61,15 +63,16 @@ def has_networks() -> bool:
 
 
 CONSTANTS = "postfx.constants"
-"""Key of a model's metadata under which `training.export` puts outputs that no node makes, which some execution
-providers cannot have: {name: {"shape": [...], "float32": "base64"}}."""
+"""Key of a model's metadata under which `training.export` puts outputs that no node makes, which
+some execution providers cannot have: {name: {"shape": [...], "float32": "base64"}}."""
 _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
 _BFLOAT16 = 16
 OPTIMISED_FOLDER = "networks"
 MOST_CACHE_BYTES = 256 << 20
 """Total bytes of cached files; the least recently used are removed first."""
 LARGEST_MODEL = 2 << 20
-"""Largest model that is cached: reading and checking a larger one takes as long as optimising it again."""
+"""Largest model that is cached: reading and checking a larger one takes as long as optimising it
+again."""
 HASH_BYTES = hashlib.sha256().digest_size
 """Length of the hash at the start of a file."""
 EXTERNAL_WEIGHTS = b"location"
@@ -83,13 +86,14 @@ CPU = "CPUExecutionProvider"
 
 
 class Provider(NamedTuple):
-    """An execution provider of ONNX Runtime that networks run on, with tensors in the host's memory.
+    """An execution provider of ONNX Runtime that networks run on, with tensors in the host's
+    memory.
 
     Attributes:
         name: ONNX Runtime's name; its end 'ExecutionProvider' may be left out.
         options: name -> value, the provider's own.
-        library: file, or name of the installed package, of a provider that is no part of this onnxruntime but a plug-in
-            for it.
+        library: file, or name of the installed package, of a provider that is no part of this
+            onnxruntime but a plug-in for it.
     """
 
     name: str
@@ -102,7 +106,8 @@ class Provider(NamedTuple):
 
 
 def parse_provider(text: str) -> Provider:
-    """A provider from 'NAME[,option=value...][,library=FILE|PACKAGE]'. Raises DeviceError where that cannot be read."""
+    """A provider from 'NAME[,option=value...][,library=FILE|PACKAGE]'. Raises DeviceError where
+    that cannot be read."""
     name, *rest = re.split(r",(?=\w+=)", text.strip())
     options = dict(part.partition("=")[::2] for part in rest)
     if not re.fullmatch(r"\w+", name):
@@ -115,21 +120,23 @@ def parse_provider(text: str) -> Provider:
 def find_provider(asked: Provider) -> Provider:
     """The provider by its full name; a plug-in's library is loaded.
 
-    Raises DeviceError that lists what there is when it is none of this onnxruntime's, the library cannot be loaded, or
-    the machine has no device for it.
+    Raises DeviceError that lists what there is when it is none of this onnxruntime's, the library
+    cannot be loaded, or the machine has no device for it.
     """
     if asked.library is not None:
         _register(asked.library)
-    there = {device.ep_name for device in _plug_in_devices()} if asked.library else set(ort.get_available_providers())
+    there = ({device.ep_name for device in _plug_in_devices()} if asked.library
+             else set(ort.get_available_providers()))
     names = {name.removesuffix("ExecutionProvider").lower(): name for name in there}
     name = names.get(asked.name.removesuffix("ExecutionProvider").lower())
     if name is None:
         known = ", ".join(sorted(there)) or "none"
         if asked.library:
-            raise DeviceError(f"provider '{asked.name}' has no device on this machine, although '{asked.library}' is "
-                              f"loaded: those with one are {known}")
-        raise DeviceError(f"no provider '{asked.name}' in onnxruntime {ort.__version__}, which has {known}: install "
-                          "one that has it, in an environment of its own, or give a plug-in as library=FILE|PACKAGE")
+            raise DeviceError(f"provider '{asked.name}' has no device on this machine, although "
+                              f"'{asked.library}' is loaded: those with one are {known}")
+        raise DeviceError(f"no provider '{asked.name}' in onnxruntime {ort.__version__}, which has "
+                          f"{known}: install one that has it, in an environment of its own, or "
+                          "give a plug-in as library=FILE|PACKAGE")
     return asked._replace(name=name)
 
 
@@ -140,10 +147,12 @@ def _register(library: str) -> None:
         path = library if os.path.isfile(library) else import_module(library).get_library_path()
         ort.register_execution_provider_library(f"postfx {library}", str(Path(path).absolute()))
     except (ImportError, AttributeError, TypeError) as error:
-        raise DeviceError(f"library '{library}' of a provider is neither a file nor a package that has one "
-                          f"({first_line(error)}), or onnxruntime {ort.__version__} is too old for plug-ins") from error
+        raise DeviceError(f"library '{library}' of a provider is neither a file nor a package that "
+                          f"has one ({first_line(error)}), or onnxruntime {ort.__version__} is too "
+                          "old for plug-ins") from error
     except Exception as error:
-        raise DeviceError(f"library '{library}' of a provider cannot be loaded: {first_line(error)}") from error
+        raise DeviceError(f"library '{library}' of a provider cannot be loaded: "
+                          f"{first_line(error)}") from error
 
 
 def _plug_in_devices() -> list[Any]:
@@ -152,8 +161,8 @@ def _plug_in_devices() -> list[Any]:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where sessions run: ONNX Runtime's names for the provider and the memory, the CPU threads, a GPU's stream, and
-    what the user asked for of a provider."""
+    """Where sessions run: ONNX Runtime's names for the provider and the memory, the CPU threads, a
+    GPU's stream, and what the user asked for of a provider."""
 
     provider: str
     memory: str
@@ -180,22 +189,25 @@ class Value(NamedTuple):
 
 
 class Session:
-    """One model ready to run, specialised for `dims` (free dimension name -> size); `folder` has files it refers to.
+    """One model ready to run, specialised for `dims` (free dimension name -> size); `folder` has
+    files it refers to.
 
-    An `exclusive` session runs on its provider alone; no node may fall back to the CPU. One with an arena `of_its_own`
-    shares no memory with others.
+    An `exclusive` session runs on its provider alone; no node may fall back to the CPU. One with an
+    arena `of_its_own` shares no memory with others.
     """
 
     def __init__(
-        self, model: bytes, name: str, placement: Placement, dims: Mapping[str, int], folder: Path | None = None,
-        exclusive: bool = False, of_its_own: bool = False,
+        self, model: bytes, name: str, placement: Placement, dims: Mapping[str, int],
+        folder: Path | None = None, exclusive: bool = False, of_its_own: bool = False,
     ) -> None:
         def options() -> ort.SessionOptions:
             found = session_options(placement, dims, not of_its_own)
             if exclusive:
                 found.add_session_config_entry("session.disable_cpu_ep_fallback", "1")
             if folder is not None:
-                found.add_session_config_entry("session.model_external_initializers_file_folder_path", str(folder))
+                found.add_session_config_entry(
+                    "session.model_external_initializers_file_folder_path", str(folder)
+                )
             return found
 
         try:
@@ -204,19 +216,22 @@ class Session:
             elif placement.asked and placement.asked.library:
                 self._session = _plug_in_session(model, options(), placement.asked)
             else:
-                self._session = ort.InferenceSession(model, options(), providers=providers_of(placement, exclusive),
+                self._session = ort.InferenceSession(model, options(),
+                                                     providers=providers_of(placement, exclusive),
                                                      enable_fallback=not placement.asked)
             self.inputs = [_value(item) for item in self._session.get_inputs()]
             self.outputs = [_value(item) for item in self._session.get_outputs()]
         except Exception as error:
             raise ModelError(f"model '{name}' cannot be made ready: {first_line(error)}") from error
         if self._session.get_providers()[0] != placement.provider:
-            raise ModelError(f"model '{name}' cannot run on {placement.provider}: see ONNX Runtime's warning above")
+            raise ModelError(f"model '{name}' cannot run on {placement.provider}: see ONNX "
+                             "Runtime's warning above")
         self.stream = placement.stream
         self._name = name
         self._placement = placement
 
-    def bind(self, inputs: Mapping[str, Tensor], outputs: Mapping[str, Tensor]) -> Callable[[], None]:
+    def bind(self, inputs: Mapping[str, Tensor],
+             outputs: Mapping[str, Tensor]) -> Callable[[], None]:
         """A function that runs the model on these tensors in place."""
         binding = self._session.io_binding()
         binding.session = self._session  # which has to outlive it
@@ -230,7 +245,8 @@ class Session:
 
         bind_inputs()
         for name, tensor in outputs.items():
-            binding.bind_output(name, memory, index, _element_type(tensor), tensor.shape, tensor.start)
+            binding.bind_output(name, memory, index, _element_type(tensor), tensor.shape,
+                                tensor.start)
         options = ort.RunOptions()
         if self._placement.stream:  # the command buffer waits once, at its end
             options.add_run_config_entry("disable_synchronize_execution_providers", "1")
@@ -239,14 +255,15 @@ class Session:
             return run
 
         def run_elsewhere() -> None:
-            bind_inputs()  # binding copies an input to a provider that has its own memory, running does not
+            # binding copies an input to a provider that has its own memory, running does not
+            bind_inputs()
             run()
 
         return run_elsewhere
 
     def intermediates(self) -> int | None:
-        """Bytes that the first run takes beside inputs and outputs, measured with zeros; None where the system does not
-        tell. The session must have an arena of its own, in which nothing ran.
+        """Bytes that the first run takes beside inputs and outputs, measured with zeros; None where
+        the system does not tell. The session must have an arena of its own, in which nothing ran.
 
         Raises ModelError if the model cannot be run.
         """
@@ -265,19 +282,23 @@ class Session:
         return grown[0] if grown else None
 
     def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """What depends on no input: all that the model's metadata holds, and these outputs, from one run on zeros.
+        """What depends on no input: all that the model's metadata holds, and these outputs, from
+        one run on zeros.
 
-        Raises ModelError if the model lacks them, or if they cannot be computed, for lack of memory for example.
+        Raises ModelError if the model lacks them, or if they cannot be computed, for lack of memory
+        for example.
         """
         stored = self._stored_constants()
         computed = [name for name in names if name not in stored]
         if not computed:
             return stored
-        zeros = {value.name: np.zeros(value.fixed, element_type(value.dtype)) for value in self.inputs}
+        zeros = {value.name: np.zeros(value.fixed, element_type(value.dtype))
+                 for value in self.inputs}
         options = ort.RunOptions()
         options.only_execute_path_to_fetches = True
         try:
-            return stored | dict(zip(computed, self._session.run(computed, zeros, options), strict=True))
+            return stored | dict(zip(computed, self._session.run(computed, zeros, options),
+                                     strict=True))
         except Exception as error:
             raise ModelError(f"model '{self._name}' cannot be run: {first_line(error)}") from error
 
@@ -285,13 +306,15 @@ class Session:
         """Constants in the model's metadata, by name."""
         text = self._session.get_modelmeta().custom_metadata_map.get(CONSTANTS, "{}")
         try:
-            return {str(name): np.frombuffer(base64.b64decode(told["float32"], validate=True), "<f4")
-                    .reshape(told["shape"]).astype(np.float32) for name, told in parse_json(text).items()}
+            return {str(name): np.frombuffer(
+                base64.b64decode(told["float32"], validate=True), "<f4"
+            ).reshape(told["shape"]).astype(np.float32) for name, told in parse_json(text).items()}
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
-            raise ModelError(f"model '{self._name}': '{CONSTANTS}' of its metadata is damaged: {first_line(error)}") \
-                from error
+            raise ModelError(f"model '{self._name}': '{CONSTANTS}' of its metadata is damaged: "
+                             f"{first_line(error)}") from error
 
-    def copy_bytes(self, source: tuple[str, int, int], target: tuple[str, int, int], nbytes: int) -> None:
+    def copy_bytes(self, source: tuple[str, int, int], target: tuple[str, int, int],
+                   nbytes: int) -> None:
         """Run a copying model from one (memory, index, pointer) to another."""
         binding = self._session.io_binding()
         binding.bind_input(self.inputs[0].name, *source[:2], np.uint8, (nbytes,), source[2])
@@ -300,10 +323,11 @@ class Session:
 
 
 class FirstRun:
-    """Runs a session; the first time it tells by how many bytes that made ONNX Runtime's memory grow.
+    """Runs a session; the first time it tells by how many bytes that made ONNX Runtime's memory
+    grow.
 
-    ONNX Runtime tells nobody what its arena holds, so the C library is asked before and after. What other threads take
-    meanwhile is counted, too.
+    ONNX Runtime tells nobody what its arena holds, so the C library is asked before and after. What
+    other threads take meanwhile is counted, too.
     """
 
     _ALONE = threading.Lock()
@@ -330,8 +354,8 @@ class FirstRun:
 
 
 class TableSession:
-    """Stands for a `Session` of a model without inputs where ONNX Runtime is missing: its outputs are read from the
-    file. There is nothing to run."""
+    """Stands for a `Session` of a model without inputs where ONNX Runtime is missing: its outputs
+    are read from the file. There is nothing to run."""
 
     stream = 0
 
@@ -340,7 +364,8 @@ class TableSession:
         self.inputs: list[Value] = []
         self.outputs = [Value(name, table.shape, "float32") for name, table in self._tables.items()]
 
-    def bind(self, inputs: Mapping[str, Tensor], outputs: Mapping[str, Tensor]) -> Callable[[], None]:
+    def bind(self, inputs: Mapping[str, Tensor],
+             outputs: Mapping[str, Tensor]) -> Callable[[], None]:
         """See `Session`."""
         raise DeviceError("a table is looked up and not run")
 
@@ -356,23 +381,28 @@ def first_line(error: BaseException) -> str:
 
 @cache
 def _register_shared_arena() -> None:
-    """One allocator for all sessions of the process; private arenas would each keep their peak forever. It is limited
-    to the machine's memory: a model that needs more fails, instead of the system killing the process."""
-    info = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
+    """One allocator for all sessions of the process; private arenas would each keep their peak
+    forever. It is limited to the machine's memory: a model that needs more fails, instead of the
+    system killing the process."""
+    info = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0,
+                             ort.OrtMemType.DEFAULT)
     ort.create_and_register_allocator(info, ort.OrtArenaCfg(usable_memory(), -1, -1, -1))
 
 
-def session_options(placement: Placement, dims: Mapping[str, int], shared: bool = True) -> ort.SessionOptions:
-    """Threads of the device, memory of the arena that all sessions share or of one of its own, free dimensions
-    fixed."""
+def session_options(placement: Placement, dims: Mapping[str, int],
+                    shared: bool = True) -> ort.SessionOptions:
+    """Threads of the device, memory of the arena that all sessions share or of one of its own, free
+    dimensions fixed."""
     _register_shared_arena()
     options = ort.SessionOptions()
     options.intra_op_num_threads = placement.threads
     options.log_severity_level = 3
-    # The memory pattern's block is allocated on top of the first run's memory; docs/lab/runtime.md has figures.
+    # The memory pattern's block is allocated on top of the first run's memory; docs/lab/runtime.md
+    # has figures.
     options.enable_mem_pattern = False
-    # Threads spin between nodes, longer than most take, but not on and on where a thread that they wait for lost its
-    # core to others, and not between runs, when other sessions and kernels need the cores.
+    # Threads spin between nodes, longer than most take, but not on and on where a thread that they
+    # wait for lost its core to others, and not between runs, when other sessions and kernels need
+    # the cores.
     options.add_session_config_entry("session.intra_op.allow_spinning", "1")
     options.add_session_config_entry("session.intra_op.spin_duration_us", "200")
     options.add_session_config_entry("session.force_spinning_stop", "1")
@@ -383,9 +413,11 @@ def session_options(placement: Placement, dims: Mapping[str, int], shared: bool 
 
 
 def providers_of(placement: Placement, exclusive: bool) -> list[Any]:
-    """ONNX Runtime's list of providers; unless `exclusive`, the CPU runs nodes that the provider cannot."""
+    """ONNX Runtime's list of providers; unless `exclusive`, the CPU runs nodes that the provider
+    cannot."""
     if placement.asked:
-        return [(placement.provider, dict(placement.asked.options))] + [CPU] * (placement.provider != CPU)
+        return ([(placement.provider, dict(placement.asked.options))]
+                + [CPU] * (placement.provider != CPU))
     if placement.provider == CPU:
         return [CPU]
     options = {"prefer_nhwc": "1", "fuse_conv_bias": "1"}
@@ -396,7 +428,8 @@ def providers_of(placement: Placement, exclusive: bool) -> list[Any]:
     return [(placement.provider, options)] + [CPU] * (not exclusive)
 
 
-def _plug_in_session(model: bytes, options: ort.SessionOptions, asked: Provider) -> ort.InferenceSession:
+def _plug_in_session(model: bytes, options: ort.SessionOptions,
+                     asked: Provider) -> ort.InferenceSession:
     """A session on all devices of a plug-in's provider, and for what that cannot run on the CPU."""
     devices = [device for device in _plug_in_devices() if device.ep_name == asked.name]
     options.add_provider_for_devices(devices, dict(asked.options))
@@ -410,18 +443,22 @@ def _value(item: ort.NodeArg) -> Value:
 
 
 def _element_type(tensor: Tensor) -> type | int:
-    """What ONNX Runtime calls a tensor's elements: NumPy's type, or ONNX's number where NumPy has none."""
+    """What ONNX Runtime calls a tensor's elements: NumPy's type, or ONNX's number where NumPy has
+    none."""
     return _BFLOAT16 if tensor.dtype == "bfloat16" else np.dtype(tensor.dtype).type
 
 
 def make_session(model: bytes, dims: Mapping[str, int],
                  options: Callable[[], ort.SessionOptions]) -> ort.InferenceSession:
-    """A session on the CPU, from the cached optimised model or the model itself. Raises ONNX Runtime's errors."""
-    folder = None if len(model) > LARGEST_MODEL or EXTERNAL_WEIGHTS in model else private_folder(OPTIMISED_FOLDER)
+    """A session on the CPU, from the cached optimised model or the model itself. Raises ONNX
+    Runtime's errors."""
+    folder = (None if len(model) > LARGEST_MODEL or EXTERNAL_WEIGHTS in model
+              else private_folder(OPTIMISED_FOLDER))
     if folder is None:
         return _session(model, options())
     path = folder / f"{_key(model, dims)}.onnx"
-    return _load_optimised(path, options()) or _optimise(path, model, options()) or _session(model, options())
+    return (_load_optimised(path, options()) or _optimise(path, model, options())
+            or _session(model, options()))
 
 
 def _session(model: bytes, options: ort.SessionOptions) -> ort.InferenceSession:
@@ -442,7 +479,8 @@ def _load_optimised(path: Path, options: ort.SessionOptions) -> ort.InferenceSes
 
 
 def _optimise(path: Path, model: bytes, options: ort.SessionOptions) -> ort.InferenceSession | None:
-    """A session of a model, whose optimised form is cached; None if that fails, for lack of space for example."""
+    """A session of a model, whose optimised form is cached; None if that fails, for lack of space
+    for example."""
     try:
         with atomic_file(path, durable=False) as part:
             options.optimized_model_filepath = str(part)

@@ -1,4 +1,5 @@
-"""The content of a capture: command buffers, their dispatches and barriers, and snapshots of tensors they wrote."""
+"""The content of a capture: command buffers, their dispatches and barriers, and snapshots of
+tensors they wrote."""
 
 from __future__ import annotations
 
@@ -58,8 +59,9 @@ class CapturedNetwork:
 
     Attributes:
         nodes: in the order of the file, up to the first that failed.
-        difference: the largest relative error (`capture.largest_error`) of the command's outputs against those of its
-            nodes run one by one: the effect of optimising and fusing. None if unknown.
+        difference: the largest relative error (`capture.largest_error`) of the command's outputs
+            against those of its nodes run one by one: the effect of optimising and fusing. None if
+            unknown.
     """
 
     nodes: list[CapturedNode] = field(default_factory=list)
@@ -94,7 +96,8 @@ class CapturedDispatch:
 
 @dataclass(frozen=True)
 class CapturedBarrier:
-    """A barrier; `form` is 'encoder', 'consumer' or 'producer', `after` and `before` its stage masks, sorted."""
+    """A barrier; `form` is 'encoder', 'consumer' or 'producer', `after` and `before` its stage
+    masks, sorted."""
 
     form: str
     encoder: int
@@ -108,7 +111,8 @@ class CapturedBuffer:
 
     Attributes:
         records: dispatches and barriers in order.
-        heap_used, heap_peak, heap_size: the device's heap when the buffer was done, bytes; see `Heap`.
+        heap_used, heap_peak, heap_size: the device's heap when the buffer was done, bytes; see
+            `Heap`.
     """
 
     label: str
@@ -145,7 +149,8 @@ NODE_PICTURES = Pictures(NODE_SLICES, 64, 96)
 
 @dataclass(frozen=True)
 class Statistics:
-    """Figures of a tensor. `minimum`, `maximum` and `mean` are over its finite elements, None if it has none.
+    """Figures of a tensor. `minimum`, `maximum` and `mean` are over its finite elements, None if it
+    has none.
 
     Attributes:
         zeros: share of all elements that are exactly 0, from 0 to 1.
@@ -166,9 +171,9 @@ class Snapshot:
 
     Attributes:
         channels: count of (height, width) slices that the tensor has; 0 when it is no picture.
-        pictures: the first of them, float32 (height, width), every n-th pixel so that they are at most `PICTURE_WIDTH`
-            wide and `PICTURE_HEIGHT` high: three of them, or `MOST_SLICES` in a capture of all; of nodes inside
-            networks as `NODE_PICTURES`.
+        pictures: the first of them, float32 (height, width), every n-th pixel so that they are at
+            most `PICTURE_WIDTH` wide and `PICTURE_HEIGHT` high: three of them, or `MOST_SLICES` in
+            a capture of all; of nodes inside networks as `NODE_PICTURES`.
         values: all elements, if there are at most `MOST_KEPT_VALUES`.
         file: the content as .npy, relative to the capture's folder; None unless all was captured.
     """
@@ -180,8 +185,10 @@ class Snapshot:
     file: str | None = None
 
 
-def take(array: np.ndarray, wanted: Pictures, folder: Path | None = None, file: str = "") -> Snapshot | None:
-    """A snapshot of an array, None if it has no elements; its content also goes to `folder / file` if given."""
+def take(array: np.ndarray, wanted: Pictures, folder: Path | None = None,
+         file: str = "") -> Snapshot | None:
+    """A snapshot of an array, None if it has no elements; its content also goes to `folder / file`
+    if given."""
     if not array.size:
         return None
     if folder is not None:
@@ -190,7 +197,8 @@ def take(array: np.ndarray, wanted: Pictures, folder: Path | None = None, file: 
     planes = as_planes(array)
     values = array.ravel().tolist() if array.size <= MOST_KEPT_VALUES else None
     pictures = [] if planes is None else [_small(plane, wanted) for plane in planes[: wanted.most]]
-    return Snapshot(statistics(array), 0 if planes is None else len(planes), pictures, values, file if folder else None)
+    return Snapshot(statistics(array), 0 if planes is None else len(planes), pictures, values,
+                    file if folder else None)
 
 
 def statistics(array: np.ndarray) -> Statistics:
@@ -212,10 +220,11 @@ def statistics(array: np.ndarray) -> Statistics:
 
 
 def as_planes(array: np.ndarray) -> np.ndarray | None:
-    """An array's pictures as a view or copy (channels, height, width); None when it has fewer than two dimensions.
+    """An array's pictures as a view or copy (channels, height, width); None when it has fewer than
+    two dimensions.
 
-    The last of three dimensions is the channels if it is the smallest, as in (height, width, 3); otherwise the last two
-    dimensions are a picture's. Leading dimensions of 1 do not count.
+    The last of three dimensions is the channels if it is the smallest, as in (height, width, 3);
+    otherwise the last two dimensions are a picture's. Leading dimensions of 1 do not count.
     """
     while array.ndim > 3 and array.shape[0] == 1:
         array = array[0]

@@ -1,4 +1,5 @@
-"""States and arguments: a network or kernel made ready to run, its declared bindings, and the tensors bound to them."""
+"""States and arguments: a network or kernel made ready to run, its declared bindings, and the
+tensors bound to them."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
 
 
 class Binding(NamedTuple):
-    """One argument of a network or kernel; `access` is 'read', 'write' or 'read-write', `shape` None if a kernel leaves
-    it open; it may hold symbols ('height', '2*width') in kernels only."""
+    """One argument of a network or kernel; `access` is 'read', 'write' or 'read-write', `shape`
+    None if a kernel leaves it open; it may hold symbols ('height', '2*width') in kernels only."""
 
     name: str
     access: str
@@ -63,9 +64,9 @@ class StateDevice(TensorDevice, Protocol):
 
 
 class State(Protocol):
-    """What an argument table is made for and an encoder dispatches; `model` is a network's file, `capturable` whether
-    it may become part of a CUDA graph, `threads` how many of the device's it takes, `narrow` whether not all, `stream`
-    its own stream on a GPU, 0 for the device's."""
+    """What an argument table is made for and an encoder dispatches; `model` is a network's file,
+    `capturable` whether it may become part of a CUDA graph, `threads` how many of the device's it
+    takes, `narrow` whether not all, `stream` its own stream on a GPU, 0 for the device's."""
 
     device: StateDevice
     name: str
@@ -87,7 +88,8 @@ class State(Protocol):
     def model(self) -> Path | None: ...
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
-        """A function that runs the state on tensors given in the order of `bindings`; nothing is copied."""
+        """A function that runs the state on tensors given in the order of `bindings`; nothing is
+        copied."""
         ...
 
 
@@ -97,20 +99,21 @@ class PipelineState:
     Attributes:
         bindings: the tensors that a dispatch reads and writes.
         shapes: name -> shape of each binding.
-        constants: name -> array, of outputs that depend on no input. They are not bound: on a GPU, ONNX Runtime would
-            copy them outside the stream, too early or too late.
-        products: name -> integer product that the file has as an output and that is left to the caller; its codes are
-            bound in its place.
-        intermediates_size: bytes that it takes between its inputs and outputs. Of a network that ONNX Runtime runs,
-            what its arena grows by when nothing is in it, measured by one run when it is asked for; None on a GPU and
-            where the system does not tell.
+        constants: name -> array, of outputs that depend on no input. They are not bound: on a GPU,
+            ONNX Runtime would copy them outside the stream, too early or too late.
+        products: name -> integer product that the file has as an output and that is left to the
+            caller; its codes are bound in its place.
+        intermediates_size: bytes that it takes between its inputs and outputs. Of a network that
+            ONNX Runtime runs, what its arena grows by when nothing is in it, measured by one run
+            when it is asked for; None on a GPU and where the system does not tell.
     """
 
     stage = "machine-learning"
     capturable = True
 
-    def __init__(self, device: StateDevice, name: str, session: Session | TableSession, dims: dict[str, int],
-                 model: Path, constants: Sequence[str] = (), in_place: Mapping[str, str] | None = None,
+    def __init__(self, device: StateDevice, name: str, session: Session | TableSession,
+                 dims: dict[str, int], model: Path, constants: Sequence[str] = (),
+                 in_place: Mapping[str, str] | None = None,
                  threads: int | None = None, products: Mapping[str, Product] | None = None,
                  measure: Callable[[], int | None] = lambda: 0) -> None:
         self.device = device
@@ -131,29 +134,35 @@ class PipelineState:
         self._convolutions: Convolutions | None = None
 
     def convolve(self, layers: Sequence[Layer], gpu: Gpu, heads: Mapping[str, Head]) -> None:
-        """Run as our own kernels from now on, with these layers; `heads` are outputs to give as planes then.
+        """Run as our own kernels from now on, with these layers; `heads` are outputs to give as
+        planes then.
 
         Raises Unfit where the GPU cannot run a layer.
         """
         shapes, names = give_heads(layers, self.shapes, heads)
         self._convolutions, self.shapes = Convolutions(layers, self.device, gpu, shapes), shapes
-        self.bindings = tuple(binding._replace(name=name, shape=shapes[name]) for binding in self.bindings
+        self.bindings = tuple(binding._replace(name=name, shape=shapes[name])
+                              for binding in self.bindings
                               for name in [names.get(binding.name, binding.name)])
 
     @cached_property
     def intermediates_size(self) -> int | None:
         """See the class."""
-        return self._measure() if self._convolutions is None else self._convolutions.intermediates_size
+        return (self._measure() if self._convolutions is None
+                else self._convolutions.intermediates_size)
 
     @property
     def takes_memory(self) -> bool:
         """Whether it runs in the memory that a dispatch gives it."""
         return self._convolutions is not None
 
-    def prepare(self, tensors: Sequence[Tensor], memory: Tensor | None = None) -> Callable[[], None]:
-        """A function that runs the network on bound tensors, and in this memory if it `takes_memory`."""
+    def prepare(self, tensors: Sequence[Tensor],
+                memory: Tensor | None = None) -> Callable[[], None]:
+        """A function that runs the network on bound tensors, and in this memory if it
+        `takes_memory`."""
         if self._convolutions is not None:
-            named = {binding.name: tensor for binding, tensor in zip(self.bindings, tensors, strict=True)}
+            named = {binding.name: tensor
+                     for binding, tensor in zip(self.bindings, tensors, strict=True)}
             return self._convolutions.bind(named, memory)
         return _bind_session(self._session, self.bindings, tensors, self._in_place)
 
@@ -178,12 +187,14 @@ class ComputeState:
     def _extent(self, tensors: Sequence[Tensor]) -> tuple[int, ...]:
         """Rows of the kernel's work, and the axes after them."""
         name, axis = self._row_axis
-        (written,) = (tensor for binding, tensor in zip(self.bindings, tensors, strict=True) if binding.name == name)
+        (written,) = (tensor for binding, tensor in zip(self.bindings, tensors, strict=True)
+                      if binding.name == name)
         return written.shape[axis:]
 
 
 class PortableComputeState(ComputeState):
-    """A kernel that runs by its portable ONNX definition, some of whose operators wait for the GPU."""
+    """A kernel that runs by its portable ONNX definition, some of whose operators wait for the
+    GPU."""
 
     capturable = False
 
@@ -223,9 +234,11 @@ class CompiledComputeState(ComputeState):
 class CudaComputeState(ComputeState):
     """A kernel that runs by its CUDA source."""
 
-    def __init__(self, device: StateDevice, kernel: Kernel, memory: CudaMemory, source: Path) -> None:
+    def __init__(self, device: StateDevice, kernel: Kernel, memory: CudaMemory,
+                 source: Path) -> None:
         super().__init__(device, kernel)
-        self._memory, self._source, self._blocks, self._pixels = memory, source, kernel.blocks, kernel.pixels
+        self._memory, self._source, self._blocks, self._pixels = (memory, source, kernel.blocks,
+                                                                  kernel.pixels)
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that puts the kernel on the GPU's stream."""
@@ -236,8 +249,9 @@ class CudaComputeState(ComputeState):
 
 
 class HostState:
-    """Work of another library on arrays of the host, done when its turn among the commands comes. Made by
-    `Device.host_state`; on a GPU its arrays are copies, and it waits for the commands before it."""
+    """Work of another library on arrays of the host, done when its turn among the commands comes.
+    Made by `Device.host_state`; on a GPU its arrays are copies, and it waits for the commands
+    before it."""
 
     stage = "compute"
     narrow = False
@@ -282,7 +296,8 @@ def kernel_bindings(kernel: Kernel) -> tuple[Binding, ...]:
     named = [(name, "read-write" if name in changed else "read") for name in kernel.reads]
     named += [(name, "write") for name in kernel.writes if name not in changed]
     shapes = {name: tuple(shape) for name, shape in kernel.shapes.items()}
-    return tuple(Binding(name, access, shapes.get(name), kernel.types.get(name, "float32")) for name, access in named)
+    return tuple(Binding(name, access, shapes.get(name), kernel.types.get(name, "float32"))
+                 for name, access in named)
 
 
 def _prepare_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
@@ -294,19 +309,22 @@ def _prepare_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
 
 
 def _session_bindings(
-    name: str, session: Session | TableSession, constants: Sequence[str], in_place: Mapping[str, str]
+    name: str, session: Session | TableSession, constants: Sequence[str],
+    in_place: Mapping[str, str]
 ) -> tuple[Binding, ...]:
-    reads = {value.name: Binding(value.name, "read", value.fixed, value.dtype) for value in session.inputs}
-    writes = {value.name: Binding(value.name, "write", value.fixed, value.dtype) for value in session.outputs
-              if value.name not in constants}
+    reads = {value.name: Binding(value.name, "read", value.fixed, value.dtype)
+             for value in session.inputs}
+    writes = {value.name: Binding(value.name, "write", value.fixed, value.dtype)
+              for value in session.outputs if value.name not in constants}
     for source, result in in_place.items():
         if source not in reads or result not in writes:
-            raise ModelError(f"network '{name}' cannot replace '{source}' by '{result}': it has the inputs "
-                             f"{_quote(reads)} and the outputs {_quote(writes)}")
+            raise ModelError(f"network '{name}' cannot replace '{source}' by '{result}': it has "
+                             f"the inputs {_quote(reads)} and the outputs {_quote(writes)}")
         one, other = reads[source], writes.pop(result)
         if (one.shape, one.dtype) != (other.shape, other.dtype):
-            raise ModelError(f"network '{name}' cannot replace '{source}', {one.shape} {one.dtype}, by '{result}', "
-                             f"{other.shape} {other.dtype}: give two that are alike")
+            raise ModelError(f"network '{name}' cannot replace '{source}', {one.shape} "
+                             f"{one.dtype}, by '{result}', {other.shape} {other.dtype}: give two "
+                             "that are alike")
         reads[source] = one._replace(access="read-write")
     return (*reads.values(), *writes.values())
 
@@ -315,14 +333,16 @@ def _bind_session(
     session: Session | TableSession, bindings: tuple[Binding, ...], tensors: Sequence[Tensor],
     in_place: Mapping[str, str],
 ) -> Callable[[], None]:
-    """A function that runs a session. What it changes in place is written elsewhere first, as its nodes may read it to
-    the end."""
+    """A function that runs a session. What it changes in place is written elsewhere first, as its
+    nodes may read it to the end."""
     bound = {binding.name: tensor for binding, tensor in zip(bindings, tensors, strict=True)}
     inputs = {binding.name: bound[binding.name] for binding in bindings if binding.reads}
-    outputs = {binding.name: bound[binding.name] for binding in bindings if binding.access == "write"}
+    outputs = {binding.name: bound[binding.name]
+               for binding in bindings if binding.access == "write"}
     if not in_place:
         return _counted(session.bind(inputs, outputs), tensors)
-    replaced = [(bound[name], bound[name].device.heap.tensor(result, bound[name].shape, bound[name].dtype))
+    replaced = [(bound[name],
+                 bound[name].device.heap.tensor(result, bound[name].shape, bound[name].dtype))
                 for name, result in in_place.items()]
     run = _counted(session.bind(inputs, outputs | {new.name: new for _, new in replaced}), tensors)
 
@@ -348,26 +368,32 @@ class Arguments:
     """A complete, unchanging set of tensors for a state.
 
     Attributes:
-        reads, writes: the tensors that it reads and writes, the memory of its intermediates among the latter.
+        reads, writes: the tensors that it reads and writes, the memory of its intermediates among
+            the latter.
         transients: allocations of transient tensors without memory yet.
         execute: runs the state on them; None while some have no memory.
-        aliases: two tensors on the same memory, the second of which is written; None if there are none.
+        aliases: two tensors on the same memory, the second of which is written; None if there are
+            none.
     """
 
-    def __init__(self, state: State, tensors: tuple[Tensor, ...], memory: Tensor | None = None) -> None:
+    def __init__(self, state: State, tensors: tuple[Tensor, ...],
+                 memory: Tensor | None = None) -> None:
         pairs = list(zip(state.bindings, tensors, strict=True))
         changed = () if memory is None else (memory,)
         self.state = state
         self.reads = tuple([tensor for binding, tensor in pairs if binding.access != "write"])
         self.writes = (*[tensor for binding, tensor in pairs if binding.access != "read"], *changed)
-        self.transients = tuple(dict.fromkeys(a for a in (t.allocation for t in tensors) if isinstance(a, Transient)))
-        self.execute: Callable[[], None] | None = None if self.transients else _prepare(state, tensors, memory)
+        self.transients = tuple(dict.fromkeys(a for a in (t.allocation for t in tensors)
+                                              if isinstance(a, Transient)))
+        self.execute: Callable[[], None] | None = (None if self.transients
+                                                   else _prepare(state, tensors, memory))
         self._tensors, self._memory = tensors, memory
         self.aliases = self._aliases()
         self._placed: tuple[tuple[Allocation | None, ...], Arguments] | None = None
 
     def _aliases(self) -> tuple[Tensor, Tensor] | None:
-        """Two tensors on the same memory, of two bindings, the second of which is written; None if there are none."""
+        """Two tensors on the same memory, of two bindings, the second of which is written; None if
+        there are none."""
         for index, binding in enumerate(self.state.bindings):
             if binding.access == "read":
                 continue
@@ -383,7 +409,8 @@ class Arguments:
         self._placed = None
 
     def with_memory(self) -> Arguments:
-        """The same arguments on the memory that transient tensors have now; cached until that changes."""
+        """The same arguments on the memory that transient tensors have now; cached until that
+        changes."""
         places = tuple([transient.place for transient in self.transients])
         if self._placed is None or self._placed[0] != places:
             resident = tuple(tensor.resident() for tensor in self._tensors)
@@ -391,16 +418,19 @@ class Arguments:
         return self._placed[1]
 
 
-def _prepare(state: State, tensors: tuple[Tensor, ...], memory: Tensor | None) -> Callable[[], None]:
+def _prepare(state: State, tensors: tuple[Tensor, ...],
+             memory: Tensor | None) -> Callable[[], None]:
     """A function that runs a state. What has strides is gathered before and scattered after it."""
     if isinstance(state, PipelineState) and memory is not None:
         return state.prepare(tensors, memory)  # of a GPU, where nothing has strides
     if all([tensor.contiguous for tensor in tensors]):
         return state.prepare(tensors)
-    packed = [tensor if tensor.contiguous else state.device.heap.tensor(tensor.name, tensor.shape, tensor.dtype)
+    packed = [tensor if tensor.contiguous
+              else state.device.heap.tensor(tensor.name, tensor.shape, tensor.dtype)
               for tensor in tensors]
     run = state.prepare(packed)
-    strided = [(binding, tensor, copy) for binding, tensor, copy in zip(state.bindings, tensors, packed, strict=True)
+    strided = [(binding, tensor, copy)
+               for binding, tensor, copy in zip(state.bindings, tensors, packed, strict=True)
                if not tensor.contiguous]
 
     def run_packed() -> None:
@@ -416,11 +446,11 @@ def _prepare(state: State, tensors: tuple[Tensor, ...], memory: Tensor | None) -
 
 
 class Intermediates:
-    """Memory for what networks compute between their inputs and outputs, made by `Device.intermediates`. Networks that
-    some order puts one after the other share it.
+    """Memory for what networks compute between their inputs and outputs, made by
+    `Device.intermediates`. Networks that some order puts one after the other share it.
 
-    Our own networks on a GPU run in it. ONNX Runtime takes nobody's memory: its networks run in the arena that all of
-    them share, which `Heap.size` and `Heap.peak` count.
+    Our own networks on a GPU run in it. ONNX Runtime takes nobody's memory: its networks run in the
+    arena that all of them share, which `Heap.size` and `Heap.peak` count.
 
     Attributes:
         size: bytes.
@@ -442,21 +472,22 @@ class Intermediates:
         Raises BindingError where there is too little, or the state is another device's.
         """
         if state.device is not self.device:
-            raise BindingError(f"{state.command} and the memory of its intermediates belong to different devices: make "
-                               "both on one")
+            raise BindingError(f"{state.command} and the memory of its intermediates belong to "
+                               "different devices: make both on one")
         needed = state.intermediates_size or 0
         if needed > self.size:
             fix = "give device.intermediates the states of all networks that share it"
-            raise BindingError(f"{state.command} needs {needed:,} bytes for its intermediates, but the memory given "
-                               f"has {self.size:,}: {fix}")
+            raise BindingError(f"{state.command} needs {needed:,} bytes for its intermediates, but "
+                               f"the memory given has {self.size:,}: {fix}")
         return self.memory if state.takes_memory else None
 
 
 class ArgumentTable:
-    """Tensors by binding name, checked when they are set. A dispatch uses the tensors that are set when it is recorded.
+    """Tensors by binding name, checked when they are set. A dispatch uses the tensors that are set
+    when it is recorded.
 
-    `table["name"] = tensor` raises BindingError for an unknown name, a wrong shape or data type, another device's
-    tensor, a released tensor, or a read-only one that the state would write.
+    `table["name"] = tensor` raises BindingError for an unknown name, a wrong shape or data type,
+    another device's tensor, a released tensor, or a read-only one that the state would write.
     """
 
     def __init__(self, state: State, tensors: Mapping[str, Tensor] | None = None) -> None:
@@ -480,12 +511,14 @@ class ArgumentTable:
         """Set all tensors at once. Raises BindingError for one that is missing, too."""
         missing = [name for name in self._bindings if name not in tensors]
         if missing:
-            raise BindingError(f"{self.state.command}: nothing is bound to {_quote(missing)}: give {missing[0]}=")
+            raise BindingError(f"{self.state.command}: nothing is bound to {_quote(missing)}: give "
+                               f"{missing[0]}=")
         for name, tensor in tensors.items():
             self[name] = tensor
 
     def __getitem__(self, name: str) -> Tensor:
-        """The tensor bound to a name. Raises BindingError when the name is unknown or has no tensor."""
+        """The tensor bound to a name. Raises BindingError when the name is unknown or has no
+        tensor."""
         self._binding(name)
         if name not in self._tensors:
             raise BindingError(f"{self.state.command}: nothing is bound to '{name}': {_BIND}")
@@ -495,53 +528,62 @@ class ArgumentTable:
         return iter(self._tensors)
 
     def arguments(self, memory: Tensor | None = None) -> Arguments:
-        """The complete set of tensors, with memory for intermediates. Raises BindingError when some are unbound or
-        their sizes do not fit together."""
+        """The complete set of tensors, with memory for intermediates. Raises BindingError when some
+        are unbound or their sizes do not fit together."""
         if self._arguments is None or memory is not self._memory:
             unbound = [name for name in self._bindings if name not in self._tensors]
             if unbound:
-                raise BindingError(f"{self.state.command}: nothing is bound to {_quote(unbound)}: {_BIND}")
+                raise BindingError(f"{self.state.command}: nothing is bound to {_quote(unbound)}: "
+                                   f"{_BIND}")
             tensors = tuple([self._tensors[name] for name in self._bindings])
             key, self._memory = (*tensors, *(() if memory is None else (memory,))), memory
             self._arguments = self._known.get(key) or self._make_arguments(key, tensors)
         return self._arguments
 
     def _make_arguments(self, named: tuple[Tensor, ...], tensors: tuple[Tensor, ...]) -> Arguments:
-        """Arguments that are known again, beside the last ones before, as histories swap from frame to frame; unless
-        these keep memory of others alive."""
+        """Arguments that are known again, beside the last ones before, as histories swap from frame
+        to frame; unless these keep memory of others alive."""
         self._check_together()
         before = [*self._known.items()][-1:]
         for _, last in before:
             last.forget_memory()
         self._known = {key: last for key, last in before if not any(
-            tensor.released or (tensor.allocation.borrowed and tensor not in tensors) for tensor in key)}
+            tensor.released or (tensor.allocation.borrowed and tensor not in tensors)
+            for tensor in key)}
         made = self._known[named] = Arguments(self.state, tensors, self._memory)
         return made
 
     def _binding(self, name: str) -> Binding:
         if name not in self._bindings:
-            raise BindingError(f"{self.state.command} has no binding '{name}': it has {_quote(self._bindings)}")
+            raise BindingError(f"{self.state.command} has no binding '{name}': it has "
+                               f"{_quote(self._bindings)}")
         return self._bindings[name]
 
     def _check(self, binding: Binding, tensor: Tensor) -> None:
         where = f"{self.state.command}, binding '{binding.name}'"
         if not isinstance(tensor, Tensor):
             kind = type(tensor).__name__
-            raise BindingError(f"{where}: {kind} is not a tensor: use device.wrap or device.heap.tensor")
+            raise BindingError(f"{where}: {kind} is not a tensor: use device.wrap or "
+                               "device.heap.tensor")
         if tensor.device is not self.state.device:
-            raise BindingError(f"{where}: tensor '{tensor.name}' belongs to another device: make it on this one")
+            raise BindingError(f"{where}: tensor '{tensor.name}' belongs to another device: make "
+                               "it on this one")
         if tensor.released:
             raise BindingError(f"{where}: tensor '{tensor.name}' was released: bind a new one")
         if tensor.dtype != binding.dtype:
-            raise BindingError(f"{where}: tensor '{tensor.name}' is {tensor.dtype}, it must be {binding.dtype}")
+            raise BindingError(f"{where}: tensor '{tensor.name}' is {tensor.dtype}, it must be "
+                               f"{binding.dtype}")
         if binding.shape is not None and not could_match(tensor.shape, binding.shape):
-            raise BindingError(f"{where}: tensor '{tensor.name}' is {tensor.shape}, it must be {_text(binding.shape)}")
+            raise BindingError(f"{where}: tensor '{tensor.name}' is {tensor.shape}, it must be "
+                               f"{_text(binding.shape)}")
         if binding.writes and not tensor.allocation.writable:
             fix = "wrap a writable one"
-            raise BindingError(f"{where} is written, but tensor '{tensor.name}' wraps a read-only array: {fix}")
+            raise BindingError(f"{where} is written, but tensor '{tensor.name}' wraps a read-only "
+                               f"array: {fix}")
 
     def _check_together(self) -> None:
-        declared = {name: binding.shape for name, binding in self._bindings.items() if binding.shape is not None}
+        declared = {name: binding.shape
+                    for name, binding in self._bindings.items() if binding.shape is not None}
         try:
             solve({name: tensor.shape for name, tensor in self._tensors.items()}, declared)
         except BindingError as error:
@@ -568,7 +610,8 @@ class Dimension(NamedTuple):
 
 @cache
 def parse(dimension: int | str) -> Dimension:
-    """A declared dimension: a number, 'symbol' or 'k*symbol' with a whole number k of at least 1."""
+    """A declared dimension: a number, 'symbol' or 'k*symbol' with a whole number k of at
+    least 1."""
     if isinstance(dimension, int):
         return Dimension(dimension, None)
     match = _SCALED.fullmatch(dimension.strip())
@@ -578,7 +621,8 @@ def parse(dimension: int | str) -> Dimension:
 
 
 def could_match(shape: tuple[int, ...], declared: tuple[int | str, ...]) -> bool:
-    """Whether a shape has the declared rank and fixed sizes, whatever the symbols' values are elsewhere."""
+    """Whether a shape has the declared rank and fixed sizes, whatever the symbols' values are
+    elsewhere."""
     if len(shape) != len(declared):
         return False
     dimensions = [parse(item) for item in declared]
@@ -588,8 +632,10 @@ def could_match(shape: tuple[int, ...], declared: tuple[int | str, ...]) -> bool
     )
 
 
-def solve(shapes: Mapping[str, tuple[int, ...]], declared: Mapping[str, tuple[int | str, ...]]) -> dict[str, int]:
-    """Values of the symbols that make every shape its declared one; BindingError naming two bindings that disagree."""
+def solve(shapes: Mapping[str, tuple[int, ...]],
+          declared: Mapping[str, tuple[int | str, ...]]) -> dict[str, int]:
+    """Values of the symbols that make every shape its declared one; BindingError naming two
+    bindings that disagree."""
     values: dict[str, int] = {}
     origin: dict[str, str] = {}
     for name, dimensions in declared.items():
@@ -600,8 +646,9 @@ def solve(shapes: Mapping[str, tuple[int, ...]], declared: Mapping[str, tuple[in
             value = size // factor
             if values.setdefault(symbol, value) != value:
                 raise BindingError(
-                    f"'{origin[symbol]}' {shapes[origin[symbol]]} and '{name}' {shapes[name]} do not fit together: "
-                    f"'{symbol}' is {values[symbol]} in the first and {value} in the second"
+                    f"'{origin[symbol]}' {shapes[origin[symbol]]} and '{name}' {shapes[name]} do "
+                    f"not fit together: '{symbol}' is {values[symbol]} in the first and {value} in "
+                    "the second"
                 )
             origin.setdefault(symbol, name)
     return values

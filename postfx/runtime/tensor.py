@@ -1,4 +1,5 @@
-"""Named tensors on a device, the allocations behind them, and their state: what may be done with them now."""
+"""Named tensors on a device, the allocations behind them, and their state: what may be done with
+them now."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ class Use(NamedTuple):
 
 @dataclass(frozen=True)
 class TensorState:
-    """The state of a tensor, from `Tensor.state`. A command is in flight from commit until the host has waited for it.
+    """The state of a tensor, from `Tensor.state`. A command is in flight from commit until the host
+    has waited for it.
 
     Attributes:
         released: whether its memory was returned.
@@ -51,7 +53,8 @@ class TensorState:
 
     @property
     def kind(self) -> str:
-        """'released', 'being written', 'being read', 'defined' or 'undefined': the first that holds."""
+        """'released', 'being written', 'being read', 'defined' or 'undefined': the first that
+        holds."""
         if self.released:
             return "released"
         if self.writer or self.reader:
@@ -64,7 +67,8 @@ class TensorState:
 
 
 def check_host_read(name: str, state: TensorState) -> None:
-    """Raises HazardError if the tensor was released, a command in flight writes it, or it has no data."""
+    """Raises HazardError if the tensor was released, a command in flight writes it, or it has no
+    data."""
     _check_alive(name, state)
     if state.lost:
         message = f"transient '{name}' is read by the host, but {state.lost}"
@@ -72,29 +76,34 @@ def check_host_read(name: str, state: TensorState) -> None:
     if state.writer:
         raise _in_use(name, "reads", state.writer, "writes")
     if state.failed:
-        message = f"'{name}' is read by the host, but {state.failed}: commit that again, or upload to '{name}'"
+        message = (f"'{name}' is read by the host, but {state.failed}: commit that again, or "
+                   f"upload to '{name}'")
         raise HazardError(message, "read before write", name, state.failed.label, "host")
     if not state.defined:
-        message = f"'{name}' is read by the host, but no command wrote it and nothing was uploaded to it"
+        message = (f"'{name}' is read by the host, but no command wrote it and nothing was "
+                   "uploaded to it")
         raise HazardError(message, "read before write", name, None, "host")
 
 
 def check_host_write(name: str, state: TensorState) -> None:
-    """Raises HazardError if the tensor was released, or a recorded command or one in flight uses it."""
+    """Raises HazardError if the tensor was released, or a recorded command or one in flight uses
+    it."""
     _check_alive(name, state)
     if state.writer:
         raise _in_use(name, "writes", state.writer, "writes")
     if state.reader:
         raise _in_use(name, "writes", state.reader, "reads")
     if state.recorded:
-        fix = "it runs after commit and would see the new values, so upload to another tensor before recording"
+        fix = ("it runs after commit and would see the new values, so upload to another tensor "
+               "before recording")
         message = f"the host writes '{name}' while {state.recorded} uses it: {fix}"
         raise HazardError(message, "host access", name, state.recorded.label, "host")
 
 
 def _check_alive(name: str, state: TensorState) -> None:
     if state.released:
-        raise HazardError(f"tensor '{name}' was released: make a new one", "released", name, None, "host")
+        raise HazardError(f"tensor '{name}' was released: make a new one", "released", name, None,
+                          "host")
 
 
 def _in_use(name: str, verb: str, use: Use, does: str) -> HazardError:
@@ -145,21 +154,23 @@ class TensorHeap(Protocol):
     def explain_loss(self, transient: Transient) -> str | None: ...
 
 
-DTYPES = ("float32", "float16", "bfloat16", "float64", "int64", "int32", "int16", "int8", "uint64", "uint32", "uint16",
-          "uint8", "bool")
+DTYPES = ("float32", "float16", "bfloat16", "float64", "int64", "int32", "int16", "int8", "uint64",
+          "uint32", "uint16", "uint8", "bool")
 """Element types a tensor may have."""
 
 
 @cache
 def element_type(dtype: str) -> np.dtype[Any]:
-    """NumPy's type of a tensor's elements. Raises BindingError for bfloat16 without the package ml_dtypes."""
+    """NumPy's type of a tensor's elements. Raises BindingError for bfloat16 without the package
+    ml_dtypes."""
     if dtype != "bfloat16":
         return np.dtype(dtype)
     try:
         from ml_dtypes import bfloat16
     except ImportError:
         fix = "pip install ml_dtypes"
-        raise BindingError(f"tensors of bfloat16, which NumPy has not, need the package ml_dtypes: {fix}") from None
+        raise BindingError("tensors of bfloat16, which NumPy has not, need the package ml_dtypes: "
+                           f"{fix}") from None
     found: np.dtype[Any] = np.dtype(bfloat16)
     return found
 
@@ -186,7 +197,8 @@ class Allocation:
     """
 
     def __init__(
-        self, name: str, pointer: int, nbytes: int, owner: object, writable: bool = True, transient: bool = False
+        self, name: str, pointer: int, nbytes: int, owner: object, writable: bool = True,
+        transient: bool = False
     ) -> None:
         self.name = name
         self.pointer = pointer
@@ -206,7 +218,8 @@ class Allocation:
         return self._finalizer is None and not self.transient
 
     def on_release(self, action: Callable[..., None], *args: Any) -> None:
-        """Call `action(*args)` once: on release, or when nothing refers to the allocation any more."""
+        """Call `action(*args)` once: on release, or when nothing refers to the allocation any
+        more."""
         self._finalizer = weakref.finalize(self, action, *args)
         self._finalizer.atexit = False
 
@@ -218,7 +231,8 @@ class Allocation:
 
 
 class Transient(Allocation):
-    """The allocation of a transient tensor, which gets memory when a buffer that uses it is committed.
+    """The allocation of a transient tensor, which gets memory when a buffer that uses it is
+    committed.
 
     Attributes:
         place: its memory in the last such buffer.
@@ -233,7 +247,8 @@ class Transient(Allocation):
         self.turn = self.needs = 0
 
     def at(self, memory: Tensor, offset: int) -> Allocation:
-        """Its allocation at this place; the same object as last time if the place has not changed."""
+        """Its allocation at this place; the same object as last time if the place has not
+        changed."""
         pointer = memory.start + offset
         if self.place is None or self.place.owner is not memory or self.place.pointer != pointer:
             return Allocation(self.name, pointer, self.nbytes, owner=memory, transient=True)
@@ -243,20 +258,22 @@ class Transient(Allocation):
 class Tensor:
     """A tensor on a device.
 
-    Made by `device.heap.tensor` (undefined content), `device.heap.transient` (content within a command buffer) or
-    `device.wrap` (content of a NumPy array).
+    Made by `device.heap.tensor` (undefined content), `device.heap.transient` (content within a
+    command buffer) or `device.wrap` (content of a NumPy array).
 
     Attributes:
-        contiguous: whether its elements lie in order without gaps; if not, `strided` was given, the array that it wraps
-            in the host's memory. What runs on it works on a contiguous copy, which costs a copy each time.
+        contiguous: whether its elements lie in order without gaps; if not, `strided` was given, the
+            array that it wraps in the host's memory. What runs on it works on a contiguous copy,
+            which costs a copy each time.
     """
 
     def __init__(
-        self, device: TensorDevice, name: str, shape: tuple[int, ...], dtype: str, allocation: Allocation,
-        offset: int = 0, strided: np.ndarray | None = None
+        self, device: TensorDevice, name: str, shape: tuple[int, ...], dtype: str,
+        allocation: Allocation, offset: int = 0, strided: np.ndarray | None = None
     ) -> None:
         if dtype not in DTYPES:
-            raise BindingError(f"tensor '{name}' cannot be of type {dtype}: use one of {', '.join(DTYPES)}")
+            raise BindingError(f"tensor '{name}' cannot be of type {dtype}: use one of "
+                               f"{', '.join(DTYPES)}")
         self.contiguous = strided is None
         self._put = b""
         self._device = device
@@ -290,10 +307,12 @@ class Tensor:
 
     @property
     def array(self) -> np.ndarray:
-        """The tensor as a read-only NumPy view, without a copy; host memory only. Write by `upload` or `fill`.
+        """The tensor as a read-only NumPy view, without a copy; host memory only. Write by `upload`
+        or `fill`.
 
-        Raises DeviceError if the host cannot see the memory; HazardError if a command in flight writes it, if nothing
-        has written it, or if it is transient and another tensor has its memory now.
+        Raises DeviceError if the host cannot see the memory; HazardError if a command in flight
+        writes it, if nothing has written it, or if it is transient and another tensor has its
+        memory now.
         """
         self._check_host_read()
         view = self.resident().host_view().view()
@@ -304,8 +323,10 @@ class Tensor:
         """The content, to read at once: `array` if the host can see the memory, else a copy."""
         return self.array if self._device.memory.host_visible else self.download()
 
-    def download(self, empty: Callable[[tuple[int, ...], np.dtype[Any]], np.ndarray] = np.empty) -> np.ndarray:
-        """A NumPy copy of the content, on memory that `empty` gives. Raises HazardError as `array` does."""
+    def download(self, empty: Callable[[tuple[int, ...],
+                                        np.dtype[Any]], np.ndarray] = np.empty) -> np.ndarray:
+        """A NumPy copy of the content, on memory that `empty` gives. Raises HazardError as `array`
+        does."""
         self._check_host_read()
         scratch, here = self._device.scratch, self.resident()
         if not self.contiguous:
@@ -327,14 +348,15 @@ class Tensor:
     def upload(self, values: Any) -> None:
         """Copy host values of exactly this shape into the tensor.
 
-        Raises BindingError when they do not fit, or the tensor is read-only or transient. Raises HazardError while a
-        recorded command or one in flight uses the memory, for it would see the new values.
+        Raises BindingError when they do not fit, or the tensor is read-only or transient. Raises
+        HazardError while a recorded command or one in flight uses the memory, for it would see the
+        new values.
         """
         source, kind = np.asarray(values), element_type(self.dtype)
         fits = source.dtype == kind
         if source.shape != self.shape or not (fits or np.can_cast(source.dtype, kind, "same_kind")):
-            raise BindingError(f"upload of {source.shape} {source.dtype} to '{self.name}': the tensor is {self.shape} "
-                               f"{self.dtype}")
+            raise BindingError(f"upload of {source.shape} {source.dtype} to '{self.name}': the "
+                               f"tensor is {self.shape} {self.dtype}")
         self._check_host_write()
         given = fits and source.flags.c_contiguous
         contiguous = source if given else np.ascontiguousarray(source, kind).reshape(self.shape)
@@ -370,11 +392,14 @@ class Tensor:
                    copy: bool | None = None) -> object:
         """The content for other libraries, without a copy: `torch.from_dlpack(tensor)`.
 
-        The memory stays as long as their array, but is the heap's again after `release`. What wrote it was waited for,
-        so no stream has to. Raises HazardError as `array` does, BufferError for strides and where a copy is asked for.
+        The memory stays as long as their array, but is the heap's again after `release`. What wrote
+        it was waited for, so no stream has to. Raises HazardError as `array` does, BufferError for
+        strides and where a copy is asked for.
         """
-        if copy or (dl_device is not None and tuple(dl_device) != self.__dlpack_device__()) or not self.contiguous:
-            raise BufferError(f"tensor '{self.name}' is shared where and as it lies: use download() for a copy")
+        if (copy or (dl_device is not None and tuple(dl_device) != self.__dlpack_device__())
+            or not self.contiguous):
+            raise BufferError(f"tensor '{self.name}' is shared where and as it lies: use "
+                              "download() for a copy")
         self._check_host_read()
         here = self.resident()
         return lend(here.start, self.shape, self.dtype, self._device.memory.place, here)
@@ -385,32 +410,39 @@ class Tensor:
         if self._device.memory.place[0] != CUDA:
             raise AttributeError(f"tensor '{self.name}' is not in CUDA's memory")
         self._check_host_read()
-        return {"shape": self.shape, "typestr": element_type(self.dtype).str, "strides": None, "version": 3,
+        return {"shape": self.shape, "typestr": element_type(self.dtype).str, "strides": None,
+                "version": 3,
                 "data": (self.resident().start, not self.allocation.writable), "stream": None}
 
-    def view(self, name: str, shape: tuple[int, ...], offset: int = 0, dtype: str | None = None) -> Tensor:
-        """A tensor over part of the same memory: `shape` elements from element `offset` on, no copy. With a `dtype`,
-        their bits are numbers of that type, which has the same size."""
+    def view(self, name: str, shape: tuple[int, ...], offset: int = 0,
+             dtype: str | None = None) -> Tensor:
+        """A tensor over part of the same memory: `shape` elements from element `offset` on, no
+        copy. With a `dtype`, their bits are numbers of that type, which has the same size."""
         if not self.contiguous:
-            raise BindingError(f"'{self.name}' is strided: take the view of the array, and wrap that")
+            raise BindingError(f"'{self.name}' is strided: take the view of the array, and wrap "
+                               "that")
         if dtype and element_type(dtype).itemsize != element_type(self.dtype).itemsize:
-            raise BindingError(f"view '{name}' of {dtype} needs elements of the size of {self.dtype}'s, '{self.name}'")
+            raise BindingError(f"view '{name}' of {dtype} needs elements of the size of "
+                               f"{self.dtype}'s, '{self.name}'")
         skipped = offset * element_type(self.dtype).itemsize
         if offset < 0 or skipped + size_in_bytes(shape, self.dtype) > self.nbytes:
-            raise BindingError(f"view '{name}' {tuple(shape)} at {offset} does not fit into '{self.name}' {self.shape}")
+            raise BindingError(f"view '{name}' {tuple(shape)} at {offset} does not fit into "
+                               f"'{self.name}' {self.shape}")
         inside = self.start - self.allocation.pointer + skipped
         return Tensor(self._device, name, shape, dtype or self.dtype, self.allocation, inside)
 
     def release(self) -> None:
-        """Return the memory to the heap, or drop a wrapped array; this tensor and its views become unusable.
+        """Return the memory to the heap, or drop a wrapped array; this tensor and its views become
+        unusable.
 
-        Uncommitted commands that use it are refused at commit. Running ones are not affected, as long as later work
-        uses the same device.
+        Uncommitted commands that use it are refused at commit. Running ones are not affected, as
+        long as later work uses the same device.
         """
         self.allocation.release()
 
     def resident(self) -> Tensor:
-        """The tensor itself; for a transient one, its place in the last committed buffer that used it."""
+        """The tensor itself; for a transient one, its place in the last committed buffer that used
+        it."""
         placed = self.allocation.place
         if placed is None:
             return self
@@ -425,29 +457,36 @@ class Tensor:
 
     def overlaps(self, other: Tensor) -> bool:
         """Whether the two tensors share memory."""
-        return self.start < other.end and other.start < self.end and self.nbytes > 0 and other.nbytes > 0
+        return (self.start < other.end and other.start < self.end and self.nbytes > 0
+                and other.nbytes > 0)
 
     def is_same_memory(self, other: Tensor) -> bool:
-        """Whether this tensor, which must not be released, is all that the other is: the same elements in order."""
-        return not self.released and self.contiguous and other.contiguous and (self.start, self.shape, self.dtype) == (
-            other.start, other.shape, other.dtype)
+        """Whether this tensor, which must not be released, is all that the other is: the same
+        elements in order."""
+        return (not self.released and self.contiguous and other.contiguous
+                and (self.start, self.shape, self.dtype) == (
+            other.start, other.shape, other.dtype))
 
     def is_on(self, array: object) -> bool:
-        """Whether this tensor, which must not be released, is a NumPy array of float32 in memory that both see, or the
-        tensor of PyTorch that it was made of."""
+        """Whether this tensor, which must not be released, is a NumPy array of float32 in memory
+        that both see, or the tensor of PyTorch that it was made of."""
         if self.released:
             return False
         if not isinstance(array, np.ndarray):
-            return array is self.allocation.owner and is_as_lent(array, self.start, self.shape, self.dtype)
+            return (array is self.allocation.owner
+                    and is_as_lent(array, self.start, self.shape, self.dtype))
         return array.dtype == np.float32 and array.flags.c_contiguous \
             and (self.start, self.shape) == (address(array), array.shape)
 
     def host_view(self) -> np.ndarray:
-        """Writable view for compiled kernels, made once; checks only that the host can see the memory."""
+        """Writable view for compiled kernels, made once; checks only that the host can see the
+        memory."""
         if not self._device.memory.host_visible:
-            raise DeviceError(f"tensor '{self.name}' lives on {self._device.name}: use download() for a copy")
+            raise DeviceError(f"tensor '{self.name}' lives on {self._device.name}: use download() "
+                              "for a copy")
         if self._host is None:
-            self._host = view_at(self.start, self.shape, element_type(self.dtype), self.allocation.owner)
+            self._host = view_at(self.start, self.shape, element_type(self.dtype),
+                                 self.allocation.owner)
         return self._host
 
     def _check_host_read(self) -> None:
@@ -457,8 +496,10 @@ class Tensor:
     def _check_host_write(self) -> None:
         if self.allocation.transient:
             fix = "use heap.tensor for one that the host writes"
-            raise BindingError(f"tensor '{self.name}' is transient, so only commands write it: {fix}")
+            raise BindingError(f"tensor '{self.name}' is transient, so only commands write it: "
+                               f"{fix}")
         if not self.allocation.writable:
-            raise BindingError(f"tensor '{self.name}' wraps a read-only array: it cannot be written")
+            raise BindingError(f"tensor '{self.name}' wraps a read-only array: it cannot be "
+                               "written")
         if not self._device.hazards.is_free(self):
             check_host_write(self.name, self.state)

@@ -1,13 +1,15 @@
 """Threads of a device: one that runs committed work in order, and helpers for the rows of kernels.
 
-Waking a thread takes longer than many kernels run. So a helper that is done spins for some microseconds, without the
-interpreter's lock, before it goes to sleep, and a thread that waits for helpers does the same. Compiled rows are begun
-and ended without that lock, too: with sixteen threads they would wait for it longer than they run.
+Waking a thread takes longer than many kernels run. So a helper that is done spins for some
+microseconds, without the interpreter's lock, before it goes to sleep, and a thread that waits for
+helpers does the same. Compiled rows are begun and ended without that lock, too: with sixteen
+threads they would wait for it longer than they run.
 
-Each helper has a row of ``board`` (n, LINE) of int64, a cache line: its flag, and what to run: the ``ENTRY`` and the
-``WORDS`` of compiled rows (`postfx.compiled.calls.BoundRows`), or ``PYTHON``. A helper that is ``WAITING`` spins; then
-it is ``DOZING`` for a while, asleep where one call of Linux wakes it; then ``AWAY``, for Python to start it again. That
-takes so long that, of sixteen threads, the first would be away again before the last is back, kernel after kernel.
+Each helper has a row of ``board`` (n, LINE) of int64, a cache line: its flag, and what to run: the
+``ENTRY`` and the ``WORDS`` of compiled rows (`postfx.compiled.calls.BoundRows`), or ``PYTHON``. A
+helper that is ``WAITING`` spins; then it is ``DOZING`` for a while, asleep where one call of Linux
+wakes it; then ``AWAY``, for Python to start it again. That takes so long that, of sixteen threads,
+the first would be away again before the last is back, kernel after kernel.
 """
 
 from __future__ import annotations
@@ -32,10 +34,12 @@ from postfx.workers import Workers
 SPIN_SECONDS = 100e-6
 """Seconds that a thread spins before it sleeps: more than the gap between two kernels."""
 DELAY = 5e-6
-"""Seconds after which a helper takes the interpreter's lock: by then the thread that gave it a band has released it."""
+"""Seconds after which a helper takes the interpreter's lock: by then the thread that gave it a band
+has released it."""
 NAP = 20e-6
 NANOSECONDS = 20_000_000
-"""How long a helper dozes each of five times before it is away. A program that ends waits for that."""
+"""How long a helper dozes each of five times before it is away. A program that ends waits for
+that."""
 FLAG, ENTRY, WORDS, STATUS, TIMEOUT = range(5)
 LINE = 8
 PYTHON = -1
@@ -60,8 +64,8 @@ Work = queue.SimpleQueue[Callable[[], None] | None]
 
 
 class CommandQueue:
-    """Runs functions one after the other on a thread of its own, and others beside them. The thread ends with the queue
-    object."""
+    """Runs functions one after the other on a thread of its own, and others beside them. The thread
+    ends with the queue object."""
 
     def __init__(self, name: str) -> None:
         self._work: Work = queue.SimpleQueue()
@@ -72,7 +76,8 @@ class CommandQueue:
         _threads[thread] = self._work
 
     def submit(self, work: Callable[[], None], beside: Executor | None = None) -> None:
-        """Run `work` after everything submitted before; at once on a thread of `beside`, if that is given."""
+        """Run `work` after everything submitted before; at once on a thread of `beside`, if that is
+        given."""
         self._apart = [other for other in self._apart if not other.done()]
         if beside is not None:
             self._apart.append(beside.submit(work))
@@ -139,7 +144,8 @@ class Band(NamedTuple):
 
 
 class Helpers:
-    """Up to `count` threads that work on bands beside the thread that calls; others that call wait for it."""
+    """Up to `count` threads that work on bands beside the thread that calls; others that call wait
+    for it."""
 
     def __init__(self, count: int) -> None:
         self._pool = Workers(count, thread_name_prefix="postfx band")
@@ -165,7 +171,8 @@ class Helpers:
                         self._pool.submit(self._help, i)
                 own.work()
             finally:
-                # Wait even after an error: no one else may use the tensors while a band still writes them.
+                # Wait even after an error: no one else may use the tensors while a band still
+                # writes them.
                 self._wait(handed)
             failures = self._failures[:handed]
         for failure in failures:
@@ -267,13 +274,16 @@ def timeout_error(what: str, flying: Sequence[Waitable]) -> CommandTimeout:
     if not buffers:
         return CommandTimeout(f"{what}, but it is done now", None, ())
     dispatch, labels = buffers[0].running, tuple(commands.label for commands in buffers[1:])
-    running = f"{dispatch} of '{buffers[0].label}' is running" if dispatch else f"'{buffers[0].label}' is about to run"
-    return CommandTimeout(f"{what}: {running}{_text_behind(labels)}", dispatch.label if dispatch else None, labels)
+    running = (f"{dispatch} of '{buffers[0].label}' is running" if dispatch
+               else f"'{buffers[0].label}' is about to run")
+    return CommandTimeout(f"{what}: {running}{_text_behind(labels)}",
+                          dispatch.label if dispatch else None, labels)
 
 
 def _text_behind(labels: tuple[str, ...]) -> str:
     if not labels:
         return ""
     named = ", ".join(f"'{label}'" for label in labels[:MOST_NAMED_BUFFERS])
-    more = f" and {len(labels) - MOST_NAMED_BUFFERS} more" if len(labels) > MOST_NAMED_BUFFERS else ""
+    more = (f" and {len(labels) - MOST_NAMED_BUFFERS} more" if len(labels) > MOST_NAMED_BUFFERS
+            else "")
     return f"; behind it wait {named}{more}"

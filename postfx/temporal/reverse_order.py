@@ -1,4 +1,5 @@
-"""Runs frames in reverse order: before the first frame of a shot (`RunUp`), or over all of it (`Backwards`)."""
+"""Runs frames in reverse order: before the first frame of a shot (`RunUp`), or over all of it
+(`Backwards`)."""
 
 from __future__ import annotations
 
@@ -30,15 +31,18 @@ from postfx.temporal.reverse_motion import (
 )
 
 RUN_UP = 8
-"""Frames of a run-up. With half as many, some frames after the first come out worse than without a run-up."""
+"""Frames of a run-up. With half as many, some frames after the first come out worse than without a
+run-up."""
 PART_FRAMES = 32
-"""Frames of a part, which run in reverse order together; their results are kept until they are needed."""
+"""Frames of a part, which run in reverse order together; their results are kept until they are
+needed."""
 HALF_MAX = np.float32(65504)
 """Largest number of half precision."""
 
 
 class RunUp:
-    """Gives a `Pipeline` a history at the first frame of each shot, which would be the noisiest without it.
+    """Gives a `Pipeline` a history at the first frame of each shot, which would be the noisiest
+    without it.
 
         shot = postfx.read_sequence("shot/noisy.####.exr")
         passes = postfx.Pipeline([postfx.DenoiseUpscale()], run_up=postfx.RunUp(shot))
@@ -46,27 +50,33 @@ class RunUp:
             postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(frame))
 
     Args:
-        sequence: the frames. A separate reader reads them again, so iterating the sequence is not disturbed.
-        frames: how many frames after the first one to run, the last of them first. Fewer run if a gap, a broken file or
-            another shot comes sooner; none if `sequence.numbers` skips the next frame.
+        sequence: the frames. A separate reader reads them again, so iterating the sequence is not
+            disturbed.
+        frames: how many frames after the first one to run, the last of them first. Fewer run if a
+            gap, a broken file or another shot comes sooner; none if `sequence.numbers` skips the
+            next frame.
         cuts: as for the `Pipeline`.
         prepare: applied to frames after reading, as for the frames in order.
         view: of stereo files, the view whose frames run; None for the first.
 
-    Frames that cannot be read or run are skipped without an error; the frames between them and the first one still run.
+    Frames that cannot be read or run are skipped without an error; the frames between them and the
+    first one still run.
 
     Attributes:
-        on_frame: called before each frame of the run-up, with the number of the shot's first frame and its own; it may
-            raise to end the run-up.
+        on_frame: called before each frame of the run-up, with the number of the shot's first frame
+            and its own; it may raise to end the run-up.
     """
 
     def __init__(self, sequence: Sequence, frames: int = RUN_UP, cuts: str = "auto",
-                 prepare: Callable[[Frame], Frame] = lambda frame: frame, view: str | None = None) -> None:
+                 prepare: Callable[[Frame], Frame] = lambda frame: frame,
+                 view: str | None = None) -> None:
         self._view = view
-        self._sequence, self._frames, self._find_cuts, self._prepare = sequence, frames, cuts == "auto", prepare
+        self._sequence, self._frames, self._find_cuts, self._prepare = (sequence, frames,
+                                                                        cuts == "auto", prepare)
         self.on_frame: Callable[[int, int], None] = lambda first, number: None
         is_one = len(sequence.numbers) == 1  # which skips none
-        self._next = {} if is_one else dict(zip(sequence.numbers, (*sequence.numbers[1:], None), strict=True))
+        self._next = ({} if is_one
+                      else dict(zip(sequence.numbers, (*sequence.numbers[1:], None), strict=True)))
 
     def of_view(self, view: str) -> RunUp:
         """The same for another view of the sequence."""
@@ -76,22 +86,28 @@ class RunUp:
         return found
 
     def after(self, number: int) -> list[int]:
-        """Numbers of the frames to run before this one, in sequence order, according to their headers."""
+        """Numbers of the frames to run before this one, in sequence order, according to their
+        headers."""
         found = self._sequence.after(number, self._frames)
-        follows = found and self._next.get(number, found[0]) == found[0]  # frames before the range lead to it
-        return list(takewhile(partial(_continues_shot, self._sequence.reader(self._view)), found)) if follows else []
+        # frames before the range lead to it
+        follows = (found and self._next.get(number, found[0]) == found[0])
+        return (list(takewhile(partial(_continues_shot, self._sequence.reader(self._view)), found))
+                if follows else [])
 
     def __call__(self, frame: Frame, run: Callable[[Frame], None]) -> Frame:
-        """Run the frames after a first one in reverse order. Returns the first frame, ready to run after them."""
+        """Run the frames after a first one in reverse order. Returns the first frame, ready to run
+        after them."""
         numbers = self.after(frame.number)
         if not numbers:
             return frame
         detector = CutDetector() if self._find_cuts else None
         later: Frame | None = None
-        for _, other in read_ahead(reversed(numbers), partial(self._read, self._sequence.reader(self._view), frame)):
+        for _, other in read_ahead(reversed(numbers),
+                                   partial(self._read, self._sequence.reader(self._view), frame)):
             if other is not None:
                 self.on_frame(frame.number, other.number)
-            has_run = other is not None and _try_run(_mark_cut(reverse_motion(other, later), detector), run)
+            has_run = (other is not None
+                       and _try_run(_mark_cut(reverse_motion(other, later), detector), run))
             later = other if has_run else None
         return _mark_cut(reverse_motion(frame, later), detector)
 
@@ -99,7 +115,8 @@ class RunUp:
         """A frame with the planes of the first one; None if it lacks them or cannot be read."""
         try:
             sequence.rewind()
-            frame = self._prepare(read_patiently(partial(sequence.read, number, first.planes, first.guides)))
+            frame = self._prepare(read_patiently(partial(sequence.read, number, first.planes,
+                                                         first.guides)))
         except PostfxError:
             return None
         return frame if frame.spec == first.spec else None
@@ -133,7 +150,8 @@ class Result:
     """The result of one frame in reverse order.
 
     Attributes:
-        colour: (H, W, 3) in half precision, exposed, because bright light would not fit half precision otherwise.
+        colour: (H, W, 3) in half precision, exposed, because bright light would not fit half
+            precision otherwise.
         length: (h, w), history length of each pixel in reverse order.
         exposure_factor: what the colour was multiplied by.
     """
@@ -144,7 +162,8 @@ class Result:
 
 
 class Backwards:
-    """Adds the plane `later`, which the pass `both_ways` reads, to the frames of a sequence. Call it on them in order.
+    """Adds the plane `later`, which the pass `both_ways` reads, to the frames of a sequence. Call
+    it on them in order.
 
         shot = postfx.read_sequence("shot/noisy.####.exr")
         later = postfx.Backwards(shot, device)
@@ -153,29 +172,33 @@ class Backwards:
             postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(later(frame)))
 
     Args:
-        sequence: the frames. A separate reader reads them again, so iterating the sequence is not disturbed.
+        sequence: the frames. A separate reader reads them again, so iterating the sequence is not
+            disturbed.
         device: where to run; default: the default device of pipelines.
         exposure, cuts: as for a `Pipeline`.
         prepare: applied to frames after reading, as for the frames in order.
         wrap: as for a `Pipeline`.
         options: of `DenoiseUpscale`, the same as for the frames in order.
 
-    The sequence runs in parts of PART_FRAMES frames, each from its last frame to its first, after a run-up over the
-    frames after it. Frames of the run-up may lie beyond the end of the sequence if their files exist. Frames that
-    cannot be read are skipped without an error.
+    The sequence runs in parts of PART_FRAMES frames, each from its last frame to its first, after a
+    run-up over the frames after it. Frames of the run-up may lie beyond the end of the sequence if
+    their files exist. Frames that cannot be read are skipped without an error.
 
     Attributes:
-        milliseconds: device time of the last frame in reverse order; None if it did not have to run.
+        milliseconds: device time of the last frame in reverse order; None if it did not have to
+            run.
     """
 
     def __init__(self, sequence: Sequence, device: Device | None = None,
-                 exposure: str | float | ExposureMeter | SmoothExposure = "auto", cuts: str = "auto",
-                 prepare: Callable[[Frame], Frame] = lambda frame: frame, wrap: str = "auto", **options: Any) -> None:
+                 exposure: str | float | ExposureMeter | SmoothExposure = "auto",
+                 cuts: str = "auto", prepare: Callable[[Frame], Frame] = lambda frame: frame,
+                 wrap: str = "auto", **options: Any) -> None:
         self._of_view: Callable[[str], Backwards] = lambda view: Backwards(
             sequence.reader(view), device, exposure, cuts, prepare, wrap, **options)
         self._views: dict[str, Backwards] = {}
         after = sequence.after(sequence.numbers[-1], RUN_UP) if sequence.numbers else ()
-        self._given, self._numbers, self._asked = sequence, (*sequence.numbers, *after), len(sequence)
+        self._given, self._numbers, self._asked = (sequence, (*sequence.numbers, *after),
+                                                   len(sequence))
         self._at = {number: index for index, number in enumerate(sequence.numbers)}
         self._pass = DenoiseUpscale(**options)
         self._pipeline = Pipeline([self._pass], device, exposure, cuts, checks=False, wrap=wrap)
@@ -196,16 +219,18 @@ class Backwards:
         self._last, self._results, self._views = -1, {}, {}
 
     def part(self, number: int) -> tuple[int, int] | None:
-        """First and last frame that have to run before this one gets its result; None if it has one already."""
+        """First and last frame that have to run before this one gets its result; None if it has one
+        already."""
         if number in self._results or number not in self._at:
             return None
         return number, self._numbers[self._limits(self._at[number])[1] - 1]
 
-    def __call__(self, frame: Frame, wanted: bool = True, check: Callable[[], None] = lambda: None) -> Frame:
+    def __call__(self, frame: Frame, wanted: bool = True,
+                 check: Callable[[], None] = lambda: None) -> Frame:
         """The frame, and its other views, with the plane `later` among their guides.
 
-        wanted: if False, the frame only updates the history and its plane is 0. check: called between two frames in
-        reverse order; it may raise.
+        wanted: if False, the frame only updates the history and its plane is 0. check: called
+        between two frames in reverse order; it may raise.
         """
         guides = self._guides(frame.spec)
         later = np.zeros((guides.height, guides.width, 4), np.float32)
@@ -213,11 +238,15 @@ class Backwards:
         if frame.number in self._at:
             ahead = self._length_ahead(frame)
             result = self._result(frame.number, check) if wanted else None
-            if result and result.length.shape == ahead.shape and result.colour.shape[:2] == later.shape[:2]:
+            if (result and result.length.shape == ahead.shape
+                and result.colour.shape[:2] == later.shape[:2]):
                 share = np.empty(ahead.shape, np.float32)
                 share_by_length(ahead, result.length, share)
-                premultiply(share, result.colour.astype(np.float32) / np.float32(result.exposure_factor), later)
-        views = {name: self._add_later(name, view, wanted, check) for name, view in frame.views.items()}
+                premultiply(share,
+                            result.colour.astype(np.float32) / np.float32(result.exposure_factor),
+                            later)
+        views = {name: self._add_later(name, view, wanted, check)
+                 for name, view in frame.views.items()}
         return replace(frame, guides={**frame.guides, Role.LATER: later}, views=views)
 
     def _add_later(self, name: str, frame: Frame, wanted: bool, check: Callable[[], None]) -> Frame:
@@ -225,16 +254,19 @@ class Backwards:
             self._views[name] = self._of_view(name)
         later = self._views[name]
         found = later(frame, wanted, check)
-        self.milliseconds = (self.milliseconds or 0) + later.milliseconds if later.milliseconds else self.milliseconds
+        self.milliseconds = ((self.milliseconds or 0) + later.milliseconds if later.milliseconds
+                             else self.milliseconds)
         return found
 
     def _guides(self, spec: FrameSpec) -> GuideSpec:
         """Guides for a spec, with `later` at the size of the denoiser's output."""
-        output, source = self._pass.reflect(spec).output, spec.guides.source if spec.guides else None
+        output, source = (self._pass.reflect(spec).output,
+                          spec.guides.source if spec.guides else None)
         return GuideSpec(output.width, output.height, (*spec.guide_roles, Role.LATER), source)
 
     def _length_ahead(self, frame: Frame) -> np.ndarray:
-        """History lengths in order up to this frame; reads earlier frames again if some were skipped."""
+        """History lengths in order up to this frame; reads earlier frames again if some were
+        skipped."""
         index = self._at[frame.number]
         if index != self._last + 1:
             self._ahead.reset()
@@ -245,7 +277,8 @@ class Backwards:
 
     @cached_property
     def _sequence(self) -> Sequence:
-        """A separate reader, made after the first read in order, which decides on layout and area."""
+        """A separate reader, made after the first read in order, which decides on layout and
+        area."""
         found = self._given.reader()
         found.options = found.options.without_parts()  # only the picture is mixed
         return found
@@ -263,7 +296,8 @@ class Backwards:
         return self._results.pop(number, None)
 
     def _limits(self, index: int) -> tuple[int, int]:
-        """Index after the last frame of a frame's part, and index after the last frame of its run-up."""
+        """Index after the last frame of a frame's part, and index after the last frame of its
+        run-up."""
         end = min((index // PART_FRAMES + 1) * PART_FRAMES, self._asked)
         return end, min(end + RUN_UP, len(self._numbers))
 

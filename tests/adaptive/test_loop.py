@@ -1,4 +1,5 @@
-"""`postfx loop`: rounds of rendering where it pays, with renderers that are faked, Blender and Mitsuba."""
+"""`postfx loop`: rounds of rendering where it pays, with renderers that are faked, Blender and
+Mitsuba."""
 
 import json
 import os
@@ -32,11 +33,13 @@ for job in jobs:
     box = job["region"] or {"x": 0, "y": 0, "width": size[0], "height": size[1]}
     sigma = np.full(size[::-1], 0.01)
     sigma[:, 48:] = 0.5
-    rows, columns = slice(box["y"], box["y"] + box["height"]), slice(box["x"], box["x"] + box["width"])
+    rows = slice(box["y"], box["y"] + box["height"])
+    columns = slice(box["x"], box["x"] + box["width"])
     noise = np.random.default_rng(job["seed"]).normal(0, 1, (*size[::-1], 3)) * sigma[..., None]
     light = np.abs(0.4 + noise / np.sqrt(job["samples"]))[rows, columns]
     planes = {name: light[..., axis] for axis, name in enumerate("RGB")}
-    write_channels(job["output"], planes, {"postfx:spp": job["samples"]}, (box["x"], box["y"]), size)
+    header = {"postfx:spp": job["samples"]}
+    write_channels(job["output"], planes, header, (box["x"], box["y"]), size)
 """
 
 
@@ -49,7 +52,8 @@ def fake(tmp_path: Path, monkeypatch) -> str:
 
 
 def loop(tmp_path: Path, render: str, *words: str) -> int:
-    return main(["loop", "--render", render, "-o", f"{tmp_path}/clean/####.exr", *words, "--", "--model", "s"])
+    return main(["loop", "--render", render, "-o", f"{tmp_path}/clean/####.exr", *words, "--",
+                 "--model", "s"])
 
 
 def test_only_noisy_tiles_are_rendered_again_and_merged(tmp_path: Path, fake: str, capsys):
@@ -66,7 +70,8 @@ def test_only_noisy_tiles_are_rendered_again_and_merged(tmp_path: Path, fake: st
     first = json.loads((work / "round0.json").read_text())["jobs"]
     assert len({job["seed"] for job in first} & {job["seed"] for job in jobs}) == 0
     for number in (1, 2):
-        counts = read_sequence(work / f"merged/{number:04}.exr").read(number)[Role.SAMPLE_COUNT][:, :, 0]
+        counts = read_sequence(work
+                               / f"merged/{number:04}.exr").read(number)[Role.SAMPLE_COUNT][:, :, 0]
         assert counts[:, :32].max() == 4 and counts[:, 64:].min() > 4
         assert (tmp_path / f"clean/{number:04}.exr").exists()
 
@@ -76,7 +81,8 @@ def test_a_budget_is_kept_over_all_rounds(tmp_path: Path, fake: str, capsys):
     assert loop(tmp_path, fake, *words, "--rounds", "1", "--budget", "4") == 0
     rounds = json.loads(capsys.readouterr().out)["rounds"]
     assert 4 < rounds[-1]["samples"] <= 8 and len(rounds) == 2
-    assert loop(tmp_path, fake, *words, "--rounds", "3", "--budget", "10") == 0  # goes on with a larger budget
+    # goes on with a larger budget
+    assert loop(tmp_path, fake, *words, "--rounds", "3", "--budget", "10") == 0
     rounds = json.loads(capsys.readouterr().out)["rounds"]
     assert 8 < rounds[-1]["samples"] <= 14 and len(rounds) >= 3
     seeds = {job["seed"] for path in tmp_path.glob("clean/loop/round*.json")
@@ -97,16 +103,20 @@ def test_a_loop_that_was_stopped_goes_on(tmp_path: Path, fake: str, capsys):
 def test_a_renderer_that_crashes_goes_on_with_what_is_left(tmp_path: Path, fake: str, capsys):
     script = Path(shlex.split(fake)[1])
     script.write_text(FAKE + "    if len(jobs) > 1:\n        raise SystemExit(139)\n")
-    assert loop(tmp_path, fake, "--frames", "1-2", "--samples", "4", "--quality", "10dB", "--json") == 0
+    assert loop(tmp_path, fake, "--frames", "1-2", "--samples", "4", "--quality", "10dB",
+                "--json") == 0
     assert json.loads(capsys.readouterr().out)["done"] == "all tiles have the quality"
-    assert len(json.loads((tmp_path / "clean/loop/round0.json").read_text())["jobs"]) == 1  # the last of four
+    # the last of four
+    assert len(json.loads((tmp_path / "clean/loop/round0.json").read_text())["jobs"]) == 1
 
 
 def test_what_goes_wrong_is_said_in_one_line(tmp_path: Path, fake: str, capsys):
     for render, message in (("my_render", "give a command with {jobs}"),
                             ("no_such_program {jobs}", "no_such_program cannot be started"),
-                            (f"{shlex.quote(sys.executable)} -c 'raise SystemExit(3)' {{jobs}}", "ended with 3"),
-                            (f"{shlex.quote(sys.executable)} -c pass {{jobs}}", "the renderer did not write it")):
+                            (f"{shlex.quote(sys.executable)} -c 'raise SystemExit(3)' {{jobs}}",
+                             "ended with 3"),
+                            (f"{shlex.quote(sys.executable)} -c pass {{jobs}}",
+                             "the renderer did not write it")):
         assert loop(tmp_path, render) == 2
         error = capsys.readouterr().err
         assert message in error and error.count("\n") == 1
@@ -127,12 +137,14 @@ bpy.ops.wm.save_as_mainfile(filepath="{path}")
 """
 
 
-@pytest.mark.skipif(not Path(BLENDER).exists(), reason="no Blender as a module: POSTFX_BPY_PYTHON names its Python")
+@pytest.mark.skipif(not Path(BLENDER).exists(),
+                    reason="no Blender as a module: POSTFX_BPY_PYTHON names its Python")
 def test_blender_renders_regions_that_merge_to_its_own_picture(tmp_path: Path, capsys):
     blend = tmp_path / "shot.blend"
     subprocess.run([BLENDER, "-c", SHOT.format(path=blend)], check=True, capture_output=True)
     render = f"{BLENDER} {HOSTS / 'render_blender.py'} {blend} {{jobs}}"
-    words = ("--samples", "4", "--tile", "16", "--rounds", "1", "--quality", "60dB", "--budget", "4", "--json")
+    words = ("--samples", "4", "--tile", "16", "--rounds", "1", "--quality", "60dB", "--budget",
+             "4", "--json")
     assert loop(tmp_path, render, *words) == 0
     rounds = json.loads(capsys.readouterr().out)["rounds"]
     assert len(rounds) == 2 and 4 < rounds[1]["samples"] <= 8
@@ -141,7 +153,8 @@ def test_blender_renders_regions_that_merge_to_its_own_picture(tmp_path: Path, c
     counts = np.full((70, 100), 4.0)
     for job in jobs:
         box = job["region"]
-        counts[box["y"] : box["y"] + box["height"], box["x"] : box["x"] + box["width"]] += job["samples"]
+        counts[box["y"] : box["y"] + box["height"],
+               box["x"] : box["x"] + box["width"]] += job["samples"]
     frame = read_sequence(work / "merged/0001.exr").read(1)
     nominal = frame.samples if frame[Role.SAMPLE_COUNT].max() <= 1 else 1
     np.testing.assert_allclose(frame[Role.SAMPLE_COUNT][:, :, 0] * nominal, counts, rtol=1e-3)
@@ -161,8 +174,10 @@ def build(frame):
 @pytest.mark.skipif(find_spec("mitsuba") is None, reason="Mitsuba is not installed")
 def test_mitsuba_renders_crop_windows_that_lie_where_they_belong(tmp_path: Path, capsys):
     (tmp_path / "box.py").write_text(BOX)
-    render = f"{shlex.quote(sys.executable)} {HOSTS / 'render_mitsuba.py'} {tmp_path / 'box.py'} {{jobs}}"
-    words = ("--samples", "8", "--tile", "16", "--rounds", "1", "--quality", "60dB", "--budget", "24", "--json")
+    render = (f"{shlex.quote(sys.executable)} {HOSTS / 'render_mitsuba.py'} {tmp_path / 'box.py'} "
+              "{jobs}")
+    words = ("--samples", "8", "--tile", "16", "--rounds", "1", "--quality", "60dB", "--budget",
+             "24", "--json")
     assert loop(tmp_path, render, *words) == 0
     assert len(json.loads(capsys.readouterr().out)["rounds"]) == 2
     work = tmp_path / "clean/loop"
@@ -171,12 +186,15 @@ def test_mitsuba_renders_crop_windows_that_lie_where_they_belong(tmp_path: Path,
     counts = np.full((40, 48), 8.0)
     for job in jobs:
         box = job["region"]
-        rows, columns = slice(box["y"], box["y"] + box["height"]), slice(box["x"], box["x"] + box["width"])
+        rows, columns = slice(box["y"], box["y"] + box["height"]), slice(box["x"],
+                                                                         box["x"] + box["width"])
         counts[rows, columns] += job["samples"]
         with FrameFiles({"": Path(job["output"])}) as files:
             tile = files.read(1)
-        for role in (Role.DIFFUSE_ALBEDO, Role.NORMAL):  # nearly without noise, so that a wrong place shows
+        # nearly without noise, so that a wrong place shows
+        for role in (Role.DIFFUSE_ALBEDO, Role.NORMAL):
             assert np.median(np.abs(tile[role][rows, columns] - merged[role][rows, columns])) < 0.02
     np.testing.assert_array_equal(merged[Role.SAMPLE_COUNT][:, :, 0], counts)
-    again = merge_renders([work / "merged/0001.exr", *(Path(job["output"]) for job in jobs)], tmp_path / "again.exr")
+    again = merge_renders([work / "merged/0001.exr", *(Path(job["output"]) for job in jobs)],
+                          tmp_path / "again.exr")
     assert again.samples > merged.samples

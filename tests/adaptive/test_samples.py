@@ -6,7 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.adaptive.estimate import error_of_half, estimate_error, estimate_from_halves, mean_frame, read_error
+from postfx.adaptive.estimate import (
+    error_of_half,
+    estimate_error,
+    estimate_from_halves,
+    mean_frame,
+    read_error,
+)
 from postfx.adaptive.plan import (
     FEWEST_SAMPLES,
     MOST_SAMPLES_FACTOR,
@@ -33,11 +39,13 @@ ROOM = Path(__file__).resolve().parents[2] / "samples/room"
 def tiles_of(errors, samples=4.0, side=32, number=1, seconds=None) -> Tiles:
     errors = np.array(errors, np.float64)
     size = errors.shape[1] * side, errors.shape[0] * side
-    return Tiles(number, size, side, errors, np.full(errors.shape, samples), np.full(errors.shape, side**2), seconds)
+    return Tiles(number, size, side, errors, np.full(errors.shape, samples),
+                 np.full(errors.shape, side**2), seconds)
 
 
 def total(shot, plan) -> float:
-    return sum(float((tiles.error_with(more) * tiles.counted).sum()) for tiles, more in zip(shot, plan, strict=True))
+    return sum(float((tiles.error_with(more) * tiles.counted).sum())
+               for tiles, more in zip(shot, plan, strict=True))
 
 
 def test_words_decibels_and_flip_name_a_quality():
@@ -55,7 +63,8 @@ def test_a_tile_gets_what_its_quality_needs():
     tiles = tiles_of([[quality.error / 2, quality.error * 2, quality.error * 1e4]])
     (more,) = plan_samples([tiles], quality)
     exact = 4 * (2 ** (1 / SLOPE) - 1)
-    assert more[0, 0] == 0 and exact <= more[0, 1] < 2 * exact and more[0, 2] == 4 * MOST_SAMPLES_FACTOR
+    assert (more[0, 0] == 0 and exact <= more[0, 1] < 2 * exact
+            and more[0, 2] == 4 * MOST_SAMPLES_FACTOR)
     assert tiles.error_with(more)[0, 1] <= quality.error
 
 
@@ -64,7 +73,8 @@ def test_tiles_at_the_border_are_smaller_and_masked_ones_get_nothing():
     strength = np.ones_like(error)
     strength[:32, :32] = 0
     tiles = make_tiles(1, error, 4, strength, 32)
-    assert tiles.areas.tolist() == [[1024, 576], [256, 144]] and tiles.counted.tolist() == [[0, 576], [256, 144]]
+    assert (tiles.areas.tolist() == [[1024, 576], [256, 144]]
+            and tiles.counted.tolist() == [[0, 576], [256, 144]])
     (more,) = plan_samples([tiles], parse_quality("36dB"))
     assert more[0, 0] == 0 and (more.ravel()[1:] > 0).all()
     assert spread(tiles, more).shape == (40, 50)
@@ -79,7 +89,8 @@ def test_a_pixel_that_is_not_finite_does_not_count():
 @pytest.mark.parametrize("budget", [1.0, 4.0, 9.0])
 def test_a_budget_is_kept_and_lowers_the_error_more_than_even_samples(budget: float):
     random = np.random.default_rng(1)
-    shot = [tiles_of(10 ** random.uniform(-5, -1.5, (6, 8)), random.integers(2, 9), number=n) for n in range(4)]
+    shot = [tiles_of(10 ** random.uniform(-5, -1.5, (6, 8)), random.integers(2, 9), number=n)
+            for n in range(4)]
     plan = plan_samples(shot, parse_quality("60dB"), budget)
     used = np.mean([more.mean() for more in plan])
     even = [np.full_like(more, used) for more in plan]
@@ -95,7 +106,8 @@ def test_the_budget_of_a_shot_goes_to_its_worst_frames():
 def test_more_budget_than_needed_changes_nothing():
     shot = [tiles_of([[1e-3, 1e-5]])]
     quality = parse_quality("36dB")
-    np.testing.assert_array_equal(plan_samples(shot, quality, 1e6)[0], plan_samples(shot, quality)[0])
+    np.testing.assert_array_equal(plan_samples(shot, quality, 1e6)[0],
+                                  plan_samples(shot, quality)[0])
 
 
 def test_the_outlook_compares_with_even_samples_and_tells_hours():
@@ -104,7 +116,8 @@ def test_the_outlook_compares_with_even_samples_and_tells_hours():
     plan = plan_samples(shot, quality)
     found = look_ahead(shot, plan, quality)
     assert found.more == plan[0].mean() and found.uniform > 2 * found.more
-    assert found.hours == pytest.approx(found.more / 4) and found.uniform_hours == pytest.approx(found.uniform / 4)
+    assert (found.hours == pytest.approx(found.more / 4)
+            and found.uniform_hours == pytest.approx(found.uniform / 4))
     assert found.after < found.now
     even = [np.full((2, 2), found.uniform)]
     assert total(shot, even) == pytest.approx(total(shot, plan), rel=1e-3)
@@ -117,7 +130,8 @@ def test_regions_cover_exactly_the_tiles_that_get_samples():
     painted = np.zeros((100, 150))
     regions = find_regions(tiles, more)
     for region in regions:
-        rows, columns = slice(region.y, region.y + region.height), slice(region.x, region.x + region.width)
+        rows, columns = slice(region.y, region.y + region.height), slice(region.x,
+                                                                         region.x + region.width)
         assert not painted[rows, columns].any()
         painted[rows, columns] = region.samples
     np.testing.assert_array_equal(painted, spread(tiles, more))
@@ -144,15 +158,16 @@ def test_the_estimate_is_higher_where_there_is_more_noise_and_keeps_its_place():
 
 
 def denoised_halves(bias: float, seed: int = 1) -> tuple:
-    """A picture, two halves of its samples, and what a denoiser makes of each and of both: it keeps a part of the
-    noise, and is wrong by a pattern, which is smaller with all samples."""
+    """A picture, two halves of its samples, and what a denoiser makes of each and of both: it keeps
+    a part of the noise, and is wrong by a pattern, which is smaller with all samples."""
     random, rows = np.random.default_rng(seed), np.arange(128)
     truth = np.full((128, 128, 3), 0.3)
     wrong = bias * np.sin(rows / 3)[:, None, None] * np.linspace(0, 2, 128)[:, None]
     noises = [random.normal(0, 0.1, truth.shape) for _ in range(2)]
     halves = truth + noises[0], truth + noises[1]
     both = (noises[0] + noises[1]) / 2
-    return truth, halves, (*(truth + wrong + 0.3 * noise for noise in noises), truth + 0.7 * wrong + 0.3 * both)
+    return truth, halves, (*(truth + wrong + 0.3 * noise for noise in noises),
+                           truth + 0.7 * wrong + 0.3 * both)
 
 
 @pytest.mark.parametrize("bias", [0.0, 0.05])
@@ -162,7 +177,8 @@ def test_halves_measure_noise_and_bias_of_the_denoiser(bias: float):
     found = error_of_half(halves, denoised[:2], 1.0, 64)
     wanted = make_tiles(1, np.float32(measured), 4, None, 64).errors
     assert found.mean() == pytest.approx(wanted.mean(), rel=0.15)
-    assert np.abs(np.log(found / wanted)).max() < np.log(1.25 if bias == 0 else 1.7)  # neighbours count, too
+    # neighbours count, too
+    assert np.abs(np.log(found / wanted)).max() < np.log(1.25 if bias == 0 else 1.7)
 
 
 def test_halves_tell_the_error_of_both_together_and_fireflies_do_not_decide():
@@ -178,7 +194,8 @@ def test_halves_tell_the_error_of_both_together_and_fireflies_do_not_decide():
 
 def test_two_renders_are_averaged_but_for_depth_and_motion():
     one, other = (Frame({Role.COLOUR: np.full((4, 4, 3), value, np.float32),
-                         Role.DEPTH: np.full((4, 4, 1), value, np.float32)}, samples=4) for value in (1.0, 3.0))
+                         Role.DEPTH: np.full((4, 4, 1), value, np.float32)}, samples=4)
+                  for value in (1.0, 3.0))
     mean = mean_frame(one, other)
     assert (mean[Role.COLOUR] == 2).all() and (mean[Role.DEPTH] == 1).all()
     assert (one[Role.COLOUR] == 1).all()
@@ -186,8 +203,10 @@ def test_two_renders_are_averaged_but_for_depth_and_motion():
 
 def test_a_quality_in_flip_spreads_a_budget_more_evenly_than_one_in_decibels():
     shot = [tiles_of([[1e-2, 1e-3]])]
-    by_flip, by_decibels = (plan_samples(shot, parse_quality(text), 10)[0][0] for text in ("flip=0.001", "70dB"))
-    assert by_decibels[0] >= by_flip[0] >= FEWEST_SAMPLES and by_flip[1] >= FEWEST_SAMPLES > by_decibels[1]
+    by_flip, by_decibels = (plan_samples(shot, parse_quality(text), 10)[0][0]
+                            for text in ("flip=0.001", "70dB"))
+    assert (by_decibels[0] >= by_flip[0] >= FEWEST_SAMPLES
+            and by_flip[1] >= FEWEST_SAMPLES > by_decibels[1])
 
 
 def test_the_estimate_orders_the_tiles_of_real_renders(shared_dir: Path):
@@ -199,7 +218,8 @@ def test_the_estimate_orders_the_tiles_of_real_renders(shared_dir: Path):
     pipeline = postfx.Pipeline([postfx.DenoiseUpscale(scale=1.0, model="s")])
     for name in ("water_1x4", "snow_1x16"):
         frame = postfx.read_sequence(shared_dir / f"sequences/{name}/noisy.0002.exr").read(2)
-        reference = postfx.read_sequence(shared_dir / f"sequences/{name}/reference.0002.exr").read(2)[Role.COLOUR]
+        reference = (postfx.read_sequence(shared_dir / f"sequences/{name}/reference.0002.exr")
+                     .read(2)[Role.COLOUR])
         denoised, exposure = pipeline(frame)[Role.COLOUR], grey_factor(reference)
         pipeline.reset()
         true = np.square(to_codes(denoised, exposure) - to_codes(reference, exposure)).mean(axis=2)
@@ -235,12 +255,14 @@ def test_the_plane_error_of_a_file_counts(tmp_path: Path, capsys):
 def test_two_halves_of_a_shot_are_one_with_all_samples(tmp_path: Path, capsys):
     random = np.random.default_rng(1)
     names = [str(write_channels(tmp_path / f"seed{seed}.0001.exr",
-                                {name: 0.3 + random.normal(0, 0.1, (64, 64)) for name in "RGB"}, {"postfx:spp": 8}))
+                                {name: 0.3 + random.normal(0, 0.1, (64, 64)) for name in "RGB"},
+                                {"postfx:spp": 8}))
              for seed in (1, 2)]
     words = ["samples", names[0], "--halves", names[1], "--model", "s", "--json"]
     assert main(words) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert facts["error_from"] == ["two halves of the samples"] and facts["frames"][0]["samples"] == 16
+    assert (facts["error_from"] == ["two halves of the samples"]
+            and facts["frames"][0]["samples"] == 16)
     assert main([*words, "--denoised", names[0], names[1]]) == 2
     assert "with --halves three" in capsys.readouterr().err
     assert main([*words, "--error", names[0]]) == 2
@@ -249,13 +271,16 @@ def test_two_halves_of_a_shot_are_one_with_all_samples(tmp_path: Path, capsys):
 
 def test_a_shot_is_denoised_and_planned_with_pictures_and_a_mask(tmp_path: Path, capsys):
     shot = str(ROOM / "noisy.####.exr")
-    assert main(["samples", shot, "--frames", "1-2", "--model", "s", "--pictures", str(tmp_path), "--json"]) == 0
+    assert main(["samples", shot, "--frames", "1-2", "--model", "s", "--pictures", str(tmp_path),
+                 "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert [frame["frame"] for frame in facts["frames"]] == [1, 2]
     assert facts["error_from"] == ["an estimate from the noise"]
-    assert 0 < facts["more_samples"] < facts["uniform_samples"] and facts["psnr_after"] > facts["psnr"]
+    assert (0 < facts["more_samples"] < facts["uniform_samples"]
+            and facts["psnr_after"] > facts["psnr"])
     assert (tmp_path / "samples.0002.png").read_bytes()[:4] == b"\x89PNG"
-    assert main(["samples", shot, "--frames", "1-2", "--model", "s", "--leave", "converged:1spp", "--json"]) == 0
+    assert main(["samples", shot, "--frames", "1-2", "--model", "s", "--leave", "converged:1spp",
+                 "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["more_samples"] == 0
 
 

@@ -14,8 +14,10 @@ def kernels():
 
 
 def frame(motion=(0.0, 0.0), depth=2.0, normal=(0.0, 0.0, 1.0), **facts):
-    planes = {Role.COLOUR: np.zeros((8, 12, 3), np.float32), Role.MOTION: np.tile(np.float32(motion), (8, 12, 1)),
-              Role.DEPTH: np.full((8, 12, 1), depth, np.float32), Role.NORMAL: np.tile(np.float32(normal), (8, 12, 1))}
+    planes = {Role.COLOUR: np.zeros((8, 12, 3), np.float32),
+              Role.MOTION: np.tile(np.float32(motion), (8, 12, 1)),
+              Role.DEPTH: np.full((8, 12, 1), depth, np.float32),
+              Role.NORMAL: np.tile(np.float32(normal), (8, 12, 1))}
     return Frame(planes, **facts)
 
 
@@ -83,7 +85,8 @@ def test_enlarging_keeps_flat_light_and_counts_time(kernels):
 
 
 def noisy_edge():
-    """A frame whose colour hides an edge in noise, and whose planes show it, with noise of their own."""
+    """A frame whose colour hides an edge in noise, and whose planes show it, with noise of their
+    own."""
     random = np.random.default_rng(5)
     edge = np.repeat(np.float32(np.arange(64) < 32)[None, :, None] * [0.4, 0.5, 0.6] + 0.2, 64, 0)
     colour = edge * random.gamma(0.5, 2.0, edge.shape)
@@ -110,5 +113,6 @@ def test_denoising_albedo_comes_before_the_others():
     _, given = noisy_edge()
     denoise = Oidn("high", "cpu", 2)
     black = np.zeros_like(given[Role.DIFFUSE_ALBEDO])
-    both = Frame(given.planes | {Role.DIFFUSE_ALBEDO: black, Role.DENOISING_ALBEDO: given[Role.DIFFUSE_ALBEDO]})
+    both = Frame(given.planes | {Role.DIFFUSE_ALBEDO: black,
+                                 Role.DENOISING_ALBEDO: given[Role.DIFFUSE_ALBEDO]})
     assert np.array_equal(denoise(both), denoise(given))

@@ -16,10 +16,12 @@ from postfx.errors import BenchError  # noqa: E402
 
 
 def test_timing_of_runs():
-    times = {"wall_ms": [[9.0, 1.0, 1.0], [2.0, 2.0, 90.0], [3.0, 3.0, 3.0]], "cpu_s": [[1.0, 2.0, 3.0]] * 3,
+    times = {"wall_ms": [[9.0, 1.0, 1.0], [2.0, 2.0, 90.0], [3.0, 3.0, 3.0]],
+             "cpu_s": [[1.0, 2.0, 3.0]] * 3,
              "device_ms": [[0.5, 0.5, 4.0]] * 3, "first_ms": 50.0, "peak_mb": 100.0}
     found = timing(times, "cpu")
-    assert [found[key] for key in ("wall_ms", "wall_ms_min", "wall_ms_max", "cpu_s")] == [2, 1, 3, 2]
+    assert [found[key] for key in ("wall_ms", "wall_ms_min", "wall_ms_max", "cpu_s")] == [2, 1, 3,
+                                                                                          2]
     assert found["gpu_ms"] is None and timing(times, "cuda")["gpu_ms"] == 0.5
 
 
@@ -39,7 +41,8 @@ def task(write_exr, tmp_path):
     path = write_exr("in/noisy.0001.exr", dict.fromkeys("RGB", np.ones((16, 24))))
 
     def make(method: Method, **facts) -> Task:
-        usual = {"guides": None, "profile": None, "frames": (1,), "scale": 2.0, "size": (32, 48), "device": "cpu",
+        usual = {"guides": None, "profile": None, "frames": (1,), "scale": 2.0, "size": (32, 48),
+                 "device": "cpu",
                  "threads": 1, "runs": 2, "output": str(tmp_path / "out.{number}.exr")}
         return Task(method, str(path.parent / "noisy.####.exr"), **usual | facts)
 
@@ -62,7 +65,8 @@ def test_the_first_use_of_a_machine_does_not_count(task, tmp_path, monkeypatch):
     assert measure.measure(task(OTHERS[-1])) is None
     assert list(folder.glob("*-*.*"))
     answers, runs, run = [{"again": True}], [], measure._run_process
-    monkeypatch.setattr(measure, "_run_process", lambda *words: answers.pop() if answers else run(*words))
+    monkeypatch.setattr(measure, "_run_process",
+                        lambda *words: answers.pop() if answers else run(*words))
     times = run_task(task(OTHERS[-1]), runs.append)
     assert not answers and runs == [1, 2] and len(times["wall_ms"]) == 2
     assert (tmp_path / "out.0001.exr").is_file()

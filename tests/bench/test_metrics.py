@@ -1,4 +1,5 @@
-"""Figures of a benchmark: by hand, and against the script that scores the sequences other software rendered."""
+"""Figures of a benchmark: by hand, and against the script that scores the sequences other software
+rendered."""
 
 import json
 import subprocess
@@ -43,7 +44,8 @@ def test_what_moves_along_does_not_flicker():
     picture = np.random.default_rng(2).random((16, 24, 3)).astype(np.float32)
     motion = np.zeros((16, 24, 2), np.float32)
     motion[..., 0] = -1
-    before, now = metrics.Pictures(picture, picture), metrics.Pictures(*[np.roll(picture, 1, axis=1)] * 2)
+    before, now = (metrics.Pictures(picture, picture),
+                   metrics.Pictures(*[np.roll(picture, 1, axis=1)] * 2))
     assert metrics.flicker(before, now, motion) == 0
     wrong = metrics.Pictures(picture + 0.01, picture)
     assert metrics.flicker(wrong, now, motion) == pytest.approx(10, rel=1e-3)
@@ -60,20 +62,24 @@ def test_summary_of_a_sequence():
     summary = scores.summary()
     assert [row["flicker"] is None for row in scores.frames] == [True, False, True, False]
     assert summary["flicker_late"] == scores.frames[3]["flicker"]
-    assert summary["worst_frame"] == 1 and summary["worst_psnr"] == min(row["psnr"] for row in scores.frames)
-    assert summary["psnr_late"] == pytest.approx((scores.frames[2]["psnr"] + scores.frames[3]["psnr"]) / 2)
+    assert (summary["worst_frame"] == 1
+            and summary["worst_psnr"] == min(row["psnr"] for row in scores.frames))
+    assert (summary["psnr_late"]
+            == pytest.approx((scores.frames[2]["psnr"] + scores.frames[3]["psnr"]) / 2))
     assert summary["not_finite"] == 3
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param("living_room", marks=pytest.mark.soak), "garage"])
 def test_agrees_with_the_script(shared_dir, tmp_path, name):
-    """Two frames of generic and of Cycles planes, the result a little wrong in a way that changes over time."""
+    """Two frames of generic and of Cycles planes, the result a little wrong in a way that changes
+    over time."""
     folder = shared_dir / "sequences" / name
     for number in (1, 2):
         for kind in ("noisy", "reference"):
             (tmp_path / f"{kind}.{number:04d}.exr").symlink_to(folder / f"{kind}.{number:04d}.exr")
-    material = Material(Sources(str(tmp_path / "noisy.####.exr"), str(tmp_path / "reference.####.exr")))
+    material = Material(Sources(str(tmp_path / "noisy.####.exr"),
+                                str(tmp_path / "reference.####.exr")))
     scores = metrics.SequenceScore()
     for number in material.noisy.numbers:
         reference = material.reference(number)
@@ -81,9 +87,12 @@ def test_agrees_with_the_script(shared_dir, tmp_path, name):
         write_frame(tmp_path / f"out.{number:04d}.exr", frame(colour, number))
         result = material.result(str(tmp_path / "out.{number}.exr"), number)[Role.COLOUR]
         scores.add(result, reference, material.motion(number))
-    command = [sys.executable, folder.parent / "score.py", tmp_path, tmp_path / "out.%04d.exr", "--json"]
-    expected = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    command = [sys.executable, folder.parent / "score.py", tmp_path, tmp_path / "out.%04d.exr",
+               "--json"]
+    expected = json.loads(subprocess.run(command, capture_output=True, text=True, check=True)
+                          .stdout)
     summary = scores.summary()
     for figure in metrics.FIGURES:
         for suffix in ("", "_late"):
-            assert summary[figure + suffix] == pytest.approx(expected[figure + suffix], rel=2e-5), figure + suffix
+            assert summary[figure + suffix] == pytest.approx(expected[figure + suffix],
+                                                             rel=2e-5), figure + suffix

@@ -9,7 +9,8 @@ import pytest
 
 @pytest.fixture
 def shot(write_exr: Callable[..., Path], tmp_path: Path) -> Callable[..., Path]:
-    """Writes in/shot.####.exr: noise around the frame number, with depth and still motion; gives the folder."""
+    """Writes in/shot.####.exr: noise around the frame number, with depth and still motion; gives
+    the folder."""
 
     def write(*numbers: int, alpha: bool = False) -> Path:
         rng = np.random.default_rng(5)
@@ -29,10 +30,12 @@ def shot(write_exr: Callable[..., Path], tmp_path: Path) -> Callable[..., Path]:
 
 @pytest.fixture
 def noise(write_exr: Callable[..., Path], tmp_path: Path) -> Path:
-    """Six frames in/shot.####.exr of a wall at rest under noise of their own; gives the folder around."""
+    """Six frames in/shot.####.exr of a wall at rest under noise of their own; gives the folder
+    around."""
     rng = np.random.default_rng(8)
     for number in range(1, 7):
         planes = {name: rng.exponential(size=(32, 48)) for name in "RGB"}
-        planes |= {"depth.Z": np.full((32, 48), 3.0), "motion.X": np.zeros((32, 48)), "motion.Y": np.zeros((32, 48))}
+        planes |= {"depth.Z": np.full((32, 48), 3.0), "motion.X": np.zeros((32, 48)),
+                   "motion.Y": np.zeros((32, 48))}
         write_exr(f"in/shot.{number:04d}.exr", planes)
     return tmp_path

@@ -15,7 +15,8 @@ for module in ("flip_evaluator", "skimage", "matplotlib", "pyoidn"):
 
 @pytest.fixture
 def scene(write_exr):
-    """Writes noisy frames in/noisy.#### of 48x32 and references in/reference.#### of `scale` times the size."""
+    """Writes noisy frames in/noisy.#### of 48x32 and references in/reference.#### of `scale` times
+    the size."""
 
     def write(*numbers, scale=2.0, references=None, reference_prefix="in/reference"):
         rng = np.random.default_rng(7)
@@ -36,14 +37,16 @@ def scene(write_exr):
     return write
 
 
-INPUTS = ("in/noisy.####.exr", "--reference", "in/reference.####.exr", "-o", "out", "--device", "cpu", "--runs", "1")
+INPUTS = ("in/noisy.####.exr", "--reference", "in/reference.####.exr", "-o", "out", "--device",
+          "cpu", "--runs", "1")
 
 
 def test_everything_that_is_written(postfx, scene, tmp_path):
     scene(1, 2, 3)
     done = postfx("bench", *INPUTS, "--methods", "m,oidn-fast,accumulation,bicubic")
     assert done.code == 0, done.err
-    assert "48x32 to 96x64, 3 frames, cpu" in done.out and "m fp32 against the best of the others" in done.out
+    assert ("48x32 to 96x64, 3 frames, cpu" in done.out and "m fp32 against the best of the "
+            "others" in done.out)
     assert "not measured: m fp16: fp16 is for cuda, not for cpu" in done.out
     assert [line.split(":")[0] for line in done.err.splitlines()][-4:] == [
         "1/4 m", "2/4 oidn-fast", "3/4 accumulation", "4/4 bicubic"]
@@ -51,8 +54,10 @@ def test_everything_that_is_written(postfx, scene, tmp_path):
     rows = {row["name"]: row for row in facts["methods"]}
     assert (facts["scale"], facts["output_size"]) == (2.0, [96, 64])
     for row in rows.values():
-        assert row["time"]["wall_ms"] > 0 and row["time"]["cpu_s"] > 0 and row["time"]["gpu_ms"] is None
-        assert row["time"]["peak_mb"] > 50 and len(row["frames"]) == 3 and row["scores"]["not_finite"] == 0
+        assert (row["time"]["wall_ms"] > 0 and row["time"]["cpu_s"] > 0
+                and row["time"]["gpu_ms"] is None)
+        assert (row["time"]["peak_mb"] > 50 and len(row["frames"]) == 3
+                and row["scores"]["not_finite"] == 0)
     assert rows["accumulation"]["scores"]["psnr_late"] > rows["bicubic"]["scores"]["psnr_late"]
     assert rows["accumulation"]["scores"]["flicker"] < rows["bicubic"]["scores"]["flicker"]
     assert rows["oidn-fast"]["scores"]["psnr"] > rows["bicubic"]["scores"]["psnr"]
@@ -70,7 +75,8 @@ def test_json_and_a_scale_that_is_not_whole(postfx, scene):
     scene(1, 2, scale=1.5)
     done = postfx("bench", *INPUTS, "--methods", "bicubic", "--json", "--frames", "2")
     assert done.code == 0, done.err
-    assert (done.json["scale"], done.json["output_size"], done.json["sequence"]["frames"]) == (1.5, [72, 48], [2])
+    assert (done.json["scale"], done.json["output_size"],
+            done.json["sequence"]["frames"]) == (1.5, [72, 48], [2])
     assert done.json["methods"][0]["scores"]["flicker"] is None
 
 
@@ -98,16 +104,19 @@ def test_guides_of_another_size_than_the_references(postfx, scene, write_exr):
     write_exr("in/guides.0001.exr", {f"albedo.{name}": np.ones((48, 72)) for name in "RGB"})
     done = postfx("bench", *INPUTS, "--guides", "in/guides.####.exr")
     assert done.code == 2
-    assert "in/guides.0001.exr: guides are 72x48, references 96x64: render both at one size" in done.err
+    assert ("in/guides.0001.exr: guides are 72x48, references 96x64: render both at one "
+            "size" in done.err)
 
 
 def test_guides_that_no_network_reads_are_told(postfx, scene, write_exr):
     scene(1)
     write_exr("in/guides.0001.exr", {f"albedo.{name}": np.ones((64, 96)) for name in "RGB"})
-    done = postfx("bench", *INPUTS, "--guides", "in/guides.####.exr", "--methods", "m,bicubic", "--json")
+    done = postfx("bench", *INPUTS, "--guides", "in/guides.####.exr", "--methods", "m,bicubic",
+                  "--json")
     assert done.code == 0, done.err
     guided = "m-guides" in [row["name"] for row in done.json["methods"]]
-    told = "there is no model denoise_upscale.m.guides" in [item["why"] for item in done.json["left_out"]]
+    told = "there is no model denoise_upscale.m.guides" in [item["why"]
+                                                            for item in done.json["left_out"]]
     assert done.json["guides"] == ["diffuse_albedo"] and not guided and told != _has_guided_model()
 
 
@@ -119,10 +128,14 @@ def _has_guided_model():
 
 @pytest.mark.parametrize(
     ("numbers", "facts", "arguments", "message"),
-    [((1, 2), {"references": [1]}, (), "in/reference.0002.exr: frame 2 has no reference: render it, or choose frames"),
-     ((1,), {"scale": 4.0}, (), "references are 192x128, frames 48x32: references must be 1 to 3 times as large"),
-     ((1,), {"scale": 0.5}, (), "references must be 1 to 3 times as large, by the same factor both ways"),
-     ((1,), {}, ("--methods", "oidn-super"), "--methods oidn-super: there is no 'oidn-super' here: choose among"),
+    [((1, 2), {"references": [1]}, (),
+      "in/reference.0002.exr: frame 2 has no reference: render it, or choose frames"),
+     ((1,), {"scale": 4.0}, (),
+      "references are 192x128, frames 48x32: references must be 1 to 3 times as large"),
+     ((1,), {"scale": 0.5}, (),
+      "references must be 1 to 3 times as large, by the same factor both ways"),
+     ((1,), {}, ("--methods", "oidn-super"),
+      "--methods oidn-super: there is no 'oidn-super' here: choose among"),
      ((1,), {}, ("--models", "xs"), "--models xs: there is no 'xs' here")],
 )
 def test_errors_name_the_mend(postfx, scene, tmp_path, numbers, facts, arguments, message):
@@ -137,9 +150,11 @@ def test_a_library_that_is_not_installed(monkeypatch, capsys):
     from postfx.cli.main import main
 
     find = bench.find_spec
-    monkeypatch.setattr(bench, "find_spec", lambda name: None if name == "flip_evaluator" else find(name))
+    monkeypatch.setattr(bench, "find_spec",
+                        lambda name: None if name == "flip_evaluator" else find(name))
     assert main(["bench", *INPUTS]) == 2
-    message = f"error: flip-evaluator is not installed, and it measures or draws: {pip_install('bench')}\n"
+    message = ("error: flip-evaluator is not installed, and it measures or draws: "
+               f"{pip_install('bench')}\n")
     assert capsys.readouterr().err == message
 
 

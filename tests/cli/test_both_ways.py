@@ -16,7 +16,8 @@ def spread(path):
 
 
 def test_first_frames_are_as_clean_as_later_ones(postfx, noise):
-    assert postfx("run", "in/shot.####.exr", "--model", "s", "--run-up", "0", "-o", "one/a.####.exr").code == 0
+    assert postfx("run", "in/shot.####.exr", "--model", "s", "--run-up", "0", "-o",
+                  "one/a.####.exr").code == 0
     done = postfx(*RUN, "-o", "both/a.####.exr", "--json")
     assert done.code == 0, done.err
     assert set(done.json["passes"]) == {"denoise_upscale backwards", "denoise_upscale", "both_ways"}
@@ -40,7 +41,8 @@ def test_frames_that_were_missing_come_out_as_in_an_unbroken_run(postfx, noise):
     done = postfx(*RUN, "-o", "out/a.####.exr", "--skip-existing", "--json")
     assert done.json["frames"] == 2
     for number, content in whole.items():
-        np.testing.assert_array_equal(pixels(noise / f"out/a.{number:04d}.exr"), read(noise, content))
+        np.testing.assert_array_equal(pixels(noise / f"out/a.{number:04d}.exr"),
+                                      read(noise, content))
 
 
 def read(folder, content):
@@ -69,13 +71,18 @@ def test_a_frame_of_another_aspect_is_skipped(postfx, noise, write_exr):
 
 
 @pytest.mark.parametrize(("option", "why"), [
-    (("--no-denoise",), "--both-ways is for the denoiser, which --no-denoise leaves out: give one of them"),
-    (("--memory", "4G"), "--both-ways keeps results of 32 frames, --memory keeps to a size: give one of them"),
-    (("--pass", "exposure_tool,before=denoise_upscale"), "--both-ways denoises frames as they are in their files"),
-    (("--budget", "50"), "--both-ways runs every frame twice, --budget keeps to a time: give one of them"),
+    (("--no-denoise",),
+     "--both-ways is for the denoiser, which --no-denoise leaves out: give one of them"),
+    (("--memory", "4G"),
+     "--both-ways keeps results of 32 frames, --memory keeps to a size: give one of them"),
+    (("--pass", "exposure_tool,before=denoise_upscale"),
+     "--both-ways denoises frames as they are in their files"),
+    (("--budget", "50"),
+     "--both-ways runs every frame twice, --budget keeps to a time: give one of them"),
 ])
 def test_options_that_do_not_go_together(postfx, noise, option, why):
-    arguments = [word for word in RUN if not (option[0] == "--no-denoise" and word in ("--model", "s"))]
+    arguments = [word
+                 for word in RUN if not (option[0] == "--no-denoise" and word in ("--model", "s"))]
     done = postfx(*arguments, *option, "-o", "out/a.####.exr")
     assert done.code == 2
     assert why in done.err
@@ -88,7 +95,8 @@ def test_without_strength_there_is_nothing_to_do(postfx, noise):
 
 
 def test_one_grey_for_albedo_leaves_it_out(postfx, write_exr, tmp_path):
-    """More history in one order shows more of the textures then: 2 dB more, by a run-up, than both ways without."""
+    """More history in one order shows more of the textures then: 2 dB more, by a run-up, than both
+    ways without."""
     random, (height, width) = np.random.default_rng(11), (48, 80)
     y, x = np.mgrid[:height, :width]
     for number in range(1, 5):
@@ -112,9 +120,11 @@ def test_colours_of_a_wide_gamut_stay_what_they_are(postfx, write_exr, tmp_path)
     light = {"R": 0.9, "G": 0.4, "B": 0.1}
     for number in range(1, 5):
         planes = {name: np.full((32, 48), value) for name, value in light.items()}
-        planes |= {"depth.Z": np.full((32, 48), 3.0), "motion.X": np.zeros((32, 48)), "motion.Y": np.zeros((32, 48))}
+        planes |= {"depth.Z": np.full((32, 48), 3.0), "motion.X": np.zeros((32, 48)),
+                   "motion.Y": np.zeros((32, 48))}
         write_exr(f"in/shot.{number:04d}.exr", planes, colorInteropID="lin_ap1_scene")
     for way in ("--both-ways", "--run-up=3"):
-        assert postfx("run", "in/shot.####.exr", "--model", "s", way, "-o", "out/a.####.exr", "--overwrite").code == 0
+        assert postfx("run", "in/shot.####.exr", "--model", "s", way, "-o", "out/a.####.exr",
+                      "--overwrite").code == 0
         found = [pixels(tmp_path / f"out/a.{number:04d}.exr").mean((0, 1)) for number in (1, 2, 4)]
         np.testing.assert_allclose(found, [list(light.values())] * 3, rtol=0.02, err_msg=way)

@@ -7,7 +7,8 @@ import pytest
 from postfx.report.page import FrameCapture
 from postfx.runtime import CommandError, Device
 
-RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise", "--tonemap", "local", "--device", "cpu")
+RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise", "--tonemap", "local",
+       "--device", "cpu")
 
 
 def commands_of(folder):
@@ -45,14 +46,16 @@ def test_errors_before_anything_runs(postfx, shot, tmp_path):
     done = postfx(*RUN, "--capture-frame", "1")
     assert done.code == 2 and "need --capture DIR" in done.err
     done = postfx(*RUN, "--capture", "look", "--capture-network", "--capture-tensors", "none")
-    assert done.code == 2 and "error: a capture of networks (network=True, --capture-network) cannot keep" in done.err
+    assert (done.code == 2 and "error: a capture of networks (network=True, --capture-network) "
+            "cannot keep" in done.err)
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
 
 
 def test_networks_are_looked_into_on_request(postfx, shot, tmp_path):
     shot(1)
     assert postfx(*RUN, "--capture", "look", "--capture-network").code == 0
-    (network,) = [command["network"] for command in commands_of(tmp_path / "look") if command["network"]]
+    (network,) = [command["network"]
+                  for command in commands_of(tmp_path / "look") if command["network"]]
     assert len(network["nodes"]) > 50 and network["difference"] < 1e-3
     assert all(node["ms"] > 0 and node["outputs"][0]["statistics"] for node in network["nodes"])
     assert postfx(*RUN, "--overwrite", "--capture", "plain").code == 0
@@ -80,7 +83,8 @@ def test_a_frame_that_fails_is_captured_too(tmp_path):
 def captures(postfx, shot):
     shot(1, 2)
     for folder, exposure in (("a", "0"), ("b", "0"), ("c", "1")):
-        options = ("--capture", folder, "--capture-tensors", "all", "--exposure", exposure, "--overwrite")
+        options = ("--capture", folder, "--capture-tensors", "all", "--exposure", exposure,
+                   "--overwrite")
         assert postfx(*RUN, *options).code == 0
 
 
@@ -89,7 +93,8 @@ def test_compare(postfx, captures):
     assert same.code == 0 and "equal: no tensor differs by more than 0" in same.out
     other = postfx("capture-compare", "c", "a")
     assert other.code == 1
-    assert "first difference over 0.001: 'tonemap params' read from outside by command 0 'tonemap/lowres'" in other.out
+    assert ("first difference over 0.001: 'tonemap params' read from outside by command 0 "
+            "'tonemap/lowres'" in other.out)
     found = postfx("capture-compare", "c", "a", "--json")
     assert found.code == 1 and found.json["first"]["tensor"] == "tonemap params"
     assert found.json["first"]["error"] == pytest.approx(1.0)

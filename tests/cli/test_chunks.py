@@ -1,4 +1,5 @@
-"""`postfx chunks`: chunks that join without a seam, as commands and as an Open Job Description, verified together."""
+"""`postfx chunks`: chunks that join without a seam, as commands and as an Open Job Description,
+verified together."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ def six(write_exr, noise, tmp_path) -> Path:
 
 
 def test_chunks_give_the_pixels_of_an_unbroken_run(postfx, noise):
-    done = postfx("chunks", "in/shot.####.exr", "--size", "3", "-o", "parts/a.####.exr", "--json", "--", *RUN)
+    done = postfx("chunks", "in/shot.####.exr", "--size", "3", "-o", "parts/a.####.exr", "--json",
+                  "--", *RUN)
     found = done.json
     assert [(chunk["frames"], chunk["preroll"], chunk["reads"]) for chunk in found["chunks"]] == [
         ("1-3", "", "1-6"), ("4-6", "1-3", "1-6")]
@@ -40,12 +42,14 @@ def test_chunks_give_the_pixels_of_an_unbroken_run(postfx, noise):
     assert postfx("run", "in/shot.####.exr", "-o", "one/a.####.exr", *RUN).code == 0
     for path in sorted((noise / "one").glob("*.exr")):
         one, other = Sequence(path), Sequence(noise / "parts" / path.name)
-        assert (one.read(one.numbers[0])["colour"] == other.read(one.numbers[0])["colour"]).all(), path.name
+        assert (one.read(one.numbers[0])["colour"]
+                == other.read(one.numbers[0])["colour"]).all(), path.name
     assert postfx(*found["verify"][1:]).code == 0
 
 
 def test_a_chunk_that_no_machine_took_is_told(postfx, noise):
-    chunks = postfx("chunks", "in/shot.####.exr", "--size", "3", "--json", "--", "--no-denoise").json
+    chunks = postfx("chunks", "in/shot.####.exr", "--size", "3", "--json", "--",
+                    "--no-denoise").json
     assert postfx(*chunks["chunks"][0]["command"][1:]).code == 0
     done = postfx(*chunks["verify"][1:])
     assert done.code == 1 and done.out.count("was to be written and was not") == 3
@@ -57,7 +61,8 @@ def test_a_chunk_that_no_machine_took_is_told(postfx, noise):
 
 def test_folders_of_several_machines(postfx, noise):
     for folder, frames in (("one", "1-3"), ("two", "4-6")):
-        assert postfx("run", "in/", "-o", f"{folder}/", "--frames", frames, "--no-denoise").code == 0
+        assert postfx("run", "in/", "-o", f"{folder}/", "--frames", frames,
+                      "--no-denoise").code == 0
     assert postfx("verify", "one/", "two/", "--frames", "1-6").code == 0
     done = postfx("verify", "one/", "two/", "--frames", "1-7", "--json")
     assert done.code == 1 and done.json["unfinished"] == ["shot.0007.exr"]
@@ -68,7 +73,8 @@ def test_a_preroll_ends_where_the_shot_begins_and_where_a_frame_is_missing(six):
     files = str(six / "in/shot.####.exr")
     shot = Sequence(files)
     assert find_preroll(shot, 4) == [1, 2, 3] and find_preroll(shot, 4, 2) == [2, 3]
-    assert find_preroll(shot, 5) == [] and find_preroll(shot, 6) == [5] and find_preroll(shot, 1) == []
+    assert (find_preroll(shot, 5) == [] and find_preroll(shot, 6) == [5]
+            and find_preroll(shot, 1) == [])
     assert find_preroll(read_sequence(files, cuts=[3]), 6) == [3, 4, 5]
     (six / "in/shot.0002.exr").unlink()
     assert find_preroll(Sequence(files), 4) == [3]
@@ -85,11 +91,13 @@ def test_a_chunk_names_the_frame_that_motion_is_estimated_from(write_exr, tmp_pa
         planes = {name: flat for name in ("R", "G", "B", "albedo.R", "albedo.G", "albedo.B")}
         write_exr(f"without.{number}.exr", planes)
         write_exr(f"with.{number}.exr", planes | {"motion.X": flat, "motion.Y": flat})
-    monkeypatch.setattr("postfx.runs.schedule.find_preroll", lambda sequence, number: find_preroll(sequence, number, 1))
-    for name, motion, first in (("without", "auto", 1), ("with", "estimate", 1), ("with", "auto", 2),
-                                ("without", "file", 2)):
+    monkeypatch.setattr("postfx.runs.schedule.find_preroll",
+                        lambda sequence, number: find_preroll(sequence, number, 1))
+    for name, motion, first in (("without", "auto", 1), ("with", "estimate", 1),
+                                ("with", "auto", 2), ("without", "file", 2)):
         shot = read_sequence(str(tmp_path / f"{name}.#.exr"), motion=motion)
-        assert [chunk.reads[0] for chunk in make_chunks(shot, 2)] == [1, first, first + 2], (name, motion)
+        assert [chunk.reads[0]
+                for chunk in make_chunks(shot, 2)] == [1, first, first + 2], (name, motion)
 
 
 def test_what_does_not_join_is_said(postfx, noise):
@@ -105,7 +113,8 @@ def test_what_does_not_join_is_said(postfx, noise):
 @pytest.mark.parametrize(("words", "message"), [
     (("--size", "0"), "'0' is not a whole number from 1"),
     (("--", "--sacle", "2"), "unrecognized arguments: --sacle 2: did you mean --scale?"),
-    (("--", "--no-denoise", "--scale", "2"), "--scale is for the denoiser, which --no-denoise leaves out"),
+    (("--", "--no-denoise", "--scale", "2"),
+     "--scale is for the denoiser, which --no-denoise leaves out"),
     (("--openjd", "in/job.json"), "--openjd in/job.json: write it into this folder, "),
     (("--frames", "1-9"), "3 of 9 frames are missing: 7-9"),
 ])
@@ -115,26 +124,31 @@ def test_options_are_checked_before_a_machine_gets_them(postfx, noise, words, me
 
 
 def test_frames_with_gaps_are_tasks_of_their_own():
-    job = describe_job("a", [Chunk((1, 3)), Chunk((5, 7))], 2, ["postfx", "run"], ["postfx", "verify"])
+    job = describe_job("a", [Chunk((1, 3)), Chunk((5, 7))], 2, ["postfx", "run"],
+                       ["postfx", "verify"])
     (parameter,) = job["steps"][0]["parameterSpace"]["taskParameterDefinitions"]
-    assert "extensions" not in job and parameter == {"name": "Frames", "type": "STRING", "range": ["1,3", "5,7"]}
+    assert "extensions" not in job and parameter == {"name": "Frames", "type": "STRING",
+                                                     "range": ["1,3", "5,7"]}
 
 
 def test_openjd_runs_the_template(postfx, noise):
     pytest.importorskip("openjd.cli")
-    words = ("chunks", "in/shot.####.exr", "--size", "4", "-o", "out/a.####.exr", "--openjd", "job.json")
+    words = ("chunks", "in/shot.####.exr", "--size", "4", "-o", "out/a.####.exr", "--openjd",
+             "job.json")
     assert postfx(*words, "--", "--no-denoise", "--bits", "32").code == 0
     job = json.loads((noise / "job.json").read_text())
     (parameter,) = job["steps"][0]["parameterSpace"]["taskParameterDefinitions"]
-    assert job["extensions"] == ["TASK_CHUNKING"] and parameter["chunks"]["rangeConstraint"] == "CONTIGUOUS"
+    assert (job["extensions"] == ["TASK_CHUNKING"]
+            and parameter["chunks"]["rangeConstraint"] == "CONTIGUOUS")
     tools = noise / "tools"
     tools.mkdir()
     (tools / "postfx").write_text(f'#!/bin/sh\nexec {sys.executable} -m postfx "$@"\n')
     (tools / "postfx").chmod(0o755)
     done = subprocess.run(
-        [sys.executable, "-c", "from openjd.cli import main; main()", "run", "job.json", "--step", "Verify",
-         "--run-dependencies"],
-        cwd=noise, capture_output=True, text=True, env={**os.environ, "PATH": f"{tools}:{os.environ['PATH']}"})
+        [sys.executable, "-c", "from openjd.cli import main; main()", "run", "job.json", "--step",
+         "Verify", "--run-dependencies"],
+        cwd=noise, capture_output=True, text=True,
+        env={**os.environ, "PATH": f"{tools}:{os.environ['PATH']}"})
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(list((noise / "out").glob("a.*.exr"))) == 6
     assert "6 whole, 0 altered" in done.stdout

@@ -15,7 +15,8 @@ from postfx.errors import OptionError
 @pytest.fixture
 def places(tmp_path, monkeypatch) -> dict[str, Path]:
     """Folders of the three files, the weakest first; the current one is two below the last."""
-    found = {name: tmp_path / name / ("postfx" * (name != "shots")) for name in ("machine", "user", "shots")}
+    found = {name: tmp_path / name / ("postfx" * (name != "shots"))
+             for name in ("machine", "user", "shots")}
     for folder in found.values():
         folder.mkdir(parents=True)
     (found["shots"] / "a" / "b").mkdir(parents=True)
@@ -40,11 +41,13 @@ def test_a_preset_sets_what_is_not_given(places):
     assert (parse("--preset", "preview").model, parse("--preset", "preview").run_up) == ("s", 0)
     final = parse("--preset", "final", "--model", "m")
     assert (final.model, final.both_ways) == ("m", True) and parse("--preset", "final").model == "l"
-    steady = parse("--preset", "animation", "--exposure", "auto")  # its default, and given all the same
+    # its default, and given all the same
+    steady = parse("--preset", "animation", "--exposure", "auto")
     assert (steady.both_ways, steady.exposure) == (True, "auto")
 
 
-@pytest.mark.parametrize("words", [["--memory", "4G"], ["--budget", "9"], ["--run-up", "3"], ["--no-denoise"]])
+@pytest.mark.parametrize("words", [["--memory", "4G"], ["--budget", "9"], ["--run-up", "3"],
+                                   ["--no-denoise"]])
 def test_a_preset_gives_way_to_an_option_that_it_does_not_go_with(places, words):
     from postfx.cli.run_options import RUN
 
@@ -59,7 +62,8 @@ def test_files_are_weaker_the_farther_away_they_are(places):
     put(places["shots"], 'bits = 32\nsize = "640x360"\npass = ["grain", "vignette,amount=0.5"]')
     given = parse()
     assert (given.model, given.compression, given.bits) == ("s", "dwaa:45", 32)
-    assert (given.overwrite, given.size, getattr(given, "pass")) == (True, (640, 360), ["grain", "vignette,amount=0.5"])
+    assert (given.overwrite, given.size,
+            getattr(given, "pass")) == (True, (640, 360), ["grain", "vignette,amount=0.5"])
     given = parse("--model", "l", "--skip-existing", "--scale", "1.5", "--pass", "mine")
     assert (given.model, given.skip_existing, given.overwrite) == ("l", True, False)
     assert (given.scale, given.size, getattr(given, "pass")) == (1.5, None, ["mine"])
@@ -78,7 +82,8 @@ def test_the_variable_names_the_only_file(places, tmp_path, monkeypatch):
     monkeypatch.setenv("POSTFX_CONFIG", "")
     assert parse().model is None
     monkeypatch.setenv("POSTFX_CONFIG", str(tmp_path / "gone.toml"))
-    with pytest.raises(OptionError, match="gone.toml: POSTFX_CONFIG names this file, which is not there"):
+    with pytest.raises(OptionError,
+                       match="gone.toml: POSTFX_CONFIG names this file, which is not there"):
         parse()
 
 
@@ -109,24 +114,30 @@ def test_config_shows_every_default_and_where_it_is_from(places, capsys):
     assert main(["config", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["files"] == [str(places["user"] / "postfx.toml"), str(near)]
-    assert facts["run"]["compression"] == {"value": "zips", "file": str(near)} and facts["presets"] == PRESETS
+    assert (facts["run"]["compression"] == {"value": "zips", "file": str(near)}
+            and facts["presets"] == PRESETS)
     assert main(["config"]) == 0
     said = capsys.readouterr().out
-    assert f"default  --both-ways     from {near}" in said and "preset   preview: --model s --run-up 0" in said
+    assert (f"default  --both-ways     from {near}" in said and "preset   preview: --model s "
+            "--run-up 0" in said)
 
 
-def test_chunks_carry_the_defaults_to_machines_that_do_not_have_them(places, shot, monkeypatch, capsys, tmp_path):
+def test_chunks_carry_the_defaults_to_machines_that_do_not_have_them(places, shot, monkeypatch,
+                                                                     capsys, tmp_path):
     shot(1, 2)
     monkeypatch.chdir(tmp_path)
     put(tmp_path, 'compression = "dwaa:45"\nboth-ways = true\npass = ["a", "b"]')
-    assert main(["chunks", "in/", "-o", "out/", "--size", "2", "--json", "--", "--memory", "4G"]) == 0
+    assert (main(["chunks", "in/", "-o", "out/", "--size", "2", "--json", "--", "--memory", "4G"])
+            == 0)
     (chunk,) = json.loads(capsys.readouterr().out)["chunks"]
-    defaults = ["--pass=a", "--pass=b", "--compression=dwaa:45"]  # without --both-ways, which excludes --memory
-    assert chunk["command"] == ["postfx", "run", "in/", "-o", "out/", "--memory", "4G", *defaults, "--preroll", "auto",
-                                "--skip-existing", "--frames=1-2"]
+    # without --both-ways, which excludes --memory
+    defaults = ["--pass=a", "--pass=b", "--compression=dwaa:45"]
+    assert chunk["command"] == ["postfx", "run", "in/", "-o", "out/", "--memory", "4G", *defaults,
+                                "--preroll", "auto", "--skip-existing", "--frames=1-2"]
 
 
-def test_a_preview_leaves_out_defaults_that_need_all_frames(places, shot, monkeypatch, capsys, tmp_path):
+def test_a_preview_leaves_out_defaults_that_need_all_frames(places, shot, monkeypatch, capsys,
+                                                            tmp_path):
     shot(1)
     monkeypatch.chdir(tmp_path)
     put(tmp_path, 'preset = "animation"\nbits = 32')
@@ -143,21 +154,25 @@ def test_a_dry_run_checks_all_and_writes_nothing(shot, tmp_path, monkeypatch, ca
     run = ["run", "in/", "-o", "out/p.####.png", "--device", "cpu", "--dry-run"]
     assert main(run) == 0
     said = capsys.readouterr().out
-    assert "writes  out/p.0001.png ... out/p.0003.png: 3 files\n" in said and not (tmp_path / "out").exists()
+    assert ("writes  out/p.0001.png ... out/p.0003.png: 3 "
+            "files\n" in said and not (tmp_path / "out").exists())
     (tmp_path / "out").mkdir()
     (tmp_path / "out/p.0002.png").touch()
     assert main(run) == 2 and "out/p.0002.png: is already there" in capsys.readouterr().err
     assert main([*run, "--overwrite", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["outputs"] == [f"out/p.000{number}.png" for number in (1, 2, 3)]
+    assert json.loads(capsys.readouterr().out)["outputs"] == [f"out/p.000{number}.png"
+                                                              for number in (1, 2, 3)]
     assert main([*run, "--skip-existing"]) == 0
     assert "3 files; 1 there already, kept if they are whole" in capsys.readouterr().out
-    assert (tmp_path / "out/p.0002.png").stat().st_size == 0 and len(list((tmp_path / "out").iterdir())) == 1
+    assert ((tmp_path / "out/p.0002.png").stat().st_size == 0
+            and len(list((tmp_path / "out").iterdir())) == 1)
 
 
 def test_quiet_prints_warnings_alone_and_verbose_each_pass(shot, tmp_path, monkeypatch, capsys):
     shot(1, 2)
     monkeypatch.chdir(tmp_path)
-    run = ["run", "in/", "-o", "out/p.####.png", "--device", "cpu", "--exposure", "0", "--overwrite"]
+    run = ["run", "in/", "-o", "out/p.####.png", "--device", "cpu", "--exposure", "0",
+           "--overwrite"]
     assert main([*run, "-q"]) == 0
     lines = capsys.readouterr().err.splitlines()
     assert lines and all(line.startswith("warning  ") for line in lines)
@@ -167,7 +182,8 @@ def test_quiet_prints_warnings_alone_and_verbose_each_pass(shot, tmp_path, monke
     assert said.startswith("failed   1 frame: 1 left out") and "frames/s" not in said
     assert main([*run, "-v", "--frames", "1"]) == 0
     said = capsys.readouterr().err
-    assert "\npass 1  denoise_upscale" in said and "frame 1: denoise_upscale " in said and "exposure +0.00 EV" in said
+    assert ("\npass 1  denoise_upscale" in said and "frame 1: "
+            "denoise_upscale " in said and "exposure +0.00 EV" in said)
     assert "?" not in said
 
 

@@ -13,13 +13,17 @@ ROOM = Path(__file__).resolve().parents[2] / "samples" / "room" / "noisy.####.ex
 
 @pytest.fixture
 def two_shots(tmp_path):
-    """in/shot.0001.exr to 0004.exr: two frames of a room, then two upside down, without marks of cuts."""
+    """in/shot.0001.exr to 0004.exr: two frames of a room, then two upside down, without marks of
+    cuts."""
     for frame in read_sequence(ROOM, frames="1-4"):
-        planes = frame.planes if frame.number < 3 else {r: np.rot90(p, 2) for r, p in frame.planes.items()}
-        integrate.write_planes(tmp_path / f"in/shot.{frame.number:04d}.exr", replace(frame, planes=planes, reset=False))
+        planes = (frame.planes if frame.number < 3
+                  else {r: np.rot90(p, 2) for r, p in frame.planes.items()})
+        integrate.write_planes(tmp_path / f"in/shot.{frame.number:04d}.exr",
+                               replace(frame, planes=planes, reset=False))
 
 
-@pytest.mark.parametrize(("cuts", "found"), [((), [3]), (("--cuts", "none"), []), (("--cuts", "1,3"), [])])
+@pytest.mark.parametrize(("cuts", "found"),
+                         [((), [3]), (("--cuts", "none"), []), (("--cuts", "1,3"), [])])
 def test_cuts_are_found_and_overridden(postfx, two_shots, cuts, found):
     done = postfx("run", "in/", "-o", "out/####.png", "--no-denoise", "--json", *cuts)
     assert done.code == 0 and done.json["cuts"] == found
@@ -34,7 +38,8 @@ def test_frames_named_as_cuts_are_reset(two_shots, tmp_path):
 def test_no_cuts_overrides_headers_but_not_gaps(tmp_path):
     for frame in read_sequence(ROOM, frames="1,2,4"):
         integrate.write_planes(tmp_path / f"{frame.number:04d}.exr", replace(frame, reset=True))
-    assert [frame.reset for frame in read_sequence(tmp_path / "####.exr", "1,2,4", cuts=())] == [False, False, True]
+    assert ([frame.reset for frame in read_sequence(tmp_path / "####.exr", "1,2,4", cuts=())]
+            == [False, False, True])
 
 
 @pytest.mark.parametrize(
@@ -42,7 +47,8 @@ def test_no_cuts_overrides_headers_but_not_gaps(tmp_path):
     [
         (("--cuts", "always"), "cuts 'always': use auto, none, or the frames at which shots begin"),
         (("--depth", "z"), "depth 'z': begin with planar, ray, device"),
-        (("--depth", "reversed"), "in/shot.0001.exr: AOV 'depth' (depth.Z) is a depth buffer and its near plane"),
+        (("--depth", "reversed"),
+         "in/shot.0001.exr: AOV 'depth' (depth.Z) is a depth buffer and its near plane"),
     ],
 )
 def test_what_cannot_be_used_is_an_error(postfx, two_shots, arguments, message):
@@ -51,5 +57,6 @@ def test_what_cannot_be_used_is_an_error(postfx, two_shots, arguments, message):
 
 
 def test_depth_may_be_said_to_be_reversed(postfx, two_shots):
-    done = postfx("run", "in/", "-o", "out/####.png", "--depth", "reversed,near=0.1", "--frames", "1")
+    done = postfx("run", "in/", "-o", "out/####.png", "--depth", "reversed,near=0.1", "--frames",
+                  "1")
     assert done.code == 0, done.err

@@ -16,11 +16,15 @@ def codes_of(path, kind=oiio.FLOAT):
 
 def test_views_for_displays(postfx, shot, tmp_path):
     shot(1)
-    done = postfx(*RUN, "-o", "out/hdr.####.png", "--tonemap", "ocio:", "--display", "pq,peak=500", "--json")
+    done = postfx(*RUN, "-o", "out/hdr.####.png", "--tonemap", "ocio:", "--display", "pq,peak=500",
+                  "--json")
     assert (done.code, list(done.json["passes"])) == (0, ["view"])
-    assert done.json["chosen"] == {"view": {"ACES 2.0 - HDR 500 nits (P3 D65), Rec.2100-PQ - Display": 1}}
-    assert codes_of(tmp_path / "out/hdr.0001.png", oiio.UINT16).max() < 0.68 * 65535  # PQ of 500 nits
-    done = postfx(*RUN, "-o", "out/p3.####.tif", "--tonemap", "neutral", "--display", "p3", "--json")
+    assert done.json["chosen"] == {"view": {"ACES 2.0 - HDR 500 nits (P3 D65), Rec.2100-PQ - "
+                                            "Display": 1}}
+    # PQ of 500 nits
+    assert codes_of(tmp_path / "out/hdr.0001.png", oiio.UINT16).max() < 0.68 * 65535
+    done = postfx(*RUN, "-o", "out/p3.####.tif", "--tonemap", "neutral", "--display", "p3",
+                  "--json")
     assert list(done.json["passes"]) == ["view", "display"]
 
 
@@ -28,7 +32,8 @@ def test_networks_for_hdr_displays_are_not_called_hdr(postfx, shot):
     shot(1)
     done = postfx(*RUN, "-o", "out/a.####.png", "--display", "hlg", "--json")
     assert list(done.json["passes"]) == ["tonemap", "display"]
-    assert any("its white is shown at 203 nits, nothing is brighter" in warning for warning in done.json["warnings"])
+    assert any("its white is shown at 203 nits, nothing is brighter" in warning
+               for warning in done.json["warnings"])
 
 
 def test_exr_of_a_display(postfx, shot, tmp_path):
@@ -46,15 +51,18 @@ def test_dither(postfx, write_exr, tmp_path):
     pictures = {}
     for how in ("moving", "static", "none"):
         assert postfx(*RUN, "-o", f"{how}/a.####.png", "--no-tonemap", "--dither", how).code == 0
-        pictures[how] = [codes_of(tmp_path / f"{how}/a.{number:04d}.png", oiio.UINT8) for number in (1, 2)]
+        pictures[how] = [codes_of(tmp_path / f"{how}/a.{number:04d}.png", oiio.UINT8)
+                         for number in (1, 2)]
     assert [len(np.unique(pictures[how][0])) for how in pictures] == [2, 2, 1]
     assert (pictures["moving"][0] != pictures["moving"][1]).any()
     np.testing.assert_array_equal(*pictures["static"])
 
 
 def test_colour_spaces(postfx, write_exr, tmp_path):
-    write_exr("in/shot.0001.exr", {name: np.full((8, 8), value) for name, value in zip("RGB", (1, 0, 0), strict=True)})
-    done = postfx(*RUN, "-o", "out/a.####.png", "--no-tonemap", "--display", "p3", "--colourspace", "p3", "--json")
+    write_exr("in/shot.0001.exr",
+              {name: np.full((8, 8), value) for name, value in zip("RGB", (1, 0, 0), strict=True)})
+    done = postfx(*RUN, "-o", "out/a.####.png", "--no-tonemap", "--display", "p3", "--colourspace",
+                  "p3", "--json")
     assert done.json["warnings"] == ["colours are p3: turned to linear Rec.709"]
     np.testing.assert_allclose(codes_of(tmp_path / "out/a.0001.png")[0, 0], [1, 0, 0], atol=0.005)
     done = postfx(*RUN, "-o", "out/a.####.exr", "--colourspace", "acescg", "--json")
@@ -85,9 +93,11 @@ def test_hdr_does_not_fit_into_jpeg(postfx, shot):
 
 def test_a_look_becomes_a_table_and_the_table_a_look(postfx, shot, tmp_path):
     shot(1, 2)
-    done = postfx("lut", "in/shot.####.exr", "-o", "look.cube", "--tonemap", "reinhard", "--size", "17", "--json")
+    done = postfx("lut", "in/shot.####.exr", "-o", "look.cube", "--tonemap", "reinhard", "--size",
+                  "17", "--json")
     facts = done.json
-    assert (facts["size"], facts["frames"], facts["measured_on"], facts["display"]) == (17, 1, 1, "srgb")
+    assert (facts["size"], facts["frames"], facts["measured_on"], facts["display"]) == (17, 1, 1,
+                                                                                        "srgb")
     text = (tmp_path / "look.cube").read_text()
     assert f"PSNR {facts['psnr']:.2f} dB, Delta E ITP {facts['delta_e_itp']:.2f}" in text
     assert "# postfx: input=ACEScct, output=srgb" in text

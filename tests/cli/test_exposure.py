@@ -20,13 +20,15 @@ EV = 1.0
 
 @pytest.fixture
 def grey(write_exr: Callable[..., Path]) -> Callable[..., None]:
-    """Writes in/shot.####.exr: pictures that need these stops, with their exposure in the header."""
+    """Writes in/shot.####.exr: pictures that need these stops, with their exposure in the
+    header."""
 
     def write(*needed: float, **header: object) -> None:
         for number, ev in enumerate(needed, 1):
             colour = picture(ev)
             planes = dict(zip("RGB", np.moveaxis(colour, -1, 0), strict=True))
-            write_exr(f"in/shot.{number:04d}.exr", planes, **{"postfx__exposure": 2.0**ev, **header})
+            write_exr(f"in/shot.{number:04d}.exr", planes,
+                      **{"postfx__exposure": 2.0**ev, **header})
 
     return write
 
@@ -48,7 +50,8 @@ def test_a_wrong_exposure_is_named_with_its_size(postfx, grey, error: float, ver
     done = postfx("exposure", "in/", "--exposure", str(EV + error), "--json")
     (shot,) = done.json["shots"]
     assert (done.code, done.json["verdict"], shot["verdict"]) == (1, verdict, verdict)
-    assert shot["mismatch_ev"] == pytest.approx(error, abs=0.05) and shot["right_ev"] == pytest.approx(EV, abs=0.05)
+    assert (shot["mismatch_ev"] == pytest.approx(error, abs=0.05)
+            and shot["right_ev"] == pytest.approx(EV, abs=0.05))
     assert [frame["number"] for frame in done.json["frames"]] == [1, 2]
 
 
@@ -84,7 +87,8 @@ def test_pictures_are_written(postfx, grey, tmp_path: Path) -> None:
 
 def test_smooth_exposure_of_a_part_is_that_of_the_whole(postfx, grey, tmp_path: Path) -> None:
     grey(0.0, 0.5, 1.5, 0.5)
-    arguments = ("run", "in/", "-o", "out/p.####.png", "--no-denoise", "--no-tonemap", "--exposure", "smooth")
+    arguments = ("run", "in/", "-o", "out/p.####.png", "--no-denoise", "--no-tonemap", "--exposure",
+                 "smooth")
     assert postfx(*arguments).code == 0
     whole = pixels(tmp_path / "out/p.0003.png")
     (tmp_path / "out/p.0003.png").unlink()
@@ -96,12 +100,14 @@ def test_smooth_exposure_of_a_part_is_that_of_the_whole(postfx, grey, tmp_path: 
 
 @pytest.fixture
 def told(grey, tmp_path: Path, monkeypatch, capsys) -> Callable[..., tuple[dict, str]]:
-    """Runs `postfx run in/ ARGUMENTS --json` on two night shots, six stops below mid grey; its JSON and its text."""
+    """Runs `postfx run in/ ARGUMENTS --json` on two night shots, six stops below mid grey; its JSON
+    and its text."""
 
     def run(*arguments: str, exposure: float | None = None) -> tuple[dict, str]:
         monkeypatch.chdir(tmp_path)
         grey(6.0, 6.0, **{"postfx__exposure": exposure if exposure else 1.0})
-        words = ["run", "in/shot.####.exr", "--no-denoise", "--no-tonemap", "--device", "cpu", "--overwrite"]
+        words = ["run", "in/shot.####.exr", "--no-denoise", "--no-tonemap", "--device", "cpu",
+                 "--overwrite"]
         assert main([*words, *arguments, "--json"]) == 0
         found = capsys.readouterr()
         return json.loads(found.out), found.err
@@ -112,20 +118,24 @@ def told(grey, tmp_path: Path, monkeypatch, capsys) -> Callable[..., tuple[dict,
 def test_metering_is_told_and_a_night_shot_is_no_day_in_silence(told, tmp_path: Path) -> None:
     report, text = told("-o", "out/a.####.png")
     assert "exposure +6.0 EV, metered (as it was lit: +0.0 EV, with --exposure lit)" in text
-    assert "warning  metering shows this 6.0 EV brighter than it was lit: a night shot comes out as day" in text
+    assert ("warning  metering shows this 6.0 EV brighter than it was lit: a night shot comes out "
+            "as day" in text)
     used = report["exposure"]
     assert (used["mode"], used["metered"], used["applied"]) == ("auto", True, True)
     assert used["ev"] == pytest.approx([6, 6], abs=0.05) and set(used["multipliers"]) == {"1", "2"}
     night, text = told("-o", "night/a.####.png", "--exposure", "lit")
     assert "exposure +0.0 EV, as it was lit\n" in text and "night shot" not in text
     assert night["exposure"]["ev"] == [0, 0] and not night["exposure"]["metered"]
-    assert pixels(tmp_path / "night/a.0001.png").mean() < 0.1 < 0.4 < pixels(tmp_path / "out/a.0001.png").mean()
+    assert (pixels(tmp_path / "night/a.0001.png")
+            .mean() < 0.1 < 0.4 < pixels(tmp_path / "out/a.0001.png").mean())
     lit, text = told("-o", "out/a.####.png", exposure=2.0**5)
-    assert "(as it was lit: +5.0 EV, by the header, with --exposure lit)" in text and "night shot" not in text
+    assert ("(as it was lit: +5.0 EV, by the header, with --exposure lit)" in text and "night "
+            "shot" not in text)
 
 
 def test_the_plan_says_how_pictures_are_exposed(told) -> None:
-    for mode, line in (("auto", "exposes frame 1 by +6.0 EV, metered (as it was lit: +0.0 EV, with --exposure lit)"),
+    for mode, line in (("auto", "exposes frame 1 by +6.0 EV, metered (as it was lit: +0.0 EV, with "
+                        "--exposure lit)"),
                        ("lit", "exposes frame 1 by +0.0 EV, as it was lit"),
                        ("1.5", "exposes frame 1 by +1.5 EV, as given"),
                        ("smooth", "exposes all frames by what metering them gives")):
@@ -138,8 +148,8 @@ def test_the_plan_says_how_pictures_are_exposed(told) -> None:
 def explained(mode: str) -> str:
     """What --explain prints."""
     with contextlib.redirect_stdout(io.StringIO()) as found:
-        main(["run", "in/", "-o", "out/a.####.png", "--no-denoise", "--no-tonemap", "--exposure", mode, "--explain",
-              "--device", "cpu"])
+        main(["run", "in/", "-o", "out/a.####.png", "--no-denoise", "--no-tonemap", "--exposure",
+              mode, "--explain", "--device", "cpu"])
     return found.getvalue()
 
 
@@ -151,47 +161,58 @@ def test_an_exposure_in_the_pixels_is_called_so_in_the_header(told, tmp_path: Pa
     assert not header.getattribute("postfx:exposureUsedEV")
 
 
-def test_a_second_run_takes_the_exposure_of_the_first(write_exr, tmp_path: Path, monkeypatch, capsys) -> None:
+def test_a_second_run_takes_the_exposure_of_the_first(write_exr, tmp_path: Path, monkeypatch,
+                                                      capsys) -> None:
     monkeypatch.chdir(tmp_path)
     for number in (1, 2):
-        write_exr(f"in/shot.{number:04d}.exr", dict(zip("RGB", np.moveaxis(picture(4.0), -1, 0), strict=True)))
+        write_exr(f"in/shot.{number:04d}.exr",
+                  dict(zip("RGB", np.moveaxis(picture(4.0), -1, 0), strict=True)))
     common = ["--device", "cpu", "--json", "--model", "s", "--run-up", "0"]
     assert main(["run", "in/", "-o", "clean/", "--scale", "1", *common]) == 0
     first = json.loads(capsys.readouterr().out)["exposure"]
     header = oiio.ImageBuf("clean/shot.0001.exr").spec()
-    assert header.getattribute("postfx:exposureUsedEV") == pytest.approx(4, abs=0.03) and not first["applied"]
-    picture_run = ["run", "clean/", "-o", "p.####.png", "--no-denoise", "--no-tonemap", "--overwrite", "--json"]
+    assert (header.getattribute("postfx:exposureUsedEV") == pytest.approx(4, abs=0.03)
+            and not first["applied"])
+    picture_run = ["run", "clean/", "-o", "p.####.png", "--no-denoise", "--no-tonemap",
+                   "--overwrite", "--json"]
     assert main([*picture_run, "--exposure", "metadata"]) == 0
-    assert json.loads(capsys.readouterr().out)["exposure"]["multipliers"] == pytest.approx(first["multipliers"])
+    assert json.loads(capsys.readouterr()
+                      .out)["exposure"]["multipliers"] == pytest.approx(first["multipliers"])
     assert main([*picture_run, "--exposure", "lit"]) == 0
     assert json.loads(capsys.readouterr().out)["exposure"]["ev"] == [0, 0]
 
 
-def test_the_environment_draws_the_checkerboard_in_a_run(postfx, grey, tmp_path: Path, monkeypatch) -> None:
+def test_the_environment_draws_the_checkerboard_in_a_run(postfx, grey, tmp_path: Path,
+                                                         monkeypatch) -> None:
     monkeypatch.setenv("POSTFX_EXPOSURE_TOOL", "1")
     grey(EV, EV)
     done = postfx("run", "in/", "-o", "out/b.####.exr", "--exposure", "metadata", "--scale", "2")
     assert done.code == 0 and "a checkerboard covers the picture" in done.err
     board = pixels(tmp_path / "out/b.0002.exr")[..., :3]
     assert board.shape[:2] == (108, 192)  # at output size
-    np.testing.assert_allclose(np.unique(board), 0.18 * 2.0 ** np.array([-0.25, 0.25]) / 2**EV, rtol=1e-3)
+    np.testing.assert_allclose(np.unique(board), 0.18 * 2.0 ** np.array([-0.25, 0.25]) / 2**EV,
+                               rtol=1e-3)
 
 
 def test_graded_frames_are_handed_back(grey, tmp_path: Path, monkeypatch, capsys) -> None:
     grey(EV, EV)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("POSTFX_EXPOSURE_TOOL", "1")
-    boards = ["run", "in/", "-o", "boards/a.####.exr", "--no-denoise", "--device", "cpu", "--exposure", "lit"]
+    boards = ["run", "in/", "-o", "boards/a.####.exr", "--no-denoise", "--device", "cpu",
+              "--exposure", "lit"]
     assert main(boards) == 0
     monkeypatch.delenv("POSTFX_EXPOSURE_TOOL")
     assert main(["exposure", "in/", "--chart", "chart.exr"]) == 0
-    for source in [*Path("boards").glob("*.exr"), Path("chart.exr")]:  # a curve of its own, a stop too bright
+    # a curve of its own, a stop too bright
+    for source in [*Path("boards").glob("*.exr"), Path("chart.exr")]:
         picture = oiio.ImageBuf(str(source))
-        light = picture.get_pixels(oiio.FLOAT)[..., :3] * 2.0 ** picture.spec().getattribute("postfx:exposureUsedEV")
+        light = (picture.get_pixels(oiio.FLOAT)[..., :3] * 2.0 ** picture.spec()
+                 .getattribute("postfx:exposureUsedEV"))
         codes = np.clip(np.log2(1 + light * (2 if source.stem != "chart" else 1) * 9) / 8, 0, 1)
         oiio.ImageBuf(codes.astype(np.float32)).write(f"{source.stem}.png", oiio.UINT8)
     capsys.readouterr()
-    words = ["exposure", "in/", "--exposure", "lit", "--graded", "a.####.png", "--json", "--device", "cpu"]
+    words = ["exposure", "in/", "--exposure", "lit", "--graded", "a.####.png", "--json", "--device",
+             "cpu"]
     assert main([*words, "--response", "chart.png"]) == 1
     report = json.loads(capsys.readouterr().out)
     assert report["read_by"] == "its own" and report["graded"] == "a.####.png"

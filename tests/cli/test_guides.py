@@ -41,7 +41,8 @@ def test_explain_says_whether_guides_are_used(postfx, shot, guides):
     guides(1)
     assert "guides  72x48, used: normal, diffuse_albedo" in postfx(*RUN, *GUIDES, "--explain").out
     unused = postfx(*RUN, *GUIDES, "--explain", "--no-denoise")
-    assert "guides  72x48, not used" in unused.out and "skips   guides: no pass reads them" in unused.out
+    assert ("guides  72x48, not used" in unused.out and "skips   guides: no pass reads "
+            "them" in unused.out)
     document = json.loads(postfx(*RUN, *GUIDES, "--explain", "--json").out)
     assert document["guides"] == ["normal", "diffuse_albedo"]
     assert document["output"]["width"] == 72
@@ -61,7 +62,8 @@ def test_a_scale_that_fits_is_taken_and_another_is_refused(postfx, shot, guides)
     done = postfx(*RUN, *GUIDES, "--scale", "1.5", "--json")
     assert done.code == 0 and not done.json["guides"]["output_follows"]
     done = postfx(*RUN, *GUIDES, "--scale", "2", "--overwrite")
-    message = "error: in/guides.0001.exr: guides are 72x48, the colour is 48x32: leave the scale out, or render them at"
+    message = ("error: in/guides.0001.exr: guides are 72x48, the colour is 48x32: leave the scale "
+               "out, or render them at")
     assert done.code == 2 and message in done.err
 
 
@@ -70,9 +72,10 @@ def test_missing_guides_are_named_before_the_first_frame(postfx, shot, guides, t
     guides(1, 3)
     done = postfx(*RUN, *GUIDES)
     assert done.code == 2
-    assert [line for line in done.err.splitlines() if line.startswith("error: ")] == [
-        "error: in/guides.0002.exr: guides of frame 2 are missing: render them or leave the frame out with --frames"
-    ]
+    assert ([line for line in done.err.splitlines() if line.startswith("error: ")] == [
+        "error: in/guides.0002.exr: guides of frame 2 are missing: render them or leave the frame "
+        "out with --frames"
+    ])
     assert not (tmp_path / "out").exists()
 
 
@@ -83,7 +86,8 @@ def test_guides_that_change_their_size_are_named(postfx, shot, guides, options):
     guides(2, size=(64, 96))
     done = postfx(*RUN, *GUIDES, *options)
     assert done.code == 2
-    assert "error: in/guides.0002.exr: guides are 96x64, those of the first frame 72x48: render them at one" in done.err
+    assert ("error: in/guides.0002.exr: guides are 96x64, those of the first frame 72x48: render "
+            "them at one" in done.err)
 
 
 def test_guides_are_inputs_that_are_not_written_over(postfx, shot, guides):
@@ -98,7 +102,8 @@ def test_inspect_shows_guides(postfx, shot, guides):
     guides(1)
     done = postfx("inspect", "in/shot.####.exr", *GUIDES)
     assert "guides 72x48 in in/guides.0001.exr" in done.out
-    assert any(line.split()[:2] == ["diffuse_albedo", "albedo.R,G,B"] for line in done.out.splitlines())
+    assert any(line.split()[:2] == ["diffuse_albedo", "albedo.R,G,B"]
+               for line in done.out.splitlines())
     found = postfx("inspect", "in/shot.####.exr", *GUIDES, "--json").json
     assert [plane["role"] for plane in found["guides"]["planes"]] == ["normal", "diffuse_albedo"]
     assert found["guides"]["width"] == 72 and found["width"] == 48

@@ -17,8 +17,8 @@ from postfx.cli.options import Options
 from postfx.cli.run_options import PRESETS, RUN
 
 ROOT = Path(__file__).resolve().parents[2]
-FEW = {"--output", "--frames", "--preset", "--scale", "--denoise-only", "--model", "--both-ways", "--tonemap",
-       "--exposure", "--overwrite", "--skip-existing", "--dry-run"}
+FEW = {"--output", "--frames", "--preset", "--scale", "--denoise-only", "--model", "--both-ways",
+       "--tonemap", "--exposure", "--overwrite", "--skip-existing", "--dry-run"}
 
 
 def shown(*words: str, capsys: pytest.CaptureFixture[str]) -> str:
@@ -42,7 +42,8 @@ def test_help_shows_the_twelve_options_that_people_need(capsys):
 
 def test_help_all_shows_every_option_in_its_group(capsys):
     help = shown("run", "--help-all", capsys=capsys)
-    assert flags(help) - {"--help", "--help-all"} == {option.flag for option in RUN if option.flag != "input"}
+    assert flags(help) - {"--help", "--help-all"} == {option.flag
+                                                      for option in RUN if option.flag != "input"}
     places = [help.index(f"\n{section.title}:\n") for section in RUN.sections]
     assert places == sorted(places) and all(len(section.options) <= 14 for section in RUN.sections)
 
@@ -65,13 +66,13 @@ def test_shells_are_told_how_to_complete(shell, capsys):
 
 
 @pytest.mark.parametrize(("line", "expected"), [
-    ("postfx run --dry", "--dry-run"), ("postfx ch", "chunks"), ("postfx run --preset an", "animation"),
-    ("postfx verify --fr", "--frames"),
+    ("postfx run --dry", "--dry-run"), ("postfx ch", "chunks"),
+    ("postfx run --preset an", "animation"), ("postfx verify --fr", "--frames"),
 ])
 def test_lines_are_completed(line, expected, tmp_path):
     answer = tmp_path / "answer"
-    environment = {**os.environ, "_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer), "COMP_LINE": line,
-                   "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n"}
+    environment = {**os.environ, "_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+                   "COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n"}
     subprocess.run([sys.executable, "-m", "postfx"], env=environment, check=True)
     assert expected in answer.read_text().split()
 
@@ -81,9 +82,11 @@ def test_the_man_page_holds_every_verb_and_option(tmp_path):
     subprocess.run([sys.executable, "-S", str(ROOT / "hatch_build.py"), str(page)], check=True)
     text = page.read_text().replace("\\-", "-")  # -S: an isolated build has no packages
     assert all(f".SH POSTFX {verb.upper()}\n" in text for verb in VERBS)
-    assert all(re.search(rf"^\.B .*{option.flag}\b", text, re.MULTILINE) for option in RUN if option.flag != "input")
+    assert all(re.search(rf"^\.B .*{option.flag}\b", text, re.MULTILINE)
+               for option in RUN if option.flag != "input")
     if shutil.which("groff"):
-        done = subprocess.run(["groff", "-man", "-ww", "-z", str(page)], capture_output=True, text=True)
+        done = subprocess.run(["groff", "-man", "-ww", "-z", str(page)], capture_output=True,
+                              text=True)
         assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -92,20 +95,23 @@ def test_the_readme_of_the_package_index_names_no_file_beside_it():
     build = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(build)
     text, address = (ROOT / "README.md").read_text("utf-8"), "https://example.org/owner/postfx"
-    plain, linked = build.readme_of_the_index(text), build.readme_of_the_index(text, address + "/", "1.2.3")
+    plain, linked = (build.readme_of_the_index(text),
+                     build.readme_of_the_index(text, address + "/", "1.2.3"))
     assert "](" not in plain and "[Start]" not in plain and "Start: Blender" in plain
     found = re.findall(r"(!?)\[[^\]]*\]\(([^)]+)\)", linked)
     assert len(found) == len(re.findall(r"\]\(", text)) > 20
     for mark, target in found:
         folder = f"{address}/{'raw' if mark else 'blob'}/v1.2.3/"
-        assert target.startswith(folder) and (ROOT / target.removeprefix(folder).partition("#")[0]).exists()
+        assert (target.startswith(folder)
+                and (ROOT / target.removeprefix(folder).partition("#")[0]).exists())
 
 
 def test_every_verb_declares_its_options_for_help():
     """What is in no help is in no completion and no man page either."""
     parser = make_parser()
     assert isinstance(RUN, Options) and importlib.util.find_spec("argcomplete")
-    (verbs,) = (action.choices for action in parser._actions if action.dest == "==SUPPRESS==" and action.choices)
+    (verbs,) = (action.choices
+                for action in parser._actions if action.dest == "==SUPPRESS==" and action.choices)
     for name, verb in verbs.items():
         for action in verb._actions:
             assert action.help, (name, action.dest)

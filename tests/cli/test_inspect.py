@@ -1,4 +1,5 @@
-"""`postfx inspect` as people run it: exit codes, JSON, pictures, and mistakes that only the files show."""
+"""`postfx inspect` as people run it: exit codes, JSON, pictures, and mistakes that only the files
+show."""
 
 import json
 from pathlib import Path
@@ -53,7 +54,8 @@ def test_nothing_wrong_is_0(inspect):
 
 
 def test_where_the_names_of_a_renderer_are_from(inspect, write_exr, capsys):
-    names = (*"RGB", *(f"DiffuseFilter.{letter}" for letter in "RGB"), "MotionVectors.R", "MotionVectors.G")
+    names = (*"RGB", *(f"DiffuseFilter.{letter}" for letter in "RGB"), "MotionVectors.R",
+             "MotionVectors.G")
     path = write_exr("a.exr", {name: np.full((16, 16), 0.5) for name in names})
     _, found = inspect(path)
     assert found["profile"] == {"name": "redshift", "title": "Redshift", "source": "listing"}
@@ -70,13 +72,15 @@ def test_roles_say_which_planes_and_why(inspect):
     assert set(found["roles"]) == set(Role)
     assert found["roles"]["diffuse_albedo"]["planes"] == ["albedo.R", "albedo.G", "albedo.B"]
     assert "'albedo'" in found["roles"]["diffuse_albedo"]["why"]
-    assert found["roles"]["overlay"]["planes"] == [] and "'overlay.R" in found["roles"]["overlay"]["why"]
+    assert (found["roles"]["overlay"]["planes"] == []
+            and "'overlay.R" in found["roles"]["overlay"]["why"])
     assert all({"planes", "why"} <= set(role) for role in found["roles"].values())
 
 
 def test_warnings_only_are_1(inspect, shot):
     code, found = inspect(shot(1, 2) / "shot.####.exr")
-    assert code == 1 and not codes(found, "error") and "missing-diffuse-albedo" in codes(found, "warning")
+    assert (code == 1 and not codes(found, "error")
+            and "missing-diffuse-albedo" in codes(found, "warning"))
 
 
 def test_an_error_is_2_and_has_evidence_cause_and_fix(inspect, broken_room):
@@ -102,12 +106,14 @@ def test_ranges_are_of_the_whole_sequence(inspect, write_exr):
         folder = write_exr(f"s.{number:04d}.exr", dict.fromkeys("RGB", value)).parent
     _, found = inspect(folder / "s.####.exr")
     (plane,) = found["planes"]
-    assert found["examined"] == list(range(1, 9)) and found["measured"][-1] == 20 and len(found["measured"]) <= 16
+    assert (found["examined"] == list(range(1, 9)) and found["measured"][-1] == 20
+            and len(found["measured"]) <= 16)
     assert (plane["min"], plane["max"], plane["nan"]) == (1, 20, 63 * 3)
 
 
 def test_nan_in_motion_is_seen_in_all_frames_though_reading_repairs_it(inspect, broken_room):
-    _, found = inspect(broken_room(motion_X=lambda x: np.where(np.arange(x.shape[1]) == 7, np.nan, x)))
+    _, found = inspect(broken_room(motion_X=lambda x: np.where(np.arange(x.shape[1]) == 7, np.nan,
+                                                               x)))
     assert codes(found, "warning") == {"not-finite"}
     (plane,) = [plane for plane in found["planes"] if plane["role"] == "motion"]
     assert plane["nan"] == 3 * 180 and plane["infinite"] == 0
@@ -124,7 +130,8 @@ def test_a_broken_first_frame_is_an_error_line_and_no_output(postfx, broken_room
     pattern = broken_room()
     (pattern.parent / "noisy.0002.exr").write_bytes(b"v/1\x01nothing")
     done = postfx("inspect", str(pattern), "--json")
-    assert done.code == 2 and done.out == "" and done.err.startswith("error: ") and done.err.count("\n") == 1
+    assert (done.code == 2 and done.out == "" and done.err.startswith("error: ")
+            and done.err.count("\n") == 1)
 
 
 def test_left_out_frames_are_not_neighbours(inspect):
@@ -155,25 +162,30 @@ def test_text_has_the_worst_first_and_no_colour_in_a_pipe(postfx, broken_room):
 
 
 def test_depth_is_checked_as_it_would_be_read(inspect, broken_room):
-    """A reversed buffer is found; what --depth says mends it, and what it says wrongly is found as well."""
+    """A reversed buffer is found; what --depth says mends it, and what it says wrongly is found as
+    well."""
     reversed_buffer = broken_room(depth_Z=lambda z: np.where(z < 1e9, 0.1 / z, 0))
     assert "depth-reversed" in codes(inspect(reversed_buffer)[1], "error")
     code, found = inspect(reversed_buffer, "--depth", "reversed,near=0.1")
     assert code == 0 and "a depth buffer, 1 at the near plane" in found["roles"]["depth"]["why"]
-    assert "depth-reversed" in codes(inspect(broken_room(), "--depth", "reversed,near=0.1")[1], "error")
+    assert "depth-reversed" in codes(inspect(broken_room(), "--depth", "reversed,near=0.1")[1],
+                                     "error")
 
 
 def test_depth_that_cannot_be_understood_is_an_error_line(postfx):
     done = postfx("inspect", ROOM, "--depth", "z")
-    assert done.code == 2 and done.out == "" and done.err.startswith("error: depth 'z': begin with planar, ray, device")
+    assert (done.code == 2 and done.out == ""
+            and done.err.startswith("error: depth 'z': begin with planar, ray, device"))
 
 
 def test_layers_that_are_not_read_are_listed_and_may_be_what_is_missing(inspect, write_exr, capsys):
-    names = (*"RGB", "zDepth.Z", *(f"normals.{letter}" for letter in "XYZ"), *(f"AO.{letter}" for letter in "RGB"))
+    names = (*"RGB", "zDepth.Z", *(f"normals.{letter}" for letter in "XYZ"),
+             *(f"AO.{letter}" for letter in "RGB"))
     path = write_exr("a.exr", {name: np.random.default_rng(1).random((16, 16)) for name in names})
     _, found = inspect(path)
     assert sorted(found["unread"]) == ["AO.R,G,B", "normals.X,Y,Z", "zDepth.Z"]
-    missing = {finding["role"]: finding["evidence"] for finding in found["findings"] if "missing" in finding["code"]}
+    missing = {finding["role"]: finding["evidence"]
+               for finding in found["findings"] if "missing" in finding["code"]}
     assert missing["normal"].endswith("in the file, but not read: normals.X,Y,Z")
     assert missing["depth"].endswith("in the file, but not read: zDepth.Z")
     assert "not read" not in missing["diffuse_albedo"]
@@ -182,26 +194,32 @@ def test_layers_that_are_not_read_are_listed_and_may_be_what_is_missing(inspect,
 
 
 def test_a_run_tells_before_its_first_frame_what_is_plainly_wrong(broken_room, tmp_path, capsys):
-    wrong = {"depth_Z": np.negative, "normal_X": lambda x: (x + 1) / 2, "normal_Y": lambda y: (y + 1) / 2,
-             "normal_Z": lambda z: (z + 1) / 2, "motion_X": lambda x: x / 64 + 0.5, "motion_Y": lambda y: y / 64 + 0.5}
-    run = ["run", str(broken_room(**wrong)), "-o", str(tmp_path / "out.####.exr"), "--model=classic", "--frames=2"]
+    wrong = {"depth_Z": np.negative, "normal_X": lambda x: (x + 1) / 2,
+             "normal_Y": lambda y: (y + 1) / 2, "normal_Z": lambda z: (z + 1) / 2,
+             "motion_X": lambda x: x / 64 + 0.5, "motion_Y": lambda y: y / 64 + 0.5}
+    run = ["run", str(broken_room(**wrong)), "-o", str(tmp_path / "out.####.exr"),
+           "--model=classic", "--frames=2"]
     assert main([*run, "--json"]) == 0
     done = capsys.readouterr()
     told = [text for text in json.loads(done.out)["warnings"] if text.startswith("AOV ")]
     assert [text.partition(":")[0] for text in told] == [
-        "AOV depth (depth.Z), frame 2", "AOV normal (normal.X,Y,Z), frame 2", "AOV motion (motion.X,Y), frame 2"]
+        "AOV depth (depth.Z), frame 2", "AOV normal (normal.X,Y,Z), frame 2",
+        "AOV motion (motion.X,Y), frame 2"]
     assert all("; likely: " in text and "; fix: " in text for text in told)
     assert done.err.index("negative, least") < done.err.index("1/1 "), "at once, not at the end"
     run[1] = ROOM
     assert main([*run, "--overwrite", "--json"]) == 0
-    assert not any(text.startswith("AOV ") for text in json.loads(capsys.readouterr().out)["warnings"])
+    assert not any(text.startswith("AOV ")
+                   for text in json.loads(capsys.readouterr().out)["warnings"])
 
 
-def test_motion_stored_as_colours_is_found_whatever_signs_the_profile_has(inspect, broken_room, tmp_path):
+def test_motion_stored_as_colours_is_found_whatever_signs_the_profile_has(inspect, broken_room,
+                                                                          tmp_path):
     coded = broken_room(motion_X=lambda x: 0.5 - x / 128, motion_Y=lambda y: y / 128 + 0.5)
     signs = tmp_path / "signs.toml"
-    signs.write_text('extends = "generic"\n[[plane]]\nrole = "motion"\nnames = ["motion"]\nchannels = ["XY"]\n'
-                     "scale = [-1, 1]\n")
+    signs.write_text('extends = "generic"\n[[plane]]\nrole = "motion"\nnames = ["motion"]\n'
+                     'channels = ["XY"]\n' "scale = [-1, 1]\n")
     code, found = inspect(coded, "--profile", signs)
-    assert code > 0 and {"motion-coded", "motion-encoded"} & (codes(found, "error") | codes(found, "warning"))
+    assert (code > 0 and {"motion-coded", "motion-encoded"}
+            & (codes(found, "error") | codes(found, "warning")))
     assert not {"motion-coded"} & codes(inspect(ROOM)[1], "warning")

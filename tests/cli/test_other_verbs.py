@@ -20,15 +20,18 @@ def test_help_has_examples_for_every_verb(capsys):
 
 
 def test_help_loads_nothing_heavy():
-    code = "import sys, postfx.cli.main as m; m.make_parser(); print([n for n in sys.modules if n in HEAVY])"
+    code = ("import sys, postfx.cli.main as m; m.make_parser(); print([n for n in sys.modules if n "
+            "in HEAVY])")
     heavy = "HEAVY = ('numpy', 'onnxruntime', 'OpenImageIO', 'rich', 'torch')\n"
-    done = subprocess.run([sys.executable, "-c", heavy + code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", heavy + code], capture_output=True, text=True,
+                          check=True)
     assert done.stdout.strip() == "[]"
 
 
 def test_a_reader_that_has_enough_is_no_error():
     command = [sys.executable, "-m", "postfx", "models"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                          text=True) as process:
         process.stdout.close()
         assert process.stderr.read() == ""
     assert process.returncode == 0
@@ -44,7 +47,8 @@ def test_inspect_shows_planes_missing_and_values(postfx, shot):
     assert done.code == 1  # planes are missing
     assert "in/shot.####.exr: 4 frames, 1 to 4" in done.out
     assert "profile generic (Generic names), 48x32" in done.out
-    assert any(line.split() == ["depth", "depth.Z", "3", "..", "3"] for line in done.out.splitlines())
+    assert any(line.split() == ["depth", "depth.Z", "3", "..", "3"]
+               for line in done.out.splitlines())
     assert "missing  normal" in done.out
     assert "later" not in done.out  # no renderer makes it
     assert "frames without a file: 3" in done.out
@@ -53,8 +57,10 @@ def test_inspect_shows_planes_missing_and_values(postfx, shot):
 def test_inspect_counts_what_is_not_finite(postfx, write_exr):
     red = np.ones((4, 4), np.float32)
     red[0, 0], red[1, 1] = np.nan, np.inf
-    write_exr("a.exr", {"R": red, "G": np.zeros((4, 4)), "B": np.zeros((4, 4)), "depth.Z": np.full((4, 4), 1e10)})
-    planes = {plane["role"]: plane for plane in json.loads(postfx("inspect", "a.exr", "--json").out)["planes"]}
+    write_exr("a.exr", {"R": red, "G": np.zeros((4, 4)), "B": np.zeros((4, 4)),
+                        "depth.Z": np.full((4, 4), 1e10)})
+    planes = {plane["role"]: plane
+              for plane in json.loads(postfx("inspect", "a.exr", "--json").out)["planes"]}
     assert (planes["colour"]["non_finite"], planes["colour"]["max"]) == (2, 1)
     assert (planes["depth"]["misses"], planes["depth"]["max"]) == (16, None)
 

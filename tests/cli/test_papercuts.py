@@ -1,4 +1,5 @@
-"""Small things that cost trust: each message says what is wrong, and nothing stops frames from being written."""
+"""Small things that cost trust: each message says what is wrong, and nothing stops frames from
+being written."""
 
 import subprocess
 import sys
@@ -25,14 +26,16 @@ def here(shot, tmp_path, monkeypatch) -> Path:
     (("--model", "x"), "give s, m, l, classic or FILE.onnx; 'postfx models' lists all"),
     (("--memory", "4"), "memory budget '4' is in bytes without a unit: 4G for gigabytes?"),
     (("--scale", "9"), "scales by 1 to 3, not 9"),
-    (("--frames", "100-200"), "there are frames 1-3, none of 100-200: give --frames that are there"),
+    (("--frames", "100-200"),
+     "there are frames 1-3, none of 100-200: give --frames that are there"),
 ])
 def test_a_wrong_value_is_told_before_files_that_are_there(here, capsys, words, said):
     assert main([*RUN, *QUICK]) == 0
     capsys.readouterr()
     assert main([*RUN, *words]) == 2
     told = capsys.readouterr().err
-    assert said in told and "already there" not in told and told.count("\n") == 1 and len(told) < 250
+    assert (said in told and "already there" not in told and told.count("\n") == 1
+            and len(told) < 250)
 
 
 @pytest.mark.parametrize("verb", ["chunks", "watch"])
@@ -64,7 +67,8 @@ def test_interpolation_counts_its_frames(here, capsys):
 @pytest.mark.parametrize("words", [RUN, ("interpolate", "in/", "-o", "out/")])
 def test_what_writing_loses_is_said_once(here, write_exr, capsys, words):
     for number in (1, 2, 3):
-        write_exr(f"in/shot.{number:04d}.exr", {name: np.full((32, 48), 1e5 * number) for name in "RGB"})
+        write_exr(f"in/shot.{number:04d}.exr",
+                  {name: np.full((32, 48), 1e5 * number) for name in "RGB"})
     assert main([*words, *(("--no-denoise",) if words == RUN else ())]) == 0
     told = capsys.readouterr().err.splitlines()
     said = [line for line in told if "light above 65504 is cut there" in line]
@@ -86,7 +90,8 @@ def test_who_does_not_listen_stops_no_frame(here, where):
     assert len(list((here / "out").glob("shot.*.exr"))) == 3
 
 
-def test_the_rate_while_frames_are_made_leaves_compiling_out_as_the_last_one_does(capsys, monkeypatch):
+def test_the_rate_while_frames_are_made_leaves_compiling_out_as_the_last_one_does(capsys,
+                                                                                  monkeypatch):
     now = [0.0]
     monkeypatch.setattr("postfx.cli.summary.time.perf_counter", lambda: now[0])
     with FrameProgress(4) as progress:

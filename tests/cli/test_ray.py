@@ -1,4 +1,5 @@
-"""`postfx run --ray`: the chunks of `postfx chunks` on machines of a Ray cluster, of which one dies."""
+"""`postfx run --ray`: the chunks of `postfx chunks` on machines of a Ray cluster, of which one
+dies."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ from postfx.runs.locks import Claim
 from postfx.version import __version__, pip_install
 
 RUN = ("--scale", "1", "--model", "s", "--threads", "1")
-IMPATIENT = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 300, "health_check_failure_threshold": 2}
+IMPATIENT = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 300,
+             "health_check_failure_threshold": 2}
 """Ray gives a machine up after a second; by default it waits for 15."""
 
 
@@ -32,10 +34,12 @@ def here(monkeypatch) -> None:
 
 
 @pytest.mark.parametrize(("words", "message"), [
-    (("--ray", "auto", "--json"), "--ray has other machines run the sequence, in chunks: leave --json"),
+    (("--ray", "auto", "--json"),
+     "--ray has other machines run the sequence, in chunks: leave --json"),
     (("--ray", "auto,size=0"), "'0' is not a whole number from 1"),
     (("--ray", "auto,5"), "'auto,5' is not an address, with ,size=N"),
-    (("--ray", "127.0.0.1:1"), "error: --ray 127.0.0.1:1: cannot be reached: Connection refused: give the address"),
+    (("--ray", "127.0.0.1:1"),
+     "error: --ray 127.0.0.1:1: cannot be reached: Connection refused: give the address"),
 ])
 def test_what_cannot_be_handed_out_is_said_in_a_line(postfx, noise, monkeypatch, words, message):
     monkeypatch.setitem(sys.modules, "ray", ModuleType("ray"))  # it is not asked
@@ -58,7 +62,9 @@ def test_ray_is_given_the_address_and_what_it_answers_is_said(monkeypatch):
         raise ConnectionError("no cluster runs here\nand much more")
 
     monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(init=init))
-    with pytest.raises(FarmError, match="--ray local: cannot be reached: no cluster runs here: give the address"):
+    with pytest.raises(FarmError,
+                       match="--ray local: cannot be reached: no cluster runs here: give the "
+                       "address"):
         _connect("local")
     assert asked == ["local"]
 
@@ -78,7 +84,8 @@ def test_an_actor_waits_for_files_of_a_process_that_may_be_dead(here, noise, mon
     ending = threading.Timer(0.5, claim.release)
     begin = time.monotonic()
     ending.start()
-    words = ["postfx", "run", "in/shot.####.exr", "-o", "out/", "--no-denoise", "--ray", "auto", "--frames=1-3"]
+    words = ["postfx", "run", "in/shot.####.exr", "-o", "out/", "--no-denoise", "--ray", "auto",
+             "--frames=1-3"]
     _, _, faults = ChunkActor().run(str(noise), __version__, words)
     assert time.monotonic() - begin >= 0.5 and not faults
     assert len(list((noise / "out").glob("shot.*.exr"))) == 3
@@ -104,13 +111,15 @@ def test_two_machines_of_which_one_dies(postfx, write_exr, tmp_path, monkeypatch
     rng = np.random.default_rng(8)
     for number in range(1, 41):
         planes = {name: rng.exponential(size=(32, 48)) for name in "RGB"}
-        planes |= {"depth.Z": np.full((32, 48), 3.0), "motion.X": np.zeros((32, 48)), "motion.Y": np.zeros((32, 48))}
+        planes |= {"depth.Z": np.full((32, 48), 3.0), "motion.X": np.zeros((32, 48)),
+                   "motion.Y": np.zeros((32, 48))}
         write_exr(f"in/shot.{number:04d}.exr", planes)
     cluster = Cluster(initialize_head=True, head_node_args={
         "num_cpus": 1, "include_dashboard": False, "_system_config": IMPATIENT})
     try:
         machine = cluster.add_node(num_cpus=1)
-        words = ["run", "in/shot.####.exr", "-o", "parts/a.####.exr", *RUN, "--ray", f"{cluster.address},size=20"]
+        words = ["run", "in/shot.####.exr", "-o", "parts/a.####.exr", *RUN, "--ray",
+                 f"{cluster.address},size=20"]
         run = subprocess.Popen([sys.executable, "-m", "postfx", *words], cwd=tmp_path, text=True,
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         firsts = [tmp_path / f"parts/a.{number:04d}.exr" for number in (1, 21)]
@@ -122,8 +131,10 @@ def test_two_machines_of_which_one_dies(postfx, write_exr, tmp_path, monkeypatch
     finally:
         cluster.shutdown()
     assert run.returncode == 0, out + err
-    assert written < 40 and "was killed" in out and "40 whole, 0 altered, 0 missing, 0 unfinished" in out
+    assert (written < 40 and "was killed" in out and "40 whole, 0 altered, 0 missing, 0 "
+            "unfinished" in out)
     assert postfx("run", "in/shot.####.exr", "-o", "one/a.####.exr", *RUN).code == 0
     for path in sorted((tmp_path / "one").glob("*.exr")):
         one, other = Sequence(path), Sequence(tmp_path / "parts" / path.name)
-        assert (one.read(one.numbers[0])["colour"] == other.read(one.numbers[0])["colour"]).all(), path.name
+        assert (one.read(one.numbers[0])["colour"]
+                == other.read(one.numbers[0])["colour"]).all(), path.name

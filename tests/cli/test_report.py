@@ -13,12 +13,14 @@ from postfx.report import frame_log
 from postfx.report.frame_log import References
 
 ROOM = Path(__file__).resolve().parents[2] / "samples" / "room"
-RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise", "--device", "cpu", "--overwrite")
+RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise", "--device", "cpu",
+       "--overwrite")
 
 
 def embedded(path):
     text = path.read_text()
-    return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)[1])
+    return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text,
+                                re.DOTALL)[1])
 
 
 def test_a_run_says_where_its_report_is_and_writes_the_same_frames(postfx, shot, tmp_path):
@@ -26,13 +28,15 @@ def test_a_run_says_where_its_report_is_and_writes_the_same_frames(postfx, shot,
     assert postfx(*RUN).code == 0
     plain = [(tmp_path / f"out/shot.000{n}.exr").read_bytes() for n in (1, 2, 3)]
     done = postfx(*RUN, "--report", "look/report.html", "--json")
-    assert done.code == 0 and done.json["report"] == "look/report.html" and "report   look/report.html" in done.err
+    assert (done.code == 0 and done.json["report"] == "look/report.html" and "report   "
+            "look/report.html" in done.err)
     assert plain == [(tmp_path / f"out/shot.000{n}.exr").read_bytes() for n in (1, 2, 3)]
     data = embedded(tmp_path / "look/report.html")
     assert data["numbers"] == [1, 2, 3] and data["run"]["frames"] == 3 and not data["display"]
     assert {"what": "denoise_upscale", "why": "--no-denoise"} in data["run"]["skipped"]
     assert "\nframe   48x32" in data["run"]["plan"]
-    assert [chart["title"] for chart in data["charts"]] == ["Exposure, EV", "Milliseconds a frame"]  # no motion is read
+    # no motion is read
+    assert [chart["title"] for chart in data["charts"]] == ["Exposure, EV", "Milliseconds a frame"]
     assert {finding["code"] for finding in data["facts"]["findings"]} >= {"missing-normal"}
 
 
@@ -42,7 +46,8 @@ def test_tone_mapped_output_is_compared_with_tone_mapped_input(postfx, shot, tmp
     assert done.code == 0, done.err
     data = embedded(tmp_path / "report.html")
     assert data["display"] is True
-    assert all(frame["pictures"]["before"] == frame["pictures"]["after"] for frame in data["frames"])
+    assert all(frame["pictures"]["before"] == frame["pictures"]["after"]
+               for frame in data["frames"])
     assert data["frames"][0]["pictures"]["after"]["highest"] == 1
 
 
@@ -50,7 +55,8 @@ def test_frames_that_were_left_out_break_the_curve(postfx, shot, tmp_path):
     shot(*range(1, 7))
     assert postfx(*RUN, "--frames", "3").code == 0
     arguments = [argument for argument in RUN if argument != "--overwrite"]
-    assert postfx(*arguments, "--skip-existing", "--preroll", "1", "--report", "report.html").code == 0
+    assert postfx(*arguments, "--skip-existing", "--preroll", "1", "--report",
+                  "report.html").code == 0
     data = embedded(tmp_path / "report.html")
     assert data["numbers"] == [1, 2, 4, 5, 6] and data["cuts"] == [1, 4]
 
@@ -69,7 +75,8 @@ def test_inspect_reports_findings_and_input(postfx, shot, tmp_path):
     done = postfx("inspect", "in/", "--report", "report.html")
     assert done.code == 1
     data = embedded(tmp_path / "report.html")
-    assert data["run"] is None and [list(frame["pictures"]) for frame in data["frames"]] == [["input"]] * 2
+    assert (data["run"] is None
+            and [list(frame["pictures"]) for frame in data["frames"]] == [["input"]] * 2)
     assert [picture["name"] for picture in data["sheet"]] == ["colour", "depth", "motion"]
 
 
@@ -78,7 +85,8 @@ def test_values_that_are_not_finite_are_reported(postfx, write_exr, tmp_path):
     write_exr("in/bad.0001.exr", planes)
     assert postfx("inspect", "in/", "--report", "report.html").code >= 1
     assert postfx("run", "in/", "-o", "out/", "--no-denoise", "--report", "run.html").code == 0
-    assert len(embedded(tmp_path / "report.html")["frames"]) == len(embedded(tmp_path / "run.html")["frames"]) == 1
+    assert (len(embedded(tmp_path / "report.html")["frames"])
+            == len(embedded(tmp_path / "run.html")["frames"]) == 1)
 
 
 @pytest.mark.parametrize(
@@ -87,9 +95,12 @@ def test_values_that_are_not_finite_are_reported(postfx, write_exr, tmp_path):
         (("--reference", "in/"), "--reference is for --report FILE.html: give both"),
         (("--report", "file/report.html"), "report folder 'file' cannot be written"),
         (("--report", "in"), "--report in: is a folder: give a file, e.g. in/report.html"),
-        (("--report", "r.html", "--memory", "2G"), "--report keeps whole frames in memory: leave --memory out"),
-        pytest.param(("--report", "r.html", "--reference", "nothing.####.exr"), "nothing.####.exr: no such file",
-                     marks=pytest.mark.skipif(find_spec("flip_evaluator") is None, reason="needs the extra 'bench'")),
+        (("--report", "r.html", "--memory", "2G"),
+         "--report keeps whole frames in memory: leave --memory out"),
+        pytest.param(("--report", "r.html", "--reference", "nothing.####.exr"),
+                     "nothing.####.exr: no such file",
+                     marks=pytest.mark.skipif(find_spec("flip_evaluator") is None,
+                                              reason="needs the extra 'bench'")),
     ],
 )
 def test_errors_before_anything_runs(postfx, shot, tmp_path, arguments, message):
@@ -102,14 +113,16 @@ def test_errors_before_anything_runs(postfx, shot, tmp_path, arguments, message)
 
 def test_references_must_have_the_output_s_size():
     pytest.importorskip("flip_evaluator")
-    with pytest.raises(ReportError, match="references are 640x360, the output 320x180: give them at the size"):
+    with pytest.raises(ReportError,
+                       match="references are 640x360, the output 320x180: give them at the size"):
         References(str(ROOM / "reference.####.exr"), (320, 180))
     assert References(str(ROOM / "reference.####.exr"), (640, 360)).colour(99) is None
 
 
 def test_a_library_that_is_missing_is_named(monkeypatch):
     monkeypatch.setattr(frame_log, "find_spec", lambda name: None)
-    with pytest.raises(ReportError, match=r"flip-evaluator is not installed, .* pip install '\.\[bench\]'"):
+    with pytest.raises(ReportError,
+                       match=r"flip-evaluator is not installed, .* pip install '\.\[bench\]'"):
         References(str(ROOM / "reference.####.exr"), (640, 360))
 
 

@@ -16,7 +16,8 @@ COPY = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise")
 def outputs(folder):
     """Names of the frames in a folder."""
     books = ("postfx.manifest.json", ".postfx")
-    return sorted(path.name for path in folder.iterdir() if path.name not in books) if folder.is_dir() else []
+    return (sorted(path.name for path in folder.iterdir() if path.name not in books)
+            if folder.is_dir() else [])
 
 
 def pixels_of(path):
@@ -34,14 +35,16 @@ def test_as_many_frames_out_as_in(postfx, shot, tmp_path):
     assert outputs(tmp_path / "out") == ["shot.0001.exr", "shot.0002.exr", "shot.0003.exr"]
     assert "3 of 3 frames" in done.err
     assert "denoise_upscale: --no-denoise" in done.err
-    np.testing.assert_allclose(pixels_of(tmp_path / "out/shot.0002.exr")[:, :, 0].mean(), 2.5, atol=0.1)
+    np.testing.assert_allclose(pixels_of(tmp_path / "out/shot.0002.exr")[:, :, 0].mean(), 2.5,
+                               atol=0.1)
 
 
 def test_json_report(postfx, shot):
     shot(1, 2, 3, 4)
     done = postfx(*COPY, "--frames", "1-4x2", "--json")
     report = done.json
-    assert set(report) == {"frames", "seconds", "ms_per_frame", "passes", "skipped", "warnings", "outputs", "guides",
+    assert set(report) == {"frames", "seconds", "ms_per_frame", "passes", "skipped", "warnings",
+                           "outputs", "guides",
                            "chosen", "cuts", "broken", "run_up", "prepared", "exposure"}
     assert report["frames"] == 2
     assert report["outputs"] == ["out/shot.0001.exr", "out/shot.0003.exr"]
@@ -52,8 +55,10 @@ def test_json_report(postfx, shot):
 
 
 def test_display_output_without_tone_mapping_is_clipped_and_encoded(postfx, write_exr, tmp_path):
-    write_exr("still.exr", {name: np.full((8, 8), value) for name, value in zip("RGB", (0.18, 1, 5), strict=True)})
-    done = postfx("run", "still.exr", "-o", "still.png", "--no-denoise", "--no-tonemap", "--exposure", "0")
+    write_exr("still.exr", {name: np.full((8, 8), value)
+                            for name, value in zip("RGB", (0.18, 1, 5), strict=True)})
+    done = postfx("run", "still.exr", "-o", "still.png", "--no-denoise", "--no-tonemap",
+                  "--exposure", "0")
     assert done.code == 0
     np.testing.assert_allclose(pixels_of(tmp_path / "still.png")[0, 0], [0.4614, 1, 1], atol=0.003)
 
@@ -64,7 +69,8 @@ def test_display_output_is_tone_mapped(postfx, shot, tmp_path):
     assert list(done.json["passes"]) == ["tonemap"]
     done = postfx("run", "in/shot.####.exr", "-o", "out/shot.####.png", "--no-denoise", "--json")
     assert list(done.json["passes"]) == ["tonemap"]
-    linear, encoded = pixels_of(tmp_path / "out/shot.0002.exr"), pixels_of(tmp_path / "out/shot.0002.png")
+    linear, encoded = (pixels_of(tmp_path / "out/shot.0002.exr"),
+                       pixels_of(tmp_path / "out/shot.0002.png"))
     assert 0 < encoded.min() < encoded.max() <= 1
     np.testing.assert_allclose(srgb_encode(linear), encoded, atol=0.004)
 
@@ -85,7 +91,8 @@ def test_existing_outputs_stop_the_run_before_it_starts(postfx, shot, tmp_path):
     (tmp_path / "out/shot.0002.exr").write_text("mine")
     done = postfx(*COPY)
     assert done.code == 2
-    assert "error: out/shot.0002.exr: is already there: give --overwrite or --skip-existing" in done.err
+    assert ("error: out/shot.0002.exr: is already there: give --overwrite or "
+            "--skip-existing" in done.err)
     assert outputs(tmp_path / "out") == ["shot.0002.exr"]
 
 
@@ -99,7 +106,8 @@ def test_resume_keeps_complete_files_and_mends_broken_ones(postfx, shot, tmp_pat
     before = kept.stat().st_mtime_ns
     report = postfx(*COPY, "--skip-existing", "--json").json
     assert report["outputs"] == ["out/shot.0002.exr", "out/shot.0003.exr"]
-    assert {"what": "frame 1", "why": "out/shot.0001.exr exists and is complete"} in report["skipped"]
+    assert {"what": "frame 1",
+            "why": "out/shot.0001.exr exists and is complete"} in report["skipped"]
     assert kept.stat().st_mtime_ns == before
     assert len(broken.read_bytes()) == len(whole)
 
@@ -117,15 +125,18 @@ def test_missing_frames_are_named_before_the_first_one(shot, tmp_path, capsys, m
     monkeypatch.chdir(tmp_path)
     run = ["run", *COPY[1:], "--device", "cpu", "--exposure", "0"]
     assert main(run) == 2
-    assert "error: in/shot.0003.exr: frame 3 is missing: render it or leave it out" in capsys.readouterr().err
+    assert ("error: in/shot.0003.exr: frame 3 is missing: render it or leave it "
+            "out" in capsys.readouterr().err)
     assert main([*run, "--frames", "1-9"]) == 2
-    holes = "in/shot.####.exr: 6 of 9 frames are missing: 3,5-9: render them, leave them out with --frames, or give "
+    holes = ("in/shot.####.exr: 6 of 9 frames are missing: 3,5-9: render them, leave them out with "
+             "--frames, or give ")
     assert holes in capsys.readouterr().err and not (tmp_path / "out").exists()
     assert main([*run, "--frames", "1-5", "--explain"]) == 0
     assert "input   in/shot.####.exr: 5 frames (1-5, 2 missing: 3,5)\n" in capsys.readouterr().out
     assert main([*run, "--frames", "1-5", "--on-error", "skip"]) == 3
     first, second = capsys.readouterr().err.splitlines()[:2]
-    assert first == "in/shot.####.exr to out/shot.####.exr: 5 frames (1-5, 2 missing: 3,5), 48x32, not enlarged"
+    assert (first == "in/shot.####.exr to out/shot.####.exr: 5 frames (1-5, 2 missing: 3,5), "
+            "48x32, not enlarged")
     assert second == "2 of 5 frames are missing, --on-error skip goes on without: 3,5"
     assert main([*run, "--frames", "1-3", "--skip-existing"]) == 2
     assert "error: in/shot.0003.exr: frame 3 is missing" in capsys.readouterr().err
@@ -168,7 +179,8 @@ def test_input_without_colour(postfx, write_exr):
         (("--strength", "0.5"), "--strength is for the denoiser, which --no-denoise leaves out"),
         (("-o", "out/shot.exr"), "one file for 2 frames: write it like shot.####.exr"),
         (("-o", "out/shot.####.bmp"), "unknown format '.bmp': use .exr"),
-        (("-o", "out/shot.mp4"), "write 'out/shot.####.png', then run ffmpeg -framerate 24 -i out/shot.%04d.png"),
+        (("-o", "out/shot.mp4"),
+         "write 'out/shot.####.png', then run ffmpeg -framerate 24 -i out/shot.%04d.png"),
         (("-o", "in/"), "in/shot.0001.exr: is an input"),
         (("-o", "in/shot.0001.exr/x.####.exr"), "x.0001.exr: cannot be written"),
     ],
@@ -185,11 +197,13 @@ def test_mistakes_get_one_clear_line(postfx, shot, arguments, message):
 
 def test_no_strength_resamples(postfx, shot, tmp_path):
     shot(1)
-    done = postfx("run", "in/shot.####.exr", "-o", "out/", "--strength", "0", "--scale", "1", "--exposure", "0")
+    done = postfx("run", "in/shot.####.exr", "-o", "out/", "--strength", "0", "--scale", "1",
+                  "--exposure", "0")
     assert done.code == 0 and "strength 0: the input is only resampled" in done.err, done.err
     given, found = (pixels_of(tmp_path / folder / "shot.0001.exr") for folder in ("in", "out"))
     np.testing.assert_array_equal(found, given[..., :3].astype(np.float16))
-    assert "has strengths 0 to 1, not 2" in postfx("run", "in/shot.####.exr", "-o", "o/", "--strength", "2").err
+    assert "has strengths 0 to 1, not 2" in postfx("run", "in/shot.####.exr", "-o", "o/",
+                                                   "--strength", "2").err
 
 
 def test_a_budget_takes_the_fastest_network_first_and_tells(postfx, shot):
@@ -204,7 +218,8 @@ def test_a_budget_takes_the_fastest_network_first_and_tells(postfx, shot):
 
 
 def test_missing_input_and_output(postfx, shot):
-    assert "error: nothing.####.exr: no such file" in postfx("run", "nothing.####.exr", "-o", "out/").err
+    assert ("error: nothing.####.exr: no such "
+            "file" in postfx("run", "nothing.####.exr", "-o", "out/").err)
     shot(1)
     assert "error: nowhere to write: give -o OUTPUT" in postfx("run", "in/shot.####.exr").err
 

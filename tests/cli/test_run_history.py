@@ -16,7 +16,8 @@ def pixels_of(path):
 
 @pytest.fixture
 def brightening(write_exr, tmp_path):
-    """Five frames, each brighter than the one before: metering and tone mapping depend on the past."""
+    """Five frames, each brighter than the one before: metering and tone mapping depend on the
+    past."""
     rng = np.random.default_rng(3)
     for number in range(1, 6):
         planes = {name: (2.0**number) * rng.random((40, 56), np.float32) for name in "RGB"}
@@ -45,13 +46,17 @@ def test_preroll_gives_a_chunk_its_history(postfx, brightening):
     whole = pixels_of(brightening / "whole/0004.tif")
     np.testing.assert_array_equal(pixels_of(brightening / "chunk/0004.tif"), whole)
     assert (pixels_of(brightening / "cold/0004.tif") != whole).any()
-    assert [path.name for path in sorted((brightening / "chunk").glob("*.tif"))] == ["0004.tif", "0005.tif"]
+    assert [path.name for path in sorted((brightening / "chunk").glob("*.tif"))] == ["0004.tif",
+                                                                                     "0005.tif"]
 
 
 def test_a_range_of_a_shot_says_which_frames_run_before_it(postfx, brightening):
-    done = postfx("run", "in/shot.####.exr", "-o", "part/####.tif", "--no-denoise", "--frames", "4-5")
-    assert "frames 1 to 3 first, unwritten, for the history of frame 4 (--preroll 0 leaves it out)" in done.err
-    assert "unwritten" not in postfx("run", "in/shot.####.exr", "-o", "all/####.tif", "--no-denoise").err
+    done = postfx("run", "in/shot.####.exr", "-o", "part/####.tif", "--no-denoise", "--frames",
+                  "4-5")
+    assert ("frames 1 to 3 first, unwritten, for the history of frame 4 (--preroll 0 leaves it "
+            "out)" in done.err)
+    assert "unwritten" not in postfx("run", "in/shot.####.exr", "-o", "all/####.tif",
+                                     "--no-denoise").err
 
 
 def test_frames_run_in_order_of_time(postfx, brightening):

@@ -27,12 +27,14 @@ def test_first_frames_have_a_history(postfx, noise):
     done = postfx(*RUN, "-o", "without/a.####.exr", "--run-up", "0", "--json")
     assert done.json["run_up"] == {"frames": 0, "ms_per_frame": None}
     assert "reverse" not in done.err
-    assert pixels(noise / "with/a.0001.exr").std() < 0.8 * pixels(noise / "without/a.0001.exr").std()
+    assert (pixels(noise / "with/a.0001.exr").std() < 0.8 * pixels(noise / "without/a.0001.exr")
+            .std())
 
 
 def test_explain_names_the_frames(postfx, noise):
     explained = postfx(*RUN, "--run-up", "3", "--explain")
-    assert "run-up  of each shot: frames 4, 3, 2 before frame 1 (--run-up 0 for none)" in explained.out
+    assert ("run-up  of each shot: frames 4, 3, 2 before frame 1 (--run-up 0 for "
+            "none)" in explained.out)
     assert postfx(*RUN, "--explain", "--json").json["ahead"] == [6, 5, 4, 3, 2]
     assert postfx(*RUN, "--explain", "--json", "--run-up", "0").json["ahead"] == []
     assert "run-up" not in postfx(*RUN, "--strength", "0", "--explain").out
@@ -44,7 +46,8 @@ def test_explain_names_the_frames(postfx, noise):
 
 
 def test_a_capture_is_of_the_frame_alone(postfx, noise):
-    assert postfx(*RUN, "-o", "out/a.####.exr", "--capture", "look", "--capture-frame", "1").code == 0
+    assert postfx(*RUN, "-o", "out/a.####.exr", "--capture", "look", "--capture-frame",
+                  "1").code == 0
     (buffer,) = json.loads((noise / "look/capture.json").read_text())["buffers"]
     assert buffer["label"] == "frame 1"
 
@@ -74,9 +77,11 @@ def test_a_range_with_what_is_before_it_runs_up_to_that(postfx, noise):
     whole = postfx(*RUN, "-o", "whole/a.####.exr", "--json")
     assert whole.code == 0
     assert postfx(*RUN, "-o", "one/a.####.exr", "--frames", "1").code == 0
-    np.testing.assert_array_equal(pixels(noise / "one/a.0001.exr"), pixels(noise / "whole/a.0001.exr"))
+    np.testing.assert_array_equal(pixels(noise / "one/a.0001.exr"),
+                                  pixels(noise / "whole/a.0001.exr"))
     for number in range(3, 7):
-        np.testing.assert_array_equal(*(pixels(noise / f"{name}/a.{number:04d}.exr") for name in ("out", "whole")))
+        np.testing.assert_array_equal(*(pixels(noise / f"{name}/a.{number:04d}.exr")
+                                        for name in ("out", "whole")))
 
 
 @pytest.mark.parametrize("option", [("--both-ways",), ("--budget", "1000")])
@@ -86,9 +91,12 @@ def test_there_is_none_beside_other_options(postfx, noise, option):
 
 
 @pytest.mark.parametrize(("option", "why"), [
-    (("--no-denoise",), "--run-up runs frames more than once, --no-denoise has no denoiser to run up: give one of"),
-    (("--budget", "50"), "--run-up runs frames more than once, --budget keeps to a time: give one of them"),
-    (("--both-ways",), "--both-ways knows the frames after the first ones anyway: give one of them"),
+    (("--no-denoise",),
+     "--run-up runs frames more than once, --no-denoise has no denoiser to run up: give one of"),
+    (("--budget", "50"),
+     "--run-up runs frames more than once, --budget keeps to a time: give one of them"),
+    (("--both-ways",),
+     "--both-ways knows the frames after the first ones anyway: give one of them"),
 ])
 def test_options_that_do_not_go_together(postfx, noise, option, why):
     done = postfx("run", "in/shot.####.exr", "--run-up", "2", *option, "-o", "out/a.####.exr")

@@ -22,14 +22,15 @@ def dynamic(write_exr):
 def test_the_output_keeps_its_size_and_the_history_goes_on(postfx, dynamic, tmp_path):
     done = postfx(*RUN, "--size", "72x48", "--json")
     assert done.code == 0, done.err
-    assert ("preparation at 1 of 3 changes of size in denoise_upscale: frames of these sizes were there before"
-            in done.err)
+    assert ("preparation at 1 of 3 changes of size in denoise_upscale: frames of these sizes were "
+            "there before" in done.err)
     assert "history for 1 frame in denoise_upscale: first frame" in done.err
     frames = list(read_sequence(tmp_path / "out" / "clean.####.exr"))
     assert [frame[Role.COLOUR].shape for frame in frames] == [(48, 72, 3)] * 4
     assert all(np.allclose(frame[Role.COLOUR], 0.5, rtol=2e-3) for frame in frames)
     again = postfx(*RUN, "--size", "72x48", "--skip-existing")
-    assert again.code == 0 and "0 of 4 frames" in again.err and "exists and is complete" in again.err
+    assert (again.code == 0 and "0 of 4 frames" in again.err and "exists and is "
+            "complete" in again.err)
 
 
 @pytest.mark.parametrize("lost", [2, 3, 4])
@@ -54,11 +55,14 @@ def test_inspect_tells(postfx, dynamic):
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    (("--size", "72x40"), "error: in/shot.0001.exr: 48x32 has another aspect than the output, 72x40: render it at"),
-    (("--size", "80x54"), "error: in/shot.0004.exr: 24x16 cannot become 80x54, which is 1 to 3 times as large"),
+    (("--size", "72x40"),
+     "error: in/shot.0001.exr: 48x32 has another aspect than the output, 72x40: render it at"),
+    (("--size", "80x54"),
+     "error: in/shot.0004.exr: 24x16 cannot become 80x54, which is 1 to 3 times as large"),
     (("--size", "72"), "argument --size: '72' is not a size like 1920x1080"),
     (("--size", "72x48", "--scale", "2"), "argument --scale: not allowed with argument --size"),
-    (("--size", "72x48", "--no-denoise"), "error: --size is for the denoiser, which --no-denoise leaves out"),
+    (("--size", "72x48", "--no-denoise"),
+     "error: --size is for the denoiser, which --no-denoise leaves out"),
 ])
 def test_mistakes_get_one_clear_line(postfx, dynamic, options, message):
     done = postfx("run", "in/shot.####.exr", "-o", "out/", *options)

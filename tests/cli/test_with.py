@@ -14,7 +14,8 @@ from postfx import oidn
 from postfx.version import pip_install
 
 RUN = ("run", "in/shot.####.exr", "--model", "s", "--scale", "1")
-needs_oidn = pytest.mark.skipif(not oidn.is_installed(), reason="Open Image Denoise is not installed")
+needs_oidn = pytest.mark.skipif(not oidn.is_installed(),
+                                reason="Open Image Denoise is not installed")
 
 
 def pixels(path: Path) -> np.ndarray:
@@ -27,7 +28,8 @@ def header(path: Path) -> str:
 
 
 @needs_oidn
-def test_open_image_denoise_runs_too_and_files_and_words_say_so(postfx: Callable, noise: Path) -> None:
+def test_open_image_denoise_runs_too_and_files_and_words_say_so(postfx: Callable,
+                                                                noise: Path) -> None:
     done = postfx(*RUN, "--with", "oidn", "-o", "out/a.####.exr", "--json")
     assert done.code == 0, done.err
     assert set(done.json["passes"]) == {"partner", "denoise_upscale", "mix_partner"}
@@ -46,7 +48,8 @@ def test_open_image_denoise_runs_too_and_files_and_words_say_so(postfx: Callable
 def test_the_plan_names_the_partner(postfx: Callable, noise: Path) -> None:
     told = postfx(*RUN, "--with", "oidn,quality=fast", "--explain").out
     assert f"runs oidn (pyoidn {oidn.version()})" in told
-    assert told.index("partner: reads") < told.index("denoise_upscale: reads") < told.index("mix_partner: reads")
+    assert (told.index("partner: reads") < told.index("denoise_upscale: reads")
+            < told.index("mix_partner: reads"))
 
 
 @needs_oidn
@@ -62,7 +65,8 @@ def test_the_preset_for_final_frames_takes_it_where_it_is_installed(
     assert alone.code == 0 and "runs oidn" not in alone.out and "both_ways" in alone.out
 
 
-def test_what_is_not_installed_is_one_line(postfx: Callable, noise: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_installed_is_one_line(postfx: Callable, noise: Path,
+                                           monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(oidn, "find_spec", lambda name: None)
     done = postfx(*RUN, "--with", "oidn", "-o", "out/a.####.exr")
     assert done.code == 2
@@ -71,7 +75,8 @@ def test_what_is_not_installed_is_one_line(postfx: Callable, noise: Path, monkey
 
 
 @needs_oidn
-def test_frames_that_were_missing_come_out_as_in_an_unbroken_run(postfx: Callable, noise: Path) -> None:
+def test_frames_that_were_missing_come_out_as_in_an_unbroken_run(postfx: Callable,
+                                                                 noise: Path) -> None:
     given = (*RUN, "--with", "oidn", "-o", "out/a.####.exr")
     assert postfx(*given, "--checkpoint", "0").code == 0
     whole = {number: pixels(noise / f"out/a.{number:04d}.exr") for number in (3, 6)}
@@ -98,6 +103,7 @@ def test_strength_0_leaves_it_out(postfx: Callable, noise: Path) -> None:
 @pytest.mark.parametrize(("words", "reason"), [
     (["--no-denoise"], "--no-denoise leaves out"), (["--budget", "9"], "--budget keeps to a time"),
     (["--memory", "4G"], "--memory keeps to a size")])
-def test_what_it_does_not_go_with(postfx: Callable, noise: Path, words: list[str], reason: str) -> None:
+def test_what_it_does_not_go_with(postfx: Callable, noise: Path, words: list[str],
+                                  reason: str) -> None:
     done = postfx("run", "in/shot.####.exr", "--with", "oidn", *words, "-o", "out/a.####.exr")
     assert done.code == 2 and reason in done.err

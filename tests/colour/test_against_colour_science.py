@@ -21,13 +21,17 @@ CODES = np.linspace(0, 1, 2001)
 @pytest.mark.parametrize("source", SPACES)
 @pytest.mark.parametrize("target", SPACES)
 def test_matrices(source: str, target: str) -> None:
-    found = primaries.matrix_between(primaries.LINEAR_SPACES[source], primaries.LINEAR_SPACES[target])
-    np.testing.assert_allclose(found, colour.matrix_RGB_to_RGB(SPACES[source], SPACES[target], "Bradford"), atol=3e-4)
+    found = primaries.matrix_between(primaries.LINEAR_SPACES[source],
+                                     primaries.LINEAR_SPACES[target])
+    np.testing.assert_allclose(found,
+                               colour.matrix_RGB_to_RGB(SPACES[source], SPACES[target], "Bradford"),
+                               atol=3e-4)
     np.testing.assert_allclose(found @ np.ones(3), 1, atol=1e-12)
 
 
 def test_luminance_weights_of_rec2020() -> None:
-    np.testing.assert_allclose(primaries.LUMA_REC2020, primaries.to_xyz(primaries.REC2020)[1], atol=1e-4)
+    np.testing.assert_allclose(primaries.LUMA_REC2020, primaries.to_xyz(primaries.REC2020)[1],
+                               atol=1e-4)
 
 
 @pytest.mark.parametrize(("curve", "decode"), [
@@ -54,8 +58,10 @@ def test_hlg_display_is_that_of_bt2100(peak: int) -> None:
 
 def test_pq_display_puts_white_at_203_nits_and_cuts_at_its_peak() -> None:
     display = parse_display("pq,peak=600")
-    np.testing.assert_allclose(display.encode(np.ones(3)), colour.models.eotf_inverse_ST2084(203.0), atol=1e-7)
-    np.testing.assert_allclose(display.encode(np.full(3, 50.0)), colour.models.eotf_inverse_ST2084(600.0), atol=1e-7)
+    np.testing.assert_allclose(display.encode(np.ones(3)), colour.models.eotf_inverse_ST2084(203.0),
+                               atol=1e-7)
+    np.testing.assert_allclose(display.encode(np.full(3, 50.0)),
+                               colour.models.eotf_inverse_ST2084(600.0), atol=1e-7)
     assert str(display) == "pq,peak=600,white=203"
 
 
@@ -96,4 +102,5 @@ def test_reinhard_is_equation_3_of_the_paper() -> None:
     luminance = colour.RGB_luminance(light, primaries.REC709[:6], primaries.D65)
     found = colour.RGB_luminance(reinhard(light), primaries.REC709[:6], primaries.D65)
     np.testing.assert_allclose(found, luminance / (1 + luminance), rtol=1e-4)
-    np.testing.assert_allclose(reinhard(light, most=4.9).max(-1) / light.max(-1), 1 / (1 + luminance / 4.9), rtol=1e-4)
+    np.testing.assert_allclose(reinhard(light, most=4.9).max(-1) / light.max(-1),
+                               1 / (1 + luminance / 4.9), rtol=1e-4)

@@ -30,30 +30,35 @@ def middle_of(frame: Frame, width: int, height: int) -> Frame:
     planes = {role: np.ascontiguousarray(plane[top : top + height, left : left + width])
               for role, plane in frame.planes.items()}
     part = width / frame.spec.width
-    fov_x = frame.fov_x and float(2 * np.degrees(np.arctan(part * np.tan(np.radians(frame.fov_x) / 2))))
+    fov_x = (frame.fov_x
+             and float(2 * np.degrees(np.arctan(part * np.tan(np.radians(frame.fov_x) / 2)))))
     return replace(frame, planes=planes, fov_x=fov_x)
 
 
 COLOUR, DEPTH, MOTION, NORMAL = Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL
 ALBEDO, SPECULAR = Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO
 USED = {
-    "fit_rotation": (DEPTH, NORMAL), "fit_depth_kinds": (DEPTH, NORMAL), "explain_by_camera": (DEPTH, NORMAL),
+    "fit_rotation": (DEPTH, NORMAL), "fit_depth_kinds": (DEPTH, NORMAL),
+    "explain_by_camera": (DEPTH, NORMAL),
     "surface_normals": (DEPTH, NORMAL), "_is_averaged": (DEPTH, NORMAL), "unit_normals": (NORMAL,),
     "normals_of_depth": (DEPTH,), "fit_depth_scale": (DEPTH, MOTION),
     "find_movers": (ALBEDO, SPECULAR, NORMAL, MOTION),
     "fit_roughness": (SPECULAR, DEPTH, Role.ROUGHNESS, NORMAL),
-    "measure_slopes": (COLOUR, ALBEDO, NORMAL, DEPTH), "_repeated": (COLOUR, ALBEDO, MOTION), "_identical": (COLOUR,),
-    "prepare_plane": (), "_feature": (), "_errors_of_variants": (), "smooth_points": (), "noise_level": (),
+    "measure_slopes": (COLOUR, ALBEDO, NORMAL, DEPTH), "_repeated": (COLOUR, ALBEDO, MOTION),
+    "_identical": (COLOUR,), "prepare_plane": (), "_feature": (), "_errors_of_variants": (),
+    "smooth_points": (), "noise_level": (),
     "_edges": (), "_enlarged_how": (), "_extremes": (), "_reflectance": (),
 }
-"""What the doctor computes of planes and the header alone, and of which planes; else of those that are given."""
+"""What the doctor computes of planes and the header alone, and of which planes; else of those that
+are given."""
 
 
 def _key(value: object, roles: tuple[Role, ...]) -> object:
     if isinstance(value, Frame):
         matrix = None if value.world_to_camera is None else value.world_to_camera.tobytes()
         planes = tuple(id(value.planes[role]) if role in value else None for role in roles)
-        return planes, value.jitter, value.fov_x, matrix, value.reset, str(value.metadata.get("pixelAspectRatio"))
+        return (planes, value.jitter, value.fov_x, matrix, value.reset,
+                str(value.metadata.get("pixelAspectRatio")))
     if isinstance(value, np.ndarray):  # a window of a plane is another array over the same memory
         return value.__array_interface__["data"][0], value.shape, value.strides
     if isinstance(value, tuple | list):
@@ -63,9 +68,11 @@ def _key(value: object, roles: tuple[Role, ...]) -> object:
 
 @pytest.fixture
 def same_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What follows from the same planes is computed once for all that a test diagnoses, as it breaks one at a time."""
+    """What follows from the same planes is computed once for all that a test diagnoses, as it
+    breaks one at a time."""
     for name, roles in USED.items():
-        seen: dict[object, tuple[object, object]] = {}  # arguments are kept, so that no other plane gets their place
+        # arguments are kept, so that no other plane gets their place
+        seen: dict[object, tuple[object, object]] = {}
 
         def once(*arguments, function=None, roles=roles, seen=seen):
             roles = roles or tuple(argument for argument in arguments if isinstance(argument, Role))
@@ -74,7 +81,8 @@ def same_once(monkeypatch: pytest.MonkeyPatch) -> None:
                 seen[key] = function(*arguments), arguments
             return seen[key][0]
 
-        for module in [module for path, module in sys.modules.items() if path.startswith("postfx.doctor")]:
+        for module in [module
+                       for path, module in sys.modules.items() if path.startswith("postfx.doctor")]:
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, partial(once, function=getattr(module, name)))
 

@@ -13,7 +13,8 @@ Frames = list[Frame]
 
 
 def puffs(frame: Frame) -> np.ndarray:
-    """Premultiplied RGBA (h, w, 4): soft and hard-edged discs over each other, twice as bright as the picture."""
+    """Premultiplied RGBA (h, w, 4): soft and hard-edged discs over each other, twice as bright as
+    the picture."""
     random = np.random.default_rng(7)
     height, width = frame.spec.height, frame.spec.width
     y, x = np.indices((height, width)) + 0.5
@@ -21,7 +22,8 @@ def puffs(frame: Frame) -> np.ndarray:
     for number in range(24):
         radius = random.uniform(0.02, 0.1) * width
         distance = np.hypot(x - random.uniform(0, width), y - random.uniform(0, height)) / radius
-        alpha = 0.8 * (np.exp(-2 * distance**2) if number % 2 else np.clip((1 - distance) * radius + 0.5, 0, 1))
+        alpha = 0.8 * (np.exp(-2 * distance**2) if number % 2
+                       else np.clip((1 - distance) * radius + 0.5, 0, 1))
         layer = alpha[..., None] * np.append(level * random.uniform(0.5, 1.5, 3), 1)
         overlay = layer + (1 - layer[..., 3:]) * overlay
     return overlay
@@ -29,7 +31,8 @@ def puffs(frame: Frame) -> np.ndarray:
 
 def over(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Frames], Frames]:
     """Gives every frame an overlay, changed."""
-    return lambda frames: [with_plane(frame, Role.OVERLAY, change(puffs(frame))) for frame in frames]
+    return lambda frames: [with_plane(frame, Role.OVERLAY, change(puffs(frame)))
+                           for frame in frames]
 
 
 def with_plane(frame: Frame, role: Role, plane: np.ndarray) -> Frame:
@@ -41,7 +44,8 @@ def right(overlay: np.ndarray) -> np.ndarray:
 
 
 def straight(overlay: np.ndarray) -> np.ndarray:
-    return np.concatenate([overlay[..., :3] / np.maximum(overlay[..., 3:], 1e-6), overlay[..., 3:]], 2)
+    return np.concatenate([overlay[..., :3] / np.maximum(overlay[..., 3:], 1e-6), overlay[..., 3:]],
+                          2)
 
 
 def in_percent(overlay: np.ndarray) -> np.ndarray:

@@ -1,5 +1,5 @@
-"""Writes the table of docs/lab/doctor.md, every mistake with the finding and plane that name it, and the picture of
-docs/howto/doctor.md.
+"""Writes the table of docs/lab/doctor.md, every mistake with the finding and plane that name it,
+and the picture of docs/howto/doctor.md.
 
 python -m tests.doctor.table
 """
@@ -17,21 +17,25 @@ from postfx.io.sequence import read_sequence
 from tests.doctor.breakages import BREAKAGES
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
-PAGE, PICTURE = REPOSITORY / "docs" / "lab" / "doctor.md", REPOSITORY / "docs" / "images" / "doctor.jpg"
+PAGE, PICTURE = (REPOSITORY / "docs" / "lab" / "doctor.md",
+                 REPOSITORY / "docs" / "images" / "doctor.jpg")
 OPEN, CLOSE = "<!-- table -->", "<!-- end -->"
-SHOWN = ("albedo with noise of 0.08", "normals in camera space", "1 / depth, misses 0", "motion y up", "smoothness")
+SHOWN = ("albedo with noise of 0.08", "normals in camera space", "1 / depth, misses 0",
+         "motion y up", "smoothness")
 
 
 def main() -> None:
     PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
-    sheet(list(read_sequence(REPOSITORY / "samples" / "room" / "noisy.####.exr", frames="1-5"))).save(
+    sheet(list(read_sequence(REPOSITORY / "samples" / "room" / "noisy.####.exr",
+                             frames="1-5"))).save(
         PICTURE, quality=85)
 
 
 def with_table(page: str) -> str:
     """The page with the table as it is now."""
     rows = ["| mistake | finding | plane |", "| --- | --- | --- |",
-            *(f"| {breakage.name} | `{breakage.code}` | {breakage.role} |" for breakage in BREAKAGES)]
+            *(f"| {breakage.name} | `{breakage.code}` | {breakage.role} |"
+              for breakage in BREAKAGES)]
     before, rest = page.split(OPEN)
     return "\n".join([before + OPEN, *rows, CLOSE]) + rest.split(CLOSE)[1]
 
@@ -43,7 +47,8 @@ def sheet(frames: list[Frame]) -> Image.Image:
         breakage = next(breakage for breakage in BREAKAGES if breakage.name == name)
         role = Role(breakage.role)
         broken = breakage.apply(frames)
-        columns.append(np.concatenate([labelled(frames[2], role, str(role)), labelled(broken[2], role, name)]))
+        columns.append(np.concatenate([labelled(frames[2], role, str(role)),
+                                       labelled(broken[2], role, name)]))
     return Image.fromarray(np.concatenate(columns, axis=1))
 
 

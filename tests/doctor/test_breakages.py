@@ -1,4 +1,5 @@
-"""Every integration mistake is found and named, on the sample and on a sequence of another renderer."""
+"""Every integration mistake is found and named, on the sample and on a sequence of another
+renderer."""
 
 import pytest
 
@@ -11,7 +12,8 @@ LEAST = 30
 
 
 def mistakes(breakages, frames, size, diagnose):
-    """Breakages that are not named, and errors that are not consequences of them; and how many were tried."""
+    """Breakages that are not named, and errors that are not consequences of them; and how many were
+    tried."""
     wrong, tried = [], 0
     middle = [middle_of(frame, *size) for frame in frames]
     for breakage in breakages:
@@ -21,8 +23,10 @@ def mistakes(breakages, frames, size, diagnose):
         tried += 1
         findings = diagnose(broken)
         named = [f for f in findings if (f.code, f.role) == (breakage.code, str(breakage.role))]
-        others = {f.code for f in findings if f.level == "error"} - {breakage.code, *breakage.consequences}
-        if not named or others or not (named[0].cause and named[0].fix and any(map(str.isdigit, named[0].evidence))):
+        others = {f.code for f in findings if f.level == "error"} - {breakage.code,
+                                                                     *breakage.consequences}
+        if (not named or others
+            or not (named[0].cause and named[0].fix and any(map(str.isdigit, named[0].evidence)))):
             wrong.append((breakage.name, [(f.level.value, f.role, f.code) for f in findings]))
     return wrong, tried
 
@@ -47,4 +51,5 @@ def test_another_renderer_with_every_mistake(shared_frames, diagnose):
 def test_the_page_shows_every_mistake():
     page = PAGE.read_text(encoding="utf-8")
     assert with_table(page) == page, "run python -m tests.doctor.table"
-    assert f" {len(VARIANTS)} variants" in (REPOSITORY / "docs/howto/doctor.md").read_text(encoding="utf-8")
+    assert (f" {len(VARIANTS)} "
+            "variants" in (REPOSITORY / "docs/howto/doctor.md").read_text(encoding="utf-8"))

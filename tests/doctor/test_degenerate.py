@@ -20,7 +20,8 @@ SIZES = [(1, 1), (2, 3), (5, 400), (40, 48)]
 
 def filled(value: float, size: tuple[int, int], number: int = 1, **facts) -> Frame:
     """A frame with all planes of one value."""
-    planes = {role: np.full((*size, info.channels), value, np.float32) for role, info in ROLES.items()}
+    planes = {role: np.full((*size, info.channels), value, np.float32)
+              for role, info in ROLES.items()}
     return Frame(planes, number=number, fov_x=60.0, world_to_camera=np.eye(4), **facts)
 
 
@@ -59,14 +60,16 @@ def test_a_hit_distance_that_cannot_be_used_is_named(diagnose):
 def test_frames_of_several_sizes_are_named(diagnose):
     findings = diagnose([random((40, 48), 1), random((30, 36), 2), random((40, 48), 3)])
     (found,) = [finding for finding in findings if finding.code == "sizes-change"]
-    assert found.level == "info" and found.evidence == "frames are 48x40, 36x30" and "--size" in found.fix
+    assert (found.level == "info" and found.evidence == "frames are 48x40, "
+            "36x30" and "--size" in found.fix)
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_constant_planes(size, diagnose):
     for value in (0.0, 0.5, 1.0):
         found = codes(diagnose([filled(value, size, number) for number in (1, 2, 3)]))
-        assert found <= {"normal-length"}, value  # all that constants allow: (v, v, v) is not of unit length
+        # all that constants allow: (v, v, v) is not of unit length
+        assert found <= {"normal-length"}, value
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -81,17 +84,20 @@ def test_nothing_but_misses(size, diagnose):
 def test_nothing_finite(size, diagnose):
     for value in (np.nan, np.inf, -np.inf):
         found = codes(diagnose([filled(value, size, number) for number in (1, 2, 3)]))
-        assert "not-finite" in found and found <= {"not-finite", "negative", "depth-negative"}, value
+        assert "not-finite" in found and found <= {"not-finite", "negative",
+                                                   "depth-negative"}, value
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_pure_noise(size, diagnose):
-    """Pictures of consecutive frames that have nothing in common: that may be said, and no variant be named."""
+    """Pictures of consecutive frames that have nothing in common: that may be said, and no variant
+    be named."""
     assert codes(diagnose([random(size, number) for number in range(1, 5)])) <= {"motion-no-fit"}
 
 
 def test_repeated_frame_without_motion(room, diagnose):
-    still = [replace(room[1], planes={**room[1].planes, Role.MOTION: np.zeros_like(room[1][Role.MOTION])}, number=n)
+    still = [replace(room[1], planes={**room[1].planes,
+                                      Role.MOTION: np.zeros_like(room[1][Role.MOTION])}, number=n)
              for n in (1, 2, 3)]
     assert codes(diagnose(still)) == {"samples-correlated"}
 
@@ -107,9 +113,11 @@ def test_a_clean_still_is_not_called_a_repeated_seed(room, diagnose):
 def test_a_single_coverage_that_cannot_be_is_seen(value):
     overlay = np.zeros((40, 48, 4), np.float32)
     overlay[7, 9, 3] = value
-    material = Material([Frame({Role.COLOUR: np.ones((40, 48, 3), np.float32), Role.OVERLAY: overlay}, 1)])
+    material = Material([Frame({Role.COLOUR: np.ones((40, 48, 3), np.float32),
+                                Role.OVERLAY: overlay}, 1)])
     (found,) = planes.check_overlay_alpha(material)
-    assert found.code == "overlay-alpha" and found.evidence.startswith("0.0521 % of the pixels")  # 1 of 1920
+    # 1 of 1920
+    assert (found.code == "overlay-alpha" and found.evidence.startswith("0.0521 % of the pixels"))
 
 
 def test_of_the_largest_pictures_two_are_compared(monkeypatch):
@@ -142,12 +150,14 @@ def test_no_normals_are_of_no_length(recwarn):
 
 
 def test_frames_of_different_sizes(room, diagnose):
-    small = [replace(frame, planes={r: p[:90, :160] for r, p in frame.planes.items()}) for frame in room[2:4]]
+    small = [replace(frame, planes={r: p[:90, :160] for r, p in frame.planes.items()})
+             for frame in room[2:4]]
     assert codes(diagnose(room[:2] + small)) == set()
 
 
 def test_without_colour(diagnose):
-    assert "missing-colour" in codes(diagnose([Frame({Role.DEPTH: np.ones((20, 20, 1), np.float32)})]))
+    assert ("missing-colour"
+            in codes(diagnose([Frame({Role.DEPTH: np.ones((20, 20, 1), np.float32)})])))
 
 
 @pytest.mark.parametrize("value", [0.0, 2.0, np.nan, np.inf, -1.0, DEPTH_MISS])
@@ -168,5 +178,6 @@ def test_motion_of_the_camera_is_the_stored_motion_and_none_without_a_camera(roo
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 40), (40, 1)])
 def test_pictures_of_one_row_or_column_are_metered(diagnose, size):
-    frames = [Frame({Role.COLOUR: np.full((*size, 3), 0.3, np.float32)}, number) for number in (1, 2)]
+    frames = [Frame({Role.COLOUR: np.full((*size, 3), 0.3, np.float32)}, number)
+              for number in (1, 2)]
     assert "colour-black" not in codes(diagnose(frames), "warning")

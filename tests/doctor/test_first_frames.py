@@ -26,7 +26,8 @@ def said(frames: list[Frame], **options) -> list[str]:
 
 
 def with_motion(frames: list[Frame], change: Callable[[np.ndarray], np.ndarray]) -> list[Frame]:
-    return [replace(one, planes={**one.planes, Role.MOTION: change(one[Role.MOTION]).astype(np.float32)})
+    return [replace(one,
+                    planes={**one.planes, Role.MOTION: change(one[Role.MOTION]).astype(np.float32)})
             for one in frames]
 
 
@@ -36,7 +37,8 @@ def test_nothing_is_said_of_good_frames(room):
 
 def test_a_wrong_sign_and_a_wrong_unit_are_told_with_the_fix(room):
     (line,) = said(with_motion(room, np.negative), channels={Role.MOTION: "vector.XY"})
-    assert line.startswith("AOV motion (vector.XY), frame 3: ") and "fix: in a profile scale = [-1, -1]" in line
+    assert (line.startswith("AOV motion (vector.XY), frame 3: ") and "fix: in a profile scale = "
+            "[-1, -1]" in line)
     height, width = room[0][Role.COLOUR].shape[:2]
     (line,) = said(with_motion(room, lambda motion: motion / np.float32((width, height))))
     assert 'fix: in a profile unit = "uv"' in line and "\n" not in line
@@ -95,7 +97,8 @@ def test_a_pipeline_tells_the_log(room, caplog):
 
 def test_a_pipeline_tells_once_of_planes_that_come_and_go(room, caplog):
     passes = postfx.Pipeline([postfx.DenoiseUpscale(model="s")], postfx.Device("cpu"))
-    bare = [replace(one, planes={role: plane for role, plane in one.planes.items() if role != Role.NORMAL})
+    bare = [replace(one, planes={role: plane
+                                 for role, plane in one.planes.items() if role != Role.NORMAL})
             for one in room]
 
     def told(frames: list[Frame]) -> list[str]:
@@ -124,11 +127,13 @@ def test_a_run_tells_of_planes_that_come_later(write_exr, tmp_path, capsys):
         planes = {name: random.random((24, 32), np.float32) for name in "RGB"}
         planes |= {f"albedo.{name}": np.full((24, 32), 0.5) for name in "RGB"} if number > 1 else {}
         write_exr(f"in/shot.{number:04d}.exr", planes)
-    run = ["run", str(tmp_path / "in"), "-o", str(tmp_path / "out/"), "--model", "s", "--device", "cpu"]
+    run = ["run", str(tmp_path / "in"), "-o", str(tmp_path / "out/"), "--model", "s", "--device",
+           "cpu"]
     assert main(run) == 0
     line = "warning  frame 1 has no diffuse_albedo, frame 2 does: no frame is denoised with it"
     assert line in capsys.readouterr().err
-    watch = ["watch", str(tmp_path / "in/"), "-o", str(tmp_path / "preview/"), "--until", "3", "--settle", "0"]
+    watch = ["watch", str(tmp_path / "in/"), "-o", str(tmp_path / "preview/"), "--until", "3",
+             "--settle", "0"]
     assert main([*watch, "--", "--model", "s", "--device", "cpu"]) == 0
     told = capsys.readouterr().err
     assert told.count(line) == 1 and "warning  denoise_upscale: no motion vectors" in told

@@ -1,4 +1,5 @@
-"""No false alarm: sequences as their renderers wrote them, and files that other people's software wrote."""
+"""No false alarm: sequences as their renderers wrote them, and files that other people's software
+wrote."""
 
 import re
 from dataclasses import replace
@@ -39,16 +40,19 @@ def test_a_right_overlay_is_fine(room, diagnose):
 def test_cameras_may_have_other_axes(room, diagnose):
     """z back, x right, y down."""
     for axes in ((-1, 1, -1), (-1, 1, 1), (-1, -1, 1)):
-        turned = [replace(frame, world_to_camera=frame.world_to_camera @ np.diag([*axes, 1])) for frame in room[:2]]
+        turned = [replace(frame, world_to_camera=frame.world_to_camera @ np.diag([*axes, 1]))
+                  for frame in room[:2]]
         found = {finding.code for finding in diagnose(turned)}
-        assert not found & {"normal-camera-space", "normal-inverted", "normal-axes", "matrix-transposed"}, axes
+        assert not found & {"normal-camera-space", "normal-inverted", "normal-axes",
+                            "matrix-transposed"}, axes
     inverted = [replace(f, planes={**f.planes, Role.NORMAL: -f[Role.NORMAL]}) for f in turned]
     assert "normal-inverted" in {finding.code for finding in diagnose(inverted)}
 
 
 def test_a_backdrop_far_away_is_no_miss(room, diagnose):
     """A wall that faces the camera has one depth, and normals."""
-    far = [replace(f, planes={**f.planes, Role.DEPTH: np.where(f[Role.DEPTH] < DEPTH_MISS, f[Role.DEPTH], 1000)})
+    far = [replace(f, planes={**f.planes, Role.DEPTH: np.where(f[Role.DEPTH] < DEPTH_MISS,
+                                                               f[Role.DEPTH], 1000)})
            for f in room[:1]]
     assert "depth-miss-far" in {finding.code for finding in diagnose(far)}
     facing = np.where(far[0][Role.DEPTH] == 1000, np.float32((0, 0, 1)), far[0][Role.NORMAL])
@@ -62,7 +66,8 @@ def test_pixels_may_be_tall(room, diagnose):
         planes = {role: np.ascontiguousarray(plane[::2]) for role, plane in frame.planes.items()}
         planes[Role.MOTION] = planes[Role.MOTION] * np.float32((1, 0.5))
         y = (frame.jitter[1] - 0.5) / 2  # of the upper one of two pixels
-        return replace(frame, planes=planes, jitter=(frame.jitter[0], y), metadata={"pixelAspectRatio": aspect})
+        return replace(frame, planes=planes, jitter=(frame.jitter[0], y),
+                       metadata={"pixelAspectRatio": aspect})
 
     fits = [fit_rotation(tall(room[0], aspect)) for aspect in (0.5, 1.0)]
     assert fits[0].angle < 3 < fits[1].angle
@@ -71,7 +76,8 @@ def test_pixels_may_be_tall(room, diagnose):
 
 
 @pytest.mark.parametrize("name", ["garage", "mist", *(
-    pytest.param(name, marks=pytest.mark.soak) for name in ("doorway", "living_room", "staircase"))])
+    pytest.param(name, marks=pytest.mark.soak)
+    for name in ("doorway", "living_room", "staircase"))])
 def test_sequences_have_no_error(shared_dir, name):
     folder = shared_dir / "sequences" / name
     guides = folder / "guides.####.exr" if list(folder.glob("guides.*.exr")) else None
@@ -81,18 +87,22 @@ def test_sequences_have_no_error(shared_dir, name):
 def clip_of(path: Path) -> list[Frame]:
     """Frames of a small clip of one kind of content."""
     clip, roles = np.load(path), [role for role in Role if f"v0_{role}" in np.load(path)]
-    planes = [{role: clip[f"v0_{role}"][at].astype(np.float32).reshape(64, 64, -1) for role in roles}
+    planes = [{role: clip[f"v0_{role}"][at].astype(np.float32).reshape(64, 64, -1)
+               for role in roles}
               for at in range(4)]
-    return [Frame(held, number=at + 1, reset=bool(clip["reset"][at])) for at, held in enumerate(planes)]
+    return [Frame(held, number=at + 1, reset=bool(clip["reset"][at]))
+            for at, held in enumerate(planes)]
 
 
 def test_no_kind_of_content_has_an_error(diagnose):
-    """Fog, fur, leaves, defocus and motion blur, as Cycles writes them: their normals are means over samples."""
+    """Fog, fur, leaves, defocus and motion blur, as Cycles writes them: their normals are means
+    over samples."""
     averaged = set()
     for path in sorted(CLIPS.glob("*.npz")):
         found = diagnose(clip_of(path))
         assert not [(f.code, f.evidence) for f in found if f.level == "error"], path.name
-        averaged |= {path.name.split(".")[0] for f in found if f.code == "normal-averaged" and f.level == "info"}
+        averaged |= {path.name.split(".")[0]
+                     for f in found if f.code == "normal-averaged" and f.level == "info"}
     assert "fog" in averaged
 
 
@@ -101,7 +111,8 @@ def test_scaled_normals_are_no_means(diagnose):
     for name in ("product", "foliage"):
         frames = [replace(f, planes={**f.planes, Role.NORMAL: 0.5 * f[Role.NORMAL]})
                   for f in clip_of(CLIPS / f"{name}.2.npz")]
-        assert "normal-length" in {finding.code for finding in diagnose(frames) if finding.level == "error"}
+        assert "normal-length" in {finding.code
+                                   for finding in diagnose(frames) if finding.level == "error"}
 
 
 @pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.soak)])
@@ -128,6 +139,7 @@ def test_costs_are_those_of_the_quality_page():
     text = (REPOSITORY / "docs" / "lab" / "quality.md").read_text(encoding="utf-8")
     names = {Role.DIFFUSE_ALBEDO: "diffuse albedo", Role.SPECULAR_ALBEDO: "specular albedo"}
     for role, cost in COSTS.items():
-        (row,) = re.findall(rf"^\| {names.get(role, str(role))} \| (.*dB, flicker.*)$", text, re.MULTILINE)
+        (row,) = re.findall(rf"^\| {names.get(role, str(role))} \| (.*dB, flicker.*)$", text,
+                            re.MULTILINE)
         losses = [-float(loss) for loss in re.findall(r"([+-]?[\d.]+) dB", row)]
         assert (min(losses), max(losses)) == pytest.approx(cost)

@@ -14,16 +14,19 @@ WIDTH, HEIGHT = 96, 54
 def picture(ev: float = 0.0, height: int = HEIGHT, width: int = WIDTH) -> np.ndarray:
     """A smooth scene that `ev` stops bring to mid grey, four stops from dark to bright."""
     ramp = np.exp2(np.linspace(-2, 2, width) - ev) * 0.18
-    return np.ascontiguousarray(np.broadcast_to(ramp[None, :, None], (height, width, 3)), np.float32)
+    return np.ascontiguousarray(np.broadcast_to(ramp[None, :, None], (height, width, 3)),
+                                np.float32)
 
 
 def scene(
-    needed: Iterable[float], given: Iterable[float] | None = None, cuts: Container[int] = (), **values: object
+    needed: Iterable[float], given: Iterable[float] | None = None, cuts: Container[int] = (),
+    **values: object
 ) -> Iterator[Frame]:
     """Frames 1, 2, ... whose pictures need these stops; `given`: stops that their headers give."""
     needed = list(needed)
     given = [None] * len(needed) if given is None else list(given)
     for index, (ev, header) in enumerate(zip(needed, given, strict=True)):
         yield Frame(
-            {Role.COLOUR: picture(ev)}, number=index + 1, exposure=header, reset=index == 0 or index in cuts, **values
+            {Role.COLOUR: picture(ev)}, number=index + 1, exposure=header,
+            reset=index == 0 or index in cuts, **values
         )

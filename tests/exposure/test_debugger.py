@@ -33,7 +33,8 @@ def view(request: pytest.FixtureRequest) -> list[Any]:
 
 
 def test_the_right_exposure_gives_a_steady_mid_grey(view, device: Device) -> None:
-    needed = np.linspace(-3, 4, 12)  # a picture that changes by seven stops, exposed right all along
+    # a picture that changes by seven stops, exposed right all along
+    needed = np.linspace(-3, 4, 12)
     report = debug(scene(needed, needed), view, "metadata", "metadata", device=device)
     levels = np.array([reading.level for reading in report.readings])
     assert abs(levels / report.grey - 1).max() < 0.02 and np.ptp(levels) < 0.002
@@ -43,12 +44,15 @@ def test_the_right_exposure_gives_a_steady_mid_grey(view, device: Device) -> Non
 def test_mid_grey_is_where_the_view_puts_it(device: Device) -> None:
     grey = np.full((180, 320, 3), 0.18, np.float32)
     for view, tolerance in ((ToneMap(), 0.02), (Display(), 0.005)):
-        plain = postfx.Pipeline([view], device, 0.0)(postfx.Frame({postfx.Role.COLOUR: grey}))[postfx.Role.COLOUR]
-        assert debug(scene([0.0]), [view], 0.0, device=device).grey == pytest.approx(float(plain.mean()), rel=tolerance)
+        plain = postfx.Pipeline([view], device,
+                                0.0)(postfx.Frame({postfx.Role.COLOUR: grey}))[postfx.Role.COLOUR]
+        assert debug(scene([0.0]), [view], 0.0,
+                     device=device).grey == pytest.approx(float(plain.mean()), rel=tolerance)
 
 
 @pytest.mark.parametrize("needed", (0.0, 2.6, -1.3))
-def test_every_error_is_named_within_a_twentieth_of_a_stop(view, needed: float, device: Device) -> None:
+def test_every_error_is_named_within_a_twentieth_of_a_stop(view, needed: float,
+                                                           device: Device) -> None:
     board = Board(view, device=device)
     response = Response.of_board(board)
     for error in ERRORS:
@@ -59,7 +63,8 @@ def test_every_error_is_named_within_a_twentieth_of_a_stop(view, needed: float, 
 def test_the_verdict_names_every_error_of_a_metered_scene(device: Device) -> None:
     for error in ERRORS[::2]:
         report = debug(scene([1.0] * 3), [ToneMap()], 1.0 + error, device=device)
-        assert report.verdict == ("right" if error == 0 else "too bright" if error > 0 else "too dark"), error
+        assert report.verdict == ("right" if error == 0 else "too bright" if error > 0
+                                  else "too dark"), error
         assert report.shots[0].mismatch_ev == pytest.approx(error, abs=0.05)
         assert report.shots[0].right_ev == pytest.approx(1.0, abs=0.05)
 
@@ -96,14 +101,16 @@ def test_frames_of_any_shape_are_measured(size: tuple[int, int], device: Device)
 
 def test_drift_and_cuts_are_told_apart(device: Device) -> None:
     def shots(cuts: tuple[int, ...], given: np.ndarray) -> list[tuple[str, float]]:
-        report = debug(scene(np.zeros(12), given, cuts), [ToneMap()], "metadata", 0.0, device=device)
+        report = debug(scene(np.zeros(12), given, cuts), [ToneMap()], "metadata", 0.0,
+                       device=device)
         return [(shot.verdict, round(shot.mismatch_ev, 1)) for shot in report.shots]
 
     jump = np.repeat([0.0, 1.0], 6)
     assert shots((6,), jump) == [("right", 0.0), ("too bright", 1.0)]
     (jumped,) = shots((), jump)
     assert jumped[0] == "drifting"
-    assert [verdict for verdict, _ in shots((6,), np.linspace(0, 1, 12))] == ["drifting", "drifting"]
+    assert [verdict for verdict, _ in shots((6,), np.linspace(0, 1, 12))] == ["drifting",
+                                                                              "drifting"]
 
 
 def test_a_cut_to_another_scene_is_no_error_and_no_drift(device: Device) -> None:
@@ -114,7 +121,8 @@ def test_a_cut_to_another_scene_is_no_error_and_no_drift(device: Device) -> None
 
 
 def test_the_size_of_a_drift_is_named(device: Device) -> None:
-    report = debug(scene(np.zeros(16), np.linspace(-0.3, 0.4, 16)), [ToneMap()], "metadata", 0.0, device=device)
+    report = debug(scene(np.zeros(16), np.linspace(-0.3, 0.4, 16)), [ToneMap()], "metadata", 0.0,
+                   device=device)
     assert report.verdict == "drifting" and report.shots[0].drift_ev == pytest.approx(0.7, abs=0.05)
 
 
@@ -126,7 +134,8 @@ def cause(report: Report) -> str:
 def test_an_exposure_that_is_in_the_colour_already(device: Device) -> None:
     given = np.full(4, 2.0)
     needed = np.full(4, 2.0) - given  # multiplied in before the file was written
-    assert "exposed a second time" in cause(debug(scene(needed, given), [ToneMap()], "metadata", device=device))
+    assert "exposed a second time" in cause(debug(scene(needed, given), [ToneMap()], "metadata",
+                                                  device=device))
 
 
 def test_an_exposure_that_is_not_passed_on(device: Device) -> None:
@@ -139,7 +148,8 @@ def test_an_exposure_that_is_not_passed_on(device: Device) -> None:
 def test_an_exposure_that_is_inverted(device: Device) -> None:
     needed = np.linspace(1.5, 2.0, 4)
     report = debug(scene(needed, -needed), [ToneMap()], "metadata", device=device)
-    assert report.shots[0].mismatch_ev == pytest.approx(-3.5, abs=0.1) and "inverted" in cause(report)
+    assert (report.shots[0].mismatch_ev == pytest.approx(-3.5, abs=0.1)
+            and "inverted" in cause(report))
 
 
 def test_an_exposure_that_is_given_in_stops(device: Device) -> None:
@@ -155,14 +165,16 @@ class Brighter(ToneMap):
     defaults = MappingProxyType({**ToneMap.defaults, "by": lambda number: 2.0})
 
     def encode(self, commands, frame) -> None:
-        told, frame.exposure_factor = frame.exposure_factor, frame.exposure_factor * self.options["by"](frame.number)
+        told, frame.exposure_factor = (frame.exposure_factor,
+                                       frame.exposure_factor * self.options["by"](frame.number))
         super().encode(commands, frame)
         frame.exposure_factor = told
 
 
 def test_a_tone_mapper_that_applies_another_exposure(device: Device) -> None:
     report = debug(scene([1.0] * 3), [ToneMap()], "smooth", chain=[Brighter()], device=device)
-    assert report.verdict == "too bright" and report.shots[0].mismatch_ev == pytest.approx(1.0, abs=0.05)
+    assert (report.verdict == "too bright"
+            and report.shots[0].mismatch_ev == pytest.approx(1.0, abs=0.05))
     assert "adds +1.00 EV to" in cause(report)
 
 
@@ -173,7 +185,8 @@ def test_a_tone_mapper_that_exposes_twice(device: Device) -> None:
             super().encode(commands, frame)
 
     report = debug(scene([1.5] * 3), [ToneMap()], "smooth", chain=[Twice()], device=device)
-    assert report.shots[0].mismatch_ev == pytest.approx(1.5, abs=0.05) and "the chain adds" in cause(report)
+    assert (report.shots[0].mismatch_ev == pytest.approx(1.5, abs=0.05) and "the chain "
+            "adds" in cause(report))
 
 
 def test_a_tone_mapper_that_meters_for_itself(device: Device) -> None:
@@ -183,33 +196,40 @@ def test_a_tone_mapper_that_meters_for_itself(device: Device) -> None:
 
 
 class Own(View):
-    """A tone mapper of one's own, which exposes by its own idea of what it is told; Reinhard by default."""
+    """A tone mapper of one's own, which exposes by its own idea of what it is told; Reinhard by
+    default."""
 
     defaults = MappingProxyType({**View.defaults, "by": lambda told: told})
 
     def encode(self, commands, frame) -> None:
-        told, frame.exposure_factor = frame.exposure_factor, self.options["by"](frame.exposure_factor)
+        told, frame.exposure_factor = (frame.exposure_factor,
+                                       self.options["by"](frame.exposure_factor))
         super().encode(commands, frame)
         frame.exposure_factor = told
 
 
 def test_a_tone_mapper_of_ones_own_is_judged_by_its_own_curve(device: Device) -> None:
-    """Alone, beside the default look, and beside the curve that it should have; right, and with each mistake."""
+    """Alone, beside the default look, and beside the curve that it should have; right, and with
+    each mistake."""
     same, right = (lambda told: told), View(view="reinhard")
     for by, error, view, chain in (
-        (same, 0.0, None, None), (lambda told: told**2, 1.5, None, None), (lambda told: 2 * told, 0.0, None, None),
+        (same, 0.0, None, None), (lambda told: told**2, 1.5, None, None),
+        (lambda told: 2 * told, 0.0, None, None),
         (same, 0.0, ToneMap(), True), (lambda told: told / 2, -1.0, right, True),
         (lambda _: 1.0, -1.5, right, True), (lambda told: 1 / told, -3.0, right, True),
     ):
         own = [Own(view="reinhard", by=by)]
-        report = debug(scene([1.5] * 2), [view] if view else own, "smooth", chain=own if chain else None, device=device)
+        report = debug(scene([1.5] * 2), [view] if view else own, "smooth",
+                       chain=own if chain else None, device=device)
         assert report.shots[0].mismatch_ev == pytest.approx(error, abs=0.05), (error, view)
-        assert report.verdict == ("right" if error == 0 else "too bright" if error > 0 else "too dark")
+        assert report.verdict == ("right" if error == 0 else "too bright" if error > 0
+                                  else "too dark")
         assert ("the chain adds" in (report.shots[0].cause or "")) == (error != 0)
 
 
 def test_a_tone_mapper_that_shows_all_light_alike_is_named(device: Device) -> None:
-    with pytest.raises(ExposureError, match="shows light of any brightness at the same level.*meters for itself"):
+    with pytest.raises(ExposureError,
+                       match="shows light of any brightness at the same level.*meters for itself"):
         debug(scene([1.5]), [Own(by=lambda _: 2.0**-16)], "smooth", device=device)
 
 
@@ -255,8 +275,10 @@ def test_no_frame_is_an_error(device: Device) -> None:
 
 @pytest.mark.parametrize("error", (-2.0, -0.25, 0.25, 1.5))
 @pytest.mark.parametrize("name", ("living_room", "staircase", "garage"))
-def test_errors_on_noisy_renders_are_named(name: str, error: float, shared_dir, device: Device) -> None:
-    frames = list(colours_of(postfx.read_sequence(shared_dir / "sequences" / name / "noisy.####.exr")))
+def test_errors_on_noisy_renders_are_named(name: str, error: float, shared_dir,
+                                           device: Device) -> None:
+    frames = list(colours_of(postfx.read_sequence(shared_dir / "sequences" / name
+                                                  / "noisy.####.exr")))
     right = np.mean([measure(frame[postfx.Role.COLOUR]) for frame in frames])
     report = debug(frames, [ToneMap()], right + error, device=device)
     assert report.verdict == ("too bright" if error > 0 else "too dark")
@@ -264,7 +286,8 @@ def test_errors_on_noisy_renders_are_named(name: str, error: float, shared_dir, 
 
 
 @pytest.mark.parametrize("name", ("living_room", "staircase", "garage"))
-def test_renders_are_exposed_right_by_auto_and_smooth(name: str, shared_dir, device: Device) -> None:
+def test_renders_are_exposed_right_by_auto_and_smooth(name: str, shared_dir,
+                                                      device: Device) -> None:
     sequence = postfx.read_sequence(shared_dir / "sequences" / name / "noisy.####.exr")
     for exposure in ("auto", "smooth"):
         assert debug(colours_of(sequence), [ToneMap()], exposure, device=device).verdict == "right"

@@ -1,4 +1,5 @@
-"""Tone mappers of other programs: each is right by its own chart, and each mistake in its boards is measured.
+"""Tone mappers of other programs: each is right by its own chart, and each mistake in its boards is
+measured.
 
 The curves are written here as their authors published them, whether postfx knows a like one or not.
 """
@@ -22,7 +23,8 @@ from postfx.runtime import Device
 from tests.exposure.scenes import scene
 
 NEEDED = 2.0
-STOPS = {"right": (0.0,) * 4, "too bright": (1.0,) * 4, "too dark": (-1.0,) * 4, "drifting": (0.0, 0.2, 0.4, 0.6)}
+STOPS = {"right": (0.0,) * 4, "too bright": (1.0,) * 4, "too dark": (-1.0,) * 4,
+         "drifting": (0.0, 0.2, 0.4, 0.6)}
 Curve = Callable[[np.ndarray], np.ndarray]
 
 
@@ -33,8 +35,10 @@ def srgb(light: np.ndarray) -> np.ndarray:
 
 def hill(light: np.ndarray) -> np.ndarray:
     """S. Hill's fit of ACES, as in his BakingLab."""
-    into = np.array([[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]])
-    out = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]])
+    into = np.array([[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566],
+                     [0.02840, 0.13383, 0.83777]])
+    out = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605],
+                    [-0.00327, -0.07276, 1.07602]])
     v = light @ into.T
     return (v * (v + 0.0245786) - 0.000090537) / (v * (0.983729 * v + 0.4329510) + 0.238081) @ out.T
 
@@ -45,7 +49,8 @@ def narkowicz(x: np.ndarray) -> np.ndarray:
 
 def hable(x: np.ndarray, bias: float) -> np.ndarray:
     def part(x: np.ndarray | float) -> np.ndarray | float:
-        return (x * (0.15 * x + 0.10 * 0.50) + 0.20 * 0.02) / (x * (0.15 * x + 0.50) + 0.20 * 0.30) - 0.02 / 0.30
+        return ((x * (0.15 * x + 0.10 * 0.50) + 0.20 * 0.02) / (x * (0.15 * x + 0.50) + 0.20 * 0.30)
+                - 0.02 / 0.30)
 
     return part(bias * x) / part(11.2)
 
@@ -146,7 +151,8 @@ def test_a_measured_chart_is_the_truth(name: str, board: np.ndarray, tmp_path: P
             show(curve, board * 2**error, tmp_path / f"boards{number}/a.{frame:04d}.png")
         boards = GradedBoards(str(tmp_path / f"boards{number}/a.####.png"))
         report = debug_graded(scene([NEEDED] * len(stops)), boards.level, judged, NEEDED, NEEDED)
-        assert [reading.mismatch_ev for reading in report.readings] == pytest.approx(stops, abs=0.05), verdict
+        assert [reading.mismatch_ev
+                for reading in report.readings] == pytest.approx(stops, abs=0.05), verdict
         assert report.verdict == verdict
 
 
@@ -156,17 +162,21 @@ class Outside(View):
     defaults = MappingProxyType({**View.defaults, "gain": 1.0})
 
     def encode(self, commands, frame) -> None:
-        told, frame.exposure_factor = frame.exposure_factor, frame.exposure_factor * self.options["gain"]
+        told, frame.exposure_factor = (frame.exposure_factor,
+                                       frame.exposure_factor * self.options["gain"])
         super().encode(commands, frame)
         frame.exposure_factor = told
 
 
 @pytest.mark.parametrize("gain", [0.5, pytest.param(2.0, marks=pytest.mark.soak)])
-def test_a_gain_over_the_look_that_is_meant_is_a_mistake_and_without_one_a_remark(gain: float, device: Device) -> None:
+def test_a_gain_over_the_look_that_is_meant_is_a_mistake_and_without_one_a_remark(
+    gain: float, device: Device
+) -> None:
     meant, made = [View(view="reinhard")], [Outside(view="reinhard", gain=gain)]
     report = debug(scene([1.5] * 2), meant, "smooth", chain=made, device=device)
     assert report.verdict == ("too bright" if gain > 1 else "too dark") and report.remark is None
     assert report.shots[0].mismatch_ev == pytest.approx(np.log2(gain), abs=0.05)
     alone = debug(scene([1.5] * 2), made, "smooth", device=device)
     assert alone.verdict == "right" and alone.shots[0].mismatch_ev == pytest.approx(0, abs=0.05)
-    assert f"like that of Reinhard, sRGB, 1.00 EV {'brighter' if gain > 1 else 'darker'}" in (alone.remark or "")
+    assert ("like that of Reinhard, sRGB, 1.00 EV "
+            f"{'brighter' if gain > 1 else 'darker'}" in (alone.remark or ""))

@@ -1,5 +1,5 @@
-"""Exposure metering: what it must not be fooled by, that the meter only looks back, and that the smooth curve lags
-behind nothing and is broken at cuts."""
+"""Exposure metering: what it must not be fooled by, that the meter only looks back, and that the
+smooth curve lags behind nothing and is broken at cuts."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ WIDTH = 12.0  # half a second at 24 frames a second
 def picture(ev: float = 0.0, height: int = 90, width: int = 160) -> np.ndarray:
     """A smooth scene around mid grey times 2 ** -ev, four stops from dark to bright."""
     ramp = np.exp2(np.linspace(-2, 2, width) - ev) * 0.18
-    return np.ascontiguousarray(np.broadcast_to(ramp[None, :, None], (height, width, 3)), np.float32)
+    return np.ascontiguousarray(np.broadcast_to(ramp[None, :, None], (height, width, 3)),
+                                np.float32)
 
 
 def frame(colour: np.ndarray, **values: object) -> Frame:
@@ -122,7 +123,8 @@ def test_fixed_stops() -> None:
     assert ExposureMeter(-2)(frame(picture())) == 0.25
     assert ExposureMeter("1.5")(frame(picture())) == pytest.approx(2**1.5)
     assert ExposureMeter(-64)(frame(picture())) == 2.0**-64
-    assert [ExposureMeter(mode).remembers for mode in ("auto", "lit", "metadata", 0)] == [True, False, False, False]
+    assert [ExposureMeter(mode).remembers
+            for mode in ("auto", "lit", "metadata", 0)] == [True, False, False, False]
 
 
 @pytest.mark.parametrize("mode", ("automatic", "nan", 64.5, -1e9))
@@ -135,7 +137,8 @@ def test_lit_is_the_headers_exposure_or_none_and_what_a_run_used_is_not_lit() ->
     colour, used = picture(3.0), {"postfx:exposureUsed": 5.0}
     assert ExposureMeter("lit")(frame(colour, exposure=2.0, metadata=used)) == 4.0
     assert ExposureMeter("lit")(frame(colour, metadata=used)) == 1.0
-    assert ExposureMeter("metadata")(frame(colour, metadata=used)) == 5.0  # as versions before wrote it
+    # as versions before wrote it
+    assert ExposureMeter("metadata")(frame(colour, metadata=used)) == 5.0
     assert ExposureMeter("metadata")(frame(colour, metadata={"postfx:exposureUsedEV": 3.0})) == 8.0
     assert ExposureMeter("metadata")(frame(colour, exposure=2.0, metadata=used)) == 4.0
 
@@ -166,7 +169,8 @@ def test_noisy_renders_meter_like_their_references(name: str, shared_dir) -> Non
     import OpenImageIO as oiio
 
     def ev(kind: str) -> float:
-        pixels = oiio.ImageBuf(str(shared_dir / "sequences" / name / f"{kind}.0004.exr")).get_pixels("float")
+        pixels = (oiio.ImageBuf(str(shared_dir / "sequences" / name / f"{kind}.0004.exr"))
+                  .get_pixels("float"))
         return measure(np.ascontiguousarray(pixels[..., :3]))
 
     assert ev("noisy") == pytest.approx(ev("reference"), abs=0.35)
@@ -190,9 +194,11 @@ def test_a_steady_change_is_followed_exactly_up_to_both_ends() -> None:
 def test_a_step_is_met_half_way_on_its_frame_and_alike_on_both_sides() -> None:
     step = np.repeat([0.0, 1.0], 100)
     found = curve(step)
-    np.testing.assert_allclose(found + found[::-1], 1.0, atol=1e-9)  # no phase: backwards it is the same curve
+    # no phase: backwards it is the same curve
+    np.testing.assert_allclose(found + found[::-1], 1.0, atol=1e-9)
     assert abs(found[:40]).max() < 1e-6 and 0.4 < found[99] < 0.5 < found[100] < 0.6
-    assert found[111] == pytest.approx(NormalDist(sigma=WIDTH).cdf(11.5), abs=0.002)  # as wide as it is said to be
+    # as wide as it is said to be
+    assert found[111] == pytest.approx(NormalDist(sigma=WIDTH).cdf(11.5), abs=0.002)
     meter = ExposureMeter()
     late = [np.log2(meter(frame)) for frame in scene(step)]
     assert np.argmax(np.array(late) > 0.5) > 110  # what looks back only is late
@@ -265,4 +271,5 @@ def test_the_curve_of_a_render_stays_with_its_readings(name: str, shared_dir) ->
     found = list(meter_frames(colours_of(sequence)))
     smooth = np.array(list(smooth_ev(found, WIDTH).values()))
     raw = np.array([reading.ev for reading in found])
-    assert abs(smooth - raw).max() < 0.1 and abs(np.diff(smooth, 2)).max() < abs(np.diff(raw, 2)).max() / 3
+    assert (abs(smooth - raw).max() < 0.1
+            and abs(np.diff(smooth, 2)).max() < abs(np.diff(raw, 2)).max() / 3)

@@ -15,15 +15,17 @@ def shade(signal: float) -> tuple[int, ...]:
 
 def test_bands_are_those_of_the_manual():
     levels = {band.meaning: (band.low, band.high) for band in FALSE_COLOUR_BANDS}
-    assert levels == {
-        "black clipping": (0, 0.025), "just above black": (0.025, 0.04), "18 % mid grey": (0.38, 0.42),
-        "a stop over grey": (0.52, 0.56), "just below white": (0.97, 0.99), "white clipping": (0.99, 1.0),
-    }
+    assert (levels == {
+        "black clipping": (0, 0.025), "just above black": (0.025, 0.04),
+        "18 % mid grey": (0.38, 0.42), "a stop over grey": (0.52, 0.56),
+        "just below white": (0.97, 0.99), "white clipping": (0.99, 1.0),
+    })
 
 
 @pytest.mark.parametrize(("signal", "meaning"), [
-    (-0.1, "black clipping"), (0.01, "black clipping"), (0.03, "just above black"), (0.4, "18 % mid grey"),
-    (0.54, "a stop over grey"), (0.98, "just below white"), (0.995, "white clipping"), (7.0, "white clipping"),
+    (-0.1, "black clipping"), (0.01, "black clipping"), (0.03, "just above black"),
+    (0.4, "18 % mid grey"), (0.54, "a stop over grey"), (0.98, "just below white"),
+    (0.995, "white clipping"), (7.0, "white clipping"),
 ])  # fmt: skip
 def test_a_signal_in_a_band_has_its_colour(signal, meaning):
     assert shade(signal) == COLOURS[meaning]
@@ -37,7 +39,8 @@ def test_between_the_bands_it_is_grey(signal):
 def test_mid_grey_is_green_in_log_c():
     """By the manual it is at 400 of 1023."""
     signal = float(log_c(np.array([0.18]))[0])
-    assert signal == pytest.approx(400 / 1023, abs=5e-4) and shade(signal) == COLOURS["18 % mid grey"]
+    assert (signal == pytest.approx(400 / 1023, abs=5e-4)
+            and shade(signal) == COLOURS["18 % mid grey"])
 
 
 def test_log_c_is_that_of_another_implementation():
@@ -65,4 +68,5 @@ def test_the_key_stands_below_the_picture(width):
     picture = np.full((30, width, 3), 7, np.uint8)
     found = add_key(picture)
     assert found.shape[1] == width and np.array_equal(found[:30], picture)
-    assert all((found[30:] == band.colour).all(axis=-1).any() for band in FALSE_COLOUR_BANDS[: max(width // 210, 1)])
+    assert all((found[30:] == band.colour).all(axis=-1).any()
+               for band in FALSE_COLOUR_BANDS[: max(width // 210, 1)])

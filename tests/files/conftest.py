@@ -31,7 +31,8 @@ BOOKS = ("postfx.manifest.json", ".postfx")
 
 
 @pytest.fixture
-def postfx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture) -> Callable[..., Outcome]:
+def postfx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+           capfd: pytest.CaptureFixture) -> Callable[..., Outcome]:
     """Runs `postfx run ARGUMENTS --no-denoise --exposure 0` in the test's folder."""
     monkeypatch.chdir(tmp_path)
 

@@ -1,4 +1,5 @@
-"""EXR files with everything that a pipeline may put into them, and the hashes of what is in a file."""
+"""EXR files with everything that a pipeline may put into them, and the hashes of what is in a
+file."""
 
 from __future__ import annotations
 
@@ -16,12 +17,14 @@ from postfx.io.exr.container import ExrContainer, NewPart, write_container
 WIDTH, HEIGHT = 37, 41
 DATE = "2024:05:06 07:08:09"  # else that of now: the same file comes out each time
 COMPRESSIONS = {name: getattr(OpenEXR, f"{name}_COMPRESSION") for name in
-                ("NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB", "HTJ2K256", "HTJ2K32",
-                 "LJ2K", "ZSTD") if hasattr(OpenEXR, f"{name}_COMPRESSION")}
+                      ("NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB",
+                       "HTJ2K256", "HTJ2K32", "LJ2K", "ZSTD")
+                if hasattr(OpenEXR, f"{name}_COMPRESSION")}
 
 
 def noise_bits(seed: int, kind: str, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
-    """Samples of a stored type whose bits are random, so that NaN with payloads and denormals are among them."""
+    """Samples of a stored type whose bits are random, so that NaN with payloads and denormals are
+    among them."""
     random = np.random.default_rng(seed)
     if kind == "half":
         return random.integers(0, 1 << 16, (height, width)).astype(np.uint16).view(np.float16)
@@ -35,17 +38,22 @@ def picture(width: int = WIDTH, height: int = HEIGHT, seed: int = 0) -> dict[str
     return {name: random.random((height, width)).astype(np.float16) for name in "RGBA"}
 
 
-def write_mixed(path: Path, compression: str = "ZIP", tiled: bool = False, size: tuple[int, int] = (WIDTH, HEIGHT),
-                **header) -> Path:
-    """One part: a picture, and beside it halves, floats and whole numbers of any bits, with a Cryptomatte's header."""
+def write_mixed(path: Path, compression: str = "ZIP", tiled: bool = False,
+                size: tuple[int, int] = (WIDTH, HEIGHT), **header) -> Path:
+    """One part: a picture, and beside it halves, floats and whole numbers of any bits, with a
+    Cryptomatte's header."""
     lossy = compression in ("PXR24", "B44", "B44A", "DWAA", "DWAB")
-    channels = picture(*size) | {"depth.Z": noise_bits(1, "float", *size), "objectId": noise_bits(2, "uint", *size)}
-    channels |= {f"CryptoObject00.{letter}": noise_bits(3 + i, "float", *size) for i, letter in enumerate("RGBA")}
+    channels = picture(*size) | {"depth.Z": noise_bits(1, "float", *size),
+                                 "objectId": noise_bits(2, "uint", *size)}
+    channels |= {f"CryptoObject00.{letter}": noise_bits(3 + i, "float", *size)
+                 for i, letter in enumerate("RGBA")}
     channels["mask.half"] = picture(*size, seed=4)["R"] if lossy else noise_bits(8, "half", *size)
     kind = {"tiles": OpenEXR.TileDescription()} if tiled else {}
     kind["type"] = OpenEXR.tiledimage if tiled else OpenEXR.scanlineimage
-    crypto = {"cryptomatte/abc/name": "CryptoObject", "cryptomatte/abc/manifest": '{"logo":"0000abcd"}'}
-    about = {**kind, **crypto, "compression": COMPRESSIONS[compression], "owner": "studio", **header}
+    crypto = {"cryptomatte/abc/name": "CryptoObject",
+              "cryptomatte/abc/manifest": '{"logo":"0000abcd"}'}
+    about = {**kind, **crypto, "compression": COMPRESSIONS[compression], "owner": "studio",
+             **header}
     OpenEXR.File(about, channels).write(str(path))
     return path
 
@@ -68,7 +76,8 @@ def write_deep(path: Path) -> Path:
 
 def write_mipmapped(path: Path) -> Path:
     """One tiled part with all its levels."""
-    levels = [oiio.ImageBuf(np.full((64 >> level, 64 >> level, 1), level, np.float32)) for level in range(7)]
+    levels = [oiio.ImageBuf(np.full((64 >> level, 64 >> level, 1), level, np.float32))
+              for level in range(7)]
     output, spec = oiio.ImageOutput.create(str(path)), oiio.ImageSpec(64, 64, 1, "half")
     spec.tile_width = spec.tile_height = 16
     spec.channelnames = ("mip.Y",)
@@ -78,13 +87,15 @@ def write_mipmapped(path: Path) -> Path:
     assert output.open(str(path), spec) and output.write_image(levels[0].get_pixels())
     for level in range(1, 7):
         spec.width = spec.height = spec.full_width = spec.full_height = 64 >> level
-        assert output.open(str(path), spec, "AppendMIPLevel") and output.write_image(levels[level].get_pixels())
+        assert (output.open(str(path), spec, "AppendMIPLevel")
+                and output.write_image(levels[level].get_pixels()))
     output.close()
     return path
 
 
 def write_studio(folder: Path, size: tuple[int, int] = (WIDTH, HEIGHT)) -> Path:
-    """Parts of all kinds: picture with ids, a deep one, a mip-mapped one, and a header with types that nobody knows."""
+    """Parts of all kinds: picture with ids, a deep one, a mip-mapped one, and a header with types
+    that nobody knows."""
     files = [write_mixed(folder / "mixed.exr", size=size), write_deep(folder / "deep.exr"),
              write_mipmapped(folder / "mip.exr")]
     containers = [ExrContainer(file) for file in files]
@@ -103,20 +114,24 @@ def write_studio(folder: Path, size: tuple[int, int] = (WIDTH, HEIGHT)) -> Path:
 
 
 def channel_hashes(path: Path) -> dict[tuple[str, str], str]:
-    """(part, channel) -> hash of its decoded bits, type and size, by OpenEXR; of files without deep parts."""
+    """(part, channel) -> hash of its decoded bits, type and size, by OpenEXR; of files without deep
+    parts."""
     found = {}
     for part in OpenEXR.File(str(path), separate_channels=True).parts:
         for name, channel in part.channels.items():
             bits = np.ascontiguousarray(channel.pixels)
-            found[part.name(), name] = hashlib.sha256(f"{bits.dtype}{bits.shape}".encode() + bits.tobytes()).hexdigest()
+            found[part.name(), name] = hashlib.sha256(f"{bits.dtype}{bits.shape}".encode()
+                                                      + bits.tobytes()).hexdigest()
     return found
 
 
 def chunk_hashes(path: Path) -> dict[str, str]:
     """Part -> hash of its chunks as they are stored, in the order of their places."""
     with ExrContainer(path) as file:
-        chunks = {header.name: sorted(file.copy_chunks(part)) for part, header in enumerate(file.headers)}
-    return {name: hashlib.sha256(b"".join(stored for _, stored in found)).hexdigest() for name, found in chunks.items()}
+        chunks = {header.name: sorted(file.copy_chunks(part))
+                  for part, header in enumerate(file.headers)}
+    return {name: hashlib.sha256(b"".join(stored for _, stored in found)).hexdigest()
+            for name, found in chunks.items()}
 
 
 def headers_of(path: Path) -> dict[str, dict[str, tuple[str, bytes]]]:

@@ -1,4 +1,5 @@
-"""Files that are broken, made to deceive, or no images: one clear line that names the file, in little memory."""
+"""Files that are broken, made to deceive, or no images: one clear line that names the file, in
+little memory."""
 
 from __future__ import annotations
 
@@ -121,30 +122,46 @@ FAULTS: dict[str, tuple[Callable[[Path], None], str]] = {
     "cut in the header": (cut_at(0.01), "its header ends early"),
     "cut in the table": (patched(0, b""), ""),
     "cut in the middle": (cut_at(0.5), "it ends early"),
-    "cut before its last byte": (lambda path: path.write_bytes(path.read_bytes()[:-1]) and None, ""),
+    "cut before its last byte": (lambda path: path.write_bytes(path.read_bytes()[:-1]) and None,
+                                 ""),
     "a chunk missing": (lose_chunk, "some of its pixels are missing"),
     "chunks of noise": (patched(1500, bytes(range(256)) * 8), ""),
     "of another version": (patched(4, b"\x07"), "it is not an OpenEXR file"),
-    "a data window of 2^24 a side": (claim("dataWindow", "box2i", HUGE), "its header claims 16777217x16777217 pixels"),
-    "a data window of 2^20 lines": (claim("dataWindow", "box2i", window(0, 0, 9, 2**20)), "claims 65537 chunks in"),
-    "lines of 2^23 pixels": (claim("dataWindow", "box2i", window(0, 0, 2**23, 40)), "its header claims 8388609x41"),
-    "a data window inside out": (claim("dataWindow", "box2i", window(9, 9, 0, 0)), "its header claims -8x-8 pixels"),
+    "a data window of 2^24 a side": (claim("dataWindow", "box2i", HUGE),
+                                     "its header claims 16777217x16777217 pixels"),
+    "a data window of 2^20 lines": (claim("dataWindow", "box2i", window(0, 0, 9, 2**20)),
+                                    "claims 65537 chunks in"),
+    "lines of 2^23 pixels": (claim("dataWindow", "box2i", window(0, 0, 2**23, 40)),
+                             "its header claims 8388609x41"),
+    "a data window inside out": (claim("dataWindow", "box2i", window(9, 9, 0, 0)),
+                                 "its header claims -8x-8 pixels"),
     "a data window over the limits of integers": (
-        claim("dataWindow", "box2i", window(-(2**31), 0, 2**31 - 1, 40)), "its header claims 4294967296x41 pixels"),
+        claim("dataWindow", "box2i", window(-(2**31), 0, 2**31 - 1, 40)),
+        "its header claims 4294967296x41 pixels"),
     "a display window of 2^30 a side": (
-        claim("displayWindow", "box2i", window(0, 0, 2**30, 2**30)), "display window of 1073741825x1073741825"),
-    "a display window inside out": (claim("displayWindow", "box2i", window(9, 9, 0, 0)), "display window of -8x-8"),
-    "no data window": (lambda path: with_header(path, lambda header: header.attributes.pop("dataWindow"), False),
-                       "its header has no dataWindow"),
-    "no channels": (lambda path: with_header(path, lambda header: header.set("channels", "chlist", b"\0"), False), ""),
+        claim("displayWindow", "box2i", window(0, 0, 2**30, 2**30)),
+        "display window of 1073741825x1073741825"),
+    "a display window inside out": (claim("displayWindow", "box2i", window(9, 9, 0, 0)),
+                                    "display window of -8x-8"),
+    "no data window": (lambda path: with_header(
+        path, lambda header: header.attributes.pop("dataWindow"), False
+    ), "its header has no dataWindow"),
+    "no channels": (lambda path: with_header(
+        path, lambda header: header.set("channels", "chlist", b"\0"), False
+    ), ""),
     "a list of channels that ends early": (patched_after(b"chlist\0", b"\xff\0\0\0R\0\1\0\0"), ""),
     "a channel of an unknown type": (with_channel(7, 1), "one of its channels has an unknown type"),
     "a channel of no pixels": (with_channel(1, 0), "one of its channels has an unknown type"),
-    "a compression that does not exist": (claim("compression", "compression", b"\x63"), "compression 99 is not known"),
-    "a part of an unknown type": (claim("type", "string", b"hologram"), "a part has the unknown type 'hologram'"),
-    "an attribute of 2 GB": (patched(8, b"a\0b\0\xff\xff\xff\x7f"), "its header claims 2147483647 bytes for 'a'"),
-    "an attribute of less than nothing": (patched(8, b"a\0b\0\xff\xff\xff\xff"), "its header claims -1 bytes for 'a'"),
-    "a name without an end": (fill(struct.pack("<iI", 20000630, 2) + b"a" * 5000), "a name in its header is too long"),
+    "a compression that does not exist": (claim("compression", "compression", b"\x63"),
+                                          "compression 99 is not known"),
+    "a part of an unknown type": (claim("type", "string", b"hologram"),
+                                  "a part has the unknown type 'hologram'"),
+    "an attribute of 2 GB": (patched(8, b"a\0b\0\xff\xff\xff\x7f"),
+                             "its header claims 2147483647 bytes for 'a'"),
+    "an attribute of less than nothing": (patched(8, b"a\0b\0\xff\xff\xff\xff"),
+                                          "its header claims -1 bytes for 'a'"),
+    "a name without an end": (fill(struct.pack("<iI", 20000630, 2) + b"a" * 5000),
+                              "a name in its header is too long"),
 }
 
 
@@ -173,11 +190,13 @@ def test_an_image_that_claims_little_and_is_all_right_is_read(source: Path) -> N
 
 def test_a_million_channels_are_refused_at_once(source: Path) -> None:
     """The list was copied for each of them: a file of 17 MB took minutes."""
-    listed = b"".join(b"c%06d\0" % number + struct.pack("<iB3x2i", 1, 0, 1, 1) for number in range(1_000_000))
+    listed = b"".join(b"c%06d\0" % number + struct.pack("<iB3x2i", 1, 0, 1, 1)
+                      for number in range(1_000_000))
     whole = source.read_bytes()
     at = whole.index(b"chlist\0") + 7
     end = at + 4 + struct.unpack_from("<i", whole, at)[0]
-    source.write_bytes(whole[:at] + struct.pack("<i", len(listed) + 1) + listed + b"\0" + whole[end:])
+    source.write_bytes(whole[:at] + struct.pack("<i", len(listed) + 1) + listed + b"\0"
+                       + whole[end:])
     begin = time.process_time()
     with pytest.raises(ReadError, match="a part has more than 16384 channels"):
         list(read_sequence(source))
@@ -189,16 +208,20 @@ def test_sides_are_taken_up_to_the_limit(source: Path, across: bool) -> None:
     with ExrContainer(source) as file:
         header = file.headers[0]
     for side in (1, MAX_SIDE):
-        header.set("dataWindow", "box2i", window(0, 0, *((side - 1, 0) if across else (0, side - 1))))
+        header.set("dataWindow", "box2i",
+                   window(0, 0, *((side - 1, 0) if across else (0, side - 1))))
         assert count_chunks(header) == (1 if across else -(-side // LINES[header.compression]))
     for side in (0, MAX_SIDE + 1):
-        header.set("dataWindow", "box2i", window(0, 0, *((side - 1, 0) if across else (0, side - 1))))
-        with pytest.raises(ReadError, match=f"claims {f'{side}x1' if across else f'1x{side}'} pixels"):
+        header.set("dataWindow", "box2i",
+                   window(0, 0, *((side - 1, 0) if across else (0, side - 1))))
+        with pytest.raises(ReadError,
+                           match=f"claims {f'{side}x1' if across else f'1x{side}'} pixels"):
             count_chunks(header)
 
 
 @pytest.mark.parametrize(("compression", "most"), [(0, 1), (3, 1100)])
-def test_pixels_are_taken_up_to_what_a_file_can_hold(source: Path, compression: int, most: int) -> None:
+def test_pixels_are_taken_up_to_what_a_file_can_hold(source: Path, compression: int,
+                                                     most: int) -> None:
     """Its bytes times the most that the compression leaves out, and a megabyte."""
     with ExrContainer(source) as file:
         header = file.headers[0]
@@ -232,13 +255,15 @@ def test_deep_files_are_refused_where_nothing_else_is_there(tmp_path: Path) -> N
     assert next(iter(read_sequence(write_studio(tmp_path)))).spec.height == 41
 
 
-@pytest.mark.parametrize("attribute", ["pixelAspectRatio", "worldToCamera", "postfx:exposure", "postfx:jitter",
-                                       "postfx:spp", "postfx:near", "chromaticities", "framesPerSecond", "timeCode"])
+@pytest.mark.parametrize("attribute", ["pixelAspectRatio", "worldToCamera", "postfx:exposure",
+                                       "postfx:jitter", "postfx:spp", "postfx:near",
+                                       "chromaticities", "framesPerSecond", "timeCode"])
 def test_attributes_of_any_bytes_do_no_harm(source: Path, attribute: str) -> None:
     """The frame is read, or refused in one line."""
     whole = source.read_bytes()
     for kind, value in product(("float", "string", "m44f", "rational", "studioType"),
-                               (b"", b"\xff" * 4, b"\0" * 4, b"nonsense", b"\xff\xff\xff\x7f" * 16)):
+                               (b"", b"\xff" * 4, b"\0" * 4, b"nonsense",
+                                b"\xff\xff\xff\x7f" * 16)):
         source.write_bytes(whole)
         claim(attribute, kind, value)(source)
         try:
@@ -254,7 +279,8 @@ def test_special_files_and_loops_of_links_are_no_frames(tmp_path: Path) -> None:
     (tmp_path / "loop.0001.exr").symlink_to("loop.0001.exr")
     (tmp_path / "folder.0001.exr").mkdir()
     for name in ("pipe", "null", "loop", "folder"):
-        with pytest.raises((MissingFrameError, SequenceError), match=f"{name}.*no such file|holds no OpenEXR"):
+        with pytest.raises((MissingFrameError, SequenceError),
+                           match=f"{name}.*no such file|holds no OpenEXR"):
             list(read_sequence(tmp_path / f"{name}.0001.exr"))
     with pytest.raises(SequenceError, match="holds no OpenEXR file"):
         read_sequence(tmp_path)

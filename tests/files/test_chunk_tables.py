@@ -14,7 +14,14 @@ from postfx.io.exr import EXR_MAGIC, TILED_IMAGE
 from postfx.io.exr.container import ExrContainer
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import is_complete, write_frame
-from tests.files.exr_files import HEIGHT, WIDTH, write_deep, write_mipmapped, write_mixed, write_studio
+from tests.files.exr_files import (
+    HEIGHT,
+    WIDTH,
+    write_deep,
+    write_mipmapped,
+    write_mixed,
+    write_studio,
+)
 
 
 def stored(path: Path) -> list[list[tuple[int, bytes]]]:
@@ -25,7 +32,8 @@ def stored(path: Path) -> list[list[tuple[int, bytes]]]:
 
 def clear_table(path: Path) -> None:
     with ExrContainer(path) as file:
-        first = min(chunk.at for part in range(len(file.headers)) for chunk in file.chunks(part)) - 4 * file.several
+        first = (min(chunk.at for part in range(len(file.headers)) for chunk in file.chunks(part))
+                 - 4 * file.several)
         count = sum(file.counts)
     content = path.read_bytes()
     path.write_bytes(content[: first - 8 * count] + bytes(8 * count) + content[first:])
@@ -36,7 +44,8 @@ def write_tiled(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("write", [
-    lambda folder: write_mixed(folder / "lines.exr"), write_tiled, lambda folder: write_mipmapped(folder / "mip.exr"),
+    lambda folder: write_mixed(folder / "lines.exr"), write_tiled,
+    lambda folder: write_mipmapped(folder / "mip.exr"),
     lambda folder: write_deep(folder / "deep.exr"), write_studio,
 ], ids=["lines", "tiles", "levels", "deep", "parts"])
 def test_a_table_of_zeros_is_found_again_by_walking_the_chunks(tmp_path: Path, write) -> None:
@@ -50,7 +59,8 @@ def write_contradiction(folder: Path) -> Path:
     """A tiled file whose header says that it is of lines."""
     source, path = write_tiled(folder), folder / "contradiction.exr"
     with ExrContainer(source) as file:
-        (header,), version, chunks = file.headers, file.version, [stored for _, stored in file.copy_chunks(0)]
+        (header,), version, chunks = (file.headers, file.version,
+                                      [stored for _, stored in file.copy_chunks(0)])
     header.set_text("type", "scanlineimage")
     head = struct.pack("<iI", EXR_MAGIC, version) + header.pack()
     sizes = [len(chunk) for chunk in chunks]

@@ -1,4 +1,5 @@
-"""Frames that cannot be read or processed: `--on-error stop|skip|copy`, what is counted, and the history after them."""
+"""Frames that cannot be read or processed: `--on-error stop|skip|copy`, what is counted, and the
+history after them."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ def broken(shot) -> Path:
     """Four frames; the second is cut short, the third of another size."""
     folder = shot(1, 2, 4)
     cut(folder / "shot.0002.exr")
-    OpenEXR.File({"type": OpenEXR.scanlineimage}, picture(20, 30)).write(str(folder / "shot.0003.exr"))
+    OpenEXR.File({"type": OpenEXR.scanlineimage},
+                 picture(20, 30)).write(str(folder / "shot.0003.exr"))
     return folder
 
 
@@ -45,9 +47,11 @@ def test_skip_leaves_frames_out_and_counts_them(postfx, broken, tmp_path: Path) 
     report = json.loads(done.out)
     assert done.code == EXIT_FAULTS == 3
     assert names(tmp_path / "out") == ["shot.0001.exr", "shot.0004.exr"]
-    assert [(fault["frame"], fault["instead"]) for fault in report["faults"]] == [(2, "left out"), (3, "left out")]
+    assert [(fault["frame"], fault["instead"]) for fault in report["faults"]] == [(2, "left out"),
+                                                                                  (3, "left out")]
     assert "failed   2 frames: 2 left out, 0 resampled instead" in done.err
-    assert "failed   frame 3, left out: in/shot.0003.exr: frame 3 is 20x30, the first one 37x41: render it" in done.err
+    assert ("failed   frame 3, left out: in/shot.0003.exr: frame 3 is 20x30, the first one 37x41: "
+            "render it" in done.err)
     assert report["frames"] == 2 and "error" not in report
 
 
@@ -55,7 +59,8 @@ def test_copy_writes_what_can_be_read(postfx, shot, tmp_path: Path) -> None:
     folder = shot(1, 2, 3)
     cut(folder / "shot.0002.exr")
     done = postfx(*RUN, "--on-error", "copy")
-    assert done.code == EXIT_FAULTS and names(tmp_path / "out") == ["shot.0001.exr", "shot.0003.exr"]
+    assert (done.code == EXIT_FAULTS
+            and names(tmp_path / "out") == ["shot.0001.exr", "shot.0003.exr"])
     assert json.loads(done.out)["faults"][0]["instead"] == "left out"
 
 
@@ -82,10 +87,12 @@ def test_what_cannot_be_kept_fails_its_frame_only(postfx, tmp_path: Path) -> Non
     for number in (1, 2, 3):
         (tmp_path / f"in/shot.{number:04d}.exr").write_bytes(whole if number != 2 else whole[:-1])
     done = postfx(*RUN, "--on-error", "skip")
-    assert done.code == EXIT_FAULTS and names(tmp_path / "out") == ["shot.0001.exr", "shot.0003.exr"]
+    assert (done.code == EXIT_FAULTS
+            and names(tmp_path / "out") == ["shot.0001.exr", "shot.0003.exr"])
 
 
-def test_an_output_that_cannot_be_written_stops_the_run_all_the_same(postfx, shot, tmp_path: Path) -> None:
+def test_an_output_that_cannot_be_written_stops_the_run_all_the_same(postfx, shot,
+                                                                     tmp_path: Path) -> None:
     shot(1, 2, 3)
     (tmp_path / "out/shot.0002.exr").mkdir(parents=True)
     done = postfx(*RUN, "--on-error", "skip", "--overwrite")
@@ -94,7 +101,8 @@ def test_an_output_that_cannot_be_written_stops_the_run_all_the_same(postfx, sho
 
 def test_smooth_exposure_leaves_broken_frames_out(postfx, shot, tmp_path: Path) -> None:
     cut(shot(1, 2, 3) / "shot.0002.exr")
-    arguments = ["run", *RUN[:2], "out/a.####.png", "--exposure", "smooth", "--no-denoise", "--device", "cpu"]
+    arguments = ["run", *RUN[:2], "out/a.####.png", "--exposure", "smooth", "--no-denoise",
+                 "--device", "cpu"]
     assert main([*arguments, "--on-error", "skip"]) == EXIT_FAULTS
     assert names(tmp_path / "out") == ["a.0001.png", "a.0003.png"]
     assert main([*arguments, "--overwrite"]) == 2
@@ -112,7 +120,8 @@ def test_the_frame_after_a_failed_one_begins_without_a_history() -> None:
     faults = Faults(OnError.SKIP)
     first, failed, after, later = (faults.read(1, True, lambda: light(1)),
                                    faults.read(2, True, lambda: fail(ReadError("broken"))),
-                                   faults.read(3, True, lambda: light(3)), faults.read(4, True, lambda: light(4)))
+                                   faults.read(3, True, lambda: light(3)),
+                                   faults.read(4, True, lambda: light(4)))
     assert failed is None and (first.reset, after.reset, later.reset) == (False, True, False)
     assert [fault.frame for fault in faults.found] == [2]
 
@@ -123,8 +132,10 @@ def test_frames_that_only_fill_the_history_are_not_counted() -> None:
     assert faults.read(2, True, lambda: light(2)).reset
 
 
-@pytest.mark.parametrize(("policy", "error"), [(OnError.STOP, ReadError("x")), (OnError.SKIP, WriteError("x")),
-                                              (OnError.COPY, WriteError("x")), (OnError.SKIP, ZeroDivisionError())])
+@pytest.mark.parametrize(("policy", "error"), [(OnError.STOP, ReadError("x")),
+                                              (OnError.SKIP, WriteError("x")),
+                                              (OnError.COPY, WriteError("x")),
+                                              (OnError.SKIP, ZeroDivisionError())])
 def test_what_is_not_let_pass(policy: OnError, error: Exception) -> None:
     with pytest.raises(type(error)):
         Faults(policy).attempt(1, True, lambda: fail(error))
@@ -140,12 +151,15 @@ def test_the_sequence_marks_the_frame_after_one_that_cannot_be_read(shot) -> Non
     assert sequence.read(3).reset
 
 
-def test_copy_enlarges_the_picture_of_a_frame_that_lacks_a_plane(tmp_path: Path, write_exr, monkeypatch) -> None:
-    """The size is that of the others, the picture that of strength 0, the exposure goes on, and nothing is denoised."""
+def test_copy_enlarges_the_picture_of_a_frame_that_lacks_a_plane(tmp_path: Path, write_exr,
+                                                                 monkeypatch) -> None:
+    """The size is that of the others, the picture that of strength 0, the exposure goes on, and
+    nothing is denoised."""
     random = np.random.default_rng(0)
     for number in (1, 2, 3):
         planes = {name: random.random((32, 48), np.float32) for name in "RGB"}
-        planes |= {"motion.X": np.zeros((32, 48)), "motion.Y": np.zeros((32, 48))} if number != 2 else {}
+        planes |= ({"motion.X": np.zeros((32, 48)), "motion.Y": np.zeros((32, 48))} if number != 2
+                   else {})
         write_exr(f"in/shot.{number:04d}.exr", planes)
     monkeypatch.chdir(tmp_path)
     common = ["--device", "cpu", "--model", "s", "--exposure", "0", "--scale", "2"]
@@ -157,4 +171,6 @@ def test_copy_enlarges_the_picture_of_a_frame_that_lacks_a_plane(tmp_path: Path,
     assert names(tmp_path / "out") == ["shot.0001.exr", "shot.0002.exr", "shot.0003.exr"]
     alone = next(iter(read_sequence(tmp_path / "out/shot.0003.exr")))[Role.COLOUR]
     assert main(["run", *RUN[:2], "alone/", "--frames", "3", *common]) == 0
-    np.testing.assert_array_equal(next(iter(read_sequence(tmp_path / "alone/shot.0003.exr")))[Role.COLOUR], alone)
+    np.testing.assert_array_equal(next(
+        iter(read_sequence(tmp_path / "alone/shot.0003.exr"))
+    )[Role.COLOUR], alone)

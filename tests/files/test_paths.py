@@ -1,4 +1,5 @@
-"""Links, `..`, letter case, names and rights: inputs stay, outputs go where they should, mistakes get one line."""
+"""Links, `..`, letter case, names and rights: inputs stay, outputs go where they should, mistakes
+get one line."""
 
 from __future__ import annotations
 
@@ -48,7 +49,8 @@ OVER_INPUTS: dict[str, tuple[Callable[[Path], str], str]] = {
     "by a hard link": (hard_link, "is an input"),
     "by letter case": (lambda folder: "in/SHOT.####.EXR", "is an input"),
     "by other digits": (lambda folder: "in/shot.1####.exr", "would be a frame of the input"),
-    "by other digits and a link": (lambda folder: link(folder).replace("shot.", "shot.1"), "would be a frame"),
+    "by other digits and a link": (lambda folder: link(folder).replace("shot.", "shot.1"),
+                                   "would be a frame"),
 }
 
 
@@ -62,14 +64,16 @@ def test_inputs_are_never_replaced(postfx, shot, tmp_path: Path, way: str) -> No
     assert {path: path.read_bytes() for path in (tmp_path / "in").iterdir()} == before
 
 
-def test_an_output_that_is_a_link_is_replaced_and_not_what_it_leads_to(postfx, shot, tmp_path: Path) -> None:
+def test_an_output_that_is_a_link_is_replaced_and_not_what_it_leads_to(postfx, shot,
+                                                                       tmp_path: Path) -> None:
     shot(1)
     (tmp_path / "precious.exr").write_text("mine")
     (tmp_path / "out").mkdir()
     (tmp_path / "out/shot.0001.exr").symlink_to("../precious.exr")
     assert postfx("in/", "-o", "out/").code == 2
     assert postfx("in/", "-o", "out/", "--overwrite").code == 0
-    assert (tmp_path / "precious.exr").read_text() == "mine" and not (tmp_path / "out/shot.0001.exr").is_symlink()
+    assert ((tmp_path / "precious.exr").read_text() == "mine"
+            and not (tmp_path / "out/shot.0001.exr").is_symlink())
 
 
 def test_an_output_that_is_a_link_to_nothing_is_there_already(postfx, shot, tmp_path: Path) -> None:
@@ -89,14 +93,17 @@ def test_an_output_folder_within_the_input_folder_is_not_read(postfx, shot) -> N
 def test_two_sequences_of_a_folder_that_differ_by_case_are_told_apart(shot, tmp_path: Path) -> None:
     folder = shot(1)
     write_mixed(folder / "SHOT.0001.exr")
-    with pytest.raises(SequenceError, match=r"holds 2 sequences \(SHOT\.####\.exr, shot\.####\.exr\): name one"):
+    with pytest.raises(SequenceError,
+                       match=r"holds 2 sequences \(SHOT\.####\.exr, shot\.####\.exr\): name one"):
         read_sequence(folder)
 
 
 def test_two_files_of_one_frame_are_told(shot) -> None:
     folder = shot(1)
     write_mixed(folder / "shot.00001.exr")
-    with pytest.raises(SequenceError, match=r"shot\.00001\.exr and shot\.0001\.exr: both are frame 0+1: remove one"):
+    with pytest.raises(SequenceError,
+                       match=r"shot\.00001\.exr and shot\.0001\.exr: both are frame 0+1: remove "
+                       r"one"):
         read_sequence(folder / "shot.####.exr")
 
 
@@ -107,8 +114,9 @@ def test_hidden_files_are_no_frames(shot) -> None:
     assert read_sequence(folder).numbers == (1,)
 
 
-@pytest.mark.parametrize("name", ["a b.####.exr", "ä-日本.####.exr", "-dash.####.exr", "100%.####.exr",
-                                  "[x]*?.####.exr", "'quote\".####.exr", "new\nline.####.exr", "x" * 240 + ".####.exr"])
+@pytest.mark.parametrize("name", ["a b.####.exr", "ä-日本.####.exr", "-dash.####.exr",
+                                  "100%.####.exr", "[x]*?.####.exr", "'quote\".####.exr",
+                                  "new\nline.####.exr", "x" * 240 + ".####.exr"])
 def test_names_of_any_characters(postfx, shot, tmp_path: Path, name: str) -> None:
     shot(1, 2)
     done = postfx("in/shot.####.exr", "-o", f"out/{name}")
@@ -131,13 +139,15 @@ def test_names_that_are_not_utf_8_are_refused(postfx, shot, tmp_path: Path) -> N
     """OpenImageIO takes text only."""
     folder = shot(1)
     done = postfx("in/", "-o", "out/\udcff.####.exr")
-    assert done.code == 2 and done.error.endswith("out/?.####.exr: is not UTF-8: choose another name")
+    assert (done.code == 2
+            and done.error.endswith("out/?.####.exr: is not UTF-8: choose another name"))
     (folder / "shot.0001.exr").rename(folder / "\udcff.0001.exr")
     done = postfx("in/", "-o", "out/a.####.exr")
     assert done.code == 2 and "in/?.0001.exr: its name is not UTF-8: rename it" in done.error
 
 
-@pytest.mark.parametrize(("target", "told"), [("", "nowhere to write: give -o"), ("{plane}/", "is for input"),
+@pytest.mark.parametrize(("target", "told"), [("", "nowhere to write: give -o"),
+                                              ("{plane}/", "is for input"),
                                               ("out/{plane}.####.exr", "is for input")])
 def test_outputs_that_are_no_names_are_refused(postfx, shot, target: str, told: str) -> None:
     shot(1)
@@ -152,13 +162,15 @@ def test_a_name_that_is_too_long_is_told(postfx, shot, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists() or names(tmp_path / "out") == []
 
 
-@pytest.mark.parametrize("pattern", ["shot.%0999999999d.exr", "shot.$F99999999999.exr", f"shot.{'#' * 5000}.exr"])
+@pytest.mark.parametrize("pattern", ["shot.%0999999999d.exr", "shot.$F99999999999.exr",
+                                     f"shot.{'#' * 5000}.exr"])
 def test_endless_digits_are_refused(pattern: str) -> None:
     with pytest.raises(SequenceError, match="a frame number has at most 32 digits"):
         parse_pattern(pattern)
 
 
-@pytest.mark.parametrize("frames", ["1-99999999999", "0-1000000000x1", "1-5x0", "--", "1-2-3", "", ",", "1e9"])
+@pytest.mark.parametrize("frames", ["1-99999999999", "0-1000000000x1", "1-5x0", "--", "1-2-3", "",
+                                    ",", "1e9"])
 def test_odd_frame_ranges_are_refused(frames: str) -> None:
     with pytest.raises(SequenceError, match="--frames"):
         parse_frames(frames)
@@ -186,38 +198,44 @@ def visible() -> Iterator[Path]:
 
 def as_nobody(*commands: str) -> list[str]:
     """Lines that Python expressions print, run by a user without rights."""
-    drop = "import os; os.setgroups([]) if os.getuid() == 0 else 0; os.setegid(65534) if os.getuid() == 0 else 0; " \
-           "os.seteuid(65534) if os.getuid() == 0 else 0\n"
+    drop = ("import os; os.setgroups([]) if os.getuid() == 0 else 0; os.setegid(65534) if "
+           "os.getuid() == 0 else 0; os.seteuid(65534) if os.getuid() == 0 else 0\n")
     imports = "import sys; sys.path.insert(0, sys.argv[1])\nfrom postfx.io.sequence import *\n" \
               "from postfx.io.writer import write_frame\nfrom postfx.errors import PostfxError\n" \
               "import postfx.frame, postfx.io.exr.picture, numpy as np\n" \
               "postfx.io.exr.picture.to_halves(np.zeros(1))\n" \
               "frame = postfx.frame.Frame({'colour': np.ones((4, 4, 3), np.float32)})\n"
-    guarded = [f"try:\n    {command}\nexcept PostfxError as error:\n    print(type(error).__name__, error)\n"
-               for command in commands]
-    return subprocess.run([sys.executable, "-c", "".join([imports, drop, *guarded]), str(REPOSITORY)], check=True,
+    guarded = [f"try:\n    {command}\nexcept PostfxError as error:\n    "
+               "print(type(error).__name__, error)\n" for command in commands]
+    return subprocess.run([sys.executable, "-c", "".join([imports, drop, *guarded]),
+                           str(REPOSITORY)], check=True,
                           capture_output=True, text=True, timeout=120).stdout.splitlines()
 
 
 def test_a_file_without_rights(visible: Path) -> None:
     write_mixed(visible / "a.0001.exr").chmod(0)
     (told,) = as_nobody(f"list(read_sequence('{visible}/a.0001.exr'))")
-    assert told == f"ReadError {visible}/a.0001.exr: cannot be read: Permission denied; check the file's rights"
+    assert (told == f"ReadError {visible}/a.0001.exr: cannot be read: Permission denied; check the "
+            "file's rights")
 
 
 def test_an_input_folder_without_rights(visible: Path) -> None:
     (visible / "in").mkdir()
     write_mixed(visible / "in/a.0001.exr")
     (visible / "in").chmod(0)
-    folder, pattern = as_nobody(f"read_sequence('{visible}/in')", f"read_sequence('{visible}/in/a.####.exr')")
-    assert folder == f"SequenceError {visible}/in: cannot be read: Permission denied; check its rights"
+    folder, pattern = as_nobody(f"read_sequence('{visible}/in')",
+                                f"read_sequence('{visible}/in/a.####.exr')")
+    assert (folder == f"SequenceError {visible}/in: cannot be read: Permission denied; check its "
+            "rights")
     assert "no such file: check the folder" in pattern
 
 
 def test_an_output_folder_without_rights(visible: Path) -> None:
     (visible / "there").mkdir(mode=0o755)
-    new, there = as_nobody(*(f"write_frame('{visible}/{folder}/a.exr', frame)" for folder in ("new", "there")))
-    assert new.startswith(f"WriteError {visible}/new/a.exr: cannot be written: Permission denied; check the folder")
+    new, there = as_nobody(*(f"write_frame('{visible}/{folder}/a.exr', frame)"
+                             for folder in ("new", "there")))
+    assert new.startswith(f"WriteError {visible}/new/a.exr: cannot be written: Permission denied; "
+                          "check the folder")
     assert "Permission denied" in there
     assert names(visible) == ["there"] and names(visible / "there") == []
 

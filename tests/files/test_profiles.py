@@ -13,7 +13,8 @@ PLANE = '[[plane]]\nrole = "motion"\nchannels = ["XY"]\n'
 MALFORMED = {
     "detect = 1": "detect must be tables in double brackets",
     "[detect]\nchannels = ['R']": "detect must be tables in double brackets",
-    "[[detect]]\nheader = ['Software']": r"\[\[detect\]\]: header must be a table of regular expressions",
+    "[[detect]]\nheader = ['Software']": r"\[\[detect\]\]: header must be a table of regular "
+    r"expressions",
     "[[detect]]\nheader = { Software = '(' }": "header must be a table of regular expressions",
     "[[detect]]\nchannels = 'R'": "channels must be a list of texts",
     "camera = 3": "camera must be a table",

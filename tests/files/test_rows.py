@@ -5,7 +5,8 @@ import re
 from pathlib import Path
 
 TESTS = Path(__file__).resolve().parents[1]
-ROW = re.compile(r"\| `(?P<file>(?:files|fuzz)/\w+\.py)::(?P<test>\w+)(?:\[(?P<case>.+)\])?` \|$", re.MULTILINE)
+ROW = re.compile(r"\| `(?P<file>(?:files|fuzz)/\w+\.py)::(?P<test>\w+)(?:\[(?P<case>.+)\])?` \|$",
+                 re.MULTILINE)
 
 
 def test_each_row_is_a_test() -> None:

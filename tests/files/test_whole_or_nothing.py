@@ -1,4 +1,5 @@
-"""A file is there whole or not at all: full disks, limits, kills in the middle of writing, things in the way."""
+"""A file is there whole or not at all: full disks, limits, kills in the middle of writing, things
+in the way."""
 
 from __future__ import annotations
 
@@ -38,7 +39,8 @@ from postfx.io.writer import write_frame
 keep = sys.argv[1]
 resource.setrlimit(resource.RLIMIT_FSIZE, (40000, 40000))
 for path, side in zip(sys.argv[2::2], map(int, sys.argv[3::2]), strict=True):
-    frame = Frame({Role.COLOUR: np.random.default_rng(0).random((side, side, 3), np.float32)}, source=keep or None)
+    colour = np.random.default_rng(0).random((side, side, 3), np.float32)
+    frame = Frame({Role.COLOUR: colour}, source=keep or None)
     try:
         print(write_frame(Path(path), frame, keep=bool(keep)))
     except PostfxError as error:
@@ -49,16 +51,19 @@ for path, side in zip(sys.argv[2::2], map(int, sys.argv[3::2]), strict=True):
 def limited(*squares: tuple[Path, int], keep: str = "") -> list[str]:
     """What writing squares of noise says in a process whose files may have 40000 bytes."""
     words = [str(word) for square in squares for word in square]
-    done = subprocess.run([sys.executable, "-c", LIMITED, keep, *words], capture_output=True, text=True,
-                          env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, timeout=120, check=True)
+    done = subprocess.run([sys.executable, "-c", LIMITED, keep, *words], capture_output=True,
+                          text=True, env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, timeout=120,
+                          check=True)
     return done.stdout.splitlines()
 
 
 def test_files_over_the_limit_of_the_system(tmp_path: Path) -> None:
-    squares = [(tmp_path / f"{name}{suffix}", side) for suffix in SUFFIXES for name, side in (("a", 300), ("b", 40))]
+    squares = [(tmp_path / f"{name}{suffix}", side) for suffix in SUFFIXES
+               for name, side in (("a", 300), ("b", 40))]
     told = limited(*squares)
     assert len(told) == len(squares)
-    for suffix, (large, small) in zip(SUFFIXES, zip(told[::2], told[1::2], strict=True), strict=True):
+    for suffix, (large, small) in zip(SUFFIXES, zip(told[::2], told[1::2], strict=True),
+                                      strict=True):
         assert large.startswith(f"WriteError {tmp_path}/a{suffix}: cannot be written: ")
         assert small == f"{tmp_path}/b{suffix}"
     assert names(tmp_path) == sorted(f"b{suffix}" for suffix in SUFFIXES)
@@ -75,8 +80,8 @@ def test_what_is_kept_over_the_limit(tmp_path: Path) -> None:
 def small_disk(tmp_path: Path):
     """A file system of 64 KiB; skips where mounting is not allowed."""
     (tmp_path / "disk").mkdir()
-    mount = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", tmp_path / "disk"], check=False,
-                           capture_output=True)
+    mount = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", tmp_path / "disk"],
+                           check=False, capture_output=True)
     if mount.returncode:
         pytest.skip("mounting a small file system is not allowed here")
     yield tmp_path / "disk"
@@ -86,7 +91,8 @@ def small_disk(tmp_path: Path):
 @pytest.mark.parametrize("side", [145, 150, 160, 300])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_full_disk(small_disk: Path, suffix: str, side: int) -> None:
-    """Also just before the end, where encoders of PNG and TIFF say that all is well, and libjpeg ends the process."""
+    """Also just before the end, where encoders of PNG and TIFF say that all is well, and libjpeg
+    ends the process."""
     (small_disk / "before.txt").write_text("finished")
     path = small_disk / f"a{suffix}"
     try:
@@ -100,7 +106,8 @@ def test_a_full_disk(small_disk: Path, suffix: str, side: int) -> None:
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_disk_that_fails_late(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_fails_late(tmp_path: Path, suffix: str,
+                                monkeypatch: pytest.MonkeyPatch) -> None:
     """As network file systems do, which take all bytes and tell when they are to be kept."""
     def fail(_: int) -> None:
         raise OSError(28, "No space left on device")
@@ -108,7 +115,10 @@ def test_a_disk_that_fails_late(tmp_path: Path, suffix: str, monkeypatch: pytest
     whole = write_frame(tmp_path / f"a{suffix}", noise())
     before = whole.read_bytes()
     monkeypatch.setattr(postfx_files.os, "fsync", fail)
-    with pytest.raises(WriteError, match=rf"a\{suffix}: cannot be written: No space left on device; check the folder"):
+    with pytest.raises(
+        WriteError,
+        match=rf"a\{suffix}: cannot be written: No space left on device; check the folder"
+    ):
         write_frame(whole, noise(20, 20))
     assert whole.read_bytes() == before and names(tmp_path) == [f"a{suffix}"]
 
@@ -157,7 +167,8 @@ while True:
 def test_a_killed_process_leaves_whole_files_only(tmp_path: Path, moment: float) -> None:
     source = write_frame(tmp_path / "in.exr", noise(700, 700))
     out = tmp_path / "out"
-    process = subprocess.Popen([sys.executable, "-c", KILLED, str(source), str(out)], stdout=subprocess.PIPE,
+    process = subprocess.Popen([sys.executable, "-c", KILLED, str(source), str(out)],
+                               stdout=subprocess.PIPE,
                                env={**os.environ, "PYTHONPATH": str(REPOSITORY)})
     assert process.stdout.readline() == b"ready\n"
     time.sleep(moment)

@@ -1,9 +1,11 @@
-"""Coverage-guided fuzzing of one target: `python tests/fuzz/fuzz.py TARGET [SECONDS] [REPRODUCER] [-FLAG=VALUE...]`.
-Of several, `TARGET,TARGET...`, in turn; what each says is in TARGET.log, and exit codes are printed.
+"""Coverage-guided fuzzing of one target: `python tests/fuzz/fuzz.py TARGET [SECONDS] [REPRODUCER]
+[-FLAG=VALUE...]`. Of several, `TARGET,TARGET...`, in turn; what each says is in TARGET.log, and
+exit codes are printed.
 
-Ends with an error when a target raises anything but PostfxError, computes for more than 10 seconds on one input, takes
-more than 2 GiB in all, opens a file outside of its folder, or ends the process; the input is written to the folder of
-POSTFX_FUZZ_OUT (by default where it runs). Flags are libFuzzer's: -seed=7 draws other inputs, -runs=500 counts them.
+Ends with an error when a target raises anything but PostfxError, computes for more than 10 seconds
+on one input, takes more than 2 GiB in all, opens a file outside of its folder, or ends the process;
+the input is written to the folder of POSTFX_FUZZ_OUT (by default where it runs). Flags are
+libFuzzer's: -seed=7 draws other inputs, -runs=500 counts them.
 """
 
 from __future__ import annotations
@@ -18,20 +20,22 @@ from contextlib import suppress
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-WATCHED = ["postfx.io", "postfx.masks", "postfx.cli.run_options", "postfx.system", "postfx.files", "postfx.runs",
-           "postfx.passes.tonemap", "postfx.runtime.models",
+WATCHED = ["postfx.io", "postfx.masks", "postfx.cli.run_options", "postfx.system", "postfx.files",
+           "postfx.runs", "postfx.passes.tonemap", "postfx.runtime.models",
            "postfx.runtime.model_file"]
 SECONDS, MOST_MB, LONGEST_INPUT = 5, 2048, 1 << 16
 LONGEST_S = 10
 """Of computing, for one input: by the clock a busy machine takes as long as it likes."""
 HANGS_S = 120
 """By the clock, for one input: what waits computes nothing."""
-OPENING = {"open", "os.listdir", "os.scandir", "os.mkdir", "os.remove", "os.rename", "os.rmdir", "os.utime"}
+OPENING = {"open", "os.listdir", "os.scandir", "os.mkdir", "os.remove", "os.rename", "os.rmdir",
+           "os.utime"}
 """Python's audit events of what reads or changes the disk."""
 
 
 class Fence:
-    """Notes which files outside of some folders are opened: what lies on a machine must not decide what comes out."""
+    """Notes which files outside of some folders are opened: what lies on a machine must not decide
+    what comes out."""
 
     def __init__(self, *folders: str) -> None:
         self.outside: set[str] = set()
@@ -63,8 +67,9 @@ def limit(target: Callable[[bytes], None], fence: Fence) -> Callable[[bytes], No
 
 
 def make_home() -> Path:
-    """A folder for all that a run reads and writes, in memory if there is room: also a user's cache, where networks
-    of earlier runs would decide, with links to the compiled kernels of the user's, which only their sources do."""
+    """A folder for all that a run reads and writes, in memory if there is room: also a user's
+    cache, where networks of earlier runs would decide, with links to the compiled kernels of the
+    user's, which only their sources do."""
     in_memory = os.path.isdir("/dev/shm") and shutil.disk_usage("/dev/shm").free > MOST_MB << 18
     home = Path(tempfile.mkdtemp(prefix="postfx-fuzz-", dir="/dev/shm" if in_memory else None))
     for folder in ("work", "corpus", "cache/postfx"):
@@ -91,18 +96,23 @@ def fuzz(name: str, seconds: str, reproducers: list[str], flags: list[str], home
     with atheris.instrument_imports(include=WATCHED):
         targets.seeds(name, home / "corpus")
         target = targets.TARGETS[name]
-        for seed in sorted((home / "corpus").iterdir()):  # imports what is left, and compiles: no input's time
+        # imports what is left, and compiles: no input's time
+        for seed in sorted((home / "corpus").iterdir()):
             with suppress(targets.PostfxError):
                 target(seed.read_bytes())
-    fence = Fence(str(home), *filter(None, sys.path), sys.prefix, sys.base_prefix, "/proc", "/dev/fd")
+    fence = Fence(str(home), *filter(None, sys.path), sys.prefix, sys.base_prefix, "/proc",
+                  "/dev/fd")
     limits = [f"-max_total_time={seconds}", f"-timeout={HANGS_S}", f"-rss_limit_mb={MOST_MB}",
-              f"-max_len={LONGEST_INPUT}", f"-artifact_prefix={out}/", "-print_final_stats=1", "-close_fd_mask=0"]
+              f"-max_len={LONGEST_INPUT}", f"-artifact_prefix={out}/", "-print_final_stats=1",
+              "-close_fd_mask=0"]
     atheris.Setup([sys.argv[0], *limits, *flags, *given], limit(target, fence))
     atheris.Fuzz()
 
 
-def attempt(name: str, seconds: str, reproducers: list[str], flags: list[str], log: Path | None) -> int:
-    """Exit code of a process that fuzzes a target: libFuzzer ends its process at once, and leaves its files."""
+def attempt(name: str, seconds: str, reproducers: list[str], flags: list[str],
+            log: Path | None) -> int:
+    """Exit code of a process that fuzzes a target: libFuzzer ends its process at once, and leaves
+    its files."""
     home = make_home()
     if child := os.fork():
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])

@@ -1,8 +1,10 @@
-"""Damage to files, by chance: `python -m tests.fuzz.mutate KIND COUNT [FIRST]`, in a process of its own.
+"""Damage to files, by chance: `python -m tests.fuzz.mutate KIND COUNT [FIRST]`, in a process of its
+own.
 
-Every input depends on its number alone. Before each, the number is written to the file `at`, so that whoever started
-this knows which one ended it. Prints how many were read and how many were refused in a line; ends with an error at the
-first that raised anything but PostfxError, or took long. The kind `bomb` is no damage but files that claim much.
+Every input depends on its number alone. Before each, the number is written to the file `at`, so
+that whoever started this knows which one ended it. Prints how many were read and how many were
+refused in a line; ends with an error at the first that raised anything but PostfxError, or took
+long. The kind `bomb` is no damage but files that claim much.
 """
 
 from __future__ import annotations
@@ -31,14 +33,18 @@ EXTREME = (0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFFFFFF, 0x8000
 CUBE = b'TITLE "look"\nLUT_3D_SIZE 2\nDOMAIN_MIN 0 0 0\nDOMAIN_MAX 1 1 1\n' + b"".join(
     b"%d %d %d\n" % (i & 1, i >> 1 & 1, i >> 2) for i in range(8))
 SPI3D = b"SPILUT 1.0\n3 3\n2 2 2\n" + b"".join(
-    b"%d %d %d %d %d %d\n" % (i & 1, i >> 1 & 1, i >> 2, i & 1, i >> 1 & 1, i >> 2) for i in range(8))
+    b"%d %d %d %d %d %d\n" % (i & 1, i >> 1 & 1, i >> 2, i & 1, i >> 1 & 1, i >> 2)
+    for i in range(8))
 CSP = b"CSPLUTV100\n3D\n\n2\n0 1\n0 1\n2\n0 1\n0 1\n2\n0 1\n0 1\n\n2 2 2\n" + b"0 0 0\n1 1 1\n" * 4
 MANIFEST = b'{"logo":"1480c843","hero/left hand":"fedcba98","sky":"7f000001"}'
-SETTINGS = b'[run]\nmodel = "s"\nscale = 2\nexposure = "auto"\nclamp-fireflies = 5.0\nverbose = true\n'
+SETTINGS = (
+    b'[run]\nmodel = "s"\nscale = 2\nexposure = "auto"\nclamp-fireflies = 5.0\nverbose = true\n'
+)
 
 
 def damaged(content: bytes, dice: random.Random) -> bytes:
-    """Content with a few of: bytes changed, numbers made extreme, stretches cut, doubled, swapped or moved."""
+    """Content with a few of: bytes changed, numbers made extreme, stretches cut, doubled, swapped
+    or moved."""
     found = bytearray(content)
     for _ in range(dice.choice((1, 1, 2, 4, 8))):
         at, length = dice.randrange(len(found) + 1), dice.choice((1, 2, 4, 8, 16, 64))
@@ -55,13 +61,15 @@ def damaged(content: bytes, dice: random.Random) -> bytes:
                 found[at:] = b"" if dice.random() < 0.3 else found[at:]
             case 5:
                 other = dice.randrange(len(found) + 1)
-                found[at:at + length], found[other:other + length] = found[other:other + length], found[at:at + length]
+                found[at:at + length], found[other:other + length] = (found[other:other + length],
+                                                                      found[at:at + length])
     return bytes(found)
 
 
 def exr_seeds() -> list[bytes]:
     path = targets.FOLDER / "seed.exr"
-    kinds = [write_mixed(path, name, size=targets.SIZE).read_bytes() for name in sorted(COMPRESSIONS)]
+    kinds = [write_mixed(path, name, size=targets.SIZE).read_bytes()
+             for name in sorted(COMPRESSIONS)]
     return [*kinds, write_mixed(path, tiled=True, size=targets.SIZE).read_bytes(),
             write_studio(targets.FOLDER, targets.SIZE).read_bytes()]
 
@@ -103,7 +111,8 @@ def table(ending: str) -> Callable[[bytes], None]:
     def read(content: bytes) -> None:
         import numpy as np
 
-        path = targets.FOLDER / f"{time.monotonic_ns()}{ending}"  # OpenColorIO keeps what it has read by name
+        # OpenColorIO keeps what it has read by name
+        path = targets.FOLDER / f"{time.monotonic_ns()}{ending}"
         path.write_bytes(content)
         try:
             file_transform(f"{path},input=ACEScct").apply(np.full((1, 1, 3), 0.18, np.float32))
@@ -119,7 +128,8 @@ KINDS: dict[str, tuple[Callable[[bytes], None], Callable[[], list[bytes]]]] = {
     "spi3d": (table(".spi3d"), lambda: [SPI3D]),
     "csp": (table(".csp"), lambda: [CSP]),
     "cryptomatte": (cryptomatte, lambda: [MANIFEST]),
-    **{name: (targets.TARGETS[name], seeds_of(name)) for name in ("hdr", "profile", "records", "model")},
+    **{name: (targets.TARGETS[name], seeds_of(name))
+       for name in ("hdr", "profile", "records", "model")},
     "bomb": (bombs.read, bombs.names),
 }
 
@@ -138,7 +148,8 @@ def main(kind: str, count: int, first: int = 0) -> None:
         seeds, outcomes = make(), {"read": 0, "refused": 0}
         for number in range(first, first + count):
             dice, begin = random.Random(f"{kind} {number}"), time.process_time()
-            content = seeds[number % len(seeds)] if kind == "bomb" else damaged(dice.choice(seeds), dice)
+            content = (seeds[number % len(seeds)] if kind == "bomb"
+                       else damaged(dice.choice(seeds), dice))
             at.write_text(str(number))
             try:
                 attempt(content)
@@ -146,7 +157,8 @@ def main(kind: str, count: int, first: int = 0) -> None:
             except PostfxError as error:
                 assert str(error).strip(), number
                 outcomes["refused"] += 1
-            assert (took := time.process_time() - begin) < MOST_SECONDS, f"{kind} {number} took {took:.0f} s"
+            assert (took := time.process_time()
+                    - begin) < MOST_SECONDS, f"{kind} {number} took {took:.0f} s"
     print(outcomes)
 
 

@@ -1,4 +1,5 @@
-"""What is fuzzed: everything that reads what others wrote. Each target takes bytes and may raise PostfxError only."""
+"""What is fuzzed: everything that reads what others wrote. Each target takes bytes and may raise
+PostfxError only."""
 
 from __future__ import annotations
 
@@ -36,7 +37,8 @@ MOST_PIXELS = 1 << 20
 SIZE = 9, 7
 """Of pictures to begin with: most of their bytes are headers, and many are tried."""
 FOLDER = Path()
-"""Where all that a target reads and writes lies: fuzz.py goes there. A name of its own would change what is tried."""
+"""Where all that a target reads and writes lies: fuzz.py goes there. A name of its own would change
+what is tried."""
 
 
 def exr(content: bytes) -> None:
@@ -44,7 +46,8 @@ def exr(content: bytes) -> None:
     path = FOLDER / "a.exr"
     path.write_bytes(content)
     with FrameFiles({"": path}) as files:
-        if Role.COLOUR not in files.layout.planes or np.prod(files.match(Role.COLOUR).size) > MOST_PIXELS:
+        if (Role.COLOUR not in files.layout.planes
+            or np.prod(files.match(Role.COLOUR).size) > MOST_PIXELS):
             return
         frame = files.read(1, [Role.COLOUR])
     frame = dataclasses.replace(frame, planes={Role.COLOUR: np.nan_to_num(frame[Role.COLOUR])})
@@ -96,7 +99,8 @@ def patterns(content: bytes) -> None:
     except SequenceError:
         return
     path = pattern.path(7)
-    if os.path.isabs(text) or str(Path(text))[:1] == "~" or ".." in (*Path(text).parts, *path.parts):
+    if (os.path.isabs(text) or str(Path(text))[:1] == "~"
+        or ".." in (*Path(text).parts, *path.parts)):
         return  # what lies elsewhere on a machine is no input
     try:
         Sequence(text)
@@ -137,7 +141,8 @@ def records(content: bytes) -> None:
 
 
 def look(content: bytes) -> None:
-    """The card of a look, and whether its cube can be used: the first line, in JSON, is the card."""
+    """The card of a look, and whether its cube can be used: the first line, in JSON, is the
+    card."""
     card, _, network = content.partition(b"\n")
     (FOLDER / "looks").mkdir(exist_ok=True)
     (FOLDER / "looks/toy.json").write_bytes(card)
@@ -145,7 +150,8 @@ def look(content: bytes) -> None:
     library, name = find_model(str(FOLDER / "looks/toy.onnx"))
     shaper(library, name)
     state = _device().pipeline_state(library, name)
-    check_constants(name, state.constants, any(binding.name == "grid" for binding in state.bindings))
+    check_constants(name, state.constants,
+                    any(binding.name == "grid" for binding in state.bindings))
 
 
 def seeds(name: str, folder: Path) -> None:
@@ -160,17 +166,19 @@ def seeds(name: str, folder: Path) -> None:
         add("parts", write_studio(FOLDER, SIZE).read_bytes())
     if name == "hdr":
         add("flat", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 3 +X 2\n" + bytes(range(24)))
-        add("runs", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 16\n\2\2\0\x10" + b"\x90\x55" * 4)
+        add("runs",
+            b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 16\n\2\2\0\x10" + b"\x90\x55" * 4)
     if name == "profile":
         for path in BUILTIN.glob("*.toml"):
             add(path.stem, path.read_bytes())
     if name == "patterns":
-        for path in ("in/0001.exr", "in/0002.exr", "shot.0007.exr", "left/depth.12.exr", "deep/er/1/a.exr"):
+        for path in ("in/0001.exr", "in/0002.exr", "shot.0007.exr", "left/depth.12.exr",
+                     "deep/er/1/a.exr"):
             (FOLDER / path).parent.mkdir(parents=True, exist_ok=True)
             (FOLDER / path).touch()
-        for text in ("shot.####.exr", "in/%04d.exr", "1-100x2,5", "ray,fov=54.4,miss=0", "auto,logo=0.5,7-9@id",
-                     "<F4>.$F4.@@.exr", "{plane}.##.exr", "*/*.exr", "**/*/a.exr", "{view}/d*.##.exr",
-                     "4.5G", "1,48,90"):
+        for text in ("shot.####.exr", "in/%04d.exr", "1-100x2,5", "ray,fov=54.4,miss=0",
+                     "auto,logo=0.5,7-9@id", "<F4>.$F4.@@.exr", "{plane}.##.exr", "*/*.exr",
+                     "**/*/a.exr", "{view}/d*.##.exr", "4.5G", "1,48,90"):
             add(text.replace("/", "_"), text.encode())
     if name == "model":
         from onnx import helper
@@ -182,14 +190,18 @@ def seeds(name: str, folder: Path) -> None:
     if name == "look":
         from onnx import helper
         nodes = [helper.make_node("Identity", ["w"], ["cube"])]
-        save_model(FOLDER / "toy.onnx", nodes, [], [value("cube", (2, 2, 2, 3))], {"w": np.zeros((2, 2, 2, 3), "f4")})
-        card = {"shaper": {"toe": 0.1, "scale": 0.1, "matrix": [1.0] * 9}, "outputs": {"cube": {"constant": True}}}
+        save_model(FOLDER / "toy.onnx", nodes, [], [value("cube", (2, 2, 2, 3))],
+                   {"w": np.zeros((2, 2, 2, 3), "f4")})
+        card = {"shaper": {"toe": 0.1, "scale": 0.1, "matrix": [1.0] * 9},
+                "outputs": {"cube": {"constant": True}}}
         add("toy", json.dumps(card).encode() + b"\n" + (FOLDER / "toy.onnx").read_bytes())
     if name == "records":
         output = Output("run", 1, "0" * 64, 7, 2, 3, {"in.exr": (1, 2)}, True)
-        add("manifest", Manifest({"run": {"status": "running"}}, {"a.0001.exr": output}).to_json().encode())
+        add("manifest",
+            Manifest({"run": {"status": "running"}}, {"a.0001.exr": output}).to_json().encode())
         add("claim", json.dumps({"process": Process.me().as_dict(), "files": ["a"]}).encode())
-        save_checkpoint(FOLDER / "seed", About("run", "a.####.exr", 3, "f"), {"grid": np.zeros((2, 3), "f4")})
+        save_checkpoint(FOLDER / "seed", About("run", "a.####.exr", 3, "f"),
+                        {"grid": np.zeros((2, 3), "f4")})
         add("checkpoint", (FOLDER / "seed").read_bytes())
 
 
@@ -208,6 +220,6 @@ def _device() -> Device:
 
 
 TARGETS: dict[str, Callable[[bytes], None]] = {
-    "exr": exr, "container": container, "hdr": hdr, "profile": profile, "patterns": patterns, "model": model,
-    "look": look, "records": records,
+    "exr": exr, "container": container, "hdr": hdr, "profile": profile, "patterns": patterns,
+    "model": model, "look": look, "records": records,
 }

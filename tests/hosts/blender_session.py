@@ -1,4 +1,5 @@
-"""What a user does in Blender, without a window: python blender_session.py EXTENSION.zip FOLDER COMMAND.
+"""What a user does in Blender, without a window: python blender_session.py EXTENSION.zip FOLDER
+COMMAND.
 
 Prints one JSON object on the last line.
 """
@@ -23,7 +24,8 @@ def attempt(operator, **options) -> str:
         return str(error).strip().removeprefix("Error: ")
 
 
-bpy.ops.extensions.package_install_files(filepath=EXTENSION, repo="user_default", enable_on_install=True)
+bpy.ops.extensions.package_install_files(filepath=EXTENSION, repo="user_default",
+                                         enable_on_install=True)
 name = next(name for name in bpy.context.preferences.addons.keys() if name.endswith(".postfx"))
 preferences = bpy.context.preferences.addons[name].preferences
 scene = bpy.context.scene
@@ -66,8 +68,8 @@ preferences.command, module.PLACES = "", (Path(COMMAND),)
 path = os.environ.pop("PATH")
 found["place"] = module.find_command(bpy.context)
 os.environ["PATH"] = path
-job = module.Job([COMMAND], str(Path(FOLDER) / "shot" / "box_####.exr"), str(Path(FOLDER) / "stopped_####.exr"), "1",
-                 ["--model", "s"])
+job = module.Job([COMMAND], str(Path(FOLDER) / "shot" / "box_####.exr"),
+                 str(Path(FOLDER) / "stopped_####.exr"), "1", ["--model", "s"])
 job.stop()
 job.wait()
 found["stopped"] = [job.stopped, job.running, job.done()]
@@ -75,10 +77,12 @@ said, ended = [], []
 window = SimpleNamespace(
     window_manager=SimpleNamespace(progress_update=lambda part: said.append(round(part, 2))),
     workspace=SimpleNamespace(status_text_set=said.append))
-job = module.Job([COMMAND], str(Path(FOLDER) / "shot" / "box_####.exr"), str(Path(FOLDER) / "seen_####.exr"), "1",
-                 ["--model", "s"])
-operator = SimpleNamespace(_job=job, cancel=lambda context: ended.append("cancel"), _end=lambda context: {"FINISHED"})
-answers = [module.Denoise.modal(operator, window, SimpleNamespace(type=kind)) for kind in ("MOUSEMOVE", "TIMER")]
+job = module.Job([COMMAND], str(Path(FOLDER) / "shot" / "box_####.exr"),
+                 str(Path(FOLDER) / "seen_####.exr"), "1", ["--model", "s"])
+operator = SimpleNamespace(_job=job, cancel=lambda context: ended.append("cancel"),
+                           _end=lambda context: {"FINISHED"})
+answers = [module.Denoise.modal(operator, window, SimpleNamespace(type=kind))
+           for kind in ("MOUSEMOVE", "TIMER")]
 job.wait()
 answers.append(module.Denoise.modal(operator, window, SimpleNamespace(type="TIMER")))
 found["modal"] = [[next(iter(answer)) for answer in answers], said, ended]

@@ -1,7 +1,7 @@
 """An artist's first hour, without a window: python blender_story.py EXTENSION.zip FOLDER COMMAND.
 
-A scene with two light groups is set up, rendered and denoised by the extension; the compositor then shows Combined and
-a light group of the result. Prints one JSON object on the last line.
+A scene with two light groups is set up, rendered and denoised by the extension; the compositor then
+shows Combined and a light group of the result. Prints one JSON object on the last line.
 """
 
 import json
@@ -14,7 +14,8 @@ EXTENSION, FOLDER, COMMAND = sys.argv[1:]
 FRAMES, SIZE = 4, (96, 64)
 found = {}
 
-bpy.ops.extensions.package_install_files(filepath=EXTENSION, repo="user_default", enable_on_install=True)
+bpy.ops.extensions.package_install_files(filepath=EXTENSION, repo="user_default",
+                                         enable_on_install=True)
 name = next(name for name in bpy.context.preferences.addons.keys() if name.endswith(".postfx"))
 bpy.context.preferences.addons[name].preferences.command = COMMAND
 scene, layer = bpy.context.scene, bpy.context.view_layer

@@ -1,5 +1,6 @@
-"""Nodes for ComfyUI: called by the names that INPUT_TYPES declares, and in ComfyUI itself where POSTFX_COMFYUI names
-its folder (POSTFX_COMFYUI_PYTHON the Python that has what it requires; both run on the CPU, on this machine alone)."""
+"""Nodes for ComfyUI: called by the names that INPUT_TYPES declares, and in ComfyUI itself where
+POSTFX_COMFYUI names its folder (POSTFX_COMFYUI_PYTHON the Python that has what it requires; both
+run on the CPU, on this machine alone)."""
 
 import inspect
 import json
@@ -54,8 +55,10 @@ def test_nodes_declare_what_comfyui_asks_for(nodes):
     assert nodes.NODE_CLASS_MAPPINGS.keys() == nodes.NODE_DISPLAY_NAME_MAPPINGS.keys()
     for node in nodes.NODE_CLASS_MAPPINGS.values():
         inputs = node.INPUT_TYPES()
-        assert set(inputs) <= {"required", "optional"} and node.CATEGORY == "postfx" and node.DESCRIPTION
-        assert isinstance(node.RETURN_TYPES, tuple) and set(node.RETURN_TYPES) <= {"STRING", "IMAGE", nodes.FRAMES}
+        assert (set(inputs) <= {"required", "optional"} and node.CATEGORY == "postfx"
+                and node.DESCRIPTION)
+        assert (isinstance(node.RETURN_TYPES, tuple)
+                and set(node.RETURN_TYPES) <= {"STRING", "IMAGE", nodes.FRAMES})
         declared = [name for part in inputs.values() for name in part]
         assert declared == list(inspect.signature(getattr(node, node.FUNCTION)).parameters)[1:]
         for kind, *options in (entry for part in inputs.values() for entry in part.values()):
@@ -72,7 +75,8 @@ def test_frames_that_are_written_anew_are_read_again(nodes, tmp_path):
     assert is_changed(pattern=str(tmp_path), frames="") == found
     os.utime(tmp_path / "noisy.0002.exr", (1, 1))
     assert is_changed(pattern=str(tmp_path), frames="") != found
-    assert math.isnan(is_changed(pattern=None, frames=""))  # what another node gives is not known yet
+    # what another node gives is not known yet
+    assert math.isnan(is_changed(pattern=None, frames=""))
 
 
 def test_from_files_to_files(nodes, tmp_path):
@@ -92,9 +96,11 @@ def test_from_images_to_images(nodes):
     shot = call(nodes, "PostfxImagesToFrames", images=images)
     again = call(nodes, "PostfxFramesToImages", frames=shot)
     assert torch.allclose(again, images, atol=1e-5)
-    guided = call(nodes, "PostfxImagesToFrames", images=images, encoding="linear", albedo=images, normals=images)
+    guided = call(nodes, "PostfxImagesToFrames", images=images, encoding="linear", albedo=images,
+                  normals=images)
     frame = next(iter(call(nodes, "PostfxDenoise", frames=guided, scale=1.0, model="s")))
-    assert frame[Role.COLOUR].shape == (24, 32, 3) and not np.array_equal(frame[Role.COLOUR], images[0].numpy())
+    assert (frame[Role.COLOUR].shape == (24, 32, 3)
+            and not np.array_equal(frame[Role.COLOUR], images[0].numpy()))
 
 
 def test_wrong_use_is_told_before_frames_are_made(nodes, tmp_path):
@@ -123,14 +129,15 @@ class Server:
             port = free.getsockname()[1]
         self.address, self.log = f"http://127.0.0.1:{port}", folder / "log.txt"
         python = os.environ.get("POSTFX_COMFYUI_PYTHON") or sys.executable
-        command = [python, "main.py", "--cpu", "--listen", "127.0.0.1", "--port", str(port), "--disable-api-nodes",
-                   "--base-directory", str(folder)]
+        command = [python, "main.py", "--cpu", "--listen", "127.0.0.1", "--port", str(port),
+                   "--disable-api-nodes", "--base-directory", str(folder)]
         with self.log.open("w") as log:
             self.process = subprocess.Popen(command, cwd=COMFYUI, stdout=log, stderr=log,
                                             env=os.environ | {"PYTHONPATH": str(ROOT)})
 
     def ask(self, path: str, body: dict | None = None) -> dict:
-        request = urllib.request.Request(self.address + path, None if body is None else json.dumps(body).encode())
+        request = urllib.request.Request(self.address + path,
+                                         None if body is None else json.dumps(body).encode())
         try:
             with urllib.request.urlopen(request, timeout=60) as answer:
                 return json.loads(answer.read() or "{}")
@@ -145,11 +152,13 @@ class Server:
                     return
             except urllib.error.URLError:  # it has not begun to listen
                 pass
-            assert self.process.poll() is None and time.monotonic() < end, self.log.read_text()[-3000:]
+            assert (self.process.poll() is None
+                    and time.monotonic() < end), self.log.read_text()[-3000:]
             time.sleep(0.1)
 
     def run(self, meanwhile=lambda: None, **nodes: dict) -> tuple[dict, dict]:
-        """What happened (event -> its data) and what output nodes showed, of a graph: name -> a node's JSON."""
+        """What happened (event -> its data) and what output nodes showed, of a graph: name -> a
+        node's JSON."""
         prompt = self.ask("/prompt", {"prompt": nodes})["prompt_id"]
         meanwhile()
         self.wait_until(lambda: prompt in self.ask(f"/history/{prompt}"))
@@ -193,7 +202,8 @@ def test_in_comfyui_itself(server, tmp_path):
     for file, frame in zip(files, postfx.read_sequence(ROOM, frames="1-2"), strict=True):
         (written,) = postfx.read_sequence(file)
         assert np.allclose(written[Role.COLOUR], pipeline(frame)[Role.COLOUR], rtol=1e-3)  # halves
-    assert len(shown["shown"]["images"]) == 2 and (folder / "output/room_00002_.png").stat().st_size > 100_000
+    assert (len(shown["shown"]["images"]) == 2
+            and (folder / "output/room_00002_.png").stat().st_size > 100_000)
 
     # ComfyUI's own pictures go through our nodes and back; what is unchanged is not computed again
     happened, _ = comfy.run(**graph)
@@ -203,7 +213,8 @@ def test_in_comfyui_itself(server, tmp_path):
     assert happened["execution_cached"]["nodes"] == []
     happened, shown = comfy.run(
         load=node("LoadImage", image=str(folder / "output/room_00001_.png")),
-        frames=node("PostfxImagesToFrames", images=["load", 0], encoding="srgb", albedo=["load", 0]),
+        frames=node("PostfxImagesToFrames", images=["load", 0], encoding="srgb",
+                    albedo=["load", 0]),
         denoise=node("PostfxDenoise", frames=["frames", 0], scale=1.0, model="s", strength=1.0),
         images=node("PostfxFramesToImages", frames=["denoise", 0]),
         half=node("ImageScaleBy", image=["images", 0], upscale_method="bilinear", scale_by=0.5),
@@ -211,12 +222,15 @@ def test_in_comfyui_itself(server, tmp_path):
     assert "execution_success" in happened and len(shown["shown"]["images"]) == 1
 
     # mistakes are told as our own line, on our node; the button stops a long shot
-    happened, _ = comfy.run(**graph | {"load": node("PostfxLoadSequence", pattern="shot", frames="2-4")})
+    happened, _ = comfy.run(**graph
+                            | {"load": node("PostfxLoadSequence", pattern="shot", frames="2-4")})
     error = happened["execution_error"]
-    assert error["node_id"] == "load" and "2 of 3 frames are missing: 3-4" in error["exception_message"]
+    assert (error["node_id"] == "load" and "2 of 3 frames are missing: "
+            "3-4" in error["exception_message"])
     long = {"many": node("EmptyImage", width=304, height=208, batch_size=300, color=255),
             "frames": node("PostfxImagesToFrames", images=["many", 0], encoding="srgb"),
-            "denoise": node("PostfxDenoise", frames=["frames", 0], scale=2.0, model="s", strength=1.0),
+            "denoise": node("PostfxDenoise", frames=["frames", 0], scale=2.0, model="s",
+                            strength=1.0),
             "images": node("PostfxFramesToImages", frames=["denoise", 0]),
             "shown": node("PreviewImage", images=["images", 0])}
 
@@ -228,7 +242,8 @@ def test_in_comfyui_itself(server, tmp_path):
     assert happened["execution_interrupted"]["node_id"] == "images"
 
 
-@pytest.mark.parametrize("path", ["../out.####.exr", "/etc/out.####.exr", "~/out.####.exr", "a/../../out.####.exr"])
+@pytest.mark.parametrize("path", ["../out.####.exr", "/etc/out.####.exr", "~/out.####.exr",
+                                  "a/../../out.####.exr"])
 def test_no_path_leaves_comfyuis_folders(nodes, tmp_path, monkeypatch, path):
     """Workflows come from other people."""
     for kind in ("input", "output"):

@@ -52,7 +52,8 @@ def test_the_interface_is_mitsubas(denoiser_type):
     real = mi.OptixDenoiser
     made = parameters(real.__init__.__doc__.strip().splitlines()[0])
     ours = inspect.signature(denoiser_type).parameters.values()
-    assert made == [parameter.name for parameter in ours if parameter.kind is not parameter.KEYWORD_ONLY]
+    assert made == [parameter.name
+                    for parameter in ours if parameter.kind is not parameter.KEYWORD_ONLY]
     tensors, bitmap = (parameters(line) for line in real.__call__.__doc__.strip().splitlines()[:2])
     assert tensors == list(inspect.signature(denoiser_type._of_tensors).parameters)[1:]
     assert bitmap == list(inspect.signature(denoiser_type._of_bitmap).parameters)[1:]
@@ -65,7 +66,8 @@ def error(picture, reference):
 def test_tensors_and_bitmaps(denoiser_type, room):
     bitmap, layers, reference = room
     noisy, albedo, normals = layers[..., :3], layers[..., 3:6], layers[..., 6:9]
-    make = {"input_size": mi.ScalarVector2u(SIZE, SIZE), "albedo": True, "normals": True, "model": "s", "device": "cpu"}
+    make = {"input_size": mi.ScalarVector2u(SIZE, SIZE), "albedo": True, "normals": True,
+            "model": "s", "device": "cpu"}
     found = denoiser_type(**make)(mi.TensorXf(noisy), mi.TensorXf(albedo), mi.TensorXf(normals))
     assert isinstance(found, mi.TensorXf) and np.array(found).shape == (SIZE, SIZE, 3)
     assert error(np.array(found), reference) < 0.5 * error(noisy, reference)
@@ -76,10 +78,12 @@ def test_tensors_and_bitmaps(denoiser_type, room):
 
 def test_a_sequence_with_flow_and_alpha(denoiser_type):
     rng = np.random.default_rng(0)
-    wide = np.repeat(np.repeat(rng.random((8, 24, 3), np.float32), 4, 0), 4, 1)  # moves 4 pixels to the right a frame
+    # moves 4 pixels to the right a frame
+    wide = np.repeat(np.repeat(rng.random((8, 24, 3), np.float32), 4, 0), 4, 1)
     flow = mi.TensorXf(np.tile(np.float32([4, 0]), (SIZE, SIZE, 1)))
-    frames = [np.dstack([wide[:, 60 - 4 * i:60 - 4 * i + SIZE] * rng.gamma(1, 1, (SIZE, SIZE, 1)).astype("f4"),
-                         np.full((SIZE, SIZE), 0.25 * i, np.float32)]) for i in range(4)]
+    frames = [np.dstack([wide[:, 60 - 4 * i:60 - 4 * i + SIZE] * rng.gamma(1, 1, (SIZE, SIZE, 1))
+                         .astype("f4"), np.full((SIZE, SIZE), 0.25 * i, np.float32)])
+              for i in range(4)]
     clean = [wide[:, 60 - 4 * i:60 - 4 * i + SIZE] for i in range(4)]
     errors = {}
     for sign in (1, -1):
@@ -104,7 +108,8 @@ def test_wrong_use(denoiser_type, room):
     denoiser = denoiser_type([SIZE, SIZE], model="s", device="cpu")
     with pytest.raises(PostfxError, match="'normals' is not expected: make the denoiser with it"):
         denoiser(noisy, normals=noisy)
-    with pytest.raises(PostfxError, match="'noisy' is 16x32 pixels, the denoiser was made for 32x32"):
+    with pytest.raises(PostfxError,
+                       match="'noisy' is 16x32 pixels, the denoiser was made for 32x32"):
         denoiser(mi.TensorXf(layers[:, :16, :3]))
     with pytest.raises(PostfxError, match="the bitmap has no layer 'depth': it has "):
         denoiser(bitmap, "depth")

@@ -1,4 +1,5 @@
-"""The recipe of docs/howto/hosts.md for compositing programs: files of their layers through the command line."""
+"""The recipe of docs/howto/hosts.md for compositing programs: files of their layers through the
+command line."""
 
 from pathlib import Path
 
@@ -10,8 +11,8 @@ from postfx import Role, read_sequence
 from postfx.cli.main import main
 
 PROFILE = str(Path(__file__).parents[2] / "hosts/nuke.toml")
-NAMES = ("R", "G", "B", "A", "albedo.red", "albedo.green", "albedo.blue", "N.red", "N.green", "N.blue", "depth.Z",
-         "backward.u", "backward.v", "mask.a", "cryptomatte00.red")
+NAMES = ("R", "G", "B", "A", "albedo.red", "albedo.green", "albedo.blue", "N.red", "N.green",
+         "N.blue", "depth.Z", "backward.u", "backward.v", "mask.a", "cryptomatte00.red")
 
 
 def write(path: Path, channels: np.ndarray) -> None:
@@ -29,13 +30,15 @@ def read(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
 
 @pytest.fixture
 def shot(tmp_path):
-    """Three frames of a picture that moves 2 pixels to the right and 1 up, with Nuke's vectors to the frame before."""
+    """Three frames of a picture that moves 2 pixels to the right and 1 up, with Nuke's vectors to
+    the frame before."""
     random = np.random.default_rng(0)
     wide = np.repeat(np.repeat(random.random((12, 16, 3), np.float32), 4, 0), 4, 1)
     for i in range(3):
         frame = random.random((32, 40, len(NAMES)), np.float32)
         albedo = wide[4 + i:36 + i, 20 - 2 * i:60 - 2 * i]
-        frame[..., :3], frame[..., 3], frame[..., 4:7] = albedo * random.gamma(1, 1, (32, 40, 1)), 1, albedo
+        frame[..., :3], frame[..., 3], frame[..., 4:7] = (albedo * random.gamma(1, 1, (32, 40, 1)),
+                                                          1, albedo)
         frame[..., 7:10], frame[..., 10], frame[..., 11:13] = (0, 0, 1), 5, (-2, -1)  # y is up
         write(tmp_path / f"in.{i + 1:04d}.exr", frame)
     return tmp_path
@@ -44,14 +47,16 @@ def shot(tmp_path):
 @pytest.mark.parametrize("scale", ["1", "2"])
 def test_planes_keep_their_names(shot, scale, capsys):
     given, out = str(shot / "in.%04d.exr"), str(shot / "out.%04d.exr")
-    command = ["run", given, "-o", out, "--scale", scale, "--profile", PROFILE, "--keep", "all", "--model", "s"]
+    command = ["run", given, "-o", out, "--scale", scale, "--profile", PROFILE, "--keep", "all",
+               "--model", "s"]
     assert main(command) == 0
     assert "no motion vectors" not in capsys.readouterr().out
     before, after = read(shot / "in.0003.exr"), read(shot / "out.0003.exr")
     assert after[0] == before[0] and set(after[0]) == set(NAMES)
     for name in NAMES[10:]:
         kept = np.repeat(np.repeat(before[1][name], int(scale), 0), int(scale), 1)
-        factor = int(scale) if name.startswith("backward") else 1  # distances in pixels stay distances in pixels
+        # distances in pixels stay distances in pixels
+        factor = (int(scale) if name.startswith("backward") else 1)
         assert np.array_equal(after[1][name], kept * factor), name
 
 
@@ -61,12 +66,16 @@ def test_motion_of_nuke_is_read_as_ours(shot):
 
 
 LAYERS = {
-    "Nuke, one part": [("", ("R", "G", "B", "A", "albedo.red", "albedo.green", "albedo.blue", "mask.a"))],
-    "Nuke, a part a layer": [("rgba", ("R", "G", "B", "A")), ("albedo", ("R", "G", "B")), ("mask", ("A",))],
-    "Nuke, a part a layer and view": [("rgba.main", ("R", "G", "B", "A")), ("albedo.main", ("R", "G", "B"))],
+    "Nuke, one "
+    "part": [("", ("R", "G", "B", "A", "albedo.red", "albedo.green", "albedo.blue", "mask.a"))],
+    "Nuke, a part a layer": [("rgba", ("R", "G", "B", "A")), ("albedo", ("R", "G", "B")),
+                             ("mask", ("A",))],
+    "Nuke, a part a layer and view": [("rgba.main", ("R", "G", "B", "A")),
+                                      ("albedo.main", ("R", "G", "B"))],
     "Natron": [("Color", ("R", "G", "B", "A")), ("Normal", ("Normal.R", "Normal.G", "Normal.B"))],
     "a layer of words": [("", ("beauty.red", "beauty.green", "beauty.blue", "mask.a"))],
-    "Blender": [("", ("ViewLayer.Combined.R", "ViewLayer.Combined.G", "ViewLayer.Combined.B", "ViewLayer.Combined.A",
+    "Blender": [("", ("ViewLayer.Combined.R", "ViewLayer.Combined.G", "ViewLayer.Combined.B",
+                      "ViewLayer.Combined.A",
                       "ViewLayer.Normal.X", "ViewLayer.Normal.Y", "ViewLayer.Normal.Z"))],
 }
 """Parts and their channels as programs name them; the picture's come first."""
@@ -114,15 +123,19 @@ def by_openexr(path: Path) -> dict[tuple[str, str], np.ndarray]:
 @pytest.mark.parametrize("layout", LAYERS)
 @pytest.mark.parametrize("reader", [by_openimageio, by_openexr])
 def test_the_picture_has_the_renders_names(tmp_path, layout, reader):
-    """A node that shows the render's picture shows the denoised one; everything else is the render's, to the bit."""
+    """A node that shows the render's picture shows the denoised one; everything else is the
+    render's, to the bit."""
     parts = LAYERS[layout]
     write_parts(tmp_path / "in.0001.exr", parts)
-    assert main(["run", str(tmp_path / "in.0001.exr"), "-o", str(tmp_path / "out.0001.exr"), "--model", "s"]) == 0
+    assert main(["run", str(tmp_path / "in.0001.exr"), "-o", str(tmp_path / "out.0001.exr"),
+                 "--model", "s"]) == 0
     before, after = reader(tmp_path / "in.0001.exr"), reader(tmp_path / "out.0001.exr")
     picture = parts[0][1][:3]
     assert after.keys() == before.keys()
     for key, pixels in before.items():
         if key[0] in ("", parts[0][0]) and key[1] in picture:
-            assert np.abs(np.diff(after[key], axis=1)).mean() < 0.5 * np.abs(np.diff(pixels, axis=1)).mean(), key
+            assert np.abs(np.diff(after[key], axis=1)).mean() < 0.5 * np.abs(np.diff(
+                pixels, axis=1
+            )).mean(), key
         else:
             np.testing.assert_array_equal(after[key], pixels, err_msg=str(key))

@@ -1,4 +1,5 @@
-"""A pinhole camera and two shapes in float64, written out by hand: what the helpers are tested against."""
+"""A pinhole camera and two shapes in float64, written out by hand: what the helpers are tested
+against."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ def turned(yaw: float, pitch: float) -> np.ndarray:
 
 @dataclass
 class Pinhole:
-    """Right, up and forward are the camera's x, y and z; row vectors: p_camera = (p - eye) @ axes transposed."""
+    """Right, up and forward are the camera's x, y and z; row vectors: p_camera = (p - eye) @ axes
+    transposed."""
 
     eye: np.ndarray
     axes: np.ndarray
@@ -51,7 +53,8 @@ class Pinhole:
         return np.stack([WIDTH / 2 + self.focal * x / z, HEIGHT / 2 - self.focal * y / z], -1)
 
 
-def hit_plane(eye: np.ndarray, rays: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def hit_plane(eye: np.ndarray, rays: np.ndarray, point: np.ndarray,
+              normal: np.ndarray) -> np.ndarray:
     """Ray parameter at which a plane is hit; inf where it is not."""
     with np.errstate(divide="ignore"):
         t = ((point - eye) @ normal) / (rays @ normal) if np.ndim(eye) == 1 else (

@@ -23,14 +23,16 @@ def device(depth: np.ndarray, a: float, b: float) -> np.ndarray:
     [
         (FAR / (FAR - NEAR), -FAR * NEAR / (FAR - NEAR), {"far": FAR}),  # Direct3D, Vulkan, Metal
         (NEAR / (NEAR - FAR), FAR * NEAR / (FAR - NEAR), {"far": FAR, "reversed_z": True}),
-        ((FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR), {"far": FAR, "signed": True}),  # OpenGL
+        # OpenGL
+        ((FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR), {"far": FAR, "signed": True}),
         (0.0, NEAR, {"reversed_z": True}),  # infinite far plane
         (1.0, -NEAR, {}),
     ],
 )
 def test_depth_buffers_of_projections(a, b, planes):
     buffer = device(DEPTH, a, b)
-    np.testing.assert_allclose(integrate.depth_from_device(buffer, NEAR, **planes), DEPTH, rtol=1e-9)
+    np.testing.assert_allclose(integrate.depth_from_device(buffer, NEAR, **planes), DEPTH,
+                               rtol=1e-9)
     np.testing.assert_allclose(integrate.depth_to_device(DEPTH, NEAR, **planes), buffer, atol=1e-12)
     empty = 0.0 if planes.get("reversed_z") else 1.0
     assert integrate.depth_from_device(np.full((1, 1), empty), NEAR, **planes) == 1e10
@@ -40,7 +42,8 @@ def test_depth_buffers_of_projections(a, b, planes):
 def test_normalised_depth():
     stored = (DEPTH - NEAR) / (FAR - NEAR)
     np.testing.assert_allclose(integrate.depth_from_normalised(stored, NEAR, FAR), DEPTH)
-    np.testing.assert_allclose(integrate.depth_from_normalised(1 - stored, NEAR, FAR, reversed_z=True), DEPTH)
+    np.testing.assert_allclose(integrate.depth_from_normalised(1 - stored, NEAR, FAR,
+                                                               reversed_z=True), DEPTH)
     assert integrate.depth_from_normalised(np.ones((1, 1)), 0, FAR) == 1e10
 
 
@@ -50,8 +53,10 @@ def test_ray_distance_is_the_length_of_the_ray():
     depth = np.random.default_rng(2).uniform(1, 9, rays.shape[:2])
     distance = np.linalg.norm(depth[..., None] * rays, axis=-1)
     np.testing.assert_allclose(integrate.depth_from_ray(distance, camera.fov_x, jitter), depth)
-    np.testing.assert_allclose(integrate.ray_from_depth(depth[..., None], camera.fov_x, jitter)[..., 0], distance)
-    rows = integrate.depth_from_ray(distance[5:9], camera.fov_x, jitter, first=5, height=len(distance))
+    np.testing.assert_allclose(integrate.ray_from_depth(depth[..., None], camera.fov_x,
+                                                        jitter)[..., 0], distance)
+    rows = integrate.depth_from_ray(distance[5:9], camera.fov_x, jitter, first=5,
+                                    height=len(distance))
     np.testing.assert_allclose(rows, depth[5:9])
     distance[0, 0], distance[0, 1] = np.inf, 1e10
     assert (integrate.depth_from_ray(distance, camera.fov_x)[0, :2] == 1e10).all()
@@ -73,9 +78,12 @@ def test_normals_turn_with_the_camera():
     camera = Pinhole(np.array([1.0, 2, 3]), axes)
     normals = np.random.default_rng(4).normal(size=(5, 6, 3))
     by_axis = np.stack([(normals * axis).sum(-1) for axis in axes], -1)
-    np.testing.assert_allclose(integrate.normals_to_camera(normals, camera.world_to_camera), by_axis)
-    np.testing.assert_allclose(integrate.normals_to_world(by_axis, 3 * camera.world_to_camera), normals, atol=1e-12)
+    np.testing.assert_allclose(integrate.normals_to_camera(normals, camera.world_to_camera),
+                               by_axis)
+    np.testing.assert_allclose(integrate.normals_to_world(by_axis, 3 * camera.world_to_camera),
+                               normals, atol=1e-12)
     away = integrate.facing_normals(normals, camera.rays()[:5, :6])
-    assert ((away * camera.rays()[:5, :6]).sum(-1) <= 0).all() and np.allclose(abs(away), abs(normals))
+    assert (((away * camera.rays()[:5, :6]).sum(-1) <= 0).all()
+            and np.allclose(abs(away), abs(normals)))
     encoded = np.array([[[0.5, 1.0, 0.5], [0, 0, 0]]])
     np.testing.assert_array_equal(integrate.normals_from_encoded(encoded), [[[0, 1, 0], [0, 0, 0]]])

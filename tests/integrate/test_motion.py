@@ -1,4 +1,5 @@
-"""Motion, positions and depth against a scene of a plane and a sphere that is traced by hand in float64."""
+"""Motion, positions and depth against a scene of a plane and a sphere that is traced by hand in
+float64."""
 
 import math
 
@@ -38,7 +39,8 @@ def test_motion_of_a_scene_at_rest_with_sky():
     missed = depth >= 1e10
     assert missed.any() and not missed.all()
     motion = integrate.motion_from_depth(depth, clip_of(NOW), clip_of(THEN), JITTER)
-    np.testing.assert_allclose(motion[~missed], expected(NOW.eye + depth[..., None] * rays)[~missed], atol=1e-9)
+    np.testing.assert_allclose(motion[~missed],
+                               expected(NOW.eye + depth[..., None] * rays)[~missed], atol=1e-9)
     rotated_only = THEN.eye + 1e12 * rays
     np.testing.assert_allclose(motion[missed], expected(rotated_only)[missed], atol=1e-6)
 
@@ -48,7 +50,8 @@ def test_positions_and_projection_are_those_of_the_rays():
     hit = depth < 1e10
     points = integrate.positions_from_depth(depth[..., None], clip_of(NOW), JITTER)
     np.testing.assert_allclose(points[hit], (NOW.eye + depth[..., None] * rays)[hit], atol=1e-9)
-    np.testing.assert_allclose(integrate.project(points, clip_of(THEN), WIDTH, HEIGHT)[hit], THEN.sees(points)[hit])
+    np.testing.assert_allclose(integrate.project(points, clip_of(THEN), WIDTH, HEIGHT)[hit],
+                               THEN.sees(points)[hit])
     np.testing.assert_allclose(integrate.depth_of(points, clip_of(NOW))[hit], depth[hit])
 
 
@@ -57,7 +60,8 @@ def test_what_was_behind_the_camera_leads_out_of_the_picture():
     motion = integrate.motion_from_depth(scene(NOW)[0], clip_of(NOW), clip_of(back))
     column, row = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     assert np.isfinite(motion).all()
-    assert ((motion[..., 0] + column >= WIDTH) | (motion[..., 0] + column < 0) | (motion[..., 1] + row < 0)).all()
+    assert ((motion[..., 0] + column >= WIDTH) | (motion[..., 0] + column < 0)
+            | (motion[..., 1] + row < 0)).all()
 
 
 def test_rigid_object_over_a_floor_at_rest():
@@ -67,13 +71,15 @@ def test_rigid_object_over_a_floor_at_rest():
     turn[:3, :3], turn[3, :3] = turned(0.4, 0.3), (0.1, -0.2, 0.05)
     shift = np.eye(4)
     shift[3, :3] = (-0.3, 0.1, 0.2)
-    before = integrate.rigid_previous_positions(points, np.where(ball, 7, 0), {7: turn}, {7: turn @ shift})
+    before = integrate.rigid_previous_positions(points, np.where(ball, 7, 0), {7: turn},
+                                                {7: turn @ shift})
     moved = np.where(ball[..., None], points + (-0.3, 0.1, 0.2), points)
     np.testing.assert_allclose(before, moved, atol=1e-6 * np.abs(points).max())
     near = depth < 1e10
     motion = integrate.motion_from_positions(points, before, clip_of(NOW), clip_of(THEN))
     np.testing.assert_allclose(motion[near], expected(moved)[near], atol=1e-9)
-    with pytest.raises(integrate.IntegrationError, match="object 7 has a transform in one frame only"):
+    with pytest.raises(integrate.IntegrationError,
+                       match="object 7 has a transform in one frame only"):
         integrate.rigid_previous_positions(points, ball, {7: turn}, {})
 
 
@@ -85,7 +91,8 @@ def test_skinned_points_come_from_their_rest_pose():
     for pose in poses:
         for matrix in pose:
             matrix[:3, :3], matrix[3, :3] = turned(*rng.uniform(-0.5, 0.5, 2)), rng.normal(size=3)
-    posed = [sum(weights[..., k, None] * (rest @ pose[k, :3, :3] + pose[k, 3, :3]) for k in range(3)) for pose in poses]
+    posed = [sum(weights[..., k, None] * (rest @ pose[k, :3, :3] + pose[k, 3, :3])
+                 for k in range(3)) for pose in poses]
     weights[0, 0], before = 0, integrate.skinned_previous_positions
     found = before(posed[0], bones, weights, *poses)
     np.testing.assert_allclose(found[1:], posed[1][1:], atol=1e-12)
@@ -99,7 +106,8 @@ def test_cameras_of_any_axes_see_the_same(axes):
     own[:, :3] = own[:, :3] @ np.array(columns)
     clip = own @ integrate.perspective(NOW.fov_x, WIDTH, HEIGHT, *axes)
     points = np.random.default_rng(1).normal(size=(20, 3))
-    np.testing.assert_allclose(integrate.project(points, clip, WIDTH, HEIGHT), NOW.sees(points), atol=1e-9)
+    np.testing.assert_allclose(integrate.project(points, clip, WIDTH, HEIGHT), NOW.sees(points),
+                               atol=1e-9)
 
 
 def test_a_jittered_matrix_moves_the_sample_to_the_pixel_centre():
@@ -107,7 +115,8 @@ def test_a_jittered_matrix_moves_the_sample_to_the_pixel_centre():
     points = NOW.eye + 3 * NOW.rays(JITTER)
     centres = np.stack(np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5), -1)
     np.testing.assert_allclose(integrate.project(points, clip, WIDTH, HEIGHT), centres, atol=1e-9)
-    np.testing.assert_allclose(integrate.without_jitter(clip, JITTER, WIDTH, HEIGHT), clip_of(NOW), atol=1e-12)
+    np.testing.assert_allclose(integrate.without_jitter(clip, JITTER, WIDTH, HEIGHT), clip_of(NOW),
+                               atol=1e-12)
 
 
 def test_motion_of_jittered_matrices_is_dejittered():
@@ -119,8 +128,8 @@ def test_motion_of_jittered_matrices_is_dejittered():
     ]
     jittered = integrate.motion_from_positions(points, points, *with_both)
     assert np.abs(jittered - expected(points))[hit].max() > 0.3
-    np.testing.assert_allclose(integrate.dejitter_motion(jittered, JITTER, BEFORE)[hit], expected(points)[hit],
-                               atol=1e-9)
+    np.testing.assert_allclose(integrate.dejitter_motion(jittered, JITTER, BEFORE)[hit],
+                               expected(points)[hit], atol=1e-9)
 
 
 @pytest.mark.parametrize(

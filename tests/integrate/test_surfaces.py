@@ -7,13 +7,17 @@ import pytest
 from postfx import Role, integrate
 from tests.integrate.pinhole import HEIGHT, WIDTH, Pinhole, hit_plane, hit_sphere, turned
 
-NOW, THEN = (Pinhole(np.array([x, 0.1, -3.0]), turned(yaw, 0.05)) for x, yaw in ((0.0, 0.1), (0.35, -0.05)))
-MIRROR, NORMAL = np.array([0.0, 0, 2.0]), np.array([0.3, 0.1, -1.0]) / np.linalg.norm([0.3, 0.1, -1.0])
+NOW, THEN = (Pinhole(np.array([x, 0.1, -3.0]), turned(yaw, 0.05))
+             for x, yaw in ((0.0, 0.1), (0.35, -0.05)))
+MIRROR, NORMAL = (np.array([0.0, 0, 2.0]),
+                  np.array([0.3, 0.1, -1.0]) / np.linalg.norm([0.3, 0.1, -1.0]))
 CENTRE, CENTRE_BEFORE, RADIUS = np.array([0.7, 0.2, -1.0]), np.array([0.5, 0.3, -1.1]), 0.9
 
 
-def through_the_mirror(camera: Pinhole, rays: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points on the mirror, and points on the ball that the reflected rays hit (NaN where they miss)."""
+def through_the_mirror(camera: Pinhole, rays: np.ndarray,
+                       centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points on the mirror, and points on the ball that the reflected rays hit (NaN where they
+    miss)."""
     surface = camera.eye + hit_plane(camera.eye, rays, MIRROR, NORMAL)[..., None] * rays
     reflected = rays - 2 * (rays @ NORMAL)[..., None] * NORMAL
     t = hit_sphere(surface, reflected, centre, RADIUS)
@@ -30,8 +34,8 @@ def test_motion_in_a_mirror_leads_to_the_pixel_that_showed_the_same_point_before
     assert 50 < seen.sum() < seen.size
     before = ball + (CENTRE_BEFORE - CENTRE)
     motion = integrate.motion_from_positions(
-        *(integrate.mirrored_positions(points, MIRROR, NORMAL) for points in (ball, before)), clip_of(NOW),
-        clip_of(THEN),
+        *(integrate.mirrored_positions(points, MIRROR, NORMAL) for points in (ball, before)),
+        clip_of(NOW), clip_of(THEN),
     )
     place = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), -1) + 0.5 + motion
     x, y = (place[..., 0] - WIDTH / 2) / THEN.focal, (HEIGHT / 2 - place[..., 1]) / THEN.focal
@@ -49,7 +53,8 @@ def test_virtual_depth_is_the_length_of_the_path():
     path = np.linalg.norm(surface - NOW.eye, axis=-1) + np.linalg.norm(ball - surface, axis=-1)
     depth = path / np.linalg.norm(NOW.rays(), axis=-1)
     np.testing.assert_allclose(integrate.depth_of(virtual, clip_of(NOW))[seen], depth[seen])
-    np.testing.assert_allclose(integrate.unfolded_positions(NOW.eye, surface, ball)[seen], virtual[seen])
+    np.testing.assert_allclose(integrate.unfolded_positions(NOW.eye, surface, ball)[seen],
+                               virtual[seen])
 
 
 def test_mirrored_normals_are_those_of_the_mirrored_sphere():

@@ -1,4 +1,5 @@
-"""Albedo and roughness against integrals over the hemisphere, jitter and exposure against their definitions."""
+"""Albedo and roughness against integrals over the hemisphere, jitter and exposure against their
+definitions."""
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ from postfx.errors import WriteError
 
 
 def split_sum(alpha: float, cosine: float, n: int = 300) -> tuple[float, float]:
-    """Scale and bias of GGX with separable Smith masking and Schlick's Fresnel, by half vectors drawn from D cos."""
+    """Scale and bias of GGX with separable Smith masking and Schlick's Fresnel, by half vectors
+    drawn from D cos."""
     u, v = np.meshgrid((np.arange(n) + 0.5) / n, (np.arange(n) + 0.5) / n)
     height = np.sqrt((1 - u) / (1 + (alpha**2 - 1) * u))
     across = np.sqrt(1 - height**2)
@@ -21,7 +23,9 @@ def split_sum(alpha: float, cosine: float, n: int = 300) -> tuple[float, float]:
     def masking(c: np.ndarray | float) -> np.ndarray | float:
         return 2 / (1 + np.sqrt(1 + alpha**2 * (1 - c**2) / c**2))
 
-    weight = np.where(lit, masking(np.where(lit, out, 1)) * masking(cosine) * along / (height * cosine), 0)
+    weight = np.where(lit,
+                      masking(np.where(lit, out, 1)) * masking(cosine) * along / (height * cosine),
+                      0)
     fresnel = (1 - np.clip(along, 0, 1)) ** 5
     return (weight * (1 - fresnel)).mean(), (weight * fresnel).mean()
 
@@ -34,25 +38,30 @@ def test_specular_albedo_is_the_integral_of_ggx():
             f0 = np.array([[[0.04, 0.5, 1.0]]])
             found = integrate.specular_albedo(f0, np.array([[roughness]]), np.array([[-cosine]]))
             errors.append(np.abs(found - (f0 * scale + bias)))
-    assert np.max(errors) < 0.043 and np.mean(errors) < 0.0072  # 0.039 and 0.0068 with 16 times the directions
+    # 0.039 and 0.0068 with 16 times the directions
+    assert (np.max(errors) < 0.043 and np.mean(errors) < 0.0072)
 
 
 def test_no_reflection_without_f0():
-    assert integrate.specular_albedo(np.zeros((1, 1, 3)), np.zeros((1, 1)), np.full((1, 1), 0.05)).max() == 0
+    assert integrate.specular_albedo(np.zeros((1, 1, 3)), np.zeros((1, 1)),
+                                     np.full((1, 1), 0.05)).max() == 0
 
 
 def test_metals_have_no_diffuse_albedo():
     base, metallic = np.full((1, 3, 3), (0.9, 0.6, 0.3)), np.array([[0.0, 0.5, 1.0]])
     np.testing.assert_allclose(integrate.diffuse_albedo(base, metallic)[0, :, 1], [0.6, 0.3, 0])
-    np.testing.assert_allclose(integrate.f0_of(base, metallic[..., None])[0, :, 0], [0.04, 0.47, 0.9])
+    np.testing.assert_allclose(integrate.f0_of(base, metallic[..., None])[0, :, 0],
+                               [0.04, 0.47, 0.9])
 
 
 @pytest.mark.parametrize("exponent", [2.0, 20.0, 300.0])
 def test_phong_exponents_give_the_peak_of_ggx(exponent):
     theta = (np.arange(200000) + 0.5) / 200000 * np.pi / 2
-    lobe = 2 * np.pi * (np.cos(theta) ** (exponent + 1) * np.sin(theta)).sum() * (theta[1] - theta[0])
+    lobe = (2 * np.pi * (np.cos(theta) ** (exponent + 1) * np.sin(theta))
+            .sum() * (theta[1] - theta[0]))
     alpha = integrate.roughness_from_exponent(np.array(exponent)) ** 2
-    assert 1 / (np.pi * alpha**2) == pytest.approx(1 / lobe, rel=1e-6)  # D(0) of GGX and of the normalised lobe
+    # D(0) of GGX and of the normalised lobe
+    assert 1 / (np.pi * alpha**2) == pytest.approx(1 / lobe, rel=1e-6)
 
 
 def test_roughness_of_other_parameters():
@@ -80,20 +89,23 @@ def test_exposure_hints():
 
 def test_written_planes_are_read_back(tmp_path):
     rng = np.random.default_rng(0)
-    channels = {Role.COLOUR: 3, Role.ALPHA: 1, Role.DEPTH: 1, Role.MOTION: 2, Role.NORMAL: 3, Role.DIFFUSE_ALBEDO: 3,
-                Role.SPECULAR_ALBEDO: 3, Role.ROUGHNESS: 1, Role.SPECULAR_HIT_DISTANCE: 1, Role.STRENGTH: 1,
-                Role.REACTIVE: 1, Role.OPAQUE_COLOUR: 3, Role.OVERLAY: 4,
-                Role.VARIANCE_OF_MEAN: 3, Role.SAMPLE_VARIANCE: 3, Role.SECOND_MOMENT: 3, Role.SAMPLE_COUNT: 1}
-    planes = {role: rng.random((5, 7, count)).astype(np.float16).astype(np.float32) for role, count in channels.items()}
+    channels = {Role.COLOUR: 3, Role.ALPHA: 1, Role.DEPTH: 1, Role.MOTION: 2, Role.NORMAL: 3,
+                Role.DIFFUSE_ALBEDO: 3, Role.SPECULAR_ALBEDO: 3, Role.ROUGHNESS: 1,
+                Role.SPECULAR_HIT_DISTANCE: 1, Role.STRENGTH: 1,
+                Role.REACTIVE: 1, Role.OPAQUE_COLOUR: 3, Role.OVERLAY: 4, Role.VARIANCE_OF_MEAN: 3,
+                Role.SAMPLE_VARIANCE: 3, Role.SECOND_MOMENT: 3, Role.SAMPLE_COUNT: 1}
+    planes = {role: rng.random((5, 7, count)).astype(np.float16).astype(np.float32)
+              for role, count in channels.items()}
     planes[Role.DEPTH][0, 0] = 1e10
     matrix = np.arange(16.0).reshape(4, 4)
-    frame = Frame(planes, 3, (0.25, -0.125), exposure=np.float32(1), reset=True, samples=np.int64(4),
-                  world_to_camera=matrix, fov_x=np.float32(40))
+    frame = Frame(planes, 3, (0.25, -0.125), exposure=np.float32(1), reset=True,
+                  samples=np.int64(4), world_to_camera=matrix, fov_x=np.float32(40))
     integrate.write_planes(tmp_path / "a.0003.exr", frame)
     (read,) = read_sequence(tmp_path / "a.####.exr", without=[Role.OVERLAY])
     (covered,) = read_sequence(tmp_path / "a.####.exr")
     np.testing.assert_array_equal(covered[Role.OVERLAY], planes.pop(Role.OVERLAY))
-    np.testing.assert_array_equal(covered[Role.COLOUR], planes[Role.OPAQUE_COLOUR])  # what the overlay goes over
+    # what the overlay goes over
+    np.testing.assert_array_equal(covered[Role.COLOUR], planes[Role.OPAQUE_COLOUR])
     assert set(read.planes) == set(planes)
     for role, plane in planes.items():
         np.testing.assert_array_equal(read[role], plane)

@@ -15,7 +15,8 @@ def texture(x, y, seed):
     random, value = np.random.default_rng(seed), np.zeros((*x.shape, 3))
     for _ in range(14):
         k = random.uniform(0.05, 0.9, 2) * random.choice((-1, 1), 2)
-        value += np.sin(x * k[0] + y * k[1] + random.uniform(0, 6.3))[..., None] * random.uniform(-0.5, 0.5, 3)
+        value += np.sin(x * k[0] + y * k[1]
+                        + random.uniform(0, 6.3))[..., None] * random.uniform(-0.5, 0.5, 3)
     return (0.5 + 0.16 * value).clip(0.02, None)
 
 
@@ -27,7 +28,8 @@ def picture(time: float, light=1.0) -> tuple[np.ndarray, np.ndarray]:
     return np.where(inside, disc, wall) * light, inside
 
 
-def frame(time: float, light=1.0, vectors: bool = True, change=lambda motion: motion, number: int = 1) -> Frame:
+def frame(time: float, light=1.0, vectors: bool = True, change=lambda motion: motion,
+          number: int = 1) -> Frame:
     colour, inside = picture(time, light)
     planes = {Role.COLOUR: colour}
     if vectors:
@@ -59,7 +61,8 @@ LIGHTS = {
 @pytest.mark.parametrize("vectors", [True, False])
 @pytest.mark.parametrize("kind", LIGHTS)
 def test_light_is_that_of_the_time_everywhere(kind, vectors):
-    """Also where one frame alone shows a place. Before, these were 3 to 15 dB below steady light."""
+    """Also where one frame alone shows a place. Before, these were 3 to 15 dB below steady
+    light."""
     first, last = (np.broadcast_to(light, (HEIGHT, WIDTH, 3)) for light in LIGHTS[kind])
     wanted, _ = picture(0.5, lamp(0.5) if kind == "a lamp that moves" else (first + last) / 2)
     pair = frame(0, first, vectors), frame(1, last, vectors)
@@ -101,7 +104,8 @@ def test_a_held_frame_stays_where_its_vectors_say_that_it_moves():
     random = np.random.default_rng(5)
     pair = [frame(0), frame(0)]
     for one in pair:
-        one.planes[Role.COLOUR] = one[Role.COLOUR] + random.normal(0, 0.01, (HEIGHT, WIDTH, 3)).astype(np.float32)
+        one.planes[Role.COLOUR] = (one[Role.COLOUR]
+                                   + random.normal(0, 0.01, (HEIGHT, WIDTH, 3)).astype(np.float32))
     assert psnr(Between(*pair).frame(0.5)[Role.COLOUR], picture(0)[0]) > 48
 
 
@@ -122,14 +126,15 @@ SHOTS = {
 
 @pytest.mark.parametrize("kind", SHOTS)
 def test_a_dissolve_is_no_worse_than_without_vectors_or_than_a_mean(kind):
-    """To another shot, in seven steps, with the vectors of the one that goes. The worst was 23 dB below; flow that is
-    lost in the middle is still up to 1.8 dB below that of others."""
+    """To another shot, in seven steps, with the vectors of the one that goes. The worst was 23 dB
+    below; flow that is lost in the middle is still up to 1.8 dB below that of others."""
     def shown(time):
         return picture(time)[0] * (1 - time / 7) + SHOTS[kind](time) * time / 7
 
     worse = []
     for time in range(7):
-        pairs = {vectors: [frame(time + k, vectors=vectors) for k in range(2)] for vectors in (True, False)}
+        pairs = {vectors: [frame(time + k, vectors=vectors) for k in range(2)]
+                 for vectors in (True, False)}
         for pair in pairs.values():
             for k, one in enumerate(pair):
                 one.planes[Role.COLOUR] = shown(time + k).astype(np.float32)
@@ -141,7 +146,8 @@ def test_a_dissolve_is_no_worse_than_without_vectors_or_than_a_mean(kind):
 
 
 def wire(time: float, vectors: bool) -> Frame:
-    """A line of one pixel in front of a wall that stands still, with vectors of what covers most of a pixel."""
+    """A line of one pixel in front of a wall that stands still, with vectors of what covers most of
+    a pixel."""
     size, step = 6, 5.0
     y, x = (np.mgrid[:HEIGHT * size, :WIDTH * size] + 0.5) / size
     cover = np.abs((x - 30 - step * time) - (y - 40) * 0.3) / np.hypot(1, 0.3) < 0.5
@@ -150,7 +156,8 @@ def wire(time: float, vectors: bool) -> Frame:
     if vectors:
         planes[Role.DEPTH] = np.where(cover > 0.3, 3.0, 10.0)
         planes[Role.MOTION] = np.where(cover > 0.3, (-step, 0.0), (0.0, 0.0))
-    return Frame({role: plane.astype(np.float32) for role, plane in planes.items()}, number=int(time))
+    return Frame({role: plane.astype(np.float32) for role, plane in planes.items()},
+                 number=int(time))
 
 
 def test_a_wire_is_no_cut_and_no_worse_with_vectors():
@@ -165,7 +172,8 @@ def test_a_wire_is_no_cut_and_no_worse_with_vectors():
 
 @pytest.mark.parametrize("none", [np.nan, 1e10, -65504.0, -999.0, 200.0])
 def test_vectors_of_one_thing_alone_are_better_than_none(none):
-    """The wall has no vectors: what is estimated around the disc goes on with the disc, and must not be the wall's."""
+    """The wall has no vectors: what is estimated around the disc goes on with the disc, and must
+    not be the wall's."""
     def disc_alone(motion):
         return np.where(motion[..., :1] < 0, motion, none)
 
@@ -185,6 +193,8 @@ def test_lost_motion_is_that_of_what_is_lost_around():
     consistent = estimated.copy()
     consistent[:, 8:10] = np.nan
     found = motion_of_lost(estimated, consistent, is_lost)
-    np.testing.assert_allclose(found[:, :10], np.broadcast_to(np.float32((1.5, 0)), (12, 10, 2)), atol=1e-5)
+    np.testing.assert_allclose(found[:, :10], np.broadcast_to(np.float32((1.5, 0)), (12, 10, 2)),
+                               atol=1e-5)
     np.testing.assert_array_equal(found[:, 10:], estimated[:, 10:])
-    np.testing.assert_array_equal(motion_of_lost(estimated, np.full_like(estimated, np.nan), is_lost), estimated)
+    np.testing.assert_array_equal(motion_of_lost(estimated, np.full_like(estimated, np.nan),
+                                                 is_lost), estimated)

@@ -1,4 +1,5 @@
-"""Kernels of frames between frames: against their formulas in NumPy, and that none reads or writes out of bounds."""
+"""Kernels of frames between frames: against their formulas in NumPy, and that none reads or writes
+out of bounds."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ def bilinear(picture: np.ndarray, y: float, x: float, rows: int, columns: int) -
 
 def test_windows_are_compared_as_in_their_formula():
     before, after = np.random.default_rng(1).random((2, 40, 50), np.float32)
-    known, margin, path = np.ones((24, 34), np.bool_), choose.MARGIN, np.float32([1.3, -2.2, -0.6, 3.1])
+    known, margin, path = (np.ones((24, 34), np.bool_), choose.MARGIN,
+                           np.float32([1.3, -2.2, -0.6, 3.1]))
     toned = choose.Toned(before, after, known, known, 1)
     ends = np.broadcast_to(path, (24, 34, 4)).copy()
     side = paths.Paths(ends, np.zeros((24, 34, 2), np.float32), np.ones((24, 34, 1), np.float32),
@@ -42,7 +44,8 @@ def test_windows_are_compared_as_in_their_formula():
     assert choose.measure_misfits(toned, side)[2, 3] == pytest.approx(
         (np.abs(first - last)[:, :8] * taper).sum() / choose.COUNT, rel=1e-4)
     first, last = windows(10.5, 14.5)  # of four cells
-    apart, common = ((taper * (np.diff(one[:, :8], axis=0)**2).sum(0)).sum() + (taper * np.diff(one, axis=1)**2).sum()
+    apart, common = ((taper * (np.diff(one[:, :8], axis=0)**2).sum(0)).sum()
+                     + (taper * np.diff(one, axis=1)**2).sum()
                      for one in (first - last, first + last))
     assert cells[10, 14, 6] == pytest.approx(max(1 - apart / common, 0), abs=1e-4)
     assert unlikely[10, 14, 6] == 1, "without noise nothing is blurred"
@@ -57,13 +60,15 @@ def test_patches_of_the_flow_are_compared_as_in_their_formula():
     for row, column in ((0, 0), (1, 2), (3, 5)):
         u, v, misfit = moved[row, column].astype(float)
         top, left = 4 * row + margin, 4 * column + margin
-        patch = bilinear(other, top + v, left + u, size, size)[:size, :size] - one[top:, left:][:size, :size]
+        patch = bilinear(other, top + v, left + u, size,
+                         size)[:size, :size] - one[top:, left:][:size, :size]
         assert misfit == pytest.approx(patch.var(), rel=1e-3)
 
 
 def taps(t: float, sharp: float) -> np.ndarray:
     spline = [(1 - t)**3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]
-    catmull_rom = [-t**3 + 2 * t**2 - t, 3 * t**3 - 5 * t**2 + 2, -3 * t**3 + 4 * t**2 + t, t**3 - t**2]
+    catmull_rom = [-t**3 + 2 * t**2 - t, 3 * t**3 - 5 * t**2 + 2, -3 * t**3 + 4 * t**2 + t,
+                   t**3 - t**2]
     return sharp / 2 * np.array(catmull_rom) + (1 - sharp) / 6 * np.array(spline)
 
 
@@ -71,17 +76,19 @@ def cubic(picture: np.ndarray, y: float, x: float, sharp: float) -> np.ndarray:
     """A picture at a place, within the range of the four pixels around it."""
     j, i = int(np.floor(y)), int(np.floor(x))
     near = picture[j:j + 2, i:i + 2]
-    found = np.einsum("jic,j,i->c", picture[j - 1:j + 3, i - 1:i + 3], taps(y - j, sharp), taps(x - i, sharp))
+    found = np.einsum("jic,j,i->c", picture[j - 1:j + 3, i - 1:i + 3], taps(y - j, sharp),
+                      taps(x - i, sharp))
     return found.clip(near.min((0, 1)), near.max((0, 1)))
 
 
-def composed(cells: np.ndarray, pictures: blend.Pair, depth: blend.Pair | None = None, t: float = 0.5, scale: int = 1
-             ) -> np.ndarray:
+def composed(cells: np.ndarray, pictures: blend.Pair, depth: blend.Pair | None = None,
+             t: float = 0.5, scale: int = 1) -> np.ndarray:
     """The colour between two pictures."""
     size = pictures[0].shape[:2]
     known, nothing = np.ones(size, bool), np.empty((*size, 0), np.float32)
     none = np.empty((0, 0, 1), np.float32)
-    planes = blend.Planes(pictures, (known, known), depth or (none, none), (nothing, nothing), (nothing, nothing))
+    planes = blend.Planes(pictures, (known, known), depth or (none, none), (nothing, nothing),
+                          (nothing, nothing))
     return blend.compose(cells, planes, blend.Mixture(t, scale, 1.0, False, (0.0, 0.0)), False)[0]
 
 
@@ -111,9 +118,11 @@ def test_nothing_beside_a_picture_gets_into_it(size, most):
     rng = np.random.default_rng(4)
 
     def make(number: int) -> Frame:
-        planes = {Role.COLOUR: rng.random((*size, 3)), Role.MOTION: rng.uniform(-most, most, (*size, 2)),
+        planes = {Role.COLOUR: rng.random((*size, 3)),
+                  Role.MOTION: rng.uniform(-most, most, (*size, 2)),
                   Role.DEPTH: rng.uniform(1, 9, (*size, 1)), Role.ALPHA: rng.random((*size, 1))}
-        return Frame({role: inside(plane.astype(np.float32)) for role, plane in planes.items()}, number=number)
+        return Frame({role: inside(plane.astype(np.float32)) for role, plane in planes.items()},
+                     number=number)
 
     found = Between(make(1), make(2), make(3)).frame(0.3)
     for role, highest in ((Role.COLOUR, 1), (Role.ALPHA, 1), (Role.DEPTH, 9)):
@@ -122,7 +131,8 @@ def test_nothing_beside_a_picture_gets_into_it(size, most):
 
 
 def test_the_nearest_surface_is_found_where_a_path_is_at_the_time():
-    """A path from (1, 2) to (3, 6) past a pixel, bent by (1, 2), is at its start + t (end - start) + t (t - 1) bend."""
+    """A path from (1, 2) to (3, 6) past a pixel, bent by (1, 2), is at its start + t (end -
+    start) + t (t - 1) bend."""
     ends, bend = np.zeros((12, 12, 4), np.float32), np.zeros((12, 12, 2), np.float32)
     depth, nearest = np.full((12, 12, 1), 9, np.float32), np.full((12, 12), np.inf, np.float32)
     ends[3, 4], bend[3, 4], depth[3, 4] = (1, 2, 3, 6), (1, 2), 1
@@ -144,9 +154,11 @@ def test_a_cell_that_keeps_all_detail_keeps_it_up_to_the_middle_of_those_beside(
 
 
 def test_a_pixel_mixes_what_its_paths_show_by_how_well_both_frames_agree():
-    """Less of what lies behind another thing that both frames show. The pixel (1, 1) lies a quarter of the way from the
-    first of four cells to the others; the third follows the path of the first."""
-    before, after, near = np.ones((4, 40, 3), np.float32), np.ones((4, 40, 3), np.float32), np.ones((4, 40, 1), "f4")
+    """Less of what lies behind another thing that both frames show. The pixel (1, 1) lies a quarter
+    of the way from the first of four cells to the others; the third follows the path of the
+    first."""
+    before, after, near = (np.ones((4, 40, 3), np.float32), np.ones((4, 40, 3), np.float32),
+                           np.ones((4, 40, 1), "f4"))
     before[:, 8:14], after[:, 8:14] = 3, 2
     before[:, 18:24], near[:, 18:24] = 8, 2
     before[:, 28:34], after[:, 28:34], near[:, 28:34] = 5, 5, 1.05
@@ -165,15 +177,19 @@ def test_inverted_motion_is_led_to_where_motion_leads_back():
     """Of a picture that turns by 40 degrees, away from its edges."""
     y, x = np.indices((40, 40)) - 19.5
     turn = np.radians(40)
-    motion = np.stack([x * np.cos(turn) - y * np.sin(turn) - x, x * np.sin(turn) + y * np.cos(turn) - y], -1)
-    wanted = np.stack([x * np.cos(turn) + y * np.sin(turn) - x, y * np.cos(turn) - x * np.sin(turn) - y], -1)
-    inverse = (wanted + np.random.default_rng(3).uniform(-0.4, 0.4, wanted.shape)).astype(np.float32)
+    motion = np.stack([x * np.cos(turn) - y * np.sin(turn) - x,
+                       x * np.sin(turn) + y * np.cos(turn) - y], -1)
+    wanted = np.stack([x * np.cos(turn) + y * np.sin(turn) - x,
+                       y * np.cos(turn) - x * np.sin(turn) - y], -1)
+    inverse = (wanted
+               + np.random.default_rng(3).uniform(-0.4, 0.4, wanted.shape)).astype(np.float32)
     paths.refine(motion.astype(np.float32), inverse)
     assert np.abs(inverse - wanted)[np.hypot(y, x) < 16].max() < 0.06
 
 
 def test_motion_that_changes_from_pixel_to_pixel_is_found_in_any_direction():
-    """Then inverted motion is led on, else it is left as it is, even where it misses by a tenth of a pixel."""
+    """Then inverted motion is led on, else it is left as it is, even where it misses by a tenth of
+    a pixel."""
     def refined(motion: np.ndarray) -> bool:
         inverse = np.full((4, 4, 2), 99, np.float32)
         inverse[1, 1] = 0.5
@@ -190,13 +206,15 @@ def test_motion_that_changes_from_pixel_to_pixel_is_found_in_any_direction():
 
 
 def test_flow_is_moved_along_itself_where_planes_do_not_know_of_it():
-    """By half of its way, from cells of 2x2 pixels; where two arrive, the one whose ends look alike counts."""
+    """By half of its way, from cells of 2x2 pixels; where two arrive, the one whose ends look alike
+    counts."""
     flow_, known = np.full((12, 12, 2), np.nan, np.float32), np.zeros((12, 12, 2), np.float32)
     one, other = np.zeros((2, 12, 12), np.float32)
     flow_[1, 2], flow_[1, 8], flow_[6, 3], known[6, 3] = (12, 8), (-12, 8), (8, 0), (4, 0)
     one[1, 8], other[5, 2] = 0.5, 0.1
     brought = flow.bring_to_time(flow_, known, one, other, 2, 0.5)
-    flow_[3:5, 5:7], flow_[6, 3, 0] = flow_[1, 2], np.nan  # the four cells around the place; what planes tell
+    # the four cells around the place; what planes tell
+    flow_[3:5, 5:7], flow_[6, 3, 0] = flow_[1, 2], np.nan
     np.testing.assert_array_equal(brought, flow_)
 
 
@@ -233,7 +251,8 @@ def test_a_spark_of_the_farther_frame_is_left_out_with_its_edge(is_first):
     near, far = ((20, 30), (44, 60)) if is_first else ((44, 60), (20, 30))
     of_one = cells[..., 4] + cells[..., 5] == 1
     assert cells[far[0] // 2, far[1] // 2, 4:6].tolist() == [is_first, not is_first]
-    assert of_one[far[0] // 2, far[1] // 2 + 1] and not of_one[near[0] // 2 - 3:near[0] // 2 + 4].any()
+    assert (of_one[far[0] // 2, far[1] // 2 + 1]
+            and not of_one[near[0] // 2 - 3:near[0] // 2 + 4].any())
     shown = np.argwhere(np.abs(later - 0.1).max(-1) > 0)
     assert all(of_one[y // 2, x // 2] for y, x in shown), "nothing of it is mixed in"
     assert of_one.sum() < 40
@@ -241,7 +260,8 @@ def test_a_spark_of_the_farther_frame_is_left_out_with_its_edge(is_first):
 
 def test_light_of_sparks_that_are_hidden_goes_to_those_that_are_shown():
     """At a quarter of the time, of two sparks before and one after, of which one is shown."""
-    before, after, picture = dark_with((20, 30, 90), (50, 70, 30)), dark_with((20, 60, 60)), dark_with((20, 30, 70))
+    before, after, picture = (dark_with((20, 30, 90), (50, 70, 30)), dark_with((20, 60, 60)),
+                              dark_with((20, 30, 70)))
     kept, dim, own = picture.copy(), np.float32(0.3), np.zeros((66, 91, 8), np.float32)
     own[..., 4:6] = 1
     found = [timing.find_sparks(one, 1, dim, (66, 91)) for one in (before, after)]
@@ -252,4 +272,5 @@ def test_light_of_sparks_that_are_hidden_goes_to_those_that_are_shown():
     np.testing.assert_array_equal(picture[kept < 1], kept[kept < 1])
     few = dark_with((20, 30, 20))
     timing.keep_sparks(sparks, 0.25, own, marks, few)
-    assert few.max() == pytest.approx(0.1 + timing.SPARK_SCALES[1] * (20 / 3 - 0.1), rel=1e-4), "within bounds"
+    assert few.max() == pytest.approx(0.1 + timing.SPARK_SCALES[1] * (20 / 3 - 0.1),
+                                      rel=1e-4), "within bounds"

@@ -1,4 +1,5 @@
-"""Frames between frames on a GPU against those on the CPU: kernels run on the host here, and on a GPU where one is."""
+"""Frames between frames on a GPU against those on the CPU: kernels run on the host here, and on a
+GPU where one is."""
 
 from __future__ import annotations
 
@@ -51,8 +52,8 @@ def planes_of(frame: Frame) -> dict[Role, np.ndarray]:
 
 
 def turning(size: tuple[int, int], angle: float, number: int) -> Frame:
-    """A textured plane that has turned so far about its middle, with a bar in front that stands still; noisy, and with
-    motion from a frame earlier by one angle."""
+    """A textured plane that has turned so far about its middle, with a bar in front that stands
+    still; noisy, and with motion from a frame earlier by one angle."""
     y, x = np.indices(size, np.float32)
     v, u = y - size[0] / 2, x - size[1] / 2
 
@@ -81,7 +82,8 @@ def assert_alike(found: dict[Role, np.ndarray], wanted: Frame) -> None:
 
 
 def follow(device: Device, frames: list[Frame], t: float, previous: float) -> None:
-    """Every frame between, on the device and on the CPU; arrays that were pushed change, but for normals."""
+    """Every frame between, on the device and on the CPU; arrays that were pushed change, but for
+    normals."""
     stream, wanted = DeviceInterpolator(device), Interpolator(flow=False)
     for number, frame in enumerate(frames):
         planes = {role: plane.copy() for role, plane in planes_of(frame).items()}
@@ -99,7 +101,8 @@ def follow(device: Device, frames: list[Frame], t: float, previous: float) -> No
 @pytest.mark.parametrize("size", [
     (90, 131), pytest.param((64, 65), marks=pytest.mark.soak), (33, 40)])
 def test_the_same_frames_as_on_the_cpu(emulated: Device, size: tuple[int, int]) -> None:
-    """Of what turns, so that paths bend, behind something that hides it; odd sizes, and pixels as cells."""
+    """Of what turns, so that paths bend, behind something that hides it; odd sizes, and pixels as
+    cells."""
     follow(emulated, [turning(size, 0.15, number) for number in range(1, 4)], 0.3, -0.2)
 
 
@@ -112,7 +115,8 @@ def test_a_frame_stays_until_the_second_call_after(emulated: Device, scene: Scen
     second = stream.frame(0.75)[Role.COLOUR].download()
     np.testing.assert_array_equal(first.download(), held)
     assert not np.array_equal(second, held)
-    assert np.array_equal(stream.frame(0.5)[Role.COLOUR].download(), first.download()), "the place of the first"
+    assert np.array_equal(stream.frame(0.5)[Role.COLOUR].download(),
+                          first.download()), "the place of the first"
 
 
 def test_what_is_not_finite_is_black_and_harmless(emulated: Device, scene: Scene) -> None:

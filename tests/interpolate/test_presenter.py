@@ -1,4 +1,5 @@
-"""Pictures are shown in even steps; late ones by rule. By a clock that is moved, and by the machine's."""
+"""Pictures are shown in even steps; late ones by rule. By a clock that is moved, and by the
+machine's."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ TURN = 1 / 120
 
 
 class MovedClock:
-    """Time passes where a test says so, or someone waits; waiting may end late, as a system's does."""
+    """Time passes where a test says so, or someone waits; waiting may end late, as a system's
+    does."""
 
     def __init__(self, jitter: Callable[[], float] = lambda: 0.0) -> None:
         self.time, self._jitter = 100.0, jitter
@@ -56,7 +58,8 @@ def test_pictures_in_time_are_shown_at_their_turns() -> None:
         renderer.frame(number, (0.002, 0.0001, 0.005)[number % 3])
     pacing = renderer.presenter.pacing()
     assert [float(name) for name, _ in renderer.seen] == [0, *(k / 2 for k in range(1, 119))]
-    assert pacing.intervals == pytest.approx([TURN] * 118) and list(pacing.histogram.values()) == [118]
+    assert (pacing.intervals == pytest.approx([TURN] * 118)
+            and list(pacing.histogram.values()) == [118])
     assert (pacing.dropped, pacing.late, pacing.missed) == (0, 0, 0)
 
 
@@ -108,7 +111,8 @@ def test_what_the_system_says_of_a_picture_counts() -> None:
 
 
 def test_by_the_machine_s_clock_pictures_come_in_even_steps() -> None:
-    """Handed over from frames that take unequally long. The machine may be busy: most intervals count."""
+    """Handed over from frames that take unequally long. The machine may be busy: most intervals
+    count."""
     turn, seen = 0.1, []
     with Presenter(lambda picture: seen.append(picture), turn) as presenter:
         for number in range(12):
@@ -146,10 +150,12 @@ def test_a_wrong_interval_and_a_closed_presenter_are_named() -> None:
 
 
 def test_the_graph_is_drawn(tmp_path: Path) -> None:
-    shown = [Shown(k, k * TURN, k * TURN + 0.0005 * (k % 3), bool(k % 2)) for k in range(40) if k != 21]
+    shown = [Shown(k, k * TURN, k * TURN + 0.0005 * (k % 3), bool(k % 2))
+             for k in range(40) if k != 21]
     pacing = Pacing(TURN, (*shown, Shown(41, 41 * TURN, None, True)))
     pacing.draw(tmp_path / "pacing.png")
     assert oiio.ImageBuf(str(tmp_path / "pacing.png")).get_pixels().std() > 0.05
-    assert str(pacing).startswith("39 pictures every 8.33 ms") and "1 left out, 1 turns without" in str(pacing)
+    assert (str(pacing).startswith("39 pictures every 8.33 ms") and "1 left out, 1 turns "
+            "without" in str(pacing))
     Pacing(TURN, ()).draw(tmp_path / "none.png")
     assert Pacing(TURN, ()).missed == 0

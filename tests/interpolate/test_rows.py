@@ -1,4 +1,5 @@
-"""Kernels of frames between frames: the same bits at every level of the processor, whatever they are given."""
+"""Kernels of frames between frames: the same bits at every level of the processor, whatever they
+are given."""
 
 from __future__ import annotations
 
@@ -22,23 +23,28 @@ from postfx.temporal.reverse_motion import HistoryLength, premultiply, share_by_
 from tests.conftest import REPOSITORY
 
 SOURCES = [*sorted((build.KERNELS / "interpolate").glob("*.cpp")), build.KERNELS / "accumulate.cpp"]
-NAMES = [name for source in SOURCES for name in re.findall(r"^EXPORT\((\w+),", source.read_text("utf-8"), re.M)]
-SPREADING = {"search_flow", "spread_flow", "enlarge_flow", "find_overlay", "fill_holes", "estimate_average",
-             "estimate_sample", "sum_sparks", "grow_marks"}
-"""Kernels of which one number may change many others: motion spreads from patch to patch, and so on."""
+NAMES = [name for source in SOURCES
+         for name in re.findall(r"^EXPORT\((\w+),", source.read_text("utf-8"), re.M)]
+SPREADING = {"search_flow", "spread_flow", "enlarge_flow", "find_overlay", "fill_holes",
+             "estimate_average", "estimate_sample", "sum_sparks", "grow_marks"}
+"""Kernels of which one number may change many others: motion spreads from patch to patch, and so
+on."""
 MOST_CHANGED = 1000
-"""Numbers of one result that three bad ones may change: pixels that read a cell or a window around one."""
+"""Numbers of one result that three bad ones may change: pixels that read a cell or a window around
+one."""
 FUSED = [level for level in library.levels() if level != "baseline"] or ["baseline"]
 Call = tuple[int, int, list[np.ndarray]]
 
 
 def frames(count: int) -> list[Frame]:
-    """A square over a wall that stands still at the bottom, with sparks, a label that is burnt in, and every plane."""
+    """A square over a wall that stands still at the bottom, with sparks, a label that is burnt in,
+    and every plane."""
     height, width = 66, 82
     y, x = np.indices((height, width)).astype(float)
     made = []
     for n in range(count):
-        wall = np.stack([np.exp(np.sin(0.4 * (x + 3 * n) + k) * np.sin(0.3 * (y - n))) for k in range(3)], -1)
+        wall = np.stack([np.exp(np.sin(0.4 * (x + 3 * n) + k) * np.sin(0.3 * (y - n)))
+                         for k in range(3)], -1)
         there = (np.abs(x - 30 - 6 * n) < 12) & (np.abs(y - 25 - 2 * n) < 9)
         still = y > 56
         colour = np.where(there[..., None], 3 + np.sin(x + y)[..., None], wall)
@@ -50,9 +56,11 @@ def frames(count: int) -> list[Frame]:
         motion[np.random.default_rng(n).random((height, width)) < 0.02] = 1e10
         depth = np.where(there, 2.0, 9.0)
         planes = {Role.COLOUR: colour, Role.MOTION: motion, Role.DEPTH: depth[..., None],
-                  Role.ALPHA: there[..., None] * 1.0, Role.NORMAL: wall / 3, Role.DIFFUSE_ALBEDO: np.clip(colour, 0, 1),
+                  Role.ALPHA: there[..., None] * 1.0, Role.NORMAL: wall / 3,
+                  Role.DIFFUSE_ALBEDO: np.clip(colour, 0, 1),
                   Role.SPECULAR_HIT_DISTANCE: (x > 50)[..., None] * 3.0}
-        made.append(Frame({role: np.ascontiguousarray(plane, np.float32) for role, plane in planes.items()},
+        made.append(Frame({role: np.ascontiguousarray(plane, np.float32)
+                           for role, plane in planes.items()},
                           number=n + 1))
     return made
 
@@ -69,8 +77,10 @@ def calls() -> dict[str, list[Call]]:
 
     def watched(rows: Rows, arrays: Sequence[np.ndarray]) -> Any:
         bound = bind(rows, arrays)
-        picture = {"compose": 1, "tone_rows": 0}.get(rows.name)  # the others write as many rows as they work on
-        last = next(len(one) for one in reversed(arrays) if len(one)) if picture is None else len(arrays[picture])
+        # the others write as many rows as they work on
+        picture = {"compose": 1, "tone_rows": 0}.get(rows.name)
+        last = (next(len(one) for one in reversed(arrays) if len(one)) if picture is None
+                else len(arrays[picture]))
         keep(rows, 0, last, arrays)
         return bound
 
@@ -113,33 +123,43 @@ def test_every_kernel_has_its_turn(calls: dict[str, list[Call]]) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_level_gives_the_same_bits_whatever_is_given(name: str, calls: dict[str, list[Call]]) -> None:
+def test_every_level_gives_the_same_bits_whatever_is_given(name: str,
+                                                           calls: dict[str, list[Call]]) -> None:
     for first, last, arrays in calls.get(name, []):
         clean = written(name, FUSED[0], (first, last, arrays))
-        planes = [k for k, array in enumerate(arrays) if array.dtype == np.float32 and array.size > 400]
-        for bad, value in [(None, 0.0), *((k, value) for k in planes for value in (np.nan, np.inf, -np.inf))]:
+        planes = [k for k, array in enumerate(arrays)
+                  if array.dtype == np.float32 and array.size > 400]
+        for bad, value in [(None, 0.0),
+                           *((k, value) for k in planes for value in (np.nan, np.inf, -np.inf))]:
             given = [array.copy() for array in arrays]
             if bad is not None:
-                given[bad].reshape(-1)[np.random.default_rng(1).integers(0, given[bad].size, 3)] = value
+                given[bad].reshape(-1)[np.random.default_rng(1)
+                                       .integers(0, given[bad].size, 3)] = value
             wanted = written(name, FUSED[0], (first, last, given))
             for level in FUSED[1:]:
-                for one, other in zip(written(name, level, (first, last, given)), wanted, strict=True):
+                for one, other in zip(written(name, level, (first, last, given)), wanted,
+                                      strict=True):
                     np.testing.assert_array_equal(one, other, f"{level} {bad} {value}")
             for k, (one, other) in enumerate(zip(wanted, clean, strict=True)):
                 if name not in SPREADING and k != bad:
-                    same = one == other if one.dtype.kind != "f" else (one == other) | np.isnan(one) & np.isnan(other)
+                    same = (one == other if one.dtype.kind != "f"
+                            else (one == other) | np.isnan(one) & np.isnan(other))
                     assert (~same).sum() <= MOST_CHANGED, f"{bad} {value} {k}"
 
 
 def test_constants_of_the_kernels_are_those_of_python() -> None:
     checked = 0
-    modules = {module.__name__.rpartition(".")[2]: module for module in (blend, choose, flow, paths, timing)}
+    modules = {module.__name__.rpartition(".")[2]: module
+               for module in (blend, choose, flow, paths, timing)}
     for source in (build.KERNELS / "interpolate").glob("*.[hc]*"):
         module = modules.get(source.stem)
         text = source.read_text("utf-8")
-        for name, value in re.findall(r"^constexpr (?:float|int) ([A-Z_]+) = (-?[\d.e+-]+)f?;", text, re.M):
+        for name, value in re.findall(r"^constexpr (?:float|int) ([A-Z_]+) = (-?[\d.e+-]+)f?;",
+                                      text, re.M):
             known = getattr(module, name, None)
             if isinstance(known, int | float | np.number):
-                assert np.float32(value) == np.float32(known), f"{source.relative_to(REPOSITORY)}: {name}"
+                assert np.float32(value) == np.float32(
+                    known
+                ), f"{source.relative_to(REPOSITORY)}: {name}"
                 checked += 1
     assert checked > 35

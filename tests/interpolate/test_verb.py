@@ -22,13 +22,15 @@ FACTS = {"framesPerSecond": 24.0, "timeCode": (0x01000000, 0)}
 
 @pytest.fixture
 def shot(scene, tmp_path):
-    """Writes frames 1 to 4 of the scene, without those left out; from `cut` on they show something else."""
+    """Writes frames 1 to 4 of the scene, without those left out; from `cut` on they show something
+    else."""
 
     def write(left_out: tuple[int, ...] = (), cut: int = 9) -> str:
         for number in {1, 2, 3, 4} - set(left_out):
             frame = replace(scene(number - 1), metadata=dict(FACTS))
             if number >= cut:
-                frame = replace(frame, planes={**frame.planes, Role.COLOUR: OTHER, Role.DEPTH: 3 * OTHER[..., :1]})
+                frame = replace(frame, planes={**frame.planes, Role.COLOUR: OTHER,
+                                               Role.DEPTH: 3 * OTHER[..., :1]})
             write_frame(tmp_path / f"in/shot.{number:04d}.exr", with_parts(frame))
         return str(tmp_path / "in/shot.####.exr")
 
@@ -51,19 +53,22 @@ def test_numbers_rates_time_codes_and_planes_of_a_sequence(shot, scene, tmp_path
     assert [frame.metadata["timeCode"][0] & ~(1 << 15) for frame in frames] == [
         0x01000000, 0x01000000, 0x01000001, 0x01000001, 0x01000002, 0x01000002, 0x01000003]
     assert {frame.metadata["framesPerSecond"] for frame in frames} == {48.0}
-    np.testing.assert_array_equal(frames[2][Role.COLOUR], scene(1)[Role.COLOUR], "a frame of the input, in floats")
+    np.testing.assert_array_equal(frames[2][Role.COLOUR], scene(1)[Role.COLOUR],
+                                  "a frame of the input, in floats")
     np.testing.assert_allclose(frames[2][Role.MOTION], scene(1, step=0.5)[Role.MOTION], atol=1e-5)
     assert np.abs(frames[3][Role.DEPTH] - scene(1.5)[Role.DEPTH]).mean() < 0.1
 
 
 def test_a_cut_repeats_and_a_hole_leaves_out_with_a_reason(shot, tmp_path, capsys):
-    assert main(["interpolate", shot(left_out=(2,), cut=4), "-o", f"{tmp_path}/out/", "--json"]) == 0
+    assert (main(["interpolate", shot(left_out=(2,), cut=4), "-o", f"{tmp_path}/out/", "--json"])
+            == 0)
     told = capsys.readouterr()
     found = json.loads(told.out)
     missing = "frame 2 is missing"
     assert found["skipped"] == {"2": missing, "3": missing, "4": missing}
     assert found["repeated"] == {"6": "repeats frame 4, as another shot begins"}
-    assert found["intervals"] == {"2.0": 1, "1.0": 1, "0.0": 1}, "over the hole, over the cut, and a repeated frame"
+    assert found["intervals"] == {"2.0": 1, "1.0": 1,
+                                  "0.0": 1}, "over the hole, over the cut, and a repeated frame"
     assert "frame 4: frame 2 is missing\n" in told.err
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         f"shot.{number:04d}.exr" for number in (1, 5, 6, 7)]
@@ -78,8 +83,8 @@ def test_given_overlays_are_put_over_all_frames(shot, tmp_path):
     assert main(["interpolate", shot(), "--frames", "1-2", "-o", f"{tmp_path}/out/", "--bits", "32",
                  "--overlays", f"{tmp_path}/hud/hud.####.exr"]) == 0
     last = read_sequence(f"{tmp_path}/out/").read(3)
-    np.testing.assert_allclose(last[Role.COLOUR][4:12, 4:40], np.broadcast_to(np.float32([3, 2, 1]), (8, 36, 3)),
-                               atol=1e-3)
+    np.testing.assert_allclose(last[Role.COLOUR][4:12, 4:40],
+                               np.broadcast_to(np.float32([3, 2, 1]), (8, 36, 3)), atol=1e-3)
 
 
 @pytest.mark.parametrize(("options", "message"), [
@@ -92,14 +97,17 @@ def test_what_cannot_be_is_one_line(shot, tmp_path, options, message, monkeypatc
     monkeypatch.chdir(tmp_path)
     assert main(["interpolate", "in/shot.####.exr", *options]) == 2
     error = capsys.readouterr().err
-    assert re.search(message, error) and error.count("\n") == 1 and Path("in/shot.0004.exr").is_file()
+    assert (re.search(message, error) and error.count("\n") == 1
+            and Path("in/shot.0004.exr").is_file())
 
 
 def test_cryptomattes_come_from_the_nearest_pixel_bit_for_bit(scene, tmp_path):
     """The disc and the wall have ids that no mean of the two could have."""
     disc, ground = np.array([0x3F8ABCDE, 0x4B123457], np.uint32).view(np.float32)
-    about = {"cryptomatte/abc1234/name": "CryptoObject", "cryptomatte/abc1234/hash": "MurmurHash3_32",
-             "cryptomatte/abc1234/conversion": "uint32_to_float32", "cryptomatte/abc1234/manifest": "{}"}
+    about = {"cryptomatte/abc1234/name": "CryptoObject",
+             "cryptomatte/abc1234/hash": "MurmurHash3_32",
+             "cryptomatte/abc1234/conversion": "uint32_to_float32",
+             "cryptomatte/abc1234/manifest": "{}"}
     for number in (1, 2):
         there = picture(number - 1)[1][..., None]
         ranks = {"R": np.where(there, disc, ground), "G": np.ones_like(there, np.float32),
@@ -122,7 +130,8 @@ def test_both_eyes_are_interpolated(scene, tmp_path):
         for view, shift in (("left", 0.0), ("right", 0.5)):
             frame = replace(scene(number - 1 + shift), metadata=dict(FACTS))
             write_frame(tmp_path / f"in/{view}.{number:04d}.exr", with_parts(frame))
-    assert main(["interpolate", f"{tmp_path}/in/{{view}}.####.exr", "-o", f"{tmp_path}/out/{{view}}.####.exr"]) == 0
+    assert main(["interpolate", f"{tmp_path}/in/{{view}}.####.exr", "-o",
+                 f"{tmp_path}/out/{{view}}.####.exr"]) == 0
     for view, t in (("left", 0.5), ("right", 1.0)):
         found = read_sequence(f"{tmp_path}/out/{view}.####.exr").read(2)
         inner = np.s_[8:-8, 8:-8]
@@ -131,12 +140,14 @@ def test_both_eyes_are_interpolated(scene, tmp_path):
 
 
 def test_a_shutter_blurs_as_the_mean_of_rendered_times_does(shot, tmp_path):
-    """Half of 360 degrees, twice as many frames: open for a quarter of the time between two frames of the input."""
-    assert main(["interpolate", shot(), "-o", f"{tmp_path}/out/", "--shutter", "180", "--frames", "1-3",
-                 "--no-flow"]) == 0
+    """Half of 360 degrees, twice as many frames: open for a quarter of the time between two frames
+    of the input."""
+    assert main(["interpolate", shot(), "-o", f"{tmp_path}/out/", "--shutter", "180", "--frames",
+                 "1-3", "--no-flow"]) == 0
     sharp, errors = {}, {}
     for number, t in ((3, 1.0), (4, 1.5)):
         wanted = np.mean([picture(t + 0.25 * ((k + 0.5) / 32 - 0.5))[0] for k in range(32)], 0)
         found = read_sequence(f"{tmp_path}/out/").read(number)[Role.COLOUR]
-        errors[t], sharp[t] = (np.abs(one - wanted)[8:-8, 8:-8].mean() for one in (found, picture(t)[0]))
+        errors[t], sharp[t] = (np.abs(one - wanted)[8:-8, 8:-8].mean()
+                               for one in (found, picture(t)[0]))
     assert errors[1.0] < 0.35 * sharp[1.0] and errors[1.5] < 0.6 * sharp[1.5]

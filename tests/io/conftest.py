@@ -10,12 +10,15 @@ import pytest
 
 @pytest.fixture
 def write_parts(tmp_path: Path) -> Callable[..., Path]:
-    """Writes a multi-part file: part name -> channels; all parts have the display window of `size`, or their own."""
+    """Writes a multi-part file: part name -> channels; all parts have the display window of `size`,
+    or their own."""
 
     def write(
-        name: str, parts: Mapping[str, Mapping[str, np.ndarray]], size: tuple[int, int] | None = None, **header
+        name: str, parts: Mapping[str, Mapping[str, np.ndarray]],
+        size: tuple[int, int] | None = None, **header
     ) -> Path:
-        window = {"displayWindow": (np.zeros(2, np.int32), np.array(size, np.int32) - 1)} if size else {}
+        window = ({"displayWindow": (np.zeros(2, np.int32), np.array(size, np.int32) - 1)} if size
+                  else {})
         made = [
             OpenEXR.Part(
                 {"type": OpenEXR.scanlineimage, **window, **(header if index == 0 else {})},

@@ -1,4 +1,5 @@
-"""Motion of a background that files leave out, against a camera that turns and moves over a traced scene."""
+"""Motion of a background that files leave out, against a camera that turns and moves over a traced
+scene."""
 
 from __future__ import annotations
 
@@ -18,16 +19,19 @@ def clip_of(camera: Pinhole) -> np.ndarray:
 
 
 def scene(floor: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Depth (height, width, 1) of balls over a floor, or of balls alone, under a sky, and which one was hit."""
+    """Depth (height, width, 1) of balls over a floor, or of balls alone, under a sky, and which one
+    was hit."""
     eye, rays = integrate.view_rays(WIDTH, HEIGHT, clip_of(NOW))
-    shapes = [hit_sphere(eye, rays, np.array(centre), 0.6) for centre in ((-0.5, 0.8, 0.2), (1.5, 1.0, 2.0))]
+    shapes = [hit_sphere(eye, rays, np.array(centre), 0.6)
+              for centre in ((-0.5, 0.8, 0.2), (1.5, 1.0, 2.0))]
     if floor:
         shapes.append(hit_plane(eye, rays, np.zeros(3), np.array([0.0, 1, 0])))
     depth = np.min(shapes, axis=0)
     return np.where(np.isfinite(depth), depth, 1e10)[..., None], np.argmin(shapes, axis=0)
 
 
-def motions(before: Pinhole, floor: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def motions(before: Pinhole,
+            floor: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """True motion, the same with zeros at misses, depth, and which shape was hit."""
     depth, shape = scene(floor)
     truth = integrate.motion_from_depth(depth, clip_of(NOW), clip_of(before)).astype(np.float32)
@@ -37,7 +41,8 @@ def motions(before: Pinhole, floor: bool = True) -> tuple[np.ndarray, np.ndarray
 @pytest.mark.parametrize(("eye", "yaw", "pitch"), [
     ((0.3, 1.2, -4.0), 0.12, 0.04), ((0.1, 1.1, -4.3), 0.15, 0.05), ((0.1, 1.3, -4.2), 0.17, 0.06)],
     ids=["turns", "moves", "turns and moves"])
-def test_misses_move_with_the_camera(eye: tuple[float, float, float], yaw: float, pitch: float) -> None:
+def test_misses_move_with_the_camera(eye: tuple[float, float, float], yaw: float,
+                                     pitch: float) -> None:
     truth, stored, depth, shape = motions(Pinhole(np.array(eye), turned(yaw, pitch)))
     stored[(shape == 1) & (depth[..., 0] < 1e10)] += 5  # a ball that moves by itself
     surfaces = stored[depth[..., 0] < 1e10]

@@ -1,4 +1,5 @@
-"""What belongs together comes from one part: kinds of multi-part, layered and stereo files as software writes them."""
+"""What belongs together comes from one part: kinds of multi-part, layered and stereo files as
+software writes them."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ GREY = (0.1, 0.2, 0.3, 0.4)
 
 def flat(names: str | list[str], *values: float) -> dict[str, np.ndarray]:
     """Channels of one value each."""
-    return {name: np.full((4, 6), value, np.float32) for name, value in zip(names, values, strict=True)}
+    return {name: np.full((4, 6), value, np.float32)
+            for name, value in zip(names, values, strict=True)}
 
 
 def read(path: Path, **options) -> Frame:
@@ -26,7 +28,8 @@ def read(path: Path, **options) -> Frame:
 
 def means(frame: Frame) -> dict[str, list[float]]:
     """Role -> value of each channel."""
-    return {str(role): plane[0, 0].astype(float).round(4).tolist() for role, plane in frame.planes.items()}
+    return {str(role): plane[0, 0].astype(float).round(4).tolist()
+            for role, plane in frame.planes.items()}
 
 
 RGBA = flat("RGBA", *GREY)
@@ -39,22 +42,29 @@ VECTOR = flat("XYZ", 1, 2, 3)
 PARTS = {
     "a Cryptomatte's A is no alpha": ({"beauty": RGB, **CRYPTO}, COLOUR),
     "a Cryptomatte that comes first is no colour": ({**CRYPTO, "main": RGBA}, WITH_ALPHA),
-    "a mask that comes first is no red": ({"sky": flat("R", 9), "matteA": flat("R", 8), "picture": RGB}, COLOUR),
+    "a mask that comes first is no "
+    "red": ({"sky": flat("R", 9), "matteA": flat("R", 8), "picture": RGB}, COLOUR),
     "alpha in a grey part of its own": ({"rgb": RGB, "alpha": flat("Y", 0.4)}, WITH_ALPHA),
     "alpha in a part of its own": ({"rgb": RGB, "alpha": flat("A", 0.4)}, WITH_ALPHA),
-    "position is no depth": ({"rgba": RGBA, "P": VECTOR, "Z": flat("Z", 5)}, WITH_ALPHA | {"depth": [5]}),
+    "position is no depth": ({"rgba": RGBA, "P": VECTOR, "Z": flat("Z", 5)},
+                             WITH_ALPHA | {"depth": [5]}),
     "position without a name that tells is no depth": ({"rgba": RGBA, "where": VECTOR}, WITH_ALPHA),
     "normals are no depth": ({"rgba": RGBA, "N": VECTOR, "foo": VECTOR, "Z": flat("Z", 5)},
                              WITH_ALPHA | {"normal": [1, 2, 3], "depth": [5]}),
-    "a depth beside the colour": ({"rgba": RGBA | flat("Z", 5), "other": flat("Z", 6)}, WITH_ALPHA | {"depth": [5]}),
+    "a depth beside the colour": ({"rgba": RGBA | flat("Z", 5), "other": flat("Z", 6)},
+                                  WITH_ALPHA | {"depth": [5]}),
     "parts of layer and view": (
-        {"rgba.main": RGBA, "normal.main": VECTOR, "depth.main": flat("Z", 4), "albedo.main": flat("RGB", 5, 6, 7)},
+        {"rgba.main": RGBA, "normal.main": VECTOR, "depth.main": flat("Z", 4),
+         "albedo.main": flat("RGB", 5, 6, 7)},
         WITH_ALPHA | {"normal": [1, 2, 3], "depth": [4], "diffuse_albedo": [1, 1, 1]}),
     "parts of layer and any view": ({"albedo.cam2": flat("RGB", 0, 0, 0), "rgba.cam2": RGBA},
                                     WITH_ALPHA | {"diffuse_albedo": [0, 0, 0]}),
-    "albedo first": ({"albedo": flat("RGB", 0, 0, 0), "rgba": RGBA}, WITH_ALPHA | {"diffuse_albedo": [0, 0, 0]}),
-    "parts with full names": ({"rgba": RGBA, "depth": flat(["depth.Z"], 4)}, WITH_ALPHA | {"depth": [4]}),
-    "a channel a part": ({f"part{name}": {name: plane} for name, plane in RGBA.items()}, WITH_ALPHA),
+    "albedo first": ({"albedo": flat("RGB", 0, 0, 0), "rgba": RGBA},
+                     WITH_ALPHA | {"diffuse_albedo": [0, 0, 0]}),
+    "parts with full names": ({"rgba": RGBA, "depth": flat(["depth.Z"], 4)},
+                              WITH_ALPHA | {"depth": [4]}),
+    "a channel a part": ({f"part{name}": {name: plane} for name, plane in RGBA.items()},
+                         WITH_ALPHA),
 }
 
 
@@ -68,17 +78,19 @@ LAYERS = {
     "red, green, blue": (flat(["red", "green", "blue", "alpha"], *GREY), WITH_ALPHA),
     "rgba.red": (flat(["rgba.red", "rgba.green", "rgba.blue", "rgba.alpha"], *GREY), WITH_ALPHA),
     "layers with words for letters": (
-        RGB | flat(["albedo.red", "albedo.green", "albedo.blue", "normal.red", "normal.green", "normal.blue"],
+        RGB | flat(["albedo.red", "albedo.green", "albedo.blue", "normal.red", "normal.green",
+                    "normal.blue"],
                    0, 0, 0, 1, 2, 3), COLOUR | {"diffuse_albedo": [0, 0, 0], "normal": [1, 2, 3]}),
-    "alpha of the colour's layer": (flat(["beauty.R", "beauty.G", "beauty.B", "beauty.A", "A"], *GREY, 0.9),
-                                    WITH_ALPHA),
+    "alpha of the colour's "
+    "layer": (flat(["beauty.R", "beauty.G", "beauty.B", "beauty.A", "A"], *GREY, 0.9), WITH_ALPHA),
     "grey": (flat("YA", 0.5, 0.4), {"colour": [0.5] * 3, "alpha": [0.4]}),
-    "Blender's File Output": (flat(["Image.R", "Image.G", "Image.B", "Image.A", "Denoising Albedo.R",
-                                    "Denoising Albedo.G", "Denoising Albedo.B", "Vector.X", "Vector.Y"], *GREY,
-                                   0, 0, 0, 2, 3), WITH_ALPHA | {"diffuse_albedo": [0] * 3, "denoising_albedo": [0] * 3,
-                                                                "motion": [2, -3]}),
-    "a layer called image": (flat(["Image.R", "Image.G", "Image.B", "normal.X", "normal.Y", "normal.Z"], *GREY[:3],
-                                  1, 2, 3), COLOUR | {"normal": [1, 2, 3]}),
+    "Blender's File Output": (flat(
+        ["Image.R", "Image.G", "Image.B", "Image.A", "Denoising Albedo.R",
+         "Denoising Albedo.G", "Denoising Albedo.B", "Vector.X", "Vector.Y"], *GREY, 0, 0, 0, 2, 3
+    ), WITH_ALPHA | {"diffuse_albedo": [0] * 3, "denoising_albedo": [0] * 3, "motion": [2, -3]}),
+    "a layer called image": (flat(
+        ["Image.R", "Image.G", "Image.B", "normal.X", "normal.Y", "normal.Z"], *GREY[:3], 1, 2, 3
+    ), COLOUR | {"normal": [1, 2, 3]}),
 }
 
 
@@ -89,20 +101,25 @@ def test_layers(write_exr, kind: str) -> None:
 
 
 def view_layers() -> dict[str, np.ndarray]:
-    names = ["BG.Combined.R", "BG.Combined.G", "BG.Combined.B", "FG.Combined.R", "FG.Combined.G", "FG.Combined.B",
-             "FG.Depth.Z", "Overlay.Combined.R", "Overlay.Combined.G", "Overlay.Combined.B", "Overlay.Combined.A"]
+    names = ["BG.Combined.R", "BG.Combined.G", "BG.Combined.B", "FG.Combined.R", "FG.Combined.G",
+             "FG.Combined.B", "FG.Depth.Z", "Overlay.Combined.R", "Overlay.Combined.G",
+             "Overlay.Combined.B", "Overlay.Combined.A"]
     return flat(names, 9, 9, 9, *GREY[:3], 5, 0, 0, 0, 0)
 
 
-def test_of_several_view_layers_that_with_the_most_planes_is_read_or_the_one_that_is_named(write_exr) -> None:
+def test_of_several_view_layers_that_with_the_most_planes_is_read_or_the_one_that_is_named(
+    write_exr
+) -> None:
     path = write_exr("a.exr", view_layers(), Software="Blender 4.5.0")
     sequence = read_sequence(path, without=[Role.OVERLAY])
     assert means(next(iter(sequence))) == COLOUR | {"depth": [5]}
     (warning,) = sequence.warnings
-    assert warning == "view layer FG is read, as it has the most AOVs, not BG, Overlay: --layer NAME chooses"
+    assert (warning == "view layer FG is read, as it has the most AOVs, not BG, Overlay: --layer "
+            "NAME chooses")
     named = read_sequence(path, layer="bg", without=[Role.OVERLAY])
     assert means(next(iter(named))) == {"colour": [9, 9, 9]} and not named.warnings
-    with pytest.raises(MissingPlaneError, match=r"a\.exr: no layer 'sky': it holds BG, FG, Overlay"):
+    with pytest.raises(MissingPlaneError,
+                       match=r"a\.exr: no layer 'sky': it holds BG, FG, Overlay"):
         read(path, layer="sky")
 
 
@@ -110,19 +127,22 @@ def test_the_name_of_a_lone_part_makes_no_other_view_layers(write_parts) -> None
     for name in ("rgba", "x"):
         sequence = read_sequence(write_parts("a.exr", {name: view_layers()}))
         next(iter(sequence))
-        assert sequence.warnings[0].startswith("view layer FG is read, as it has the most AOVs, not BG, Overlay: ")
+        assert sequence.warnings[0].startswith("view layer FG is read, as it has the most AOVs, "
+                                               "not BG, Overlay: ")
 
 
 def test_the_view_layer_of_the_first_frame_is_that_of_all(write_exr) -> None:
     more = view_layers() | flat(["BG.Depth.Z", "BG.Vector.X", "BG.Vector.Y"], 1, 1, 1)
     for number, channels in enumerate((view_layers(), more), 1):
         write_exr(f"s.{number:04d}.exr", channels)
-    first, second = read_sequence(write_exr("s.0003.exr", more).with_name("s.####.exr"), frames="1-2")
+    first, second = read_sequence(write_exr("s.0003.exr", more).with_name("s.####.exr"),
+                                  frames="1-2")
     np.testing.assert_array_equal(first[Role.COLOUR], second[Role.COLOUR])
 
 
 def test_any_layer_may_be_chosen(write_exr, write_parts) -> None:
-    channels = flat(["char.R", "char.G", "char.B", "env.R", "env.G", "env.B", "depth.Z"], *GREY[:3], 9, 9, 9, 5)
+    channels = flat(["char.R", "char.G", "char.B", "env.R", "env.G", "env.B", "depth.Z"], *GREY[:3],
+                    9, 9, 9, 5)
     message = r"no AOV 'colour': .*\(--layer NAME\).*it holds char\.R,G,B; depth\.Z; env\.R,G,B"
     with pytest.raises(MissingPlaneError, match=message):
         read(write_exr("a.exr", channels), planes=[Role.COLOUR])
@@ -135,12 +155,14 @@ STEREO = {
     "view in the parts' names": {
         "rgba.left": RGBA, "rgba.right": flat("RGBA", 9, 9, 9, 9), "depth.right": flat("Z", 8),
         "depth.left": flat("Z", 5)},
-    "names with a line": {"rgba_left": RGBA, "depth_left": flat("Z", 5), "depth_right": flat("Z", 8),
-                          "rgba_right": flat("RGBA", 9, 9, 9, 9)},
+    "names with a line": {"rgba_left": RGBA, "depth_left": flat("Z", 5),
+                          "depth_right": flat("Z", 8), "rgba_right": flat("RGBA", 9, 9, 9, 9)},
     "parts named after views": {"left": RGBA | flat("Z", 5), "right": flat("RGBAZ", 9, 9, 9, 9, 8)},
     "Blender's": {"VL.Combined.left": flat([f"VL.Combined.left.{name}" for name in "RGBA"], *GREY),
-                  "VL.Combined.right": flat([f"VL.Combined.right.{name}" for name in "RGBA"], 9, 9, 9, 9),
-                  "VL.Depth.left": flat(["VL.Depth.left.Z"], 5), "VL.Depth.right": flat(["VL.Depth.right.Z"], 8)},
+                  "VL.Combined.right": flat([f"VL.Combined.right.{name}" for name in "RGBA"], 9, 9,
+                                            9, 9),
+                  "VL.Depth.left": flat(["VL.Depth.left.Z"], 5),
+                  "VL.Depth.right": flat(["VL.Depth.right.Z"], 8)},
 }
 
 
@@ -149,8 +171,8 @@ def test_stereo_parts(write_parts, kind: str) -> None:
     sequence = read_sequence(write_parts("a.exr", STEREO[kind]))
     assert means(next(iter(sequence))) == WITH_ALPHA | {"depth": [5]}
     assert sequence.warnings == [
-        "view left is read; right not, and is only copied where the output keeps other channels: --view all denoises "
-        "all of them"]
+        "view left is read; right not, and is only copied where the output keeps other channels: "
+        "--view all denoises all of them"]
     other = read(write_parts("a.exr", STEREO[kind]), view="right")
     assert means(other) == {"colour": [9] * 3, "alpha": [9], "depth": [8]}
     with pytest.raises(MissingPlaneError, match="no view 'centre': it holds left, right"):
@@ -161,8 +183,9 @@ def test_view_layers_in_parts(write_parts) -> None:
     """Blender 5 writes a part a pass."""
     parts = {f"{layer}.{name}": flat([f"{layer}.{name}.{letter}" for letter in letters], *values)
              for layer, name, letters, values in (
-                 ("View Layer", "Combined", "RGBA", (9, 9, 9, 9)), ("Set", "Combined", "RGBA", GREY),
-                 ("View Layer", "Depth", "Z", (8,)), ("Set", "Depth", "Z", (5,)), ("Set", "Normal", "XYZ", (1, 2, 3)))}
+                 ("View Layer", "Combined", "RGBA", (9, 9, 9, 9)),
+                 ("Set", "Combined", "RGBA", GREY), ("View Layer", "Depth", "Z", (8,)),
+                 ("Set", "Depth", "Z", (5,)), ("Set", "Normal", "XYZ", (1, 2, 3)))}
     path = write_parts("a.exr", parts, Software="Blender 5.1.0")
     assert means(read(path)) == WITH_ALPHA | {"depth": [5], "normal": [1, 2, 3]}
     assert means(read(path, layer="View Layer")) == {"colour": [9] * 3, "alpha": [9], "depth": [8]}
@@ -173,13 +196,15 @@ def test_views_in_channel_names(shared_dir: Path) -> None:
     views = {}
     for view in ("right", "left"):
         with read_sequence(path, view=view).open(1) as files:
-            views[view] = [files.match(role).names for role in (Role.COLOUR, Role.ALPHA, Role.DEPTH)]
+            views[view] = [files.match(role).names
+                           for role in (Role.COLOUR, Role.ALPHA, Role.DEPTH)]
     assert views == {"right": ["R,G,B", "A", "Z"], "left": ["left.R,G,B", "left.A", "left.Z"]}
 
 
 def test_camera_space_normals_are_not_read_under_the_base_profiles_name(write_exr) -> None:
-    channels = RGB | flat(["Albedo.R", "Albedo.G", "Albedo.B", "Ns.X", "Ns.Y", "Ns.Z", "N.X", "N.Y", "N.Z", "P.X",
-                           "P.Y", "P.Z", "dzdx"], 0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 4, 5, 0)
+    channels = RGB | flat(["Albedo.R", "Albedo.G", "Albedo.B", "Ns.X", "Ns.Y", "Ns.Z", "N.X", "N.Y",
+                           "N.Z", "P.X", "P.Y", "P.Z", "dzdx"],
+                          0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 4, 5, 0)
     frame = read(write_exr("a.exr", channels))
     assert means(frame) == COLOUR | {"diffuse_albedo": [0, 0, 0], "depth": [5]}
 
@@ -189,8 +214,8 @@ def test_luminance_and_chroma_are_no_grey(write_exr) -> None:
         read(write_exr("a.exr", flat(["Y", "RY", "BY"], 1, 1, 1)))
 
 
-@pytest.mark.parametrize("more", [{}, {"Maske.Y": 0.5}, {"depth.Z": 5.0, "albedo.R": 0.1, "albedo.G": 0.2,
-                                                         "albedo.B": 0.3}])
+@pytest.mark.parametrize("more", [{}, {"Maske.Y": 0.5}, {"depth.Z": 5.0, "albedo.R": 0.1,
+                                                         "albedo.G": 0.2, "albedo.B": 0.3}])
 def test_the_only_layer_with_colours_is_the_picture_whatever_its_name(write_exr, more) -> None:
     layer = flat([f"Layer 1.{letter}" for letter in "RGBA"], *GREY[:3], 0.5)
     sequence = read_sequence(write_exr("a.exr", layer | flat(list(more), *more.values())))

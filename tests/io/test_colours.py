@@ -35,7 +35,8 @@ def write(stored: np.ndarray, tmp_path: Path):
         spec = oiio.ImageSpec(8, 6, 7, "float")
         spec.channelnames = NAMES
         for name, value in header.items():
-            kind = oiio.TypeDesc("float[8]") if name == "chromaticities" else oiio.TypeDesc("string")
+            kind = (oiio.TypeDesc("float[8]") if name == "chromaticities"
+                    else oiio.TypeDesc("string"))
             spec.attribute(name, kind, value)
         output = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
         assert output.open(str(tmp_path / "a.exr"), spec) and output.write_image(stored)
@@ -51,8 +52,10 @@ def in_rec709(light: np.ndarray) -> np.ndarray:
 
 def assert_turned(frame: Frame, stored: np.ndarray) -> None:
     finite = np.isfinite(stored[..., 0])
-    np.testing.assert_allclose(frame[Role.COLOUR][finite], in_rec709(stored[finite][:, :3]), atol=5e-3)
-    np.testing.assert_allclose(frame[Role.DIFFUSE_ALBEDO], np.maximum(in_rec709(stored[..., 3:6]), 0), atol=1e-3)
+    np.testing.assert_allclose(frame[Role.COLOUR][finite], in_rec709(stored[finite][:, :3]),
+                               atol=5e-3)
+    np.testing.assert_allclose(frame[Role.DIFFUSE_ALBEDO],
+                               np.maximum(in_rec709(stored[..., 3:6]), 0), atol=1e-3)
     np.testing.assert_array_equal(frame[Role.DEPTH][..., 0], stored[..., 6])
     assert frame.metadata["chromaticities"] == REC709
 
@@ -114,13 +117,15 @@ def test_aces_files_say_it_by_their_flag(write_parts, ramp, tmp_path) -> None:
 
 
 def test_headers_of_another_type_say_nothing() -> None:
-    for header in ({"colorInteropID": np.ones(3)}, {"colorInteropID": 7}, {"acesImageContainerFlag": np.ones(2)},
-                   {"chromaticities": ("a",) * 8}, {"chromaticities": (1.0,) * 7}, {"chromaticities": "long"}):
+    for header in ({"colorInteropID": np.ones(3)}, {"colorInteropID": 7},
+                   {"acesImageContainerFlag": np.ones(2)}, {"chromaticities": ("a",) * 8},
+                   {"chromaticities": (1.0,) * 7}, {"chromaticities": "long"}):
         assert InputColours().space(header).is_rec709
 
 
 def test_the_colours_part_says_it(write_parts, ramp) -> None:
-    """A part of data beside it says nothing about colours; a part without an identifier has the others'."""
+    """A part of data beside it says nothing about colours; a part without an identifier has the
+    others'."""
     channels = {"CryptoObject00": ramp("R", "G", "B", "A"), "beauty": ramp("R", "G", "B")}
     path = write_parts("a.exr", channels, colorInteropID="data")
     with read_sequence(path).open(1) as files:
@@ -132,12 +137,15 @@ def test_the_colours_part_says_it(write_parts, ramp) -> None:
 
 
 @pytest.mark.parametrize("header", [
-    {"chromaticities": (0.3,) * 8}, {"chromaticities": (0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 0.3127, 0.329)},
+    {"chromaticities": (0.3,) * 8},
+    {"chromaticities": (0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 0.3127, 0.329)},
     {"colorInteropID": "lin_foo_scene"}, {"colorInteropID": "srgb_rec709_display"},
 ])
-def test_colours_that_cannot_be_known_are_refused_by_name_and_may_be_declared(write, header) -> None:
+def test_colours_that_cannot_be_known_are_refused_by_name_and_may_be_declared(write,
+                                                                              header) -> None:
     path = write(**header)
-    with pytest.raises(ColourError, match=r"a\.exr: (chromaticities|colorInteropID) .*--colourspace"):
+    with pytest.raises(ColourError,
+                       match=r"a\.exr: (chromaticities|colorInteropID) .*--colourspace"):
         next(iter(read_sequence(path)))
     next(iter(read_sequence(path, colourspace="acescg")))
 
@@ -152,20 +160,23 @@ def test_other_primaries_without_a_name(write) -> None:
     odd = (0.66, 0.32, 0.28, 0.65, 0.15, 0.05, 0.3127, 0.329)
     sequence = read_sequence(write(chromaticities=odd))
     frame = next(iter(sequence))
-    assert sequence.warnings == ["colours are of primaries without a name: turned to linear Rec.709"]
+    assert sequence.warnings == ["colours are of primaries without a name: turned to linear "
+                                 "Rec.709"]
     own = colour.RGB_Colourspace("odd", np.reshape(odd[:6], (3, 2)), odd[6:])
     wanted = colour.matrix_RGB_to_RGB(own, colour.RGB_COLOURSPACES["sRGB"], "Bradford")[:, 0]
     np.testing.assert_allclose(frame[Role.COLOUR][0, 0], wanted, atol=1e-3)
 
 
-@pytest.mark.parametrize("header", [{}, {"chromaticities": REC709}, {"colorInteropID": "lin_rec709_scene"}])
+@pytest.mark.parametrize("header",
+                         [{}, {"chromaticities": REC709}, {"colorInteropID": "lin_rec709_scene"}])
 def test_rec709_is_left_alone(write, stored, header) -> None:
     sequence = read_sequence(write(**header))
     np.testing.assert_array_equal(next(iter(sequence))[Role.COLOUR], stored[..., :3])
     assert sequence.warnings == []
 
 
-def test_native_colours_are_written_as_they_came_with_their_primaries(write, stored, tmp_path) -> None:
+def test_native_colours_are_written_as_they_came_with_their_primaries(write, stored,
+                                                                      tmp_path) -> None:
     frame = next(iter(read_sequence(write(chromaticities=ACESCG), colourspace="native")))
     again = oiio.ImageBuf(str(write_frame(tmp_path / "b.exr", frame, half=False)))
     np.testing.assert_array_equal(again.get_pixels("float")[1:, :, :3], stored[1:, :, :3])
@@ -179,7 +190,9 @@ def test_unknown_names(write) -> None:
 
 def test_colour_before_transparents_is_turned_like_colour(write_exr) -> None:
     """Their difference says where history is not used."""
-    light = {name: np.full((4, 6), value, np.float32) for name, value in zip("RGB", (0.9, 0.2, 0.1), strict=True)}
+    light = {name: np.full((4, 6), value, np.float32)
+             for name, value in zip("RGB", (0.9, 0.2, 0.1), strict=True)}
     channels = light | {f"opaque_colour.{name}": plane for name, plane in light.items()}
-    (frame,) = read_sequence(write_exr("a.exr", channels), colourspace="acescg", without=[Role.OVERLAY])
+    (frame,) = read_sequence(write_exr("a.exr", channels), colourspace="acescg",
+                             without=[Role.OVERLAY])
     np.testing.assert_array_equal(frame[Role.OPAQUE_COLOUR], frame[Role.COLOUR])

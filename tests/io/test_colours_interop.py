@@ -9,9 +9,10 @@ from postfx.colour import LINEAR_SPACES, REC709, is_degenerate, round_to_known
 from postfx.errors import ColourError
 from postfx.io.colours import InputColours, space_by_id, space_by_primaries
 
-FORUM = ("lin_ap1_scene", "lin_ap0_scene", "lin_rec709_scene", "lin_p3d65_scene", "lin_rec2020_scene",
-         "lin_adobergb_scene", "lin_ciexyzd65_scene", "srgb_rec709_scene", "g22_rec709_scene", "g18_rec709_scene",
-         "srgb_ap1_scene", "g22_ap1_scene", "srgb_p3d65_scene", "g22_adobergb_scene", "ocio:g24_rec709_scene")
+FORUM = ("lin_ap1_scene", "lin_ap0_scene", "lin_rec709_scene", "lin_p3d65_scene",
+         "lin_rec2020_scene", "lin_adobergb_scene", "lin_ciexyzd65_scene", "srgb_rec709_scene",
+         "g22_rec709_scene", "g18_rec709_scene", "srgb_ap1_scene", "g22_ap1_scene",
+         "srgb_p3d65_scene", "g22_adobergb_scene", "ocio:g24_rec709_scene")
 CONFIG = "studio-config-v4.0.0_aces-v2.0_ocio-v2.5"
 
 
@@ -27,7 +28,8 @@ def assert_like_opencolorio(identifier: str, colours: np.ndarray) -> None:
     processor = config.getProcessor(identifier, "Linear Rec.709 (sRGB)")
     wanted = np.ascontiguousarray(colours, np.float32)
     processor.getOptimizedCPUProcessor(ocio.OPTIMIZATION_NONE).applyRGB(wanted)
-    np.testing.assert_allclose(to_rec709(identifier, colours), wanted, rtol=1e-4, atol=1e-4, err_msg=identifier)
+    np.testing.assert_allclose(to_rec709(identifier, colours), wanted, rtol=1e-4, atol=1e-4,
+                               err_msg=identifier)
 
 
 def test_every_identifier_of_the_forum_is_what_opencolorio_makes_of_it() -> None:
@@ -35,13 +37,15 @@ def test_every_identifier_of_the_forum_is_what_opencolorio_makes_of_it() -> None
     for identifier in FORUM:
         assert_like_opencolorio(identifier, colours)
     codes = np.random.default_rng(1).random((9, 3))
-    np.testing.assert_allclose(to_rec709("g24_rec709_scene", codes), to_rec709("ocio:g24_rec709_scene", codes))
+    np.testing.assert_allclose(to_rec709("g24_rec709_scene", codes),
+                               to_rec709("ocio:g24_rec709_scene", codes))
 
 
 def test_every_identifier_that_opencolorio_added() -> None:
     ocio = pytest.importorskip("PyOpenColorIO")
     config = ocio.Config.CreateFromBuiltinConfig(CONFIG)
-    added = [space.getInteropID() for space in config.getColorSpaces() if space.getInteropID().startswith("ocio:")]
+    added = [space.getInteropID()
+             for space in config.getColorSpaces() if space.getInteropID().startswith("ocio:")]
     assert len(added) > 30
     for identifier in added:
         assert_like_opencolorio(identifier, np.random.default_rng(2).uniform(0.1, 0.6, (50, 3)))
@@ -50,7 +54,8 @@ def test_every_identifier_that_opencolorio_added() -> None:
 def test_chromaticities_of_every_colour_space_that_colour_science_knows() -> None:
     colour = pytest.importorskip("colour")
     target = colour.RGB_Colourspace("own", np.reshape(REC709[:6], (3, 2)), REC709[6:])
-    spaces = {name: (*np.ravel(own.primaries), *own.whitepoint) for name, own in colour.RGB_COLOURSPACES.items()}
+    spaces = {name: (*np.ravel(own.primaries), *own.whitepoint)
+              for name, own in colour.RGB_COLOURSPACES.items()}
     assert len(spaces) > 60
     spaces["XYZ"] = (1, 0, 0, 1, 0, 0, 1 / 3, 1 / 3)
     for name, primaries in spaces.items():
@@ -63,18 +68,22 @@ def test_chromaticities_of_every_colour_space_that_colour_science_knows() -> Non
 
 def test_rounded_headers_stand_for_the_spaces_that_they_round() -> None:
     for primaries in LINEAR_SPACES.values():
-        assert round_to_known(tuple(round(float(np.float32(number)), 5) for number in primaries)) == primaries
+        assert (round_to_known(tuple(round(float(np.float32(number)), 5) for number in primaries))
+                == primaries)
     near = (*REC709[:7], 0.3291)
     assert round_to_known(near) == near
 
 
 @pytest.mark.parametrize("primaries", [
-    (0.0,) * 8, (0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 1 / 3, 1 / 3), (*REC709[:6], 0.3, 0.0), (*REC709[:7], np.nan),
+    (0.0,) * 8, (0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 1 / 3, 1 / 3), (*REC709[:6], 0.3, 0.0),
+    (*REC709[:7], np.nan),
     (*REC709[:4], *REC709[:2], *REC709[6:]), (*REC709[:6], *REC709[:2]), (*REC709[:7], np.inf),
 ])
 def test_primaries_that_span_no_colours_are_refused(primaries: tuple[float, ...]) -> None:
     assert is_degenerate(primaries)
-    with pytest.raises(ColourError, match=r"chromaticities \(.*\) span no colours: say what .* --colourspace \(rec709"):
+    with pytest.raises(ColourError,
+                       match=r"chromaticities \(.*\) span no colours: say what .* --colourspace "
+                       r"\(rec709"):
         space_by_primaries(primaries)
 
 

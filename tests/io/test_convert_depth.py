@@ -1,4 +1,5 @@
-"""Depth as files hold it: buffers, ray distance, misses; by option, profile or header, and what is missing for them."""
+"""Depth as files hold it: buffers, ray distance, misses; by option, profile or header, and what is
+missing for them."""
 
 import numpy as np
 import pytest
@@ -41,7 +42,8 @@ def write_depth(write_exr):
 
     def write(stored, **header):
         grey = np.ones(DEPTH.shape)
-        return write_exr("shot.0001.exr", {"R": grey, "G": grey, "B": grey, "depth.Z": stored}, **header)
+        return write_exr("shot.0001.exr", {"R": grey, "G": grey, "B": grey, "depth.Z": stored},
+                         **header)
 
     return write
 
@@ -53,22 +55,27 @@ def depth_of(sequence) -> np.ndarray:
 
 @pytest.mark.parametrize("option", STORED)
 def test_every_kind_by_option(write_depth, option):
-    np.testing.assert_allclose(depth_of(read_sequence(write_depth(STORED[option]), depth=option)), DEPTH, rtol=1e-4)
+    np.testing.assert_allclose(depth_of(read_sequence(write_depth(STORED[option]), depth=option)),
+                               DEPTH, rtol=1e-4)
 
 
 @pytest.mark.parametrize("option", [None, "planar", f"ray,fov={FOV}"])
 def test_a_depth_of_0_is_a_miss_without_being_told(write_depth, option):
     stored = np.where(HIT, DEPTH * (ray_lengths() if option and "ray" in option else 1), 0)
-    np.testing.assert_allclose(depth_of(read_sequence(write_depth(stored), depth=option)), DEPTH, rtol=1e-4)
+    np.testing.assert_allclose(depth_of(read_sequence(write_depth(stored), depth=option)), DEPTH,
+                               rtol=1e-4)
 
 
 def test_profile_and_header(write_depth, tmp_path):
     profile = tmp_path / "own.toml"
-    text = 'extends = "generic"\n[[plane]]\nrole = "depth"\nnames = ["depth"]\nchannels = ["Z"]\nkind = "device"\n'
+    text = ('extends = "generic"\n[[plane]]\nrole = "depth"\nnames = ["depth"]\nchannels = '
+            '["Z"]\nkind = "device"\n')
     profile.write_text(text + f"reversed = true\n[camera]\nnear = {NEAR}\nfar = inf\n")
     stored = STORED[f"reversed,near={NEAR}"]
-    np.testing.assert_allclose(depth_of(read_sequence(write_depth(stored), profile=str(profile))), DEPTH, rtol=1e-5)
-    headed = write_depth(STORED[f"device,near={NEAR},far={FAR}"], postfx__near=NEAR, postfx__far=FAR)
+    np.testing.assert_allclose(depth_of(read_sequence(write_depth(stored), profile=str(profile))),
+                               DEPTH, rtol=1e-5)
+    headed = write_depth(STORED[f"device,near={NEAR},far={FAR}"], postfx__near=NEAR,
+                         postfx__far=FAR)
     np.testing.assert_allclose(depth_of(read_sequence(headed, depth="device")), DEPTH, rtol=1e-4)
 
 
@@ -83,9 +90,11 @@ def test_outside_the_data_window_nothing_was_hit(write_exr):
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ("reversed", r"AOV 'depth' \(depth\.Z\) is a depth buffer and its near plane is not known: give near= after"),
+        ("reversed", r"AOV 'depth' \(depth\.Z\) is a depth buffer and its near plane is not known: "
+         r"give near= after"),
         ("normalised,near=1", "is normalised and its far plane is not known: give far= after"),
-        ("ray", "is distance from the eye and its horizontal field of view is not known: give fov= .*header .*fovX"),
+        ("ray", "is distance from the eye and its horizontal field of view is not known: give fov= "
+         ".*header .*fovX"),
     ],
 )
 def test_what_is_missing_is_named(write_depth, option, message):

@@ -16,20 +16,24 @@ def flat(value: float, side: int = 2 * NOISE_SIDE_PX) -> np.ndarray:
 
 def ramp(low: float, high: float, width: int = 4096) -> np.ndarray:
     """From one code value to another, 128 rows."""
-    return np.broadcast_to((np.linspace(low, high, width, dtype=np.float32) / 255)[None, :, None], (128, width, 3))
+    return np.broadcast_to((np.linspace(low, high, width, dtype=np.float32) / 255)[None, :, None],
+                           (128, width, 3))
 
 
 def test_each_threshold_is_there_once_and_low_frequencies_are_not() -> None:
     noise = blue_noise()
-    assert sorted((noise * NOISE_SIDE_PX**2 - 0.5).round().astype(int).ravel()) == list(range(NOISE_SIDE_PX**2))
-    spectrum, radius = np.abs(np.fft.fft2(noise - 0.5)), np.hypot(*np.meshgrid(*[np.fft.fftfreq(NOISE_SIDE_PX)] * 2))
+    assert (sorted((noise * NOISE_SIDE_PX**2 - 0.5).round().astype(int).ravel())
+            == list(range(NOISE_SIDE_PX**2)))
+    spectrum, radius = (np.abs(np.fft.fft2(noise - 0.5)),
+                        np.hypot(*np.meshgrid(*[np.fft.fftfreq(NOISE_SIDE_PX)] * 2)))
     assert spectrum[(radius > 0) & (radius < 0.15)].mean() < 0.1 * spectrum[radius > 0.35].mean()
 
 
 @pytest.mark.parametrize("dither", DITHERED)
 @pytest.mark.parametrize("value", [0.001, 17.25, 100.5, 254.9])
 def test_the_mean_of_an_area_is_kept(dither: Dither, value: float) -> None:
-    assert quantise(flat(value), 8, dither, number=7).mean((0, 1)) == pytest.approx([value] * 3, abs=2e-4)
+    assert quantise(flat(value), 8, dither,
+                    number=7).mean((0, 1)) == pytest.approx([value] * 3, abs=2e-4)
 
 
 @pytest.mark.parametrize("dither", DITHERED)
@@ -48,11 +52,13 @@ def test_whole_numbers_stay_and_everything_else_is_in_range(dither: Dither, bits
     picture = np.ascontiguousarray(np.broadcast_to(whole[:, None, None], (whole.size, 70, 3)))
     found = quantise(picture, bits, dither, number=3)
     np.testing.assert_array_equal(found[:, 69, 2], np.arange(0, top + 1, top // 255))
-    assert quantise(np.float32([[[np.nan, -np.inf, np.inf]]]), bits, dither).tolist() == [[[0, 0, top]]]
+    assert quantise(np.float32([[[np.nan, -np.inf, np.inf]]]), bits,
+                    dither).tolist() == [[[0, 0, top]]]
 
 
 def test_no_bands() -> None:
-    """A ramp over four code values: averaged over 32x32 pixels it is the ramp; undithered it is a staircase."""
+    """A ramp over four code values: averaged over 32x32 pixels it is the ramp; undithered it is a
+    staircase."""
     codes = ramp(60, 64)
     local = lambda picture: picture[:, :, 1].reshape(4, 32, 128, 32).mean((1, 3))  # noqa: E731
     wanted = local(codes * 255.0)
@@ -66,7 +72,8 @@ def test_the_pattern_follows_frame_and_pixel_only() -> None:
     np.testing.assert_array_equal(moving[0], moving[2])
     assert (moving[0] != moving[1]).any()
     np.testing.assert_array_equal(*(quantise(codes, 8, Dither.STATIC, number) for number in (1, 2)))
-    pieces = [quantise(codes[rows], 8, Dither.MOVING, 1, rows.start) for rows in (slice(0, 50), slice(50, 128))]
+    pieces = [quantise(codes[rows], 8, Dither.MOVING, 1, rows.start)
+              for rows in (slice(0, 50), slice(50, 128))]
     np.testing.assert_array_equal(np.concatenate(pieces), moving[0])
 
 

@@ -1,4 +1,5 @@
-"""Light as files store it: half floats and displays' light, against NumPy and the curves themselves."""
+"""Light as files store it: half floats and displays' light, against NumPy and the curves
+themselves."""
 
 import numpy as np
 import pytest
@@ -48,4 +49,5 @@ def test_light_of_a_display_is_that_of_its_curve(name: str) -> None:
     np.testing.assert_allclose(found[stored], exact[stored], rtol=2e-6)
     np.testing.assert_allclose(found[~stored], exact[~stored], atol=1e-8)
     for ends in ([[0, 0, 0], [1, 1, 1]], [[-0.1, 0.5, 1.1]], [[np.nan, 0, 1]]):
-        np.testing.assert_allclose(light_of(np.float32(ends), display), display.decode(np.float32(ends)), atol=1e-7)
+        np.testing.assert_allclose(light_of(np.float32(ends), display),
+                                   display.decode(np.float32(ends)), atol=1e-7)

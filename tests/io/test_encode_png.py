@@ -48,7 +48,8 @@ def test_all_that_is_said_and_all_pixels(
     frame = picture(encoding, size)
     theirs = by_openimageio(tmp_path / "theirs.png", frame, monkeypatch)
     ours = write_frame(tmp_path / "ours.png", frame)
-    said, wanted = ([chunk for chunk in chunks(path) if chunk[0] != b"IDAT"] for path in (ours, theirs))
+    said, wanted = ([chunk for chunk in chunks(path) if chunk[0] != b"IDAT"]
+                    for path in (ours, theirs))
     assert said == wanted and len(said) > 2
     assert all(content for kind, content in chunks(ours) if kind == b"IDAT")
     pixels, expected = (oiio.ImageBuf(str(path)).get_pixels(oiio.UINT16) for path in (ours, theirs))
@@ -58,12 +59,14 @@ def test_all_that_is_said_and_all_pixels(
 
 @pytest.mark.parametrize("encoding", ["srgb", "pq"])
 @pytest.mark.parametrize("smooth", [False, True])
-def test_pieces_are_one_stream(encoding: str, smooth: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pieces_are_one_stream(encoding: str, smooth: bool, tmp_path: Path,
+                               monkeypatch: pytest.MonkeyPatch) -> None:
     frame = picture(encoding, (70, 33), smooth)
     whole = write_frame(tmp_path / "whole.png", frame)
     monkeypatch.setattr(encoder, "PIECE_BYTES", 1)
     pieces = write_frame(tmp_path / "pieces.png", frame)
-    one, other = (b"".join(content for kind, content in chunks(path) if kind == b"IDAT") for path in (whole, pieces))
+    one, other = (b"".join(content for kind, content in chunks(path) if kind == b"IDAT")
+                  for path in (whole, pieces))
     assert zlib.decompress(one) == zlib.decompress(other)
     assert len(zlib.decompress(one)) == 70 * (1 + 33 * 3 * (2 if encoding == "pq" else 1))
 
@@ -74,9 +77,11 @@ def test_pillow_reads_them(tmp_path: Path) -> None:
         opened.verify()
     with image.open(tmp_path / "a.png") as opened:
         found = np.asarray(opened)
-    np.testing.assert_array_equal(found, oiio.ImageBuf(str(tmp_path / "a.png")).get_pixels(oiio.UINT8))
+    np.testing.assert_array_equal(found,
+                                  oiio.ImageBuf(str(tmp_path / "a.png")).get_pixels(oiio.UINT8))
 
 
 def test_smooth_pictures_become_small(tmp_path: Path) -> None:
     """240 kB and a profile of 2.5 kB."""
-    assert write_frame(tmp_path / "a.png", picture("pq", (200, 200), smooth=True)).stat().st_size < 4000
+    assert write_frame(tmp_path / "a.png",
+                       picture("pq", (200, 200), smooth=True)).stat().st_size < 4000

@@ -1,4 +1,5 @@
-"""What files say about their colours, read back by Pillow with LittleCMS, by the OpenEXR package and chunk by chunk."""
+"""What files say about their colours, read back by Pillow with LittleCMS, by the OpenEXR package
+and chunk by chunk."""
 
 from __future__ import annotations
 
@@ -59,17 +60,20 @@ def test_icc_profiles_are_in_the_files(name: str, suffix: str, tmp_path: Path) -
         return
     with Image.open(write_frame(tmp_path / f"a{suffix}", frame(name))) as image:
         found = image.info.get("icc_profile")
-    assert found == (None if (name, suffix) == ("srgb", ".png") else make_profile(parse_display(name)))
+    assert found == (None if (name, suffix) == ("srgb", ".png")
+                     else make_profile(parse_display(name)))
 
 
 @pytest.mark.parametrize("name", SPACES)
 def test_icc_profiles_mean_the_display(name: str) -> None:
-    """LittleCMS turns code values by the profile into Lab as colour-science does by the standard."""
+    """LittleCMS turns code values by the profile into Lab as colour-science does by the
+    standard."""
     own = ImageCms.ImageCmsProfile(io.BytesIO(make_profile(parse_display(name))))
     codes = np.random.default_rng(5).integers(0, 256, (64, 1, 3)).astype(np.uint8)
     transform = ImageCms.buildTransform(own, ImageCms.createProfile("LAB"), "RGB", "LAB", RELATIVE)
     found = np.asarray(ImageCms.applyTransform(Image.fromarray(codes), transform)).astype(np.int16)
-    found = np.stack([found[..., 0] * 100 / 255, *(((found[..., i] + 128) % 256) - 128 for i in (1, 2))], -1)
+    found = np.stack([found[..., 0] * 100 / 255,
+                      *(((found[..., i] + 128) % 256) - 128 for i in (1, 2))], -1)
     light = parse_display(name).decode(codes / 255)
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["ICC D50"]
     lab = colour.XYZ_to_Lab(colour.RGB_to_XYZ(light, SPACES[name], white, "Bradford"), white)
@@ -80,7 +84,8 @@ def test_icc_profiles_mean_the_display(name: str) -> None:
 
 def test_profiles_are_the_same_bytes_every_time() -> None:
     assert make_profile(parse_display("p3")) == make_profile.__wrapped__(parse_display("p3"))
-    assert len(make_profile(parse_display("p3"))) == struct.unpack(">I", make_profile(parse_display("p3"))[:4])[0]
+    assert (len(make_profile(parse_display("p3")))
+            == struct.unpack(">I", make_profile(parse_display("p3"))[:4])[0])
 
 
 def test_hdr_profiles_end_at_diffuse_white() -> None:
@@ -88,7 +93,8 @@ def test_hdr_profiles_end_at_diffuse_white() -> None:
     own = ImageCms.ImageCmsProfile(io.BytesIO(make_profile(parse_display("pq"))))
     transform = ImageCms.buildTransform(own, ImageCms.createProfile("sRGB"), "RGB", "RGB", RELATIVE)
     codes = parse_display("pq").encode(np.array([0.0, 0.18, 1.0, 4.0])[:, None, None].repeat(3, 2))
-    shown = ImageCms.applyTransform(Image.fromarray(np.rint(codes * 255).astype(np.uint8)), transform)
+    shown = ImageCms.applyTransform(Image.fromarray(np.rint(codes * 255).astype(np.uint8)),
+                                    transform)
     np.testing.assert_allclose(np.asarray(shown)[:, 0, 1], [0, 118, 255, 255], atol=3)
 
 
@@ -97,7 +103,8 @@ def test_exr_of_a_display_picture_is_light_with_its_primaries(tmp_path: Path) ->
     light = np.random.default_rng(3).uniform(0, 4, (8, 8, 3))
     display = parse_display("pq,peak=2000")
     codes = np.ascontiguousarray(display.encode(light), np.float32)
-    made = Frame({Role.COLOUR: codes}, encoding=str(display), metadata={"colorInteropID": "lin_ap1_scene"})
+    made = Frame({Role.COLOUR: codes}, encoding=str(display),
+                 metadata={"colorInteropID": "lin_ap1_scene"})
     file = openexr.File(str(write_frame(tmp_path / "a.exr", made, half=False)))
     header, pixels = file.header(), file.channels()["RGB"].pixels
     np.testing.assert_allclose(header["chromaticities"], REC2020, atol=1e-6)

@@ -27,7 +27,8 @@ def write_tiff(path: Path, pixels: np.ndarray, kind: str, compression: str = "zi
 def write_pfm(path: Path, pixels: np.ndarray) -> None:
     """By Debevec's description: rows from the bottom, little-endian for a negative scale."""
     height, width, _ = pixels.shape
-    path.write_bytes(f"PF\n{width} {height}\n-1.0\n".encode() + pixels[::-1].astype("<f4").tobytes())
+    path.write_bytes(f"PF\n{width} {height}\n"
+                     "-1.0\n".encode() + pixels[::-1].astype("<f4").tobytes())
 
 
 @pytest.mark.parametrize("compression", ["none", "lzw", "zip"])
@@ -56,8 +57,10 @@ def test_the_command_denoises_them(tmp_path, capsys):
     write_pfm(tmp_path / "a.pfm", LIGHT)
     write_tiff(tmp_path / "a.tif", LIGHT, "float")
     for name in ("a.pfm", "a.tif"):
-        assert main(["run", str(tmp_path / name), "-o", str(tmp_path / f"{name}.exr"), "--model", "s"]) == 0
-    one, other = (next(iter(read_sequence(tmp_path / f"{name}.exr")))[Role.COLOUR] for name in ("a.pfm", "a.tif"))
+        assert main(["run", str(tmp_path / name), "-o", str(tmp_path / f"{name}.exr"), "--model",
+                     "s"]) == 0
+    one, other = (next(iter(read_sequence(tmp_path / f"{name}.exr")))[Role.COLOUR]
+                  for name in ("a.pfm", "a.tif"))
     np.testing.assert_array_equal(one, other)
     assert one.std() < 0.7 * LIGHT.std()
     told = capsys.readouterr().err
@@ -72,7 +75,9 @@ def test_a_picture_for_a_display_is_no_light(tmp_path):
 
 def test_a_file_that_claims_too_much_is_refused(tmp_path):
     (tmp_path / "a.pfm").write_bytes(b"PF\n9000 9000\n-1.0\n" + bytes(3000))
-    with pytest.raises(ReadError, match=r"a\.pfm: broken file: its header claims 9000x9000 pixels in 3\d* bytes"):
+    with pytest.raises(ReadError,
+                       match=r"a\.pfm: broken file: its header claims 9000x9000 pixels in 3\d* "
+                       r"bytes"):
         list(read_sequence(tmp_path / "a.pfm"))
 
 
@@ -84,6 +89,7 @@ def test_a_cut_file_is_told(tmp_path):
 
 
 def test_pictures_beside_a_render_do_not_make_its_folder_two_sequences(tmp_path):
-    write_frame(tmp_path / "shot.0001.exr", next(iter(read_sequence("samples/room/noisy.0001.exr"))))
+    write_frame(tmp_path / "shot.0001.exr",
+                next(iter(read_sequence("samples/room/noisy.0001.exr"))))
     write_tiff(tmp_path / "preview.0001.tif", LIGHT, "float")
     assert len(list(read_sequence(tmp_path))) == 1

@@ -23,7 +23,8 @@ def open_files(path: Path, profile: str | None = None) -> FrameFiles:
 
 
 def blender_channels(ramp, layer: str = "ViewLayer") -> dict[str, np.ndarray]:
-    names = ["Combined.R", "Combined.G", "Combined.B", "Combined.A", "Depth.Z", "Vector.X", "Vector.Y"]
+    names = ["Combined.R", "Combined.G", "Combined.B", "Combined.A", "Depth.Z", "Vector.X",
+             "Vector.Y"]
     return ramp(*[f"{layer}.{name}" for name in names])
 
 
@@ -35,8 +36,10 @@ def test_built_in_profiles_load(name):
 
 
 def test_generic_planes_and_headers(write_exr, ramp):
-    channels = ramp("R", "G", "B", "albedo.R", "albedo.G", "albedo.B", "motion.X", "motion.Y", "depth.Z")
-    header = {"postfx__exposure": 2.5, "postfx__spp": 4, "postfx__reset": 1, "worldToCamera": TURN.ravel()}
+    channels = ramp("R", "G", "B", "albedo.R", "albedo.G", "albedo.B", "motion.X", "motion.Y",
+                    "depth.Z")
+    header = {"postfx__exposure": 2.5, "postfx__spp": 4, "postfx__reset": 1,
+              "worldToCamera": TURN.ravel()}
     with open_files(write_exr("a.exr", channels, **header)) as files:
         frame = files.read(7)
     assert files.layout.profile.name == "generic"
@@ -66,7 +69,8 @@ def test_blender_multi_part(write_parts, ramp):
     parts: dict[str, dict[str, np.ndarray]] = {}
     for name, pixels in channels.items():
         parts.setdefault(name.rpartition(".")[0], {})[name] = pixels
-    path = write_parts("a.exr", parts, **{"Software": "Blender 5.0.1", "cycles.ViewLayer.samples": "16"})
+    path = write_parts("a.exr", parts,
+                       **{"Software": "Blender 5.0.1", "cycles.ViewLayer.samples": "16"})
     with open_files(path) as files:
         frame = files.read(1)
     assert files.layout.profile.name == "cycles-5"
@@ -77,7 +81,8 @@ def test_blender_multi_part(write_parts, ramp):
 
 def test_a_layer_combined_is_not_blenders_by_itself(write_exr, ramp):
     layers = {"combined": "RGB", "albedo": "RGB", "motion": "XY", "normal": "XYZ"}
-    channels = {f"{layer}.{key}": pixels for layer, keys in layers.items() for key, pixels in ramp(*keys).items()}
+    channels = {f"{layer}.{key}": pixels for layer, keys in layers.items()
+                for key, pixels in ramp(*keys).items()}
     with open_files(write_exr("a.exr", channels)) as files:
         frame = files.read(1)
     assert files.layout.profile.name == "generic"
@@ -88,14 +93,16 @@ def test_a_layer_combined_is_not_blenders_by_itself(write_exr, ramp):
 
 
 def test_blender_4_by_its_header_or_its_names(write_exr, ramp):
-    with open_files(write_exr("a.exr", blender_channels(ramp, "View Layer"), Software="Blender 4.5.3")) as files:
+    with open_files(write_exr("a.exr", blender_channels(ramp, "View Layer"),
+                              Software="Blender 4.5.3")) as files:
         assert files.layout.profile.name == "cycles-4"
     albedo = ramp("View Layer.DiffCol.R", "View Layer.DiffCol.G", "View Layer.DiffCol.B")
     with open_files(write_exr("b.exr", blender_channels(ramp, "View Layer") | albedo)) as files:
         assert files.layout.profile.name == "cycles-4"
         assert Role.DIFFUSE_ALBEDO in files.layout.planes
     # What was found for these names does not hold where the header says something else.
-    with open_files(write_exr("c.exr", blender_channels(ramp, "View Layer"), Software="Blender 5.0.1")) as files:
+    with open_files(write_exr("c.exr", blender_channels(ramp, "View Layer"),
+                              Software="Blender 5.0.1")) as files:
         assert files.layout.profile.name == "cycles-5"
 
 
@@ -136,7 +143,8 @@ def test_mitsuba_without_field_of_view_warns(write_exr, ramp):
 
 
 def test_pbrt_camera_normals_become_world_normals(write_exr, ramp):
-    channels = ramp("R", "G", "B", "Albedo.R", "Albedo.G", "Albedo.B", "Ns.X", "Ns.Y", "Ns.Z", "P.Z", "dzdx")
+    channels = ramp("R", "G", "B", "Albedo.R", "Albedo.G", "Albedo.B", "Ns.X", "Ns.Y", "Ns.Z",
+                    "P.Z", "dzdx")
     world = np.stack([channels[f"Ns.{axis}"] for axis in "XYZ"], axis=-1)
     camera = world @ TURN[:3, :3]
     channels |= {f"Ns.{axis}": camera[:, :, index] for index, axis in enumerate("XYZ")}
@@ -179,14 +187,16 @@ def test_albedo_above_one_is_cut_and_broken_motion_is_unknown(write_exr, ramp):
 def test_a_plane_of_channels_of_two_sizes_is_refused(write_exr, ramp, tmp_path, size, memory):
     write_exr("beauty.0001.exr", ramp("R", "G", "B", "motion.X"))
     write_exr("motion.0001.exr", ramp("Y", **size))
-    with pytest.raises(ReadError, match=r"0001\.exr: channels motion\.X, Y differ in size; write them as one"):
+    with pytest.raises(ReadError,
+                       match=r"0001\.exr: channels motion\.X, Y differ in size; write them as one"):
         read_sequence(tmp_path, scratch=memory and Scratch(memory)).read(1)
 
 
 def test_missing_plane_names_file_plane_and_mend(write_exr, ramp):
     with (
         open_files(write_exr("a.exr", blender_channels(ramp))) as files,
-        pytest.raises(MissingPlaneError, match=r"a\.exr: no AOV 'normal': .*Normal\.X.*Passes > Data > Normal"),
+        pytest.raises(MissingPlaneError,
+                      match=r"a\.exr: no AOV 'normal': .*Normal\.X.*Passes > Data > Normal"),
     ):
         files.read(1, [Role.NORMAL])
 
@@ -197,7 +207,8 @@ def test_missing_plane_names_file_plane_and_mend(write_exr, ramp):
         ("[[plane]]\nrole = 'velocity'\nchannels = ['XY']", "unknown role"),
         ("[[plane]]\nrole = 'motion'\nchannels = ['X']", "needs 2 channels"),
         ("[[plane]]\nrole = 'motion'\nchannels = ['XY']\nunits = 'uv'", "unknown key 'units'"),
-        ("[[plane]]\nrole = 'motion'\nchannels = ['XY']\nunit = 'metres'", "use one of pixels, uv, ndc"),
+        ("[[plane]]\nrole = 'motion'\nchannels = ['XY']\nunit = 'metres'",
+         "use one of pixels, uv, ndc"),
         ("name = ", "not valid TOML"),
     ],
 )
@@ -219,21 +230,26 @@ def test_the_documented_profiles_are_valid(tmp_path):
 
 
 def test_unknown_profile_lists_the_known():
-    with pytest.raises(ProfileError, match="unknown profile 'maya': use one of .*cycles-5.*generic"):
+    with pytest.raises(ProfileError,
+                       match="unknown profile 'maya': use one of .*cycles-5.*generic"):
         load_profile("maya")
 
 
 def test_overscan_beyond_that_of_frames_before_warns(write_exr, ramp):
-    first = write_exr("a.exr", ramp("R", "G", "B", height=5, width=5), origin=(-1, 0), display=(0, 0, 4, 4))
+    first = write_exr("a.exr", ramp("R", "G", "B", height=5, width=5), origin=(-1, 0),
+                      display=(0, 0, 4, 4))
     path = write_exr("b.exr", ramp("R", "G", "B"), origin=(-1, -1), display=(0, 0, 4, 4))
-    with open_files(first) as files, FrameFiles({"": path}, settled=Settled(area=files.area)) as later:
+    with open_files(first) as files, FrameFiles({"": path},
+                                                settled=Settled(area=files.area)) as later:
         assert files.layout.warnings == []
         assert later.layout.warnings == ["overscan beyond that of the first frame is cut off"]
-        assert (later.spec().width, later.spec().height) == (files.spec().width, files.spec().height) == (5, 5)
+        assert (later.spec().width,
+                later.spec().height) == (files.spec().width, files.spec().height) == (5, 5)
 
 
 def test_channel_names_are_shown_short(write_exr, ramp):
-    with open_files(write_exr("a.exr", ramp("R", "G", "B", "albedo.R", "albedo.G", "albedo.B"))) as files:
+    with open_files(write_exr("a.exr",
+                              ramp("R", "G", "B", "albedo.R", "albedo.G", "albedo.B"))) as files:
         shown = {role: match.names for role, match in files.layout.planes.items()}
     assert shown == {Role.COLOUR: "R,G,B", Role.DIFFUSE_ALBEDO: "albedo.R,G,B"}
 
@@ -241,7 +257,9 @@ def test_channel_names_are_shown_short(write_exr, ramp):
 @pytest.mark.parametrize("none", [np.nan, np.inf, 1e10, -65504.0, (np.nan, 3.0)])
 def test_vectors_that_stand_for_none_are_unknown(write_exr, ramp, none):
     channels = ramp("R", "G", "B", "motion.X", "motion.Y")
-    channels["motion.X"][1, 2], channels["motion.Y"][1, 2] = none if isinstance(none, tuple) else (none, none)
+    channels["motion.X"][1, 2], channels["motion.Y"][1, 2] = (none if isinstance(none, tuple)
+                                                              else (none, none))
     (frame,) = read_sequence(write_exr("a.exr", channels))
     motion = frame[Role.MOTION]
-    assert np.isnan(motion[1, 2]).all() and np.isfinite(motion).all(axis=2).sum() == motion[..., 0].size - 1
+    assert (np.isnan(motion[1, 2]).all()
+            and np.isfinite(motion).all(axis=2).sum() == motion[..., 0].size - 1)

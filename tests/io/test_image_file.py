@@ -33,9 +33,12 @@ def test_reads_only_the_named_channels(write_exr, ramp):
 
 @pytest.mark.parametrize("rows", [None, (1, 3)])
 def test_whole_numbers_are_read_as_they_are(tmp_path: Path, rows):
-    """Not in parts of 2^32, beside halves, in any order, with what stands for none around the data window."""
-    light, counts = np.arange(24, dtype=np.float16).reshape(4, 6), np.arange(24, dtype=np.uint32).reshape(4, 6) * 1000
-    header = {"type": OpenEXR.scanlineimage, "dataWindow": ((1, 0), (6, 3)), "displayWindow": ((0, 0), (7, 3))}
+    """Not in parts of 2^32, beside halves, in any order, with what stands for none around the data
+    window."""
+    light, counts = (np.arange(24, dtype=np.float16).reshape(4, 6),
+                     np.arange(24, dtype=np.uint32).reshape(4, 6) * 1000)
+    header = {"type": OpenEXR.scanlineimage, "dataWindow": ((1, 0), (6, 3)),
+              "displayWindow": ((0, 0), (7, 3))}
     OpenEXR.File(header, {"G": light, "R": counts}).write(str(tmp_path / "a.exr"))
     with ImageFile(tmp_path / "a.exr") as file:
         found = file.read(file.parts[0], {"R": 7.0, "G": 0.0}, rows)
@@ -89,14 +92,17 @@ def test_shortened_file_is_named(write_exr, ramp):
 
 
 @pytest.mark.parametrize("compression", ["zip", "zips", "none"])
-def test_plain_lines_are_read_without_openimageio_and_the_same(tmp_path: Path, monkeypatch, compression):
+def test_plain_lines_are_read_without_openimageio_and_the_same(tmp_path: Path, monkeypatch,
+                                                               compression):
     halves = np.arange(1 << 16, dtype=np.uint16)  # all: subnormal numbers, infinities, NaN
-    noise = np.random.default_rng(0).integers(0, 1 << 16, (70, 1031)).astype(np.uint16)  # does not shrink
+    # does not shrink
+    noise = np.random.default_rng(0).integers(0, 1 << 16, (70, 1031)).astype(np.uint16)
     pixels = {"B": np.resize(halves, noise.shape).view(np.float16), "G": noise.view(np.float16),
               "Z": noise.astype(np.float32) / 3, "id": noise.astype(np.uint32)}
     header = {"compression": {"zip": OpenEXR.ZIP_COMPRESSION, "zips": OpenEXR.ZIPS_COMPRESSION,
                               "none": OpenEXR.NO_COMPRESSION}[compression],
-              "type": OpenEXR.scanlineimage, "dataWindow": ((5, -3), (1035, 66)), "displayWindow": ((0, 0), (1023, 63))}
+              "type": OpenEXR.scanlineimage, "dataWindow": ((5, -3), (1035, 66)),
+              "displayWindow": ((0, 0), (1023, 63))}
     path = tmp_path / "a.exr"
     OpenEXR.File(header, pixels).write(str(path))
     wanted = {"Z": 0.0, "B": 0.0, "G": 0.0}
@@ -104,7 +110,8 @@ def test_plain_lines_are_read_without_openimageio_and_the_same(tmp_path: Path, m
     def found() -> list[np.ndarray]:
         with ImageFile(path) as file:
             whole, some = (file.read(file.parts[0], wanted, rows) for rows in (None, (21, 39)))
-            return [*whole.values(), *some.values(), *file.read(file.parts[0], {"id": 0.0}).values()]
+            return [*whole.values(), *some.values(),
+                    *file.read(file.parts[0], {"id": 0.0}).values()]
 
     with monkeypatch.context() as patch:
         patch.setattr(ImageFile, "_read_rows", None)
@@ -119,16 +126,19 @@ def test_plain_lines_are_read_without_openimageio_and_the_same(tmp_path: Path, m
 def test_zip_that_is_broken_is_named(tmp_path: Path):
     path = tmp_path / "a.exr"
     ramp = np.arange(64 * 64, dtype=np.float32).reshape(64, 64)
-    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, {"R": ramp}).write(str(path))
+    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage},
+                 {"R": ramp}).write(str(path))
     with path.open("r+b") as file:
         file.seek(-3, 2)  # within the checksum of the last chunk
         file.write(b"\0\0\0")
-    with ImageFile(path) as file, pytest.raises(ReadError, match=r"a\.exr: broken file: .*; render or copy"):
+    with ImageFile(path) as file, pytest.raises(ReadError,
+                                                match=r"a\.exr: broken file: .*; render or copy"):
         file.read(file.parts[0], {"R": 0.0})
 
 
 def test_tiles_below_the_rows_that_are_read_are_not_touched(tmp_path: Path):
-    path, values = tmp_path / "a.exr", np.float32(np.random.default_rng(0).integers(0, 9, (150, 64, 1)))
+    path, values = tmp_path / "a.exr", np.float32(np.random.default_rng(0)
+                                                  .integers(0, 9, (150, 64, 1)))
     spec = oiio.ImageSpec(64, 150, 1, "float")
     spec.channelnames, spec.tile_width, spec.tile_height, spec.y = ("R",), 32, 32, -7
     output = oiio.ImageOutput.create(str(path))
@@ -173,10 +183,12 @@ def test_zip_leaves_rows_that_its_table_does_not_hold_to_openimageio(tmp_path: P
         assert reader.read([(["G"], plane)], 0, 40) and (plane == 1).all()
         assert not reader.read([(["G"], plane)], 0, 41) and not reader.read([(["G"], plane)], -1, 8)
         file.counts[0] = 2  # as if the header told of fewer lines than OpenImageIO reads
-        assert not reader.read([(["G"], plane)], 0, 40) and reader.read([(["G"], plane[:32])], 0, 32)
+        assert (not reader.read([(["G"], plane)], 0, 40)
+                and reader.read([(["G"], plane[:32])], 0, 32))
 
 
-@pytest.mark.skipif(not hasattr(container.os, "register_at_fork"), reason="processes are not forked here")
+@pytest.mark.skipif(not hasattr(container.os, "register_at_fork"),
+                    reason="processes are not forked here")
 def test_a_forked_process_unpacks_with_threads_of_its_own(write_exr, ramp):
     path = write_exr("a.exr", ramp("Z"))
 
@@ -195,9 +207,11 @@ def test_a_forked_process_unpacks_with_threads_of_its_own(write_exr, ramp):
 
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 64, 4096 + 8, 3 * 4096, 12345])
 def test_bytes_that_were_predicted_come_back(count):
-    """However many there are: eights of them are summed another way, in pieces; also the largest and the smallest."""
+    """However many there are: eights of them are summed another way, in pieces; also the largest
+    and the smallest."""
     rng = np.random.default_rng(count)
-    for words in (rng.integers(0, 1 << 16, count), np.full(count, 65535), np.arange(count) % 2 * 65535):
+    for words in (rng.integers(0, 1 << 16, count), np.full(count, 65535),
+                  np.arange(count) % 2 * 65535):
         words = words.astype(np.uint16)
         differences, found = np.empty(2 * count, np.uint8), np.empty(count, np.uint16)
         predict_bytes(words.view(np.uint8), differences)
@@ -207,11 +221,13 @@ def test_bytes_that_were_predicted_come_back(count):
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_channels_of_all_kinds_are_put_side_by_side(count):
-    """Half floats and floats in one row, some of them twice, with every half float that there is."""
+    """Half floats and floats in one row, some of them twice, with every half float that there
+    is."""
     halves = np.arange(1 << 16, dtype=np.uint16).reshape(2, -1).view(np.float16)
     floats = np.random.default_rng(count).random(halves.shape, np.float32)
     words = np.concatenate([halves.view(np.uint16), floats.view(np.uint16)], axis=1)
-    places, columns = [(1, 0), (2, halves.shape[1]), (1, 0), (2, halves.shape[1])][:count], [halves, floats] * 2
+    places, columns = [(1, 0), (2, halves.shape[1]), (1, 0),
+                       (2, halves.shape[1])][:count], [halves, floats] * 2
     bits = np.empty((*halves.shape, count), np.uint32)
     widen_rows(words, np.array(places), bits)
     wanted = np.stack(columns[:count], axis=-1).astype(np.float32)
@@ -222,8 +238,9 @@ def test_channels_of_all_kinds_are_put_side_by_side(count):
 @pytest.mark.parametrize("kind", ["random", "alike"])
 def test_chunks_are_streams_that_zlib_reads_or_the_rows_themselves(columns, kind):
     rng = np.random.default_rng(columns)
-    lines = rng.integers(0, 256, (15, 2 * columns)).astype(np.uint8) if kind == "random" else np.full(
-        (15, 2 * columns), 7, np.uint8)
+    lines = (rng.integers(0, 256, (15, 2 * columns)).astype(np.uint8) if kind == "random"
+             else np.full(
+        (15, 2 * columns), 7, np.uint8))
     stored = compress_rows(lines)
     if kind == "random":
         assert stored == lines.tobytes()

@@ -28,19 +28,24 @@ def colours() -> Channels:
 
 
 def ranks(layer: str, letters: tuple[str, ...] = tuple("RGBA")) -> Channels:
-    """Rows 0 and 1 are sky_dome, row 2 half of it and half sky_sun, row 3 a third of each, the rest nothing."""
-    dome, sun, logo = (np.array([id_of_name(name)], np.uint32).view(np.float32)[0] for name in NAMES)
+    """Rows 0 and 1 are sky_dome, row 2 half of it and half sky_sun, row 3 a third of each, the rest
+    nothing."""
+    dome, sun, logo = (np.array([id_of_name(name)], np.uint32).view(np.float32)[0]
+                       for name in NAMES)
     planes = np.zeros((2, 4, *SIZE), np.float32)
     planes[0, 0, :4], planes[0, 1, :4] = dome, np.array([1, 1, 0.5, 1 / 3])[:, None]
     planes[0, 2, 2:4], planes[0, 3, 2:4] = sun, np.array([0.5, 1 / 3])[:, None]
     planes[1, 0, 3], planes[1, 1, 3] = logo, 1 / 3
-    return {f"{layer}{level:02d}.{letter}": planes[level, i] for level in (0, 1) for i, letter in enumerate(letters)}
+    return {f"{layer}{level:02d}.{letter}": planes[level, i] for level in (0, 1)
+            for i, letter in enumerate(letters)}
 
 
 def header(layer: str = "CryptoObject", key: str = "abc1234", **fields: str) -> dict[str, str]:
     names = {name: f"{id_of_name(name):08x}" for name in NAMES}
-    usual = {"name": layer, "hash": "MurmurHash3_32", "conversion": "uint32_to_float32", "manifest": json.dumps(names)}
-    return {f"cryptomatte/{key}/{field}": text for field, text in {**usual, **fields}.items() if text}
+    usual = {"name": layer, "hash": "MurmurHash3_32", "conversion": "uint32_to_float32",
+             "manifest": json.dumps(names)}
+    return {f"cryptomatte/{key}/{field}": text
+            for field, text in {**usual, **fields}.items() if text}
 
 
 @pytest.fixture
@@ -48,7 +53,8 @@ def write(tmp_path: Path) -> Callable[..., Path]:
     """Writes a file of one part, channels keeping their data types."""
 
     def make(channels: Channels, name: str = "shot.0001.exr", **attributes: str) -> Path:
-        OpenEXR.File({"type": OpenEXR.scanlineimage, **attributes}, channels).write(str(tmp_path / name))
+        OpenEXR.File({"type": OpenEXR.scanlineimage, **attributes},
+                     channels).write(str(tmp_path / name))
         return tmp_path / name
 
     return make
@@ -66,9 +72,10 @@ def strength(path: Path, leave: str, **options) -> np.ndarray:
     ("sky_dome@CryptoAsset,sky_sun=0.5", [0, 0, 0.25, 1 / 2, 1, 1]),
     ("sky_sun@CryptoObject=0.5,*@CryptoAsset,logo@CryptoObject=1", [0, 0, 0, 1 / 3, 1, 1]),
 ])
-def test_the_last_entry_counts_across_cryptomattes(write: Callable[..., Path], leave: str, rows: list[float]) -> None:
-    """Of objects and of materials, which are called alike here: no entry is applied twice, none to what a later one is
-    for."""
+def test_the_last_entry_counts_across_cryptomattes(write: Callable[..., Path], leave: str,
+                                                   rows: list[float]) -> None:
+    """Of objects and of materials, which are called alike here: no entry is applied twice, none to
+    what a later one is for."""
     path = write(colours() | ranks("CryptoObject") | ranks("CryptoAsset"), **header(),
                  **header("CryptoAsset", "abc5678"))
     np.testing.assert_allclose(strength(path, leave), rows, atol=1e-6)
@@ -82,32 +89,38 @@ def test_the_last_entry_counts_across_cryptomattes(write: Callable[..., Path], l
     ("sky_*@cryptoobject,logo@CryptoObject", [0, 0, 0, 0, 1, 1]),
     (f"0x{id_of_name('logo'):x}", [1, 1, 1, 2 / 3, 1, 1]),
 ])
-def test_names_of_a_cryptomatte_by_their_shares(write: Callable[..., Path], leave: str, rows: list[float]) -> None:
+def test_names_of_a_cryptomatte_by_their_shares(write: Callable[..., Path], leave: str,
+                                                rows: list[float]) -> None:
     path = write(colours() | ranks("CryptoObject"), **header())
     np.testing.assert_allclose(strength(path, leave), rows, atol=1e-6)
 
 
 def test_names_are_written_in_many_ways(write: Callable[..., Path], tmp_path: Path) -> None:
-    """Names of a view layer, other letters, a manifest in a file, none at all, and two Cryptomattes."""
+    """Names of a view layer, other letters, a manifest in a file, none at all, and two
+    Cryptomattes."""
     wanted = [0, 0, 0, 1 / 3, 1, 1]
-    blender = write(colours() | ranks("ViewLayer.CryptoObject", tuple("rgba")), **header("ViewLayer.CryptoObject"))
+    blender = write(colours() | ranks("ViewLayer.CryptoObject", tuple("rgba")),
+                    **header("ViewLayer.CryptoObject"))
     np.testing.assert_allclose(strength(blender, "sky_*@CryptoObject"), wanted, atol=1e-6)
     nuke = write(colours() | ranks("CryptoObject", ("red", "green", "blue", "alpha")), **header())
     np.testing.assert_allclose(strength(nuke, "sky_*"), wanted, atol=1e-6)
     (tmp_path / "names.json").write_text(header()["cryptomatte/abc1234/manifest"])
-    beside = write(colours() | ranks("CryptoObject"), **header(manifest="", manif_file="names.json"))
+    beside = write(colours() | ranks("CryptoObject"),
+                   **header(manifest="", manif_file="names.json"))
     np.testing.assert_allclose(strength(beside, "sky_*"), wanted, atol=1e-6)
     bare = write(colours() | ranks("CryptoObject"), **header(manifest=""))
     np.testing.assert_allclose(strength(bare, "sky_dome,sky_sun"), wanted, atol=1e-6)
     two = write(colours() | ranks("CryptoObject") | ranks("CryptoMaterial"), **header(),
-                **header("CryptoMaterial", "def5678", manifest=json.dumps({"chrome": f"{id_of_name('chrome'):08x}"})))
+                **header("CryptoMaterial", "def5678",
+                         manifest=json.dumps({"chrome": f"{id_of_name('chrome'):08x}"})))
     np.testing.assert_allclose(strength(two, "sky_*"), wanted, atol=1e-6)
     np.testing.assert_allclose(strength(two, "chrome"), 1, atol=1e-6)
 
 
 def test_parts_and_a_file_for_each_plane(tmp_path: Path) -> None:
     parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage, "name": name, **attributes}, channels)
-             for name, attributes, channels in (("rgba", {}, colours()), ("crypto", header(), ranks("CryptoObject")))]
+             for name, attributes, channels in (("rgba", {}, colours()),
+                                                ("crypto", header(), ranks("CryptoObject")))]
     OpenEXR.File(parts).write(str(tmp_path / "parts.0001.exr"))
     wanted = [0, 0, 0, 1 / 3, 1, 1]
     np.testing.assert_allclose(strength(tmp_path / "parts.0001.exr", "sky_*"), wanted, atol=1e-6)
@@ -134,9 +147,11 @@ def test_ids_keep_all_their_bits_and_are_empty_outside_of_the_data(tmp_path: Pat
     window = {"displayWindow": (np.zeros(2, np.int32), np.array([7, 5], np.int32)),
               "dataWindow": (np.array([0, 1], np.int32), np.array([7, 4], np.int32))}
     channels = {name: np.ones((4, 8), np.float32) for name in "RGB"} | {"id.Y": ids}
-    OpenEXR.File({"type": OpenEXR.scanlineimage, **window}, channels).write(str(tmp_path / "a.0001.exr"))
+    OpenEXR.File({"type": OpenEXR.scanlineimage, **window},
+                 channels).write(str(tmp_path / "a.0001.exr"))
     for scratch in (None, Scratch(4096)):
-        frame = read_sequence(tmp_path / "a.0001.exr", leave="4000000007@id", scratch=scratch).read(1)
+        frame = read_sequence(tmp_path / "a.0001.exr", leave="4000000007@id",
+                              scratch=scratch).read(1)
         np.testing.assert_array_equal(frame[Role.STRENGTH][:, 3, 0], [1, 0, 1, 0, 0, 1])
 
 
@@ -144,7 +159,8 @@ def test_a_plane_of_the_file_counts_too(write: Callable[..., Path]) -> None:
     own = np.full(SIZE, 0.5, np.float32)
     path = write(colours() | ranks("CryptoObject") | {"strength.Y": own}, **header())
     sequence = read_sequence(path, leave="sky_dome")
-    np.testing.assert_allclose(sequence.read(1)[Role.STRENGTH][:, 3, 0], [0, 0, 0.25, 1 / 3, 0.5, 0.5], atol=1e-6)
+    np.testing.assert_allclose(sequence.read(1)[Role.STRENGTH][:, 3, 0],
+                               [0, 0, 0.25, 1 / 3, 0.5, 0.5], atol=1e-6)
     np.testing.assert_allclose(strength(path, "sky_dome", planes=["strength"])[:3], [0, 0, 0.25])
     with FrameFiles({"": path}, ReadOptions(leave="sky_dome")) as files:
         assert files.spec().roles == (Role.COLOUR, Role.STRENGTH)
@@ -159,9 +175,10 @@ def test_misses_are_found_by_planes_that_are_not_asked_for(write: Callable[..., 
 
 
 def test_in_pieces_all_is_the_same(write: Callable[..., Path]) -> None:
-    path = write(colours() | ranks("CryptoObject") | {"depth.Z": np.full(SIZE, 1e10, np.float32)}, **header())
-    whole, pieces = (read_sequence(path, leave="logo,sky_sun=0.5,auto=0.2", scratch=scratch) for scratch in
-                     (None, Scratch(4096)))
+    path = write(colours() | ranks("CryptoObject") | {"depth.Z": np.full(SIZE, 1e10, np.float32)},
+                 **header())
+    whole, pieces = (read_sequence(path, leave="logo,sky_sun=0.5,auto=0.2", scratch=scratch)
+                     for scratch in (None, Scratch(4096)))
     np.testing.assert_array_equal(pieces.read(1)[Role.STRENGTH], whole.read(1)[Role.STRENGTH])
     assert str(pieces.coverage) == str(whole.coverage)
 
@@ -170,16 +187,19 @@ def test_what_is_left_alone_is_counted(write: Callable[..., Path]) -> None:
     path = write(colours() | ranks("CryptoObject"), **header())
     sequence = read_sequence(path, leave="sky_*,logo=0.5")
     assert sequence.coverage_of(1).as_dict() == {
-        "frames": 1, "share": 0.5, "covered": {"sky_*": round((3 + 2 / 3) / 6, 4), "logo=0.5": round(1 / 18, 4)}}
+        "frames": 1, "share": 0.5,
+        "covered": {"sky_*": round((3 + 2 / 3) / 6, 4), "logo=0.5": round(1 / 18, 4)}}
     sequence.read(1), sequence.read(1, [Role.COLOUR])
-    assert str(sequence.coverage) == "50.0 % of the pixels are not denoised at all: sky_* covers 61.1 %, " \
-                                       "logo=0.5 covers 5.6 %"
+    assert (str(sequence.coverage) == "50.0 % of the pixels are not denoised at all: sky_* covers "
+                                       "61.1 %, logo=0.5 covers 5.6 %")
 
 
 def test_a_thing_need_not_be_in_every_frame(write: Callable[..., Path]) -> None:
-    """A manifest may name only what is seen; the first frame tells whether the name was mistyped."""
+    """A manifest may name only what is seen; the first frame tells whether the name was
+    mistyped."""
     path = write(colours() | ranks("CryptoObject"), **header())
-    write(colours() | ranks("CryptoObject"), "shot.0002.exr", **header(manifest='{"other": "00000000"}'))
+    write(colours() | ranks("CryptoObject"), "shot.0002.exr",
+          **header(manifest='{"other": "00000000"}'))
     sequence = read_sequence(path.with_name("shot.####.exr"), leave="logo")
     assert sequence.read(1)[Role.STRENGTH].min() < 1
     np.testing.assert_array_equal(sequence.read(2)[Role.STRENGTH], 1)
@@ -188,19 +208,27 @@ def test_a_thing_need_not_be_in_every_frame(write: Callable[..., Path]) -> None:
 @pytest.mark.parametrize(("leave", "fields", "message"), [
     ("sky", {}, "no 'sky' in Cryptomatte CryptoObject: nearest: 'sky_sun', 'sky_dome'"),
     ("LOGO", {}, "no 'LOGO' in Cryptomatte CryptoObject: nearest: 'logo'"),
-    ("q", {}, "no 'q' in Cryptomatte CryptoObject: some of its names: 'sky_dome', 'sky_sun', 'logo'"),
+    ("q", {},
+     "no 'q' in Cryptomatte CryptoObject: some of its names: 'sky_dome', 'sky_sun', 'logo'"),
     ("q", {"manifest": "{}"}, "some of its names: none, the manifest is empty"),
-    ("7@id", {}, "AOV 'id' of '7@id' is not there: name a channel of ids, or a Cryptomatte \\(here: CryptoObject\\)"),
-    ("7@crypto*", {}, "AOV 'crypto\\*' of '7@crypto\\*' has several channels \\(CryptoObject00.R, "),
+    ("7@id", {}, "AOV 'id' of '7@id' is not there: name a channel of ids, or a Cryptomatte "
+     "\\(here: CryptoObject\\)"),
+    ("7@crypto*", {},
+     "AOV 'crypto\\*' of '7@crypto\\*' has several channels \\(CryptoObject00.R, "),
     ("seven@R", {}, "'seven' of AOV R: give an id, or first and last, such as 7-9"),
     ("9-7@R", {}, "'9-7' of AOV R: write the smaller id first, 7-9"),
-    ("logo", {"manifest": '{"logo": "12345678"}'}, "the manifest gives 'logo' the id 12345678, its hash is"),
+    ("logo", {"manifest": '{"logo": "12345678"}'},
+     "the manifest gives 'logo' the id 12345678, its hash is"),
     ("logo", {"manifest": "nonsense"}, "the manifest is not JSON of names and ids"),
     ("logo", {"manifest": '["logo"]'}, "the manifest is not JSON of names and ids"),
-    ("logo", {"manifest": "", "manif_file": "gone.json"}, "its manifest .*gone.json cannot be read: copy it beside"),
-    ("logo", {"hash": "SHA1"}, "Cryptomatte CryptoObject: hash SHA1 is not known: render it with MurmurHash3_32"),
-    ("logo", {"conversion": "none"}, "conversion none is not known: render it with uint32_to_float32"),
-    ("logo", {"name": "CryptoAsset"}, "Cryptomatte CryptoAsset: no channels CryptoAsset00.R, G, B, A"),
+    ("logo", {"manifest": "", "manif_file": "gone.json"},
+     "its manifest .*gone.json cannot be read: copy it beside"),
+    ("logo", {"hash": "SHA1"},
+     "Cryptomatte CryptoObject: hash SHA1 is not known: render it with MurmurHash3_32"),
+    ("logo", {"conversion": "none"},
+     "conversion none is not known: render it with uint32_to_float32"),
+    ("logo", {"name": "CryptoAsset"},
+     "Cryptomatte CryptoAsset: no channels CryptoAsset00.R, G, B, A"),
     ("auto", {}, "'auto' has no AOV to look at: render depth, normals or alpha, too"),
 ])
 def test_what_is_wrong_is_told_in_one_line(
@@ -213,19 +241,27 @@ def test_what_is_wrong_is_told_in_one_line(
 
 
 def test_files_that_no_name_can_be_found_in(write: Callable[..., Path]) -> None:
-    with pytest.raises(StrengthError, match="no Cryptomatte to find 'logo' in: render one, or give ids of an AOV"):
+    with pytest.raises(StrengthError,
+                       match="no Cryptomatte to find 'logo' in: render one, or give ids of an AOV"):
         strength(write(colours()), "logo")
-    halves = {name: plane.clip(0, 1).astype(np.float16) for name, plane in ranks("CryptoObject").items()}
-    with pytest.raises(StrengthError, match="channel CryptoObject00.R has ids that are not whole: write 32-bit floats"):
+    halves = {name: plane.clip(0, 1).astype(np.float16)
+              for name, plane in ranks("CryptoObject").items()}
+    with pytest.raises(StrengthError,
+                       match="channel CryptoObject00.R has ids that are not whole: write 32-bit "
+                       "floats"):
         strength(write(colours() | halves, **header()), "logo")
 
 
 def test_planes_of_another_size(tmp_path: Path) -> None:
-    larger = {name: np.kron(plane, np.ones((2, 2), np.float32)) for name, plane in ranks("CryptoObject").items()}
+    larger = {name: np.kron(plane, np.ones((2, 2), np.float32))
+              for name, plane in ranks("CryptoObject").items()}
     OpenEXR.File({"type": OpenEXR.scanlineimage}, colours()).write(str(tmp_path / "beauty.exr"))
-    OpenEXR.File({"type": OpenEXR.scanlineimage, **header()}, larger).write(str(tmp_path / "crypto.exr"))
-    with pytest.raises(StrengthError, match="CryptoObject is 16x12, the colour is 8x6: render both at one size"):
-        FrameFiles({word: tmp_path / f"{word}.exr" for word in ("beauty", "crypto")}, ReadOptions(leave="logo"))
+    OpenEXR.File({"type": OpenEXR.scanlineimage, **header()},
+                 larger).write(str(tmp_path / "crypto.exr"))
+    with pytest.raises(StrengthError,
+                       match="CryptoObject is 16x12, the colour is 8x6: render both at one size"):
+        FrameFiles({word: tmp_path / f"{word}.exr" for word in ("beauty", "crypto")},
+                   ReadOptions(leave="logo"))
 
 
 def test_a_real_cryptomatte_with_names_like_wildcards(shared_dir: Path) -> None:
@@ -242,7 +278,8 @@ def test_a_real_cryptomatte_with_names_like_wildcards(shared_dir: Path) -> None:
         for name, share in ("RG", "BA"):
             ids = channels[f"uCryptoWildcard{level:02d}.{name}"].pixels.view(np.uint32)
             factor = np.vectorize(lambda key: weights.get(int(key), 0.0))(ids)
-            lost += factor * channels[f"uCryptoWildcard{level:02d}.{share}"].pixels.astype(np.float64)
+            lost += (factor
+                     * channels[f"uCryptoWildcard{level:02d}.{share}"].pixels.astype(np.float64))
     found = frame[Role.STRENGTH][:, 167:167 + 626, 0]
     np.testing.assert_allclose(found, 1 - lost, atol=1.1e-3)
     assert 0.03 < (found == 0).mean() < 0.2 and ((found > 0.1) & (found < 0.4)).any()
@@ -262,10 +299,11 @@ def converged(name: str, letters: str, value: float) -> Channels:
 
 @pytest.mark.parametrize(("channels", "header", "basis"), [
     (converged("mse.", "RGB", 1e-3), {}, "AOV 'variance_of_mean'"),
-    (converged("sample_variance.", "RGB", 0.1), {"postfx:spp": 64}, "AOV 'sample_variance' and 64 samples a pixel"),
+    (converged("sample_variance.", "RGB", 0.1), {"postfx:spp": 64},
+     "AOV 'sample_variance' and 64 samples a pixel"),
     (converged("Variance.", "RGB", 0.1) | {name: np.ones((64, 48), np.float32) for name in (
-        "Albedo.R", "Albedo.G", "Albedo.B", "Ns.X", "Ns.Y", "Ns.Z", "P.Z", "dzdx")}, {"samplesPerPixel": 32},
-     "AOV 'sample_variance' and 32 samples a pixel"),
+        "Albedo.R", "Albedo.G", "Albedo.B", "Ns.X", "Ns.Y", "Ns.Z", "P.Z", "dzdx")},
+     {"samplesPerPixel": 32}, "AOV 'sample_variance' and 32 samples a pixel"),
     (converged("m2_image.", "XYZ", 0.5), {"generatedBy": "Mitsuba version 3.6.0", "postfx:spp": 16},
      "AOV 'second_moment' and 16 samples a pixel"),
 ])
@@ -280,11 +318,13 @@ def test_what_renderers_tell_of_their_error(
 
 
 def test_counts_of_cycles_are_numbers_or_shares(write: Callable[..., Path]) -> None:
-    colour = {f"ViewLayer.Combined.{letter}": np.full((64, 48), 0.5, np.float32) for letter in "RGBA"}
+    colour = {f"ViewLayer.Combined.{letter}": np.full((64, 48), 0.5, np.float32)
+              for letter in "RGBA"}
     for unit in (1, 512):
         count = np.full((64, 48), 512 / unit, np.float32)
         count[32:] = 64 / unit
-        path = write(colour | {"ViewLayer.Debug Sample Count.X": count}, **{"cycles.ViewLayer.samples": "512"})
+        path = write(colour | {"ViewLayer.Debug Sample Count.X": count},
+                     **{"cycles.ViewLayer.samples": "512"})
         sequence = read_sequence(path, leave="converged:256spp=0.5")
         found = sequence.read(1)[Role.STRENGTH][:, :, 0]
         assert (found[:28] == 0.5).all() and (found[32:] == 1).all()
@@ -293,13 +333,17 @@ def test_counts_of_cycles_are_numbers_or_shares(write: Callable[..., Path]) -> N
 
 def test_what_cannot_tell_that_it_has_converged(write: Callable[..., Path], tmp_path: Path) -> None:
     path = write(converged("m2_image.", "XYZ", 0.5), generatedBy="Mitsuba version 3.6.0")
-    for leave, message in (("converged:0.01", "'converged:0.01': AOV 'second_moment' gives the error only with the"),
-                           ("converged:64spp", "'converged:64spp': the number of samples is unknown: render the"),
-                           ("converged", "'converged': give a relative error, such as converged:0.01, or a number")):
+    for leave, message in (
+        ("converged:0.01", "'converged:0.01': AOV 'second_moment' gives the error only with the"),
+        ("converged:64spp", "'converged:64spp': the number of samples is unknown: render the"),
+        ("converged", "'converged': give a relative error, such as converged:0.01, or a number")
+    ):
         with pytest.raises(StrengthError, match=message):
             read_sequence(path, leave=leave).read(1)
     OpenEXR.File({"type": OpenEXR.scanlineimage}, colours()).write(str(tmp_path / "beauty.exr"))
-    OpenEXR.File({"type": OpenEXR.scanlineimage}, converged("mse.", "RGB", 1.0)).write(str(tmp_path / "noise.exr"))
-    with pytest.raises(StrengthError, match="AOV 'variance_of_mean' is 48x64, the colour is 8x6: render both"):
+    OpenEXR.File({"type": OpenEXR.scanlineimage},
+                 converged("mse.", "RGB", 1.0)).write(str(tmp_path / "noise.exr"))
+    with pytest.raises(StrengthError,
+                       match="AOV 'variance_of_mean' is 48x64, the colour is 8x6: render both"):
         FrameFiles({word: tmp_path / f"{word}.exr" for word in ("beauty", "noise")},
                    ReadOptions(leave="converged:0.01"))

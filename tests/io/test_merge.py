@@ -18,13 +18,14 @@ SIZE = (12, 16)
 CYCLES = {"Software": "Blender 5.0.1"}
 
 
-def write(path: Path, channels: dict[str, np.ndarray], attributes: dict | None = None, at=(0, 0), full=None,
-          kinds: dict[str, str] | None = None) -> Path:
+def write(path: Path, channels: dict[str, np.ndarray], attributes: dict | None = None, at=(0, 0),
+          full=None, kinds: dict[str, str] | None = None) -> Path:
     """An EXR of one part; `at` and `full` give its place in a larger picture."""
     height, width = next(iter(channels.values())).shape
     spec = oiio.ImageSpec(width, height, len(channels), "float")
     spec.channelnames = tuple(channels)
-    spec.channelformats = tuple(oiio.TypeDesc((kinds or {}).get(name, "float")) for name in channels)
+    spec.channelformats = tuple(oiio.TypeDesc((kinds or {}).get(name, "float"))
+                                for name in channels)
     spec.x, spec.y = at
     spec.full_width, spec.full_height = full or (width, height)
     for name, value in (attributes or {}).items():
@@ -32,7 +33,8 @@ def write(path: Path, channels: dict[str, np.ndarray], attributes: dict | None =
     path.parent.mkdir(parents=True, exist_ok=True)
     output = oiio.ImageOutput.create("exr")
     assert output.open(str(path), spec), output.geterror()
-    assert output.write_image(np.stack([*channels.values()], axis=2).astype(np.float32)), output.geterror()
+    assert output.write_image(np.stack([*channels.values()], axis=2)
+                              .astype(np.float32)), output.geterror()
     output.close()
     return path
 
@@ -55,8 +57,9 @@ def noisy(seed: int, names=("R", "G", "B"), size=SIZE) -> dict[str, np.ndarray]:
 
 
 def cycles(seed: int, samples: int, tmp_path: Path) -> tuple[Path, dict[str, np.ndarray]]:
-    layers = ("Combined.R", "Combined.G", "Combined.B", "Combined.A", "Depth.Z", "Vector.X", "Vector.Y",
-              "Diffuse Color.R", "Diffuse Color.G", "Diffuse Color.B", "IndexOB.X", "CryptoObject00.r",
+    layers = ("Combined.R", "Combined.G", "Combined.B", "Combined.A", "Depth.Z", "Vector.X",
+              "Vector.Y", "Diffuse Color.R", "Diffuse Color.G", "Diffuse Color.B", "IndexOB.X",
+              "CryptoObject00.r",
               "CryptoObject00.g", "Denoising Depth.Z", "AO.R", "AO.G", "AO.B", "Shadow Catcher.R")
     channels = noisy(seed, tuple(f"View.{layer}" for layer in layers))
     header = {**CYCLES, "cycles.View.samples": str(samples), "cycles.View.render_time": "00:10.50",
@@ -91,7 +94,8 @@ def test_half_floats_stay_half_and_ids_keep_every_bit(tmp_path: Path):
     paths = []
     for seed in (1, 2):
         ids = {"id": np.full(SIZE, 5.0 + seed, np.float32)}
-        paths.append(write(tmp_path / f"{seed}.exr", noisy(seed) | ids, {"postfx:spp": 4}, kinds=kinds))
+        paths.append(write(tmp_path / f"{seed}.exr", noisy(seed) | ids, {"postfx:spp": 4},
+                           kinds=kinds))
     found, first = read(merge_renders(paths, tmp_path / "out.exr").path), read(paths[0])
     assert found["R"].dtype == np.float16 and found["id"].dtype == np.uint32
     np.testing.assert_array_equal(found["id"], first["id"])
@@ -114,7 +118,8 @@ def test_normals_keep_unit_length_only_if_all_files_have_it(tmp_path: Path, is_u
     merged = np.stack([found[f"N.{letter}"] for letter in "XYZ"], axis=2)
     mean = (vectors[0] + 2 * vectors[1]) / 3
     length = np.linalg.norm(mean, axis=2, keepdims=True)
-    np.testing.assert_allclose(merged, mean / np.where(length > 0, length, 1) if is_unit else mean, atol=1e-6)
+    np.testing.assert_allclose(merged, mean / np.where(length > 0, length, 1) if is_unit else mean,
+                               atol=1e-6)
 
 
 def test_a_region_counts_only_there_and_can_be_merged_again(tmp_path: Path):
@@ -142,7 +147,8 @@ def test_a_region_counts_only_there_and_can_be_merged_again(tmp_path: Path):
 
 
 def test_windows_of_different_files_are_joined(tmp_path: Path):
-    one = write(tmp_path / "one.exr", noisy(1, ("R", "G", "B", "A"), (4, 16)), {"postfx:spp": 4}, (0, 8), SIZE[::-1])
+    one = write(tmp_path / "one.exr", noisy(1, ("R", "G", "B", "A"), (4, 16)), {"postfx:spp": 4},
+                (0, 8), SIZE[::-1])
     two = write(tmp_path / "two.exr", noisy(2, size=(3, 8)), {"postfx:spp": 4}, (8, 0), SIZE[::-1])
     merged = merge_renders([one, two], tmp_path / "out.exr")
     found = read(merged.path)
@@ -156,16 +162,19 @@ def test_a_border_render_of_full_size_counts_only_where_its_light_is(tmp_path: P
     one, two = noisy(1), noisy(2)
     for plane in two.values():
         plane[:, :5] = plane[:3] = 0
-    paths = [write(tmp_path / f"{i}.exr", planes, {"postfx:spp": 4}) for i, planes in enumerate((one, two))]
+    paths = [write(tmp_path / f"{i}.exr", planes, {"postfx:spp": 4})
+             for i, planes in enumerate((one, two))]
     merged = merge_renders(paths, tmp_path / "out.exr")
     expected = one["R"].copy()
     expected[3:, 5:] = (one["R"][3:, 5:] + two["R"][3:, 5:]) / 2
     np.testing.assert_allclose(read(merged.path)["R"], expected, rtol=1e-6)
-    assert merged.notes == [f"{paths[1]}: has light only in 11x9 pixels from (5, 3) on: merged there alone"]
+    assert merged.notes == [f"{paths[1]}: has light only in 11x9 pixels from (5, 3) on: merged "
+                            "there alone"]
 
 
 def test_shares_of_samples_weigh_pixels_as_in_cycles(tmp_path: Path):
-    shares = [np.linspace(0.25, 1, 192, dtype=np.float32).reshape(SIZE), np.float32([[0.5]]).repeat(192).reshape(SIZE)]
+    shares = [np.linspace(0.25, 1, 192, dtype=np.float32).reshape(SIZE),
+              np.float32([[0.5]]).repeat(192).reshape(SIZE)]
     paths, lights = [], []
     for seed, share in enumerate(shares):
         planes = noisy(seed, ("V.Combined.R", "V.Combined.G", "V.Combined.B"))
@@ -175,13 +184,15 @@ def test_shares_of_samples_weigh_pixels_as_in_cycles(tmp_path: Path):
     found = read(merge_renders(paths, tmp_path / "out.exr").path)
     expected = (lights[0] * shares[0] + lights[1] * shares[1]) / (shares[0] + shares[1])
     np.testing.assert_allclose(found["V.Combined.R"], expected, rtol=1e-5)
-    np.testing.assert_allclose(found["V.Debug Sample Count.X"], (shares[0] + shares[1]) / 2, rtol=1e-6)
+    np.testing.assert_allclose(found["V.Debug Sample Count.X"], (shares[0] + shares[1]) / 2,
+                               rtol=1e-6)
 
 
 def test_a_broken_pixel_is_taken_from_the_other_render(tmp_path: Path):
     one, two = noisy(1), noisy(2)
     one["R"][2, 3], two["R"][4, 5], one["R"][7, 7], two["R"][7, 7] = np.nan, np.inf, np.nan, np.nan
-    paths = [write(tmp_path / f"{i}.exr", planes, {"postfx:spp": 4}) for i, planes in enumerate((one, two))]
+    paths = [write(tmp_path / f"{i}.exr", planes, {"postfx:spp": 4})
+             for i, planes in enumerate((one, two))]
     found = read(merge_renders(paths, tmp_path / "out.exr").path)["R"]
     assert found[2, 3] == two["R"][2, 3] and found[4, 5] == one["R"][4, 5] and np.isnan(found[7, 7])
 
@@ -192,15 +203,18 @@ def test_the_variance_of_a_mean_falls_with_its_samples(tmp_path: Path):
     paths = [write(tmp_path / f"{samples}.exr", each, {"postfx:spp": samples})
              for each, samples in zip(planes, (4, 12), strict=True)]
     found = read(merge_renders(paths, tmp_path / "out.exr").path)["mse.G"]
-    np.testing.assert_allclose(found, planes[0]["mse.G"] / 16 + planes[1]["mse.G"] * 9 / 16, rtol=1e-6)
+    np.testing.assert_allclose(found, planes[0]["mse.G"] / 16 + planes[1]["mse.G"] * 9 / 16,
+                               rtol=1e-6)
 
 
 def test_what_only_one_render_has_is_kept_or_named(tmp_path: Path):
-    one = write(tmp_path / "one.exr", noisy(1) | noisy(5, ("key.R", "key.G", "key.B")), {"postfx:spp": 4})
+    one = write(tmp_path / "one.exr", noisy(1) | noisy(5, ("key.R", "key.G", "key.B")),
+                {"postfx:spp": 4})
     two = write(tmp_path / "two.exr", noisy(2) | noisy(6, ("fill.R",)), {"postfx:spp": 4})
     merged = merge_renders([one, two], tmp_path / "out.exr")
     np.testing.assert_array_equal(read(merged.path)["key.R"], read(one)["key.R"])
-    assert merged.notes == [f"{two}: fill not in {one}: left out", f"{two.name}: has no key: taken from the others"]
+    assert merged.notes == [f"{two}: fill not in {one}: left out",
+                            f"{two.name}: has no key: taken from the others"]
 
 
 def test_the_same_noise_twice_is_named(tmp_path: Path):
@@ -226,7 +240,8 @@ def test_what_cannot_be_merged_is_refused_in_one_line(tmp_path: Path):
 
 NAMES = ["beachball/multipart.0001.exr", "beachball/singlepart.0001.exr", "crow/crow_zip_half.exr",
          "cryptomatte/cornellBox_CryptoWildcard.0001.exr", "gaffer/imitateProductionLayers2.exr",
-         "gaffer/weirdPartNames.exr", "oiio/grid-overscan.exr", "openexr/Adjuster.exr", "openexr/BrightRingsNanInf.exr"]
+         "gaffer/weirdPartNames.exr", "oiio/grid-overscan.exr", "openexr/Adjuster.exr",
+         "openexr/BrightRingsNanInf.exr"]
 
 
 MORE = ("beachball/singlepart.0001.exr", "crow/crow_zip_half.exr")
@@ -235,15 +250,16 @@ MORE = ("beachball/singlepart.0001.exr", "crow/crow_zip_half.exr")
 
 @pytest.mark.parametrize("name", [
     pytest.param(name, marks=pytest.mark.soak if name in MORE else []) for name in NAMES])
-def test_files_of_others_merged_with_themselves_stay_as_they_are(shared_dir: Path, tmp_path: Path, name: str):
+def test_files_of_others_merged_with_themselves_stay_as_they_are(shared_dir: Path, tmp_path: Path,
+                                                                 name: str):
     path = shared_dir / "exr" / name
     merged = merge_renders([path, path], tmp_path / "out.exr", [4, 12])
     before, after = ImageFile(path), ImageFile(merged.path)
     with before, after:
         assert [part.name for part in after.parts] == [part.name for part in before.parts]
         for old, new in zip(before.parts, after.parts, strict=True):
-            assert (new.data, new.display, new.channels, new.formats) == (old.data, old.display, old.channels,
-                                                                         old.formats)
+            assert (new.data, new.display, new.channels, new.formats) == (old.data, old.display,
+                                                                         old.channels, old.formats)
             np.testing.assert_array_equal(before.read_stored(old, old.channels, 0, old.data.height),
                                           after.read_stored(new, old.channels, 0, old.data.height))
 
@@ -253,11 +269,13 @@ def test_sequences_are_merged_frame_by_frame(tmp_path: Path, capsys):
         write(tmp_path / f"a/shot.{number:04}.exr", noisy(number), {"postfx:spp": 4})
     for number in (1, 3):
         write(tmp_path / f"b/shot.{number:04}.exr", noisy(10 + number), {"postfx:spp": 4})
-    call = ["merge", f"{tmp_path}/a/shot.####.exr", f"{tmp_path}/b/shot.####.exr", "-o", f"{tmp_path}/out/####.exr"]
+    call = ["merge", f"{tmp_path}/a/shot.####.exr", f"{tmp_path}/b/shot.####.exr", "-o",
+            f"{tmp_path}/out/####.exr"]
     assert main([*call, "--json"]) == 0
     printed = capsys.readouterr()
     facts = json.loads(printed.out)
-    assert facts["samples"] == [8, 4, 8] and "frame 2: " in printed.err and "does not have it" in printed.err
+    assert (facts["samples"] == [8, 4, 8] and "frame 2: " in printed.err and "does not have "
+            "it" in printed.err)
     np.testing.assert_array_equal(read(tmp_path / "out/0002.exr")["R"], noisy(2)["R"])
     assert main(call) == 2 and "is already there" in capsys.readouterr().err
     assert main([*call, "--skip-existing"]) == 0 and "nothing to do" in capsys.readouterr().out
@@ -269,9 +287,11 @@ def test_the_command_line_says_what_is_wrong(tmp_path: Path, capsys):
     for words, message in (([one, *out], "is one render: give two or more"),
                            ([one, two], "nowhere to write"),
                            ([one, two, *out], "give --samples"),
-                           ([one, two, *out, "--samples", "4"], "--samples has 1 numbers for 2 renders"),
+                           ([one, two, *out, "--samples", "4"],
+                            "--samples has 1 numbers for 2 renders"),
                            ([one, two, "-o", two, "--samples", "4,4"], "is an input"),
-                           ([one, two, "-o", str(tmp_path / "out.png"), "--samples", "4,4"], "write EXR")):
+                           ([one, two, "-o", str(tmp_path / "out.png"), "--samples", "4,4"],
+                            "write EXR")):
         assert main(["merge", *words]) == 2
         error = capsys.readouterr().err
         assert message in error and error.count("\n") == 1

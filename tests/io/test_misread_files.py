@@ -1,4 +1,5 @@
-"""Kinds of files that are easily misread: each as one of the collection in `shared/failing`, and as one made here."""
+"""Kinds of files that are easily misread: each as one of the collection in `shared/failing`, and as
+one made here."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import is_complete, write_frame
 
-COLUMNS, ROWS = np.meshgrid(np.linspace(0, 1, 64, dtype=np.float32), np.linspace(0, 1, 40, dtype=np.float32))
+COLUMNS, ROWS = np.meshgrid(np.linspace(0, 1, 64, dtype=np.float32),
+                            np.linspace(0, 1, 40, dtype=np.float32))
 PICTURE = np.stack([COLUMNS, ROWS, 1 - COLUMNS], axis=-1)
 """Stored colour of the collection's own files."""
 
@@ -38,12 +40,15 @@ def test_chromaticities_of_cie_xyz(collection: Path) -> None:
     own = colour.RGB_Colourspace("XYZ", np.eye(3)[:, :2], np.full(2, 1 / 3))
     target = colour.RGB_Colourspace("own", np.reshape(REC709[:6], (3, 2)), REC709[6:])
     light = PICTURE @ colour.matrix_RGB_to_RGB(own, target, "Bradford").T
-    np.testing.assert_allclose(read(collection / "chromaticities_xyz.exr")[Role.COLOUR], light, atol=1e-4)
+    np.testing.assert_allclose(read(collection / "chromaticities_xyz.exr")[Role.COLOUR], light,
+                               atol=1e-4)
 
 
 def test_chromaticities_on_a_line(collection: Path, capsys) -> None:
     path = collection / "chromaticities_collinear.exr"
-    with pytest.raises(ColourError, match=r"collinear\.exr: chromaticities \(0\.1, 0\.1, .*\) span no colours: say"):
+    with pytest.raises(ColourError,
+                       match=r"collinear\.exr: chromaticities \(0\.1, 0\.1, .*\) span no colours: "
+                       r"say"):
         read(path)
     assert main(["inspect", str(path)]) == 2
     shown = capsys.readouterr()
@@ -93,7 +98,8 @@ def assert_planes(frame: Frame, **wanted: tuple[float, ...]) -> None:
     np.testing.assert_allclose(frame[Role.COLOUR], PICTURE, atol=1e-6)
     assert set(map(str, frame.planes)) == {"colour", *wanted}
     for role, values in wanted.items():
-        np.testing.assert_allclose(frame[Role(role)], np.broadcast_to(values, frame[Role(role)].shape), atol=1e-6)
+        np.testing.assert_allclose(frame[Role(role)],
+                                   np.broadcast_to(values, frame[Role(role)].shape), atol=1e-6)
 
 
 def test_a_cryptomatte_beside_a_colour_without_alpha(collection: Path) -> None:

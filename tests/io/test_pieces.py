@@ -40,7 +40,8 @@ def assert_same(one: Frame, other: Frame) -> None:
         np.testing.assert_array_equal(plane, other[role], err_msg=role)
 
 
-@pytest.mark.parametrize("window", [{}, {"origin": (-5, -9)}, {"origin": (20, 33), "display": (0, 0, 100, 200)},
+@pytest.mark.parametrize("window", [{}, {"origin": (-5, -9)},
+                                    {"origin": (20, 33), "display": (0, 0, 100, 200)},
                                     {"origin": (-5, -9), "display": (3, 4, 50, 60)}], ids=str)
 def test_scanlines_within_any_window(window: dict, write_exr: Callable[..., Path]) -> None:
     path = write_exr("frame.0001.exr", planes(*SIZE), **window)
@@ -55,13 +56,15 @@ def test_tiles(tmp_path: Path) -> None:
     spec.channelnames, spec.tile_width, spec.tile_height = tuple(values), 32, 32
     spec.x, spec.y, spec.full_width, spec.full_height = 3, -7, 80, 140
     output = oiio.ImageOutput.create(str(path))
-    assert output.open(str(path), spec) and output.write_image(np.stack(list(values.values()), -1)) and output.close()
+    assert (output.open(str(path), spec) and output.write_image(np.stack(list(values.values()), -1))
+            and output.close())
     one, other, _ = both(path)
     assert_same(one, other)
 
 
 @pytest.mark.parametrize(("name", "tile", "compression"), [
-    ("a.0001.exr", 0, "zips"), ("a.0001.exr", 0, "dwab:45"), ("a.0001.exr", 96, "zip"), ("a.0001.hdr", 0, ""),
+    ("a.0001.exr", 0, "zips"), ("a.0001.exr", 0, "dwab:45"), ("a.0001.exr", 96, "zip"),
+    ("a.0001.hdr", 0, ""),
 ], ids=str)
 def test_tall_pictures_are_read_as_at_once(
     name: str, tile: int, compression: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -82,12 +85,14 @@ def test_tall_pictures_are_read_as_at_once(
 @pytest.mark.parametrize("role", [Role.DEPTH, Role.MOTION], ids=str)
 def test_what_depends_on_the_place_in_the_picture_is_converted_alike(role: Role) -> None:
     """Distances along rays, and motion in parts of the picture's size."""
-    rule = replace(load_profile("mitsuba-3").rules(role)[0], **({"unit": "uv"} if role is Role.MOTION else {}))
+    rule = replace(load_profile("mitsuba-3").rules(role)[0],
+                   **({"unit": "uv"} if role is Role.MOTION else {}))
     assert role is Role.MOTION or rule.kind == "ray"
     plane = np.random.default_rng(0).random((*SIZE, ROLES[role].channels), np.float32)
     camera = Camera(fov_x=70.0)
     whole = convert(plane.copy(), rule, camera)
-    pieces = [convert(plane[first:last].copy(), rule, camera, first, SIZE[0]) for first, last in ((0, 60), (60, 150))]
+    pieces = [convert(plane[first:last].copy(), rule, camera, first, SIZE[0])
+              for first, last in ((0, 60), (60, 150))]
     np.testing.assert_array_equal(np.concatenate(pieces), whole)
     assert not np.array_equal(whole, plane)
 
@@ -97,7 +102,8 @@ def test_files_written_in_pieces_are_the_same_bytes(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     random = np.random.default_rng(0)
-    planes = {role: random.random((150, 70, ROLES[role].channels), np.float32) for role in (Role.COLOUR, Role.ALPHA)}
+    planes = {role: random.random((150, 70, ROLES[role].channels), np.float32)
+              for role in (Role.COLOUR, Role.ALPHA)}
     frame = Frame(planes)
     whole = writer.write_frame(tmp_path / "whole" / name, frame)
     calls = []

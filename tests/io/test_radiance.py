@@ -15,14 +15,16 @@ from postfx.io.sequence import read_sequence
 UPRIGHT = np.arange(1, 7, dtype=np.float32).reshape(2, 3)
 """Mantissas of red of a picture of 3x2 pixels; green is 8, blue 16, the exponent that of 1/128."""
 STORED = {
-    "-Y 2 +X 3": UPRIGHT, "+Y 2 +X 3": UPRIGHT[::-1], "-Y 2 -X 3": UPRIGHT[:, ::-1], "+Y 2 -X 3": UPRIGHT[::-1, ::-1],
+    "-Y 2 +X 3": UPRIGHT, "+Y 2 +X 3": UPRIGHT[::-1], "-Y 2 -X 3": UPRIGHT[:, ::-1],
+    "+Y 2 -X 3": UPRIGHT[::-1, ::-1],
     "+X 3 -Y 2": UPRIGHT.T, "+X 3 +Y 2": UPRIGHT[::-1].T, "-X 3 -Y 2": UPRIGHT[:, ::-1].T,
     "-X 3 +Y 2": UPRIGHT[::-1, ::-1].T,
 }
 
 
 def write(path: Path, lines: str = "", size: str = "-Y 2 +X 3", kind: str = "rgbe") -> Path:
-    pixels = bytes(np.stack([STORED[size].ravel(), *np.repeat([[8], [16], [129]], 6, 1)], -1).astype(np.uint8))
+    pixels = bytes(np.stack([STORED[size].ravel(), *np.repeat([[8], [16], [129]], 6, 1)], -1)
+                   .astype(np.uint8))
     path.write_bytes(f"#?RADIANCE\n{lines}FORMAT=32-bit_rle_{kind}\n\n{size}\n".encode() + pixels)
     return path
 
@@ -42,7 +44,8 @@ def test_every_orientation(tmp_path: Path) -> None:
 
 def test_exposures_are_taken_out_and_primaries_are_used(tmp_path: Path) -> None:
     numbers = " ".join(map(str, P3_D65))
-    path = write(tmp_path / "a.hdr", f"EXPOSURE=2\nEXPOSURE= 0.25\nCOLORCORR=1 2 4\nPRIMARIES={numbers}\nSOFTWARE=x\n")
+    path = write(tmp_path / "a.hdr",
+                 f"EXPOSURE=2\nEXPOSURE= 0.25\nCOLORCORR=1 2 4\nPRIMARIES={numbers}\nSOFTWARE=x\n")
     sequence = read_sequence(path, colourspace="native")
     (frame,) = sequence
     np.testing.assert_allclose(frame[Role.COLOUR][..., 0], UPRIGHT / 64)

@@ -10,7 +10,8 @@ from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.io.frame_reader import FrameFiles
 from postfx.io.sequence import read_sequence
 
-REFUSED = {"representativeDeepImage.exr": "deep data", "XYZ_YC.exr": r"[Ss]ubsampled[^;]*[^.;]; save it as RGB"}
+REFUSED = {"representativeDeepImage.exr": "deep data",
+           "XYZ_YC.exr": r"[Ss]ubsampled[^;]*[^.;]; save it as RGB"}
 
 
 def warp(plane: np.ndarray, motion: np.ndarray) -> np.ndarray:
@@ -51,7 +52,8 @@ def test_garage_needs_no_option(shared_dir: Path):
     parts = next(iter(read_sequence(shared_dir / "sequences/garage/noisy.####.exr")))
     single = next(iter(read_sequence(shared_dir / "sequences/garage/interleaved.0001.exr")))
     expected = {Role.COLOUR, Role.ALPHA, Role.DEPTH, Role.MOTION, Role.NORMAL}
-    expected |= {Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.DENOISING_ALBEDO, Role.DENOISING_NORMAL}
+    expected |= {Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.DENOISING_ALBEDO,
+                 Role.DENOISING_NORMAL}
     assert set(parts.planes) == set(single.planes) == expected
     assert parts.samples == 4
     np.testing.assert_array_equal(parts[Role.DEPTH], single[Role.DEPTH])
@@ -66,7 +68,8 @@ def test_generic_headers(shared_dir: Path):
 
 def test_stereo_planes_come_from_one_view(shared_dir: Path):
     with FrameFiles({"": shared_dir / "exr/beachball/multipart.0001.exr"}) as files:
-        views = {channel.part.view for match in files.layout.planes.values() for channel in match.channels}
+        views = {channel.part.view for match in files.layout.planes.values()
+                 for channel in match.channels}
         frame = files.read(1)
     assert views == {"right"}
     assert (frame.spec.width, frame.spec.height) == (2048, 1556)
@@ -86,8 +89,10 @@ def test_every_collected_file_is_read_or_refused_in_one_line(shared_dir: Path):
 
 
 def test_v_ray_planes(shared_dir: Path):
-    """Of a scene without light: what the surfaces reflect is there all the same, and no light is in it."""
-    with FrameFiles({"": shared_dir / "exr/cryptomatte/cornellBox_CryptoWildcard.0001.exr"}) as files:
+    """Of a scene without light: what the surfaces reflect is there all the same, and no light is in
+    it."""
+    with FrameFiles({"": shared_dir
+                         / "exr/cryptomatte/cornellBox_CryptoWildcard.0001.exr"}) as files:
         frame = files.read(1)
     assert files.layout.profile.name == "v-ray"
     assert frame.fov_x == pytest.approx(54.43222, abs=1e-4)

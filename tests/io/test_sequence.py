@@ -35,7 +35,8 @@ def test_all_spellings_of_the_frame_number(shot, number):
 
 @pytest.mark.parametrize(
     ("pattern", "expected"),
-    [("a.%d.exr", "a.7.exr"), ("a.#.exr", "a.7.exr"), ("d/a_$F3.exr", "d/a_007.exr"), ("####.exr", "0007.exr")],
+    [("a.%d.exr", "a.7.exr"), ("a.#.exr", "a.7.exr"), ("d/a_$F3.exr", "d/a_007.exr"),
+     ("####.exr", "0007.exr")],
 )
 def test_padding(pattern, expected):
     assert parse_pattern(pattern).path(7) == Path(expected)
@@ -50,13 +51,15 @@ def test_two_numbers_in_a_name_are_refused():
         parse_pattern("a.####.%04d.exr")
 
 
-@pytest.mark.parametrize("name", ["shots #12", "a@@b", "take %04d", "$F4", "{view}", "{plane}", "%V", "[x]*?"])
+@pytest.mark.parametrize("name", ["shots #12", "a@@b", "take %04d", "$F4", "{view}", "{plane}",
+                                  "%V", "[x]*?"])
 def test_signs_in_the_name_of_a_folder_that_is_there_are_part_of_it(name, shot, tmp_path):
     folder = tmp_path / name
     folder.mkdir()
     for path in shot(1, 2).glob("*.exr"):
         path.rename(folder / path.name)
-    for source in (folder, f"{folder}/shot.####.exr", f"{folder}/shot.*.exr", [folder / "shot.0001.exr"]):
+    for source in (folder, f"{folder}/shot.####.exr", f"{folder}/shot.*.exr",
+                   [folder / "shot.0001.exr"]):
         sequence = read_sequence(source)
         numbers = [1] if isinstance(source, list) else [1, 2]
         assert [frame.number for frame in sequence] == numbers
@@ -64,13 +67,15 @@ def test_signs_in_the_name_of_a_folder_that_is_there_are_part_of_it(name, shot, 
     outputs = OutputFiles(f"{folder}/out.####.exr", read_sequence(folder))
     assert outputs.path(2) == folder / "out.0002.exr"
     if name != "{plane}":
-        assert OutputFiles(f"{tmp_path}/new {name}/", read_sequence(folder)).path(2).parent.name == f"new {name}"
+        assert OutputFiles(f"{tmp_path}/new {name}/",
+                           read_sequence(folder)).path(2).parent.name == f"new {name}"
     with pytest.raises(WriteError, match="would be a frame of the input"):
         OutputFiles(f"{folder}/shot.0003.exr", read_sequence(f"{folder}/shot.####.exr", frames="1"))
 
 
 def test_a_number_in_the_name_of_a_folder_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(SequenceError, match=r"once, in the file name, or make the folder '.*shots #12' first"):
+    with pytest.raises(SequenceError,
+                       match=r"once, in the file name, or make the folder '.*shots #12' first"):
         parse_pattern(f"{tmp_path}/shots #12/a.####.exr")
 
 
@@ -78,7 +83,8 @@ def test_numbers_that_outgrow_their_digits_are_all_read(shot):
     """Frames that nothing pads: 998 is as much one of #### as 1002."""
     folder = shot(*range(998, 1003), name="shot.{}.exr")
     sequence = read_sequence(f"{folder}/shot.####.exr")
-    assert [frame.number for frame in sequence] == [998, 999, 1000, 1001, 1002] and not sequence.warnings
+    assert ([frame.number for frame in sequence] == [998, 999, 1000, 1001, 1002]
+            and not sequence.warnings)
 
 
 def test_shorter_numbers_beside_padded_ones_are_left_out_and_named(shot):
@@ -97,7 +103,8 @@ def test_frame_ranges(text, numbers):
     assert parse_frames(text) == numbers
 
 
-@pytest.mark.parametrize(("text", "right"), [("1-8:4", "1-8x4"), ("1-100,2-9:3", "2-9x3"), ("1-8y2", "1-8x2")])
+@pytest.mark.parametrize(("text", "right"),
+                         [("1-8:4", "1-8x4"), ("1-100,2-9:3", "2-9x3"), ("1-8y2", "1-8x2")])
 def test_steps_of_other_kinds_are_refused(text, right):
     with pytest.raises(SequenceError, match=f"a step is written with x.*give {right}"):
         parse_frames(text)
@@ -115,15 +122,18 @@ def test_malformed_ranges(text):
 
 
 @pytest.mark.parametrize("name", ["n.{:04d}.exr", "n_{:04d}.exr", "{:04d}.exr"])
-@pytest.mark.parametrize("signed", ["-{:04d}", "-{:03d}"], ids=["beside the digits", "among the digits"])
+@pytest.mark.parametrize("signed", ["-{:04d}", "-{:03d}"],
+                         ids=["beside the digits", "among the digits"])
 def test_frames_before_zero_are_in_order_of_time(shot, tmp_path, name, signed):
-    """However wide a program makes a number with a minus, in a folder, by a pattern and by one file's name."""
+    """However wide a program makes a number with a minus, in a folder, by a pattern and by one
+    file's name."""
     shot(0, 1, name=name)
     for number in (-2, -1):
         shot(number, name=name.replace("{:04d}", signed.format(-number)))
     for source in (tmp_path, tmp_path / name.replace("{:04d}", "%04d")):
         frames = list(read_sequence(source))
-        assert [frame.number for frame in frames] == [-2, -1, 0, 1] and not any(frame.reset for frame in frames)
+        assert ([frame.number for frame in frames] == [-2, -1, 0, 1]
+                and not any(frame.reset for frame in frames))
         assert [frame[Role.COLOUR][0, 0, 0] for frame in frames] == [-2, -1, 0, 1]
     (frame,) = read_sequence(tmp_path / name.replace("{:04d}", signed.format(2)))
     assert frame.number == -2
@@ -139,7 +149,8 @@ def test_a_hyphen_before_a_number_is_no_minus(shot):
 
 def test_iterations_do_not_make_cuts_in_each_other(shot):
     sequence = read_sequence(f"{shot(1, 2, 3, 4)}/shot.####.exr")
-    assert [(one.reset, other.reset) for one, other in zip(sequence, sequence, strict=True)] == [(False, False)] * 4
+    assert [(one.reset, other.reset)
+            for one, other in zip(sequence, sequence, strict=True)] == [(False, False)] * 4
     assert [frame.reset for frame in sequence if list(sequence) and sequence.read(1)] == [False] * 4
     frames = iter(sequence)
     assert [next(frames).reset, next(frames).reset, sequence.read(4).reset] == [False, False, True]
@@ -176,26 +187,32 @@ def test_leaving_frames_out_is_a_cut(shot):
 
 def test_a_cut_of_the_header_is_one_cut(write_exr):
     for number in (1, 2, 3, 4):
-        write_exr(f"shot.{number:04d}.exr", {name: np.ones((4, 6)) for name in "RGB"}, postfx__reset=number in (1, 3))
-    sequence = read_sequence(write_exr("shot.0005.exr", {name: np.ones((4, 6)) for name in "RGB"}).parent)
+        write_exr(f"shot.{number:04d}.exr", {name: np.ones((4, 6)) for name in "RGB"},
+                  postfx__reset=number in (1, 3))
+    sequence = read_sequence(write_exr("shot.0005.exr", {name: np.ones((4, 6)) for name in "RGB"})
+                             .parent)
     for _ in range(2):
-        assert [sequence.read(number).reset for number in sequence.numbers] == [True, False, True, False, False]
+        assert [sequence.read(number).reset for number in sequence.numbers] == [True, False, True,
+                                                                                False, False]
 
 
 def test_folder_single_file_and_first_file(shot):
     folder = shot(3, 4)
     assert [frame.number for frame in read_sequence(folder)] == [3, 4]
     assert [frame.number for frame in read_sequence(folder / "shot.0004.exr")] == [4]
-    assert [frame.number for frame in read_sequence(folder / "shot.0003.exr", frames="3-4")] == [3, 4]
+    assert [frame.number
+            for frame in read_sequence(folder / "shot.0003.exr", frames="3-4")] == [3, 4]
 
 
 def test_single_file_without_number(write_exr, ramp):
-    assert [frame.number for frame in read_sequence(write_exr("still.exr", ramp("R", "G", "B")))] == [1]
+    assert [frame.number
+            for frame in read_sequence(write_exr("still.exr", ramp("R", "G", "B")))] == [1]
 
 
 def test_folder_of_several_sequences_asks_for_one(shot):
     shot(1, name="a.{:04d}.exr")
-    with pytest.raises(SequenceError, match=r"holds 2 sequences \(a\.####\.exr, b\.####\.exr\): name one"):
+    with pytest.raises(SequenceError,
+                       match=r"holds 2 sequences \(a\.####\.exr, b\.####\.exr\): name one"):
         read_sequence(shot(1, name="b.{:04d}.exr"))
 
 
@@ -206,13 +223,15 @@ def test_nothing_there(tmp_path):
         read_sequence(tmp_path)
 
 
-@pytest.mark.parametrize("layout", ["{plane}.%04d.exr", "{plane}/shot.%04d.exr", "shot_{plane}.%04d.exr"])
+@pytest.mark.parametrize("layout",
+                         ["{plane}.%04d.exr", "{plane}/shot.%04d.exr", "shot_{plane}.%04d.exr"])
 def test_one_file_a_plane(write_exr, tmp_path, ramp, layout):
     colour, normal = ramp("R", "G", "B"), ramp("X", "Y", "Z")
     for number in (1, 2):
         write_exr(layout.replace("{plane}", "beauty") % number, colour)
         write_exr(layout.replace("{plane}", "normal") % number, normal)
-        write_exr(layout.replace("{plane}", "depth") % number, {"R": np.full((6, 8), 5, np.float32)})
+        write_exr(layout.replace("{plane}", "depth") % number,
+                  {"R": np.full((6, 8), 5, np.float32)})
     frames = list(read_sequence(f"{tmp_path}/{layout}"))
     assert [frame.number for frame in frames] == [1, 2]
     np.testing.assert_array_equal(frames[1][Role.NORMAL][:, :, 0], normal["X"])
@@ -242,9 +261,12 @@ def test_frames_after_a_frame_stop_at_a_hole(shot):
 
 def test_headers_or_cuts_tell_where_shots_begin(write_exr, tmp_path):
     for number in range(1, 4):
-        write_exr(f"shot.{number:04d}.exr", {name: np.ones((4, 6)) for name in "RGB"}, postfx__reset=number == 2)
-    by_header, by_cuts = (read_sequence(tmp_path / "shot.####.exr", cuts=cuts) for cuts in (None, [3]))
-    assert [[sequence.begins_shot(number) for number in (1, 2, 3)] for sequence in (by_header, by_cuts)] == [
+        write_exr(f"shot.{number:04d}.exr", {name: np.ones((4, 6)) for name in "RGB"},
+                  postfx__reset=number == 2)
+    by_header, by_cuts = (read_sequence(tmp_path / "shot.####.exr", cuts=cuts)
+                          for cuts in (None, [3]))
+    assert [[sequence.begins_shot(number) for number in (1, 2, 3)]
+            for sequence in (by_header, by_cuts)] == [
         [False, True, False], [False, False, True]]
     with pytest.raises(MissingFrameError):
         by_header.begins_shot(4)
@@ -289,14 +311,16 @@ def test_wildcards_pass_over_what_may_not_be_looked_at(tmp_path, monkeypatch):
 
 
 def test_wildcards_that_fit_too_many_folders_end_in_one_line(tmp_path, monkeypatch):
-    """So that `/*/*/*/*/shot.####.exr` does not walk through everything that the machine can reach."""
+    """So that `/*/*/*/*/shot.####.exr` does not walk through everything that the machine can
+    reach."""
     for name in "abc":
         (tmp_path / name / "beauty").mkdir(parents=True)
     (tmp_path / "a" / "beauty" / "shot.0001.exr").touch()
     wild = f"{tmp_path}/*/beauty/shot.####.exr"
     assert str(locate(wild)[0]) == f"{tmp_path}/a/beauty/shot.####.exr"
     monkeypatch.setattr("postfx.io.pattern.MOST_FOLDERS", 2)
-    with pytest.raises(SequenceError, match=re.escape(f"{tmp_path}/*: the wildcards fit 3 folders: name more")):
+    with pytest.raises(SequenceError,
+                       match=re.escape(f"{tmp_path}/*: the wildcards fit 3 folders: name more")):
         locate(wild)
 
 

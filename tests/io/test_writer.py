@@ -39,13 +39,15 @@ def test_srgb_is_inverted_and_has_the_standards_values():
 
 def test_exr_holds_linear_half_floats(frame, tmp_path):
     path = write_frame(tmp_path / "new" / "a.exr", frame)
-    np.testing.assert_array_equal(pixels_of(path)[:, :, :3], frame[Role.COLOUR].astype(np.float16).astype(np.float32))
+    np.testing.assert_array_equal(pixels_of(path)[:, :, :3],
+                                  frame[Role.COLOUR].astype(np.float16).astype(np.float32))
     assert str(oiio.ImageInput.open(str(path)).spec().format) == "half"
 
 
 def test_values_beyond_half_stay_finite(frame, tmp_path):
     frame.planes[Role.COLOUR][0, 0] = [1e9, np.inf, -np.inf]
-    assert pixels_of(write_frame(tmp_path / "a.exr", frame))[0, 0, :3].tolist() == [65504, 65504, -65504]
+    assert pixels_of(write_frame(tmp_path / "a.exr",
+                                 frame))[0, 0, :3].tolist() == [65504, 65504, -65504]
 
 
 def test_display_frames_are_decoded_for_exr(frame, tmp_path):
@@ -55,21 +57,25 @@ def test_display_frames_are_decoded_for_exr(frame, tmp_path):
 
 
 def test_compressions_hold_the_picture(tmp_path):
-    """Decoded by another library; 300 rows, so that each has several chunks; windows as they are given."""
+    """Decoded by another library; 300 rows, so that each has several chunks; windows as they are
+    given."""
     rows, columns = np.mgrid[:300, :40].astype(np.float32)
     light = np.stack([1 + np.sin(rows / 30), 1 + np.cos(columns / 9), rows / 300], 2)
     frame = Frame({Role.COLOUR: light, Role.ALPHA: np.ones((300, 40, 1), np.float32)})
-    wanted = {bits: pixels_of(write_frame(tmp_path / "zip.exr", frame, bits=bits)) for bits in (16, 32)}
+    wanted = {bits: pixels_of(write_frame(tmp_path / "zip.exr", frame, bits=bits))
+              for bits in (16, 32)}
     np.testing.assert_array_equal(wanted[32][..., :3], light)
     for compression in ("none", "rle", "zips", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab:200"):
         for bits, expected in wanted.items():
             path = write_frame(tmp_path / "a.exr", frame, compression=compression, bits=bits)
             spec, found = oiio.ImageBuf(str(path)).spec(), pixels_of(path)
             assert spec.getattribute("compression") == compression.partition(":")[0]
-            assert str(spec.format) == {16: "half", 32: "float"}[bits] and is_complete(path, 40, 300)
+            assert str(spec.format) == {16: "half",
+                                        32: "float"}[bits] and is_complete(path, 40, 300)
             lost = {"b44": 0.05, "dwa": 0.05, "pxr": 1e-4}.get(compression[:3], 0)
             np.testing.assert_allclose(found, expected, atol=lost, err_msg=f"{compression} {bits}")
-    fine, coarse = (write_frame(tmp_path / f"{level}.exr", frame, compression=f"dwaa:{level}") for level in (5, 900))
+    fine, coarse = (write_frame(tmp_path / f"{level}.exr", frame, compression=f"dwaa:{level}")
+                    for level in (5, 900))
     assert coarse.stat().st_size < fine.stat().st_size
 
 
@@ -82,8 +88,10 @@ def test_bits_of_pictures_and_what_cannot_be(frame, tmp_path):
     np.testing.assert_allclose(deep, srgb_encode(frame[Role.COLOUR]), atol=1 / 65535)
     hdr = Frame(frame.planes, encoding=str(parse_display("pq")))
     for name, given, options, told in (
-        ("a.exr", frame, {"bits": 8}, "EXR has 16 or 32"), ("a.jpg", frame, {"bits": 16}, "JPG has 8"),
-        ("a.png", hdr, {"bits": 8}, "8 bits are too few for"), ("a.png", frame, {"compression": "piz"}, "is for EXR"),
+        ("a.exr", frame, {"bits": 8}, "EXR has 16 or 32"),
+        ("a.jpg", frame, {"bits": 16}, "JPG has 8"),
+        ("a.png", hdr, {"bits": 8}, "8 bits are too few for"),
+        ("a.png", frame, {"compression": "piz"}, "is for EXR"),
         ("a.exr", frame, {"compression": "zop"}, "use one of none"),
         ("a.exr", frame, {"compression": "piz:9"}, "dwaa:45"),
     ):
@@ -120,7 +128,8 @@ def test_jpeg_is_close(frame, tmp_path):
 
 
 def test_jpeg_has_quality_95(frame, tmp_path):
-    """Its first step is 16 in the standard's table of brightness (K.1), of which quality 95 leaves a tenth."""
+    """Its first step is 16 in the standard's table of brightness (K.1), of which quality 95 leaves
+    a tenth."""
     table = Image.open(write_frame(tmp_path / "a.jpg", frame)).quantization[0]
     assert (table[0], max(table)) == (2, 12)
 
@@ -145,18 +154,21 @@ def test_png_holds_light_without_alpha_in_it(frame, tmp_path, encoding):
     image = oiio.ImageInput.open(str(write_frame(tmp_path / "a.png", frame, dither="none")), config)
     stored = image.read_image("float")
     np.testing.assert_allclose(stored[..., 3], frame[Role.ALPHA][..., 0], atol=0.003)
-    np.testing.assert_allclose(stored[:, 1:, :3], display.encode(np.full((12, 15, 3), 0.1)), atol=0.003)
+    np.testing.assert_allclose(stored[:, 1:, :3], display.encode(np.full((12, 15, 3), 0.1)),
+                               atol=0.003)
     assert not stored[:, 0, :3].any()
 
 
 def test_header_is_kept_and_windows_are_scaled(write_exr, tmp_path, ramp):
-    header = {"postfx__jitter": (0.25, -0.5), "postfx__fovX": 40.0, "worldToCamera": np.eye(4).ravel()}
+    header = {"postfx__jitter": (0.25, -0.5), "postfx__fovX": 40.0,
+              "worldToCamera": np.eye(4).ravel()}
     window = {"origin": (10, 20), "display": (10, 20, 8, 6)}
     source = write_exr("in.exr", ramp("R", "G", "B"), Software="farm", **window, **header)
     with_header = next(iter(read_sequence(source, planes=[Role.COLOUR])))
     assert with_header.jitter == (0.25, -0.5)
     double = np.repeat(np.repeat(with_header[Role.COLOUR], 2, axis=0), 2, axis=1)
-    path = write_frame(tmp_path / "out.exr", Frame({Role.COLOUR: double}, metadata=with_header.metadata))
+    path = write_frame(tmp_path / "out.exr",
+                       Frame({Role.COLOUR: double}, metadata=with_header.metadata))
     spec = oiio.ImageInput.open(str(path)).spec()
     assert (spec.full_x, spec.full_y, spec.full_width, spec.full_height) == (20, 40, 16, 12)
     assert spec.get_string_attribute("Software") == "farm"
@@ -167,7 +179,8 @@ def test_header_is_kept_and_windows_are_scaled(write_exr, tmp_path, ramp):
 
 def test_standard_attributes_survive(frame, tmp_path):
     primaries = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
-    frame.metadata = {"timeCode": (16909060, 0), "chromaticities": primaries, "framesPerSecond": 24000 / 1001}
+    frame.metadata = {"timeCode": (16909060, 0), "chromaticities": primaries,
+                      "framesPerSecond": 24000 / 1001}
     sequence = read_sequence(write_frame(tmp_path / "a.exr", frame), colourspace="native")
     again = next(iter(sequence)).metadata
     assert sequence.warnings == ["colours are acescg: kept as they are"]
@@ -177,7 +190,8 @@ def test_standard_attributes_survive(frame, tmp_path):
 
 
 def test_display_pictures_have_the_displays_colour_space(frame, tmp_path):
-    frame.metadata, frame.encoding = {"chromaticities": (0.7, 0.3, 0.2, 0.8, 0.1, 0.0, 0.3, 0.3), "owner": "me"}, "srgb"
+    frame.metadata, frame.encoding = {"chromaticities": (0.7, 0.3, 0.2, 0.8, 0.1, 0.0, 0.3, 0.3),
+                                      "owner": "me"}, "srgb"
     again = next(iter(read_sequence(write_frame(tmp_path / "b.exr", frame)))).metadata
     assert again["chromaticities"] == pytest.approx(REC709)
     assert again["owner"] == "me"
@@ -231,7 +245,8 @@ def test_outputs_over_inputs_are_refused(sequence, tmp_path):
 
 def test_existing_outputs(sequence, frame, tmp_path):
     write_frame(tmp_path / "out.0002.exr", frame)
-    with pytest.raises(OutputExistsError, match=r"out\.0002\.exr: is already there: give --overwrite"):
+    with pytest.raises(OutputExistsError,
+                       match=r"out\.0002\.exr: is already there: give --overwrite"):
         OutputFiles(f"{tmp_path}/out.####.exr", sequence).check((1, 2))
     for existing in (ExistingFiles.OVERWRITE, ExistingFiles.SKIP):
         OutputFiles(f"{tmp_path}/out.####.exr", sequence, existing).check((1, 2))
@@ -255,9 +270,11 @@ def test_every_reader_of_exr_finds_the_pixels(tmp_path, half, size, noisy):
 
 
 def test_exr_headers_are_those_of_openimageio(tmp_path):
-    metadata = {"displayWindow": (-3, 5, 12, 16), "dataWindow": (-4, 2, 14, 20), "postfx:area": (-4, 2, 14, 20),
+    metadata = {"displayWindow": (-3, 5, 12, 16), "dataWindow": (-4, 2, 14, 20),
+                "postfx:area": (-4, 2, 14, 20),
                 "owner": "us", "pixelAspectRatio": 2.0, "timeCode": (1, 2),
-                "cameraMatrix": tuple(map(float, range(16))), "a name of more than thirty-one bytes": 7}
+                "cameraMatrix": tuple(map(float, range(16))),
+                "a name of more than thirty-one bytes": 7}
     planes = {Role.COLOUR: np.full((19, 19, 3), 0.5, np.float32)}
     path = write_frame(tmp_path / "a.exr", Frame(planes, metadata=metadata))
     file = oiio.ImageInput.open(str(path))
@@ -266,7 +283,8 @@ def test_exr_headers_are_those_of_openimageio(tmp_path):
     spec.attribute("compression", "zip")
     again = oiio.ImageOutput.create(str(path))
     assert again.open(str(tmp_path / "b.exr"), spec) and again.write_image(pixels) and again.close()
-    ours, theirs = (OpenEXR.File(str(tmp_path / name), header_only=True).header() for name in ("a.exr", "b.exr"))
+    ours, theirs = (OpenEXR.File(str(tmp_path / name), header_only=True).header()
+                    for name in ("a.exr", "b.exr"))
     assert ours.keys() == theirs.keys() and len(ours) > 14
     for name, value in ours.items():
         assert np.array_equal(value, theirs[name]) or str(value) == str(theirs[name]), name
@@ -289,30 +307,37 @@ def test_the_newest_compressions_are_written(tmp_path, compression, loses, half)
 
 def test_a_compression_that_openimageio_cannot_write_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(writer, "can_compress", lambda name: name != "zstd")
-    with pytest.raises(WriteError, match=r"--compression zstd: OpenImageIO .* does not write it: install"):
-        write_frame(tmp_path / "a.exr", Frame({Role.COLOUR: np.zeros((2, 2, 3), np.float32)}), compression="zstd")
+    with pytest.raises(WriteError,
+                       match=r"--compression zstd: OpenImageIO .* does not write it: install"):
+        write_frame(tmp_path / "a.exr", Frame({Role.COLOUR: np.zeros((2, 2, 3), np.float32)}),
+                    compression="zstd")
 
 
 @pytest.mark.parametrize("compression", ["dwaa", "dwab", "dwaa:200"])
 @pytest.mark.parametrize("half", [True, False])
-def test_light_near_the_largest_half_stays_finite_in_lossy_compression(tmp_path, caplog, compression, half):
+def test_light_near_the_largest_half_stays_finite_in_lossy_compression(tmp_path, caplog,
+                                                                       compression, half):
     rng = np.random.default_rng(6)
     light = np.full((64, 96, 3), 0.2, np.float32)
     light[rng.random((64, 96)) < 0.1] = 65504
     light[20:40, 20:40] = 60000 + 5500 * rng.random((20, 20, 3))
     depth = np.full((64, 96, 1), 1e6, np.float32)
-    frame = Frame({Role.COLOUR: light}, parts={"Depth": depth}, part_sources={"Depth": PartSource(("Depth.Z",))})
+    frame = Frame({Role.COLOUR: light}, parts={"Depth": depth},
+                  part_sources={"Depth": PartSource(("Depth.Z",))})
     write_frame(tmp_path / "a.exr", frame, half=half, compression=compression)
     image = oiio.ImageBuf(str(tmp_path / "a.exr"))
-    found = dict(zip(image.spec().channelnames, np.moveaxis(image.get_pixels(oiio.FLOAT), 2, 0), strict=True))
+    found = dict(zip(image.spec().channelnames, np.moveaxis(image.get_pixels(oiio.FLOAT), 2, 0),
+                     strict=True))
     assert np.isfinite(found["R"]).all() and found["R"][20:40, 20:40].min() > 40000
     assert half or (found["Depth.Z"] == 1e6).all()
     assert "as " + compression + " compression would make it infinite" in caplog.text
 
 
 @pytest.mark.parametrize("compression", ["b44", "b44a", "lj2k"])
-def test_other_lossy_compressions_make_nothing_infinite_and_say_what_they_lose(tmp_path, caplog, compression):
-    """B44 rounds the largest half floats of any channel up, and JPEG 2000 made light of 43264 of NaN."""
+def test_other_lossy_compressions_make_nothing_infinite_and_say_what_they_lose(tmp_path, caplog,
+                                                                               compression):
+    """B44 rounds the largest half floats of any channel up, and JPEG 2000 made light of 43264 of
+    NaN."""
     rng = np.random.default_rng(6)
     light = np.full((64, 96, 3), 0.2, np.float32)
     light[rng.random((64, 96)) < 0.1] = 65504
@@ -320,7 +345,8 @@ def test_other_lossy_compressions_make_nothing_infinite_and_say_what_they_lose(t
     light[50, 50] = np.nan
     if not writer.can_compress(compression):
         pytest.skip("OpenImageIO does not write it")
-    write_frame(tmp_path / "a.exr", Frame({Role.COLOUR: light}, parts={"sky": -light}), compression=compression)
+    write_frame(tmp_path / "a.exr", Frame({Role.COLOUR: light}, parts={"sky": -light}),
+                compression=compression)
     found = oiio.ImageBuf(str(tmp_path / "a.exr")).get_pixels(oiio.FLOAT)
     assert np.isfinite(found).all() and np.abs(found[50, 50]).max() < 0.3
     assert np.abs(found[20:40, 20:40]).min() > 40000
@@ -329,11 +355,14 @@ def test_other_lossy_compressions_make_nothing_infinite_and_say_what_they_lose(t
 
 @pytest.mark.parametrize("compression", ["zip", "none", "pxr24"])
 @pytest.mark.parametrize(("most", "half", "said"), [
-    (1e6, True, "light and sky above 65504 is cut there, as half floats hold no more: give 32 bits"),
-    (np.inf, True, "light and sky above 65504 is cut"), (65520.0, True, "light and sky above 65504 is cut"),
+    (1e6, True,
+     "light and sky above 65504 is cut there, as half floats hold no more: give 32 bits"),
+    (np.inf, True, "light and sky above 65504 is cut"),
+    (65520.0, True, "light and sky above 65504 is cut"),
     (65519.0, True, ""), (65504.0, True, ""), (1e6, False, ""),
 ])
-def test_light_that_half_floats_cannot_hold_is_said(tmp_path, caplog, compression, most, half, said):
+def test_light_that_half_floats_cannot_hold_is_said(tmp_path, caplog, compression, most, half,
+                                                    said):
     light = np.full((32, 48, 3), 0.5, np.float32)
     light[3, 4, 1], light[5, 6] = most, np.nan
     frame = Frame({Role.COLOUR: light}, parts={"sky": -light})

@@ -1,6 +1,8 @@
-"""Runs kernels that are compiled for another machine: all of them in one program, which an emulator runs.
+"""Runs kernels that are compiled for another machine: all of them in one program, which an emulator
+runs.
 
-The program reads a kernel's number, its rows and its arrays, and writes the arrays as the kernel left them.
+The program reads a kernel's number, its rows and its arrays, and writes the arrays as the kernel
+left them.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from tests.made_once import copy_made_once
 EMULATOR = shutil.which("qemu-aarch64-static") or shutil.which("qemu-aarch64")
 TARGET = "aarch64-linux-musl"
 ALONE = ("-nostdlib", "-static", "-fno-stack-protector", "-fno-threadsafe-statics", "-fno-builtin")
-"""No library of C is linked: to compile one takes a minute of a core, and kernels call five functions of it."""
+"""No library of C is linked: to compile one takes a minute of a core, and kernels call five
+functions of it."""
 PROGRAM = """
 typedef long long Word;
 typedef unsigned long Size;
@@ -34,7 +37,8 @@ static char heap[1 << 29];
 static Size used;
 
 static Word ask(Word number, Word first, Word second, Word third) {
-    register Word x8 asm("x8") = number, x0 asm("x0") = first, x1 asm("x1") = second, x2 asm("x2") = third;
+    register Word x8 asm("x8") = number, x0 asm("x0") = first;
+    register Word x1 asm("x1") = second, x2 asm("x2") = third;
     asm volatile("svc 0" : "+r"(x0) : "r"(x8), "r"(x1), "r"(x2) : "memory");
     return x0;
 }
@@ -115,11 +119,13 @@ def make_program(names: Sequence[str], folder: Path) -> Path:
 
 def _make(names: Sequence[str], units: Sequence[Path], folder: Path) -> None:
     declared = "".join(f'extern "C" int {name}(const Word*, void*);\n' for name in names)
-    (folder / "program.cpp").write_text(PROGRAM.replace("@DECLARED@", declared).replace("@NAMES@", ", ".join(names)))
+    (folder / "program.cpp").write_text(PROGRAM.replace("@DECLARED@", declared)
+                                        .replace("@NAMES@", ", ".join(names)))
     compiler = [sys.executable, "-m", "ziglang", "c++", *build.FLAGS, "-target", TARGET]
     begin = [*compiler, *ALONE, "-c", "-o", folder / "program.o", folder / "program.cpp"]
     subprocess.run(begin, check=True)
-    end = [*compiler, *ALONE[:2], "-nostdlib++", "-o", folder / "program", folder / "program.o", *units]
+    end = [*compiler, *ALONE[:2], "-nostdlib++", "-o", folder / "program", folder / "program.o",
+           *units]
     subprocess.run(end, check=True)
 
 
@@ -127,8 +133,10 @@ def run(program: Path, kernel: int, rows: int, arrays: Sequence[np.ndarray]) -> 
     """The arrays as a kernel of the program left them."""
     given = struct.pack("<4q", kernel, len(arrays), 0, rows)
     for array in arrays:
-        given += struct.pack(f"<{2 + array.ndim}q", array.ndim, array.nbytes, *array.shape) + array.tobytes()
-    done = subprocess.run([EMULATOR, program], input=given, stdout=subprocess.PIPE, check=True).stdout
+        given += (struct.pack(f"<{2 + array.ndim}q", array.ndim, array.nbytes, *array.shape)
+                  + array.tobytes())
+    done = subprocess.run([EMULATOR, program], input=given, stdout=subprocess.PIPE,
+                          check=True).stdout
     found, at = [], 0
     for array in arrays:
         found.append(np.frombuffer(done[at:at + array.nbytes], array.dtype).reshape(array.shape))

@@ -1,4 +1,5 @@
-"""Runs the convolutions of a network on the host: their CUDA source compiled as C++, see `host_cuda`."""
+"""Runs the convolutions of a network on the host: their CUDA source compiled as C++, see
+`host_cuda`."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ from postfx.runtime import Tensor
 from postfx.runtime.convolutions import ARGUMENTS, GROUP, Launch, Options
 from tests.kernels.host_cuda import SHIM, View, compile_source
 
-# A warp's matrices and products in half precision, as `add_product` of the shim has them in single precision.
+# A warp's matrices and products in half precision, as `add_product` of the shim has them in single
+# precision.
 HALVES = r"""
 static void copy_eight(char* to, const char* from, bool there) {
     if (there) std::memcpy(to, from, 16);
@@ -46,7 +48,8 @@ static void load_matrices(unsigned (&to)[4], const char* row) {
     const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
     rows_at[warp][lane] = row;
     meet();
-    for (int k = 0; k < 4; k++) std::memcpy(&to[k], rows_at[warp][8 * k + lane / 4] + 4 * (lane % 4), 4);
+    for (int k = 0; k < 4; k++)
+        std::memcpy(&to[k], rows_at[warp][8 * k + lane / 4] + 4 * (lane % 4), 4);
     meet();
 }
 static float number(unsigned both, int k) {
@@ -67,8 +70,10 @@ static float half_left[16][16][16], half_right[16][16][8];
 static void add_product(float* sums, const unsigned (&left)[4], unsigned upper, unsigned lower) {
     const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, g = lane / 4, q = lane % 4;
     for (int i = 0; i < 2; i++) {
-        for (int k = 0; k < 4; k++) half_left[warp][g + k % 2 * 8][2 * q + i + k / 2 * 8] = number(left[k], i);
-        half_right[warp][2 * q + i][g] = number(upper, i), half_right[warp][2 * q + i + 8][g] = number(lower, i);
+        for (int k = 0; k < 4; k++)
+            half_left[warp][g + k % 2 * 8][2 * q + i + k / 2 * 8] = number(left[k], i);
+        half_right[warp][2 * q + i][g] = number(upper, i);
+        half_right[warp][2 * q + i + 8][g] = number(lower, i);
     }
     meet();
     for (int k = 0; k < 4; k++) {
@@ -96,40 +101,49 @@ static float factor(const Matrices& m, int row, int k) {
     return float(*reinterpret_cast<const _Float16*>(at));
 }
 static float own_left[16][16][16];
-template <int COUNT> static void multiply(float (&sums)[COUNT], const unsigned (&left)[4], Matrices right) {
+template <int COUNT>
+static void multiply(float (&sums)[COUNT], const unsigned (&left)[4], Matrices right) {
     const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, g = lane / 4, q = lane % 4;
     for (int k = 0; k < 4; k++)
-        for (int i = 0; i < 2; i++) own_left[warp][g + k % 2 * 8][2 * q + i + k / 2 * 8] = number(left[k], i);
+        for (int i = 0; i < 2; i++)
+            own_left[warp][g + k % 2 * 8][2 * q + i + k / 2 * 8] = number(left[k], i);
     meet();
     for (int i = 0; i < COUNT; i++) {
         double total = sums[i];
         for (int k = 0; k < 16; k++)
-            total += double(own_left[warp][g + i / 2 % 2 * 8][k]) * factor(right, i / 4 * 8 + 2 * q + i % 2, k);
+            total += double(own_left[warp][g + i / 2 % 2 * 8][k])
+                * factor(right, i / 4 * 8 + 2 * q + i % 2, k);
         sums[i] = float(total);
     }
     meet();
 }
 static void begin_products() {}
 template <int STEPS> static void end_products_before(unsigned (&)[STEPS][4]) {}
-template <int COUNT, int STEPS> static void end_products(float (&)[COUNT], unsigned (&)[STEPS][4]) {}
+template <int COUNT, int STEPS>
+static void end_products(float (&)[COUNT], unsigned (&)[STEPS][4]) {}
 static void show_to_products() {}
 """
 
 
 class HostGpu:
-    """As `CudaMemory`, for tensors in the host's memory: a GPU whose few processors hold one block of threads each."""
+    """As `CudaMemory`, for tensors in the host's memory: a GPU whose few processors hold one block
+    of threads each."""
 
     convolves = True
 
-    def __init__(self, warpgroups: bool, processors: int = 132, most_shared: int = 227 << 10) -> None:
+    def __init__(self, warpgroups: bool, processors: int = 132,
+                 most_shared: int = 227 << 10) -> None:
         self.warpgroups, self.processors, self.most_shared = warpgroups, processors, most_shared
 
     def convolution(self, launch: Launch, kernels: str, tensors: Sequence[Tensor | None],
                     options: Options) -> Callable[[], None]:
-        views = [View() if tensor is None else View(tensor.start, (ctypes.c_int * 4)(*tensor.shape[:4]))
+        views = [View()
+                 if tensor is None else View(tensor.start, (ctypes.c_int * 4)(*tensor.shape[:4]))
                  for tensor in tensors]
-        function, given = getattr(_library(kernels, self.warpgroups), f"run_{launch.name}"), (View * len(views))(*views)
-        blocks = min(-(-launch.squares // launch.groups), -(-self.processors // launch.tiles)) * launch.tiles
+        function, given = (getattr(_library(kernels, self.warpgroups), f"run_{launch.name}"),
+                           (View * len(views))(*views))
+        blocks = min(-(-launch.squares // launch.groups),
+                     -(-self.processors // launch.tiles)) * launch.tiles
         return lambda: function(blocks, launch.groups * GROUP, given, ctypes.byref(options))
 
 
@@ -138,10 +152,12 @@ def _library(kernels: str, warpgroups: bool) -> ctypes.CDLL:
     kernels = kernels[kernels.index('\nextern "C"'):]  # without products in the GPU's language
     source = SHIM + HALVES + TOGETHER * warpgroups + convolution_source(warpgroups) + kernels
     views = ", ".join(f"given[{i}]" for i in range(len(ARGUMENTS)))
-    names = [line.split("(")[-2].split()[-1] for line in kernels.splitlines() if line.startswith("extern")]
+    names = [line.split("(")[-2].split()[-1]
+             for line in kernels.splitlines() if line.startswith("extern")]
     for name in names:
-        source += (f'extern "C" void run_{name}(int blocks, int threads, View* views, Options* told) {{\n'
-                   f"    static View* given;\n    static Options* options;\n    given = views, options = told;\n"
-                   f"    blockDim.x = threads, gridDim.x = blocks, body = [] {{ {name}({views}, *options); }};\n"
-                   f"    for (blockIdx.x = 0; blockIdx.x < blocks; blockIdx.x++) run_block(threads);\n}}\n")
+        source += (f'extern "C" void run_{name}(int blocks, int threads, View* views, Options* '
+                   'told) {\n' "    static View* given;\n    static Options* options;\n"
+                   "    given = views, options = told;\n    blockDim.x = threads, gridDim.x = "
+                   f"blocks, body = [] {{ {name}({views}, *options); }};\n    for (blockIdx.x = 0; "
+                   "blockIdx.x < blocks; blockIdx.x++) run_block(threads);\n}\n")
     return compile_source(source, "convolutions")

@@ -1,7 +1,7 @@
 """Runs CUDA kernels on the host: their sources compiled as C++, blocks in turn.
 
-Threads of a block take turns at `__syncthreads` and wherever those of a warp have something in common. What a GPU does
-with memory is not seen here; the arithmetic is.
+Threads of a block take turns at `__syncthreads` and wherever those of a warp have something in
+common. What a GPU does with memory is not seen here; the arithmetic is.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from postfx.system import private_folder
 
 COMPILER = shutil.which("g++")
 OPTIONS = ("-O1", "-std=c++17", "-shared", "-fPIC", "-Wno-unknown-pragmas", "-U_FORTIFY_SOURCE")
-KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(([^)]*)\)')
+KERNEL = re.compile(r'extern "C" __global__ void '
+                    r'(?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(([^)]*)\)')
 SHIM = """
 #include <algorithm>
 #include <cmath>
@@ -45,7 +46,8 @@ using std::abs;
 struct Index { int x, y, z; };
 static Index blockIdx, threadIdx, blockDim = {1, 1, 1}, gridDim = {1, 1, 1};
 
-// Threads of a block, each on a stack of its own, that the scheduler resumes one after the other. They live on for the
+// Threads of a block, each on a stack of its own, that the scheduler resumes one after the other.
+// They live on for the
 // next block. A jump takes no call of the system, as swapcontext does.
 static jmp_buf scheduler, places[1024];
 static char stacks[1024][1 << 16];
@@ -103,7 +105,8 @@ static void run_block(int threads) {
     become(0);
 }
 
-// What kernels with tensor cores expect: shared memory, and a warp's product, whose factors lose their last bits.
+// What kernels with tensor cores expect: shared memory, and a warp's product, whose factors lose
+// their last bits.
 static float memory[1 << 16];
 static int shared_bytes;
 static int shared_floats() { return shared_bytes / 4; }
@@ -119,7 +122,10 @@ static float shortened(unsigned bits) {
 // Wait for the other lanes of a warp that a mask names.
 static void meet(unsigned lanes = ~0u) {
     const int warp = own_number() / 32, group = __builtin_ctz(lanes), now = meetings[warp][group];
-    if (++at_meeting[warp][group] == __builtin_popcount(lanes)) at_meeting[warp][group] = 0, meetings[warp][group]++;
+    if (++at_meeting[warp][group] == __builtin_popcount(lanes)) {
+        at_meeting[warp][group] = 0;
+        meetings[warp][group]++;
+    }
     while (meetings[warp][group] == now) give_way();
 }
 
@@ -146,7 +152,8 @@ template <class T> static T exchange(unsigned lanes, T value, int from, int widt
     const int warp = own_number() / 32, lane = threadIdx.x % 32;
     std::memcpy(exchanged[warp][lane], &value, sizeof value);
     meet(lanes);
-    if (from >= 0 && from / width == lane / width) std::memcpy(&value, exchanged[warp][from], sizeof value);
+    if (from >= 0 && from / width == lane / width)
+        std::memcpy(&value, exchanged[warp][from], sizeof value);
     meet(lanes);
     return value;
 }
@@ -171,15 +178,24 @@ static void add_product(float (&sums)[4], const unsigned (&left)[4], const unsig
     for (int k = 0; k < 4; k++) {
         double total = sums[k];
         const int row = g + k / 2 * 8, column = 2 * q + k % 2;
-        for (int i = 0; i < 8; i++) total += double(all_left[warp][row][i]) * all_right[warp][i][column];
+        for (int i = 0; i < 8; i++)
+            total += double(all_left[warp][row][i]) * all_right[warp][i][column];
         sums[k] = float(total);
     }
     meet();
 }
 
 template <class T> static inline T __ldg(const T* at) { return *at; }
-static inline float __int_as_float(int bits) { float value; std::memcpy(&value, &bits, 4); return value; }
-static inline int __float_as_int(float value) { int bits; std::memcpy(&bits, &value, 4); return bits; }
+static inline float __int_as_float(int bits) {
+    float value;
+    std::memcpy(&value, &bits, 4);
+    return value;
+}
+static inline int __float_as_int(float value) {
+    int bits;
+    std::memcpy(&bits, &value, 4);
+    return bits;
+}
 static inline unsigned __float_as_uint(float value) { return unsigned(__float_as_int(value)); }
 // Macros of the standard library that the GPU's compiler does not know.
 #undef INFINITY
@@ -203,8 +219,10 @@ def run(kernel: Kernel, arrays: Mapping[str, np.ndarray]) -> None:
     name, axis = kernel.row_axis
     rows, *columns = arrays[name].shape[axis:]
     function = getattr(_library(find_source(kernel)), f"run_{kernel.name}")
-    bindings = dict.fromkeys(kernel.reads + kernel.writes)  # what is changed in place is one of them
-    views, blocks, (down, across) = [view(arrays[binding]) for binding in bindings], kernel.blocks, kernel.pixels
+    # what is changed in place is one of them
+    bindings = dict.fromkeys(kernel.reads + kernel.writes)
+    views, blocks, (down, across) = ([view(arrays[binding]) for binding in bindings], kernel.blocks,
+                                     kernel.pixels)
     wide, high = block = PIXELS if columns else (1, 1)
     grid = (-(-columns[0] // (across * wide)), -(-rows // (down * high))) if columns else (1, 1)
     if blocks:
@@ -218,8 +236,8 @@ def run(kernel: Kernel, arrays: Mapping[str, np.ndarray]) -> None:
 
 @cache
 def _library(family: Path) -> ctypes.CDLL:
-    """For each kernel of a family, a function (columns and rows of blocks, those of a block's threads, bytes of shared
-    memory, views ...) that calls it for every block."""
+    """For each kernel of a family, a function (columns and rows of blocks, those of a block's
+    threads, bytes of shared memory, views ...) that calls it for every block."""
     source = SHIM + read_source(family)
     source += "".join(_loop(name, views.count("View")) for name, views in KERNEL.findall(source))
     return compile_source(source, family.stem)
@@ -228,14 +246,16 @@ def _library(family: Path) -> ctypes.CDLL:
 def compile_source(source: str, stem: str) -> ctypes.CDLL:
     """The library of a C++ source.
 
-    Compiled once for all processes: what is compiled lies beside the compiled kernels, by a digest of its source.
+    Compiled once for all processes: what is compiled lies beside the compiled kernels, by a digest
+    of its source.
     """
     digest = hashlib.sha256(" ".join((source, COMPILER, *OPTIONS)).encode()).hexdigest()[:32]
     with TemporaryDirectory(dir=private_folder("tests")) as folder:
         library, made = Path(folder).parent / f"{stem}-{digest}.so", Path(folder) / "made.so"
         if not library.exists():
             (Path(folder) / "source.cpp").write_text(source)
-            subprocess.run([COMPILER, *OPTIONS, Path(folder) / "source.cpp", "-o", made], check=True)
+            subprocess.run([COMPILER, *OPTIONS, Path(folder) / "source.cpp", "-o", made],
+                           check=True)
             os.replace(made, library)
         return ctypes.CDLL(str(library))
 
@@ -243,11 +263,12 @@ def compile_source(source: str, stem: str) -> ctypes.CDLL:
 def _loop(name: str, count: int) -> str:
     views = [f"v{i}" for i in range(count)]
     given = ", ".join(f"View {view}" for view in views)
-    return (f'extern "C" void run_{name}(int columns, int rows, int wide, int high, int shared, {given}) {{\n'
+    return (f'extern "C" void run_{name}(int columns, int rows, int wide, int high, int shared, '
+            f'{given}) {{\n'
             f"    static struct {{ View {', '.join(f'*{view}' for view in views)}; }} held;\n"
-            f"    held = {{{', '.join(f'&{view}' for view in views)}}};\n"
-            f"    body = [] {{ {name}({', '.join(f'*held.{view}' for view in views)}); }};\n"
-            "    gridDim = {columns, rows, 1}, blockDim = {wide, high, 1}, shared_bytes = shared;\n"
-            "    for (blockIdx.y = 0; blockIdx.y < rows; blockIdx.y++)\n"
-            "        for (blockIdx.x = 0; blockIdx.x < columns; blockIdx.x++)\n"
-            "            if (wide * high > 1) run_block(wide * high); else body();\n}\n")
+            f"    held = {{{', '.join(f'&{view}' for view in views)}}};\n    body = "
+            f"[] {{ {name}({', '.join(f'*held.{view}' for view in views)}); }};\n    gridDim = "
+            "{columns, rows, 1}, blockDim = {wide, high, 1}, shared_bytes = shared;\n    for "
+            "(blockIdx.y = 0; blockIdx.y < rows; blockIdx.y++)\n        for (blockIdx.x = 0; "
+            "blockIdx.x < columns; blockIdx.x++)\n            if (wide * high > 1) run_block(wide "
+            "* high); else body();\n}\n")

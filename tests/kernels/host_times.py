@@ -1,10 +1,11 @@
-"""Time of what the host looks at in a frame's planes as a share of that in an earlier commit, and how answers differ.
+"""Time of what the host looks at in a frame's planes as a share of that in an earlier commit, and
+how answers differ.
 
     python -m tests.kernels.host_times COMMIT [--calls exposure cuts] [--level v3 vnni]
 
-Both commits call the same functions with the same random planes of 1920x1080, in processes of one thread that take
-turns in one run. It prints the medians of processor time, their ratio, and the largest difference in units of the
-largest value.
+Both commits call the same functions with the same random planes of 1920x1080, in processes of one
+thread that take turns in one run. It prints the medians of processor time, their ratio, and the
+largest difference in units of the largest value.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ depth = np.where(random.random((1080, 1920)) < 0.2, np.float32(1e10), colour[...
 alpha = np.clip(normal[..., 0], 0, 1)
 strength = np.where(random.random((1080, 1920, 1)) < 0.001, np.float32(1), np.float32(0))
 motion = random.normal(0, 3, (1080, 1920, 2)).astype(np.float32)
-planes = {Role.COLOUR: colour, Role.NORMAL: normal, Role.DEPTH: depth[..., None], Role.MOTION: motion}
+planes = {Role.COLOUR: colour, Role.NORMAL: normal, Role.DEPTH: depth[..., None],
+          Role.MOTION: motion}
 frames = [Frame(dict(planes)), Frame(planes | {Role.COLOUR: colour + colour[:, ::-1] / 2})]
 kept = np.zeros_like(colour)
 
@@ -110,7 +112,8 @@ for line in sys.stdin:
 
 
 class Call(Side):
-    """A process that calls one of these functions; `results` are what it answered the first time."""
+    """A process that calls one of these functions; `results` are what it answered the first
+    time."""
 
     worker = WORKER
 
@@ -119,7 +122,8 @@ class Call(Side):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("commit")
     parser.add_argument("--calls", nargs="+", default=[*CALLS], choices=CALLS)
     parser.add_argument("--level", nargs="+", default=["v3", "vnni"], choices=X86_64)

@@ -1,11 +1,12 @@
-"""Time of kernels as a share of what they took in an earlier commit, and how far their results differ.
+"""Time of kernels as a share of what they took in an earlier commit, and how far their results
+differ.
 
     python -m tests.kernels.kernel_times COMMIT MODULE:KERNEL ... [--level v3 vnni]
 
-such as `denoise.alpha:FIT` or `samples.mlp_in_kernel:ONE`, at levels of the processor: those of `build.py`. Both
-commits run the same random arguments of 960x544, enlarged to twice that size, or 16384 points of a network, in
-processes of one thread that take turns in one run. It prints the medians of processor time, their ratio, and the
-largest difference in units of the largest value.
+such as `denoise.alpha:FIT` or `samples.mlp_in_kernel:ONE`, at levels of the processor: those of
+`build.py`. Both commits run the same random arguments of 960x544, enlarged to twice that size, or
+16384 points of a network, in processes of one thread that take turns in one run. It prints the
+medians of processor time, their ratio, and the largest difference in units of the largest value.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ given = np.load(folder + "/given.npz")
 names = dict.fromkeys((*kernel.reads, *kernel.writes))
 arrays, count = [given[name] for name in names], int(given["number of rows"])
 rows(0, count, *arrays)
-np.savez(sys.stdin.readline().strip(), *(array for name, array in zip(names, arrays) if name in kernel.writes))
+written = (array for name, array in zip(names, arrays) if name in kernel.writes)
+np.savez(sys.stdin.readline().strip(), *written)
 print("ready", flush=True)
 run = bind_rows(rows, arrays)
 for line in sys.stdin:
@@ -71,7 +73,8 @@ class Side:
 
     def _begin(self, tree: Path, words: Sequence[str], level: str) -> None:
         environment = os.environ | {"PYTHONPATH": str(tree)}
-        self._process = subprocess.Popen([sys.executable, "-c", self.worker, *words, level], cwd=tree, env=environment,
+        self._process = subprocess.Popen([sys.executable, "-c", self.worker, *words, level],
+                                         cwd=tree, env=environment,
                                          stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def _say(self, line: str) -> str:
@@ -98,16 +101,19 @@ def arguments(module: str, kernel: Kernel) -> tuple[dict[str, np.ndarray], int]:
     if kernel in neural_cases.KERNELS:
         given = neural_cases.arguments(kernel)
         return given, neural_cases.rows_of(kernel, given)
-    if module.startswith("denoise.") or kernel in (*denoise_cases.KERNELS, *denoise_cases.IN_ROWS_ALONE):
+    if module.startswith("denoise.") or kernel in (*denoise_cases.KERNELS,
+                                                   *denoise_cases.IN_ROWS_ALONE):
         case = denoise_cases.Case(HEIGHT, WIDTH, 2 * HEIGHT, 2 * WIDTH)
         given = denoise_cases.arguments(kernel, case)
         sizes = {name: denoise_cases.shape(kernel, name, case) for name in kernel.writes}
     else:
         given = tonemap_cases.arguments(kernel, HEIGHT, WIDTH)
         known = {"height": HEIGHT, "width": WIDTH}
-        sizes = {name: tuple(size if isinstance(size, int) else known[size] for size in kernel.shapes[name])
+        sizes = {name: tuple(size if isinstance(size, int) else known[size]
+                             for size in kernel.shapes[name])
                  for name in kernel.writes}
-    written = {name: np.zeros(size, kernel.types.get(name, "float32")) for name, size in sizes.items()}
+    written = {name: np.zeros(size, kernel.types.get(name, "float32"))
+               for name, size in sizes.items()}
     name, axis = kernel.row_axis
     return given | written, written[name].shape[axis]
 
@@ -134,12 +140,13 @@ def in_turn(sides: Sequence[Side]) -> str:
     off = max(difference(*pair) for pair in zip(*(side.results for side in sides), strict=True))
     old, new = (statistics.median(column) for column in zip(*times, strict=True))
     ratios = statistics.median(after / earlier for earlier, after in times)
-    return f"{1e3 * old:.3g} ms before, {1e3 * new:.3g} ms now, ratio {ratios:.2f}, difference {off:.0e}"
+    return (f"{1e3 * old:.3g} ms before, {1e3 * new:.3g} ms now, ratio {ratios:.2f}, difference "
+            f"{off:.0e}")
 
 
 def difference(one: np.ndarray, other: np.ndarray) -> float:
-    """The largest one between numbers that are finite in both, in units of the largest; infinite if NaN and infinity
-    are at other places."""
+    """The largest one between numbers that are finite in both, in units of the largest; infinite if
+    NaN and infinity are at other places."""
     finite = np.isfinite(one)
     if not np.array_equal(one[~finite], other[~finite], equal_nan=True):
         return float("inf")
@@ -159,7 +166,8 @@ def unpack(commit: str, folder: Path) -> Path:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("commit")
     parser.add_argument("kernels", nargs="+", metavar="MODULE:KERNEL")
     parser.add_argument("--level", nargs="+", default=["v3", "vnni"], choices=X86_64)

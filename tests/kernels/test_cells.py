@@ -35,7 +35,8 @@ RED, GREEN, BLUE = 0.2126, 0.7152, 0.0722
 def bad_colours(height: int, width: int) -> np.ndarray:
     """Pixels of every sign, some of which are no numbers."""
     colour = RANDOM.normal(0.5, 1, (height, width, 3)).astype(np.float32)
-    colour.reshape(-1)[::23] = RANDOM.choice([np.nan, np.inf, -np.inf], len(colour.reshape(-1)[::23]))
+    colour.reshape(-1)[::23] = RANDOM.choice([np.nan, np.inf, -np.inf],
+                                             len(colour.reshape(-1)[::23]))
     return colour
 
 
@@ -51,7 +52,8 @@ def test_block_means(size: tuple[int, int]) -> None:
     for y, x in np.ndindex(found.shape):
         light = light_of(colour[4 * y:4 * y + 4, 4 * x:4 * x + 4]).ravel()
         light = np.sort(np.maximum(light[np.isfinite(light)], 0))
-        np.testing.assert_allclose(found[y, x], light[:-1].mean() if light.size > 1 else light.sum(), rtol=1e-6)
+        np.testing.assert_allclose(found[y, x],
+                                   light[:-1].mean() if light.size > 1 else light.sum(), rtol=1e-6)
 
 
 @pytest.mark.parametrize("block", [2, 5])
@@ -60,7 +62,8 @@ def test_means_of_even_and_odd_rows(block: int) -> None:
     found = half_means(colour, block)
     assert found.shape == (2, 11 // block, 15 // block)
     for half, y, x in np.ndindex(found.shape):
-        light = light_of(colour[y * block:(y + 1) * block, x * block:(x + 1) * block][half::2]).ravel()
+        light = light_of(colour[y * block:(y + 1) * block,
+                                x * block:(x + 1) * block][half::2]).ravel()
         light = np.sort(np.maximum(np.where(np.isfinite(light), light, 0), 0))
         np.testing.assert_allclose(found[half, y, x], light[:-1].mean(), rtol=1e-6)
 
@@ -85,7 +88,8 @@ def test_bands(size: tuple[int, int, int], widths: tuple[int, int]) -> None:
     for width, sign in zip(widths, (1, -1), strict=True):
         near = width // 2
         padded = np.pad(planes, ((near, near), (near, near), (0, 0)), "edge")
-        wanted += sign * np.lib.stride_tricks.sliding_window_view(padded, (width, width), (0, 1)).mean((3, 4))
+        wanted += (sign * np.lib.stride_tricks.sliding_window_view(padded, (width, width), (0, 1))
+                   .mean((3, 4)))
     np.testing.assert_allclose(band_of(planes, *widths), wanted, rtol=0, atol=1e-14)
 
 
@@ -106,9 +110,11 @@ def test_pair_means(block: int) -> None:
     near, far = block // 4, block - 1 - block // 4
     plane[near, near, 0] = np.inf
     plane[2 * block + far, near, 1] = np.nan
-    at = {(y, x): plane[y::block, x::block].astype(float)[:3, :5] for y in (near, far) for x in (near, far)}
+    at = {(y, x): plane[y::block, x::block].astype(float)[:3, :5] for y in (near, far)
+          for x in (near, far)}
     pairs = [(at[near, near] + at[far, far]) / 2, (at[near, far] + at[far, near]) / 2]
-    np.testing.assert_array_equal(pair_means(plane, block), np.nan_to_num(np.stack(pairs, axis=2), posinf=0))
+    np.testing.assert_array_equal(pair_means(plane, block),
+                                  np.nan_to_num(np.stack(pairs, axis=2), posinf=0))
 
 
 def test_places_in_another_picture() -> None:
@@ -120,7 +126,8 @@ def test_places_in_another_picture() -> None:
     assert 0 < len(cells) < 117
     np.testing.assert_array_equal(cells, np.flatnonzero(inside))
     before = RANDOM.normal(size=(9, 13, 6))
-    np.testing.assert_array_equal(mix_places(before, x, y), bilinear(before, across[inside], down[inside]))
+    np.testing.assert_array_equal(mix_places(before, x, y),
+                                  bilinear(before, across[inside], down[inside]))
 
 
 def test_noise_is_taken_from_a_correlation() -> None:
@@ -128,15 +135,18 @@ def test_noise_is_taken_from_a_correlation() -> None:
     noisy = [shown + RANDOM.normal(0, 0.8, (40000, 2, 1)) for _ in range(2)]
     raw = np.corrcoef(*(halves.mean(axis=1)[:, 0] for halves in noisy))[0, 1]
     assert raw < 0.8 and abs(true_correlation(*noisy, 0.1, 0.5) - 1) < 0.02
-    assert abs(true_correlation(noisy[0], RANDOM.normal(size=(40000, 1, 1)) + np.zeros((1, 2, 1)), 0.1, 0.5)) < 0.02
-    assert np.isnan(true_correlation(*noisy, 2.0, 0.5)) and np.isnan(true_correlation(*noisy, 0.1, 0.9))
+    assert abs(true_correlation(noisy[0], RANDOM.normal(size=(40000, 1, 1)) + np.zeros((1, 2, 1)),
+                                0.1, 0.5)) < 0.02
+    assert (np.isnan(true_correlation(*noisy, 2.0, 0.5))
+            and np.isnan(true_correlation(*noisy, 0.1, 0.9)))
 
 
 def test_moments() -> None:
     a, b = RANDOM.normal(3, 1, (500, 2, 3)), RANDOM.normal(-2, 2, (500, 2, 3))
     for one, other in ((a[:, 0], b[:, 1]), (a[:, 0, :1], a[:, 0, :1])):
         one_less, other_less = one - one.mean(0), other - other.mean(0)
-        wanted = [np.mean(x * y) for x, y in ((one_less, one_less), (other_less, other_less), (one_less, other_less))]
+        wanted = [np.mean(x * y) for x, y in ((one_less, one_less), (other_less, other_less),
+                                              (one_less, other_less))]
         np.testing.assert_allclose(moments(one, other), wanted, rtol=1e-12)
 
 
@@ -151,7 +161,8 @@ def test_positive_cells(size: tuple[int, int]) -> None:
 
 
 def test_many_threads_find_what_one_finds() -> None:
-    """Work on planes of several MiB is divided among the threads that are lent, and its results are the same bits."""
+    """Work on planes of several MiB is divided among the threads that are lent, and its results are
+    the same bits."""
     colour, divided = bad_colours(480, 640), []
     colour[100:140] = 1
 
@@ -161,7 +172,8 @@ def test_many_threads_find_what_one_finds() -> None:
             rows(i, i + 1)
 
     def look():
-        detector, frames = CutDetector(), [Frame({Role.COLOUR: plane}) for plane in (colour, colour[::-1].copy())]
+        detector, frames = CutDetector(), [Frame({Role.COLOUR: plane})
+                                           for plane in (colour, colour[::-1].copy())]
         cuts = [detector(frame) for frame in frames]
         repaired, counts = repair_nonfinite(frames[0], (Role.COLOUR,))
         return cuts, detector.relation, measure(colour), counts, repaired[Role.COLOUR].tobytes()
@@ -175,13 +187,15 @@ def test_many_threads_find_what_one_finds() -> None:
 def test_coverage_noise_is_the_share_of_pixels_unlike_their_neighbours() -> None:
     near, far = np.full((40, 60), 3, np.float32), np.full((40, 60), 1e10, np.float32)
     edge = np.where(np.arange(60) < 30, near, far)
-    for surface in (near, far, edge, edge.T, np.full((40, 60), np.nan, np.float32), near + np.arange(60, dtype="f4")):
+    for surface in (near, far, edge, edge.T, np.full((40, 60), np.nan, np.float32),
+                    near + np.arange(60, dtype="f4")):
         assert coverage_noise(surface, 1e9) == 0
     for spot, around in ((near, far), (far, near)):
         spotted = around.copy()
         spotted[5:35:3, 5:55:5] = spot[5:35:3, 5:55:5]  # 50 pixels in 19 rows of 58
         assert coverage_noise(spotted, 1e9) == pytest.approx(50 / (19 * 58))
-    white = np.where(np.random.default_rng(1).random((200, 200)) < 0.5, np.float32(3), np.float32(0))
+    white = np.where(np.random.default_rng(1).random((200, 200)) < 0.5, np.float32(3),
+                     np.float32(0))
     assert coverage_noise(white, 1e9) == pytest.approx(5 / 16, abs=0.01)
 
 

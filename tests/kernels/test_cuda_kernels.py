@@ -15,7 +15,16 @@ from postfx.passes.denoise.planes import NEAR_ALPHA
 from postfx.runtime import Device
 from postfx.runtime.device import cuda_fault
 from tests.kernels import host_cuda, tonemap_cases
-from tests.kernels.denoise_cases import IN_ROWS_ALONE, KERNELS, arguments, element_type, in_frame, run, runs_of, shape
+from tests.kernels.denoise_cases import (
+    IN_ROWS_ALONE,
+    KERNELS,
+    arguments,
+    element_type,
+    in_frame,
+    run,
+    runs_of,
+    shape,
+)
 from tests.kernels.test_denoise_kernels import assert_same
 
 pytestmark = pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
@@ -30,8 +39,10 @@ def compiled() -> Device:
     return Device("cpu", threads=2)
 
 
-def by_cuda(kernel: Kernel, inputs: dict[str, np.ndarray], shapes: dict[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
-    found = {name: np.full(shapes[name], np.nan, element_type(kernel, name)) for name in kernel.writes}
+def by_cuda(kernel: Kernel, inputs: dict[str, np.ndarray],
+            shapes: dict[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
+    found = {name: np.full(shapes[name], np.nan, element_type(kernel, name))
+             for name in kernel.writes}
     host_cuda.run(kernel, inputs | found)
     return found
 
@@ -41,7 +52,8 @@ def test_cuda_kernels_compute_what_the_compiled_rows_do(kernel: Kernel, compiled
     for case, bad in runs_of(kernel):
         inputs = arguments(kernel, case, bad=bad)
         found = by_cuda(kernel, inputs, {name: shape(kernel, name, case) for name in kernel.writes})
-        assert_same(in_frame(kernel, found, case), run(kernel, compiled, inputs, case), f"{case} {bad}")
+        assert_same(in_frame(kernel, found, case), run(kernel, compiled, inputs, case),
+                    f"{case} {bad}")
 
 
 @pytest.mark.gpu
@@ -51,15 +63,18 @@ def test_kernels_in_half_precision_on_a_gpu(kernel: Kernel, compiled: Device) ->
     gpu = Device("cuda")
     for case, bad in runs_of(kernel):
         inputs = arguments(kernel, case, bad=bad)
-        assert_same(run(kernel, gpu, inputs, case), run(kernel, compiled, inputs, case), f"{case} {bad}")
+        assert_same(run(kernel, gpu, inputs, case), run(kernel, compiled, inputs, case),
+                    f"{case} {bad}")
 
 
-@pytest.mark.parametrize("kernel", [*tonemap_cases.KERNELS, *tonemap_cases.ON_GPU], ids=lambda kernel: kernel.name)
+@pytest.mark.parametrize("kernel", [*tonemap_cases.KERNELS, *tonemap_cases.ON_GPU],
+                         ids=lambda kernel: kernel.name)
 def test_kernels_of_the_tone_mapper_compute_what_the_compiled_rows_do(kernel: Kernel) -> None:
     for height, width in tonemap_cases.sizes(kernel):
         inputs = tonemap_cases.arguments(kernel, height, width)
         (name,) = kernel.writes
-        size = tuple({"height": height, "width": width}.get(axis, axis) for axis in kernel.shapes[name])
+        size = tuple({"height": height, "width": width}.get(axis, axis)
+                     for axis in kernel.shapes[name])
         wanted = np.full(size, np.nan, np.float32)
         kernel.rows(0, size[kernel.row_axis[1]], *inputs.values(), wanted)
         assert_same(by_cuda(kernel, inputs, {name: size}), {name: wanted}, f"{height}x{width}")
@@ -77,7 +92,8 @@ def test_exposure_that_is_held(case: tonemap_cases.Hold) -> None:
     inputs = dict(zip(tonemap_cases.EXPOSE.reads, case.arguments(), strict=True))
     found = by_cuda(tonemap_cases.EXPOSE, inputs, {"result": (3,)})
     toe, scale = tonemap_cases.SHAPER
-    np.testing.assert_allclose(found["result"], np.float32([case.factor, toe / 1.5, scale]), rtol=2e-7)
+    np.testing.assert_allclose(found["result"], np.float32([case.factor, toe / 1.5, scale]),
+                               rtol=2e-7)
 
 
 def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:
@@ -101,7 +117,8 @@ def faint_and_visible(random: np.random.Generator, height: int, width: int) -> n
 
 @pytest.mark.parametrize("what", [noise_and_pattern, faint_and_visible])
 @pytest.mark.parametrize("evidence", [1.0, 0.6])
-def test_detail_is_told_from_noise_tile_by_tile(evidence: float, what: Callable[..., np.ndarray]) -> None:
+def test_detail_is_told_from_noise_tile_by_tile(evidence: float,
+                                                what: Callable[..., np.ndarray]) -> None:
     """A frame of many tiles of both kinds and between them."""
     h, w = 150, 630
     denoised = np.full((h, w, 3), 0.5, np.float32)
@@ -117,5 +134,6 @@ def test_detail_is_told_from_noise_tile_by_tile(evidence: float, what: Callable[
     detail = np.empty((*tiles, 1), np.float32)
     DETAIL.rows(0, tiles[0], sums, np.float32([evidence]), detail)
     assert np.ptp(detail) > 0.5
-    found = by_cuda(DETAIL, {"sums": sums, "evidence": np.float32([evidence])}, {"detail": detail.shape})
+    found = by_cuda(DETAIL, {"sums": sums, "evidence": np.float32([evidence])},
+                    {"detail": detail.shape})
     assert_same(found, {"detail": detail})

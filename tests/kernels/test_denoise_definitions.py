@@ -38,6 +38,6 @@ def test_portable_definition_matches_torch(kernel: Kernel, portable: Device) -> 
         found = run(kernel, portable, inputs, case)
         for name, value in wanted.items():
             assert np.isfinite(value).all(), (name, case)
-            np.testing.assert_allclose(found[name], value, rtol=0,
-                                       atol=WIDER.get(kernel.name, TOLERANCE) * max(1.0, np.abs(value).max()),
-                                       err_msg=f"{name} {case}")
+            np.testing.assert_allclose(found[name], value, rtol=0, atol=WIDER.get(
+                kernel.name, TOLERANCE
+            ) * max(1.0, np.abs(value).max()), err_msg=f"{name} {case}")

@@ -49,20 +49,24 @@ def portable() -> Device:
     return Device("cpu", threads=2, compiled_kernels=False)
 
 
-def assert_same(found: dict[str, np.ndarray], wanted: dict[str, np.ndarray], where: str = "") -> None:
+def assert_same(found: dict[str, np.ndarray], wanted: dict[str, np.ndarray],
+                where: str = "") -> None:
     for name, value in wanted.items():
         scale = max(1.0, float(np.abs(value[np.isfinite(value)]).max(initial=0)))
-        rtol = max(TOLERANCE, float(np.finfo(np.float16).eps) * (value.dtype == np.float16))  # rounded to either side
+        # rounded to either side
+        rtol = max(TOLERANCE, float(np.finfo(np.float16).eps) * (value.dtype == np.float16))
         np.testing.assert_allclose(found[name], value, atol=TOLERANCE * scale, rtol=rtol,
                                    err_msg=f"{name} {where}")
 
 
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda kernel: kernel.name)
-def test_compiled_rows_match_the_portable_definition(kernel: Kernel, compiled: Device, portable: Device) -> None:
+def test_compiled_rows_match_the_portable_definition(kernel: Kernel, compiled: Device,
+                                                     portable: Device) -> None:
     for case, bad in runs_of(kernel):
         inputs = arguments(kernel, case, bad=bad)
         found, wanted = run(kernel, compiled, inputs, case), run(kernel, portable, inputs, case)
-        finite = {name: value for name, value in wanted.items() if not name.endswith("_depth")}  # kept as it comes
+        # kept as it comes
+        finite = {name: value for name, value in wanted.items() if not name.endswith("_depth")}
         assert all(np.isfinite(value).all() for value in finite.values()), case
         assert_same(found, wanted, f"{case} {'bad' if bad else 'clean'}")
 
@@ -75,7 +79,8 @@ def test_the_number_of_threads_changes_no_bit(kernel: Kernel) -> None:
 
 
 @pytest.mark.parametrize("kernel", [STORE, STORE_RINGED], ids=lambda kernel: kernel.name)
-def test_what_is_no_number_is_stored_as_zero(kernel: Kernel, compiled: Device, portable: Device) -> None:
+def test_what_is_no_number_is_stored_as_zero(kernel: Kernel, compiled: Device,
+                                             portable: Device) -> None:
     inputs = arguments(kernel, ODD)
     inputs["planes"].reshape(-1)[::7] = np.nan
     wanted = run(kernel, compiled, {**inputs, "planes": np.nan_to_num(inputs["planes"])}, ODD)
@@ -85,7 +90,8 @@ def test_what_is_no_number_is_stored_as_zero(kernel: Kernel, compiled: Device, p
 
 @pytest.mark.parametrize("ring", [0, 1])
 @pytest.mark.parametrize("bad", [False, True], ids=["clean", "bad"])
-def test_features_in_8_bits_are_the_codes_of_the_planes(ring: int, bad: bool, compiled: Device) -> None:
+def test_features_in_8_bits_are_the_codes_of_the_planes(ring: int, bad: bool,
+                                                        compiled: Device) -> None:
     """To the bit, in any bands of rows."""
     for case in CASES:
         inputs = arguments(FEATURE, case, bad=bad)
@@ -110,7 +116,8 @@ def test_light_that_a_network_hardly_counts_is_not_darkened(importance: float, c
     inputs = arguments(POOL, ODD)
     inputs["finer"][:], inputs["finer_importance"][:] = 0.5, importance
     for device in (compiled, portable):
-        found = run(POOL, device, inputs, ODD)["level"][:, 1:-1, 1:-1]  # beyond the frame there is no light
+        # beyond the frame there is no light
+        found = run(POOL, device, inputs, ODD)["level"][:, 1:-1, 1:-1]
         assert found.size
         np.testing.assert_allclose(found, 0.5, rtol=1e-6)
 
@@ -128,7 +135,8 @@ def test_resampling_at_whole_positions_gives_the_samples_and_keeps_within_them()
 
 
 def test_resampling_follows_the_jitter() -> None:
-    """A ramp sampled 0.25 pixels right of the pixels' centres, enlarged to twice the size, is the ramp again."""
+    """A ramp sampled 0.25 pixels right of the pixels' centres, enlarged to twice the size, is the
+    ramp again."""
     ramp = np.tile((np.arange(12, dtype=np.float32) + 0.25)[None, :, None], (4, 1, 1))
     inputs = {"image": ramp, "rows": positions(4, 8), "columns": positions(12, 24, 0.25)}
     result = _resampled(inputs, Case(4, 12, 8, 24), channels=1)
@@ -142,17 +150,20 @@ def _resampled(inputs: dict[str, np.ndarray], case: Case, channels: int = 2) -> 
 
 
 def test_products_are_opened_where_they_lie() -> None:
-    """Some channels after the other, each in the place of products that were opened before: the same bits."""
+    """Some channels after the other, each in the place of products that were opened before: the
+    same bits."""
     random, (h, w) = np.random.default_rng(5), (12, 20)
     store = random.integers(-4000, 4000, (FINE + SOME) * h * w, np.int32)
     scaling = random.normal(0, 1e-3, (2, 4 * FINE)).astype(np.float32)
-    products, wanted = store[SOME * h * w:].reshape(1, 4 * FINE, h // 2, w // 2), np.empty((1, FINE, h, w), np.float32)
+    products, wanted = (store[SOME * h * w:].reshape(1, 4 * FINE, h // 2, w // 2),
+                        np.empty((1, FINE, h, w), np.float32))
     OPEN_FINE_PRODUCTS.rows(0, h, products.copy(), scaling, wanted)
     fine = store.view(np.float32)[:FINE * h * w].reshape(1, FINE, h, w)
     for first in range(0, FINE, SOME):
         some, at = slice(first, first + SOME), np.full(1, first, np.float32)
         for rows in ((0, 5), (5, h)):
-            OPEN_SOME_PRODUCTS.rows(*rows, products[:, 4 * first:4 * (first + SOME)], scaling, at, fine[:, some])
+            OPEN_SOME_PRODUCTS.rows(*rows, products[:, 4 * first:4 * (first + SOME)], scaling, at,
+                                    fine[:, some])
     np.testing.assert_array_equal(fine, wanted)
 
 
@@ -164,10 +175,12 @@ coded = pytest.mark.skipif(not has_byte_products(), reason="needs an x86-64 proc
 def codes_of(case: Case, rows: int, channels: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Codes with factors and scaling, the largest ones among them, and their products."""
     random, sizes = np.random.default_rng(3), case_for(FILTER, case).sizes()
-    codes = random.integers(0, 256, (1, sizes["half_hp"], sizes["half_wp"], channels)).astype(np.uint8)
+    codes = random.integers(0, 256,
+                            (1, sizes["half_hp"], sizes["half_wp"], channels)).astype(np.uint8)
     factors = random.integers(-64, 65, (rows, channels)).astype(np.int8)
     codes[0, 0, 0], factors[1] = 255, 64
-    scaling = np.stack([random.uniform(1e-4, 3e-4, rows), random.normal(0, 1, rows)]).astype(np.float32)
+    scaling = (np.stack([random.uniform(1e-4, 3e-4, rows), random.normal(0, 1, rows)])
+               .astype(np.float32))
     products = np.einsum("kc,yxc->kyx", factors.astype(np.int32), codes[0].astype(np.int32))[None]
     return {"codes": codes, "factors": factors, "scaling": scaling}, np.ascontiguousarray(products)
 
@@ -187,7 +200,8 @@ def test_heads_of_codes_are_those_of_products(channels: int, compiled: Device) -
     for first in (0, MIX):
         fine = np.empty((1, FINE - first, products.shape[2], 2, wanted.shape[3]), np.float32)
         OPEN_FINE_CODES.rows(0, products.shape[2], *given.values(), fine)
-        np.testing.assert_array_equal(fine.reshape(1, FINE - first, *wanted.shape[2:]), wanted[:, first:])
+        np.testing.assert_array_equal(fine.reshape(1, FINE - first, *wanted.shape[2:]),
+                                      wanted[:, first:])
     sums, scaling = products[:, :LEVEL].copy(), given["scaling"][:, :LEVEL].copy()
     coded = given["codes"], given["factors"][:28].copy(), scaling
     for level in library.levels():  # each multiplies by instructions of its own
@@ -199,7 +213,8 @@ def test_heads_of_codes_are_those_of_products(channels: int, compiled: Device) -
 
 @coded
 @pytest.mark.parametrize(("plain", "kernel"), FROM_CODES, ids=lambda kernel: kernel.name)
-def test_kernels_make_the_fine_head_of_codes_by_themselves(plain: Kernel, kernel: Kernel, compiled: Device) -> None:
+def test_kernels_make_the_fine_head_of_codes_by_themselves(plain: Kernel, kernel: Kernel,
+                                                           compiled: Device) -> None:
     """Beside other rows and columns, in parts and at other scales: the same bits."""
     for case in CASES:
         given, products = codes_of(case_for(kernel, case), 4 * FINE, 12)
@@ -218,4 +233,5 @@ def test_the_last_channels_of_the_fine_head_are_enough(kernel: Kernel) -> None:
     for head in (inputs[name], inputs[name][:, MIX:].copy()):
         written = run(kernel, Device("cpu", threads=1), inputs | {name: head}, ODD)
         found.append(written)
-    assert all(np.array_equal(found[0][key], found[1][key], equal_nan=True) for key in kernel.writes)
+    assert all(np.array_equal(found[0][key], found[1][key], equal_nan=True)
+               for key in kernel.writes)

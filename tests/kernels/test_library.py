@@ -1,5 +1,6 @@
-"""Kernels in C++: the same bits at every level of a processor, NaN and infinity in every form, and the library itself:
-found, compiled once, compiled again where it is damaged, and one clear line where it cannot be had."""
+"""Kernels in C++: the same bits at every level of a processor, NaN and infinity in every form, and
+the library itself: found, compiled once, compiled again where it is damaged, and one clear line
+where it cannot be had."""
 
 from __future__ import annotations
 
@@ -44,11 +45,13 @@ IN_CPP = [kernel for kernel in (*denoise_cases.KERNELS, *denoise_cases.IN_ROWS_A
           if isinstance(kernel.rows, Rows)]
 FUSED = [level for level in library.levels() if level != "baseline"] or ["baseline"]
 """Levels that multiply and add in one instruction."""
-needs_compiler = pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="needs ziglang")
+needs_compiler = pytest.mark.skipif(importlib.util.find_spec("ziglang") is None,
+                                    reason="needs ziglang")
 HEADER = """
 #include "rows.h"
 
-static void scale_rows(Long first, Long last, View<const float, 2> image, Given<float> by, View<float, 2> scaled) {
+static void scale_rows(Long first, Long last, View<const float, 2> image, Given<float> by,
+                       View<float, 2> scaled) {
     for (Long y = first; y < last; y++) {
         across(0, image.size[1], PIXELS(auto one, Long x) {
             typedef decltype(one) F;
@@ -60,15 +63,19 @@ EXPORT(scale, scale_rows)
 """
 
 
-def at_level(kernel: Kernel, level: str, inputs: dict[str, np.ndarray], case: denoise_cases.Case) -> list[np.ndarray]:
+def at_level(kernel: Kernel, level: str, inputs: dict[str, np.ndarray],
+             case: denoise_cases.Case) -> list[np.ndarray]:
     """What a kernel writes, given all rows at once."""
-    found = {name: np.zeros(shape(kernel, name, case), kernel.types.get(name, "float32")) for name in kernel.writes}
+    found = {name: np.zeros(shape(kernel, name, case), kernel.types.get(name, "float32"))
+             for name in kernel.writes}
     name, axis = kernel.row_axis
-    Rows(kernel.rows.name, level=level)(0, found[name].shape[axis], *inputs.values(), *found.values())
+    Rows(kernel.rows.name, level=level)(0, found[name].shape[axis], *inputs.values(),
+                                        *found.values())
     return list(found.values())
 
 
-def inputs_of(kernel: Kernel, most: int = 100) -> Iterator[tuple[denoise_cases.Case, dict[str, np.ndarray]]]:
+def inputs_of(kernel: Kernel,
+              most: int = 100) -> Iterator[tuple[denoise_cases.Case, dict[str, np.ndarray]]]:
     """Cases and what a kernel reads there."""
     plain = {coded: plain for plain, coded in FROM_CODES}.get(kernel)
     for case, bad in denoise_cases.runs_of(kernel)[:most]:
@@ -90,21 +97,27 @@ def test_every_level_gives_the_same_bits(kernel: Kernel) -> None:
 
 
 def other_rows() -> Iterator[tuple[str, list[np.ndarray], list[np.ndarray]]]:
-    """Names of rows that are no denoiser's, with what they read and write; planes hold NaN and infinity."""
+    """Names of rows that are no denoiser's, with what they read and write; planes hold NaN and
+    infinity."""
     random, (h, w) = np.random.default_rng(4), (19, 77)
     light = np.exp2(random.normal(-2, 8, (h * w * 3))).astype(np.float32)
     light[::13], light[1::17], light[2::19] = np.nan, np.inf, -light[2::19]
-    plain, words = random.integers(0, 256, 2 * h * w * 8, np.uint8), random.integers(0, 1 << 16, (h, 3 * w))
+    plain, words = (random.integers(0, 256, 2 * h * w * 8, np.uint8),
+                    random.integers(0, 1 << 16, (h, 3 * w)))
     byte_rows, channels = plain[:h * w].reshape(h, w), np.array([(1, 0), (2, w)])
     yield "halve_pixels", [light], [np.zeros((3, h * w), np.uint16)]
     yield "widen_rows", [words.astype(np.uint16), channels], [np.zeros((h, w, 2), np.float32)]
-    yield "look_up", [light, np.linspace(0, 2, 100, dtype=np.float32)], [np.zeros_like(light), np.zeros(1, bool)]
-    yield ("dither_rows", [light.reshape(h, -1), np.float32([255]), random.random((7, 48), np.float32)],
+    yield "look_up", [light, np.linspace(0, 2, 100, dtype=np.float32)], [np.zeros_like(light),
+                                                                         np.zeros(1, bool)]
+    yield ("dither_rows",
+           [light.reshape(h, -1), np.float32([255]), random.random((7, 48), np.float32)],
            [np.zeros((h, 3 * w), np.uint8)])
-    yield "filter_rows", [byte_rows, byte_rows[3].copy(), np.array([3])], [np.zeros((h, w + 1), np.uint8)]
+    yield ("filter_rows", [byte_rows, byte_rows[3].copy(), np.array([3])],
+           [np.zeros((h, w + 1), np.uint8)])
     yield "predict_bytes", [plain], [np.zeros_like(plain)]
     yield "unpredict_bytes", [plain], [np.zeros(plain.size // 2, np.uint16)]
-    normal, depth = random.normal(0, 1, (h, w, 3)).astype(np.float32), 1 + random.random((h, w, 1), np.float32)
+    normal, depth = (random.normal(0, 1, (h, w, 3)).astype(np.float32),
+                     1 + random.random((h, w, 1), np.float32))
     normal[2, 3], depth[4, 5], depth[6, 7] = np.nan, np.inf, np.nan
     camera, settings = np.float32([*np.eye(3).ravel(), 0.4, 0.5, 0.3]), np.float32([0.6, 0.3])
     surface, visible = np.zeros((h, w, 4), np.float32), np.zeros((h, w), np.float32)
@@ -117,12 +130,14 @@ def other_rows() -> Iterator[tuple[str, list[np.ndarray], list[np.ndarray]]]:
     yield "occlusion_looks", [surface, camera, noisy, noisy, np.float32([3])], [points]
 
 
-@pytest.mark.parametrize(("name", "read", "written"), [*other_rows()], ids=lambda value: value if isinstance(value, str)
-                         else "")
+@pytest.mark.parametrize(("name", "read", "written"), [*other_rows()],
+                         ids=lambda value: value if isinstance(value, str) else "")
 def test_other_rows_give_the_same_bits_at_every_level(name: str, read: list[np.ndarray],
                                                       written: list[np.ndarray]) -> None:
-    """Without fused products, too, but where a logarithm has them; what is no number stays where it is."""
-    rows = len(written[0]) if written[0].ndim > 1 and name != "halve_pixels" else written[0].shape[-1]
+    """Without fused products, too, but where a logarithm has them; what is no number stays where it
+    is."""
+    rows = (len(written[0]) if written[0].ndim > 1 and name != "halve_pixels"
+            else written[0].shape[-1])
     found = {}
     for level in library.levels():
         found[level] = [np.zeros_like(array) for array in written]
@@ -135,8 +150,10 @@ def test_other_rows_give_the_same_bits_at_every_level(name: str, read: list[np.n
 
 
 @needs_compiler
-def test_a_checkout_compiles_only_what_is_used(plug_in: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A kernel alone, or the rest of its file; a whole library, where there is one, is taken for both."""
+def test_a_checkout_compiles_only_what_is_used(plug_in: Path, monkeypatch: pytest.MonkeyPatch,
+                                               tmp_path: Path) -> None:
+    """A kernel alone, or the rest of its file; a whole library, where there is one, is taken for
+    both."""
     packaged = tmp_path / "packaged"
     monkeypatch.setattr(build, "PACKAGED", packaged)
     for made in (library._whole_library, library.open_library, library._form):
@@ -145,7 +162,8 @@ def test_a_checkout_compiles_only_what_is_used(plug_in: Path, monkeypatch: pytes
     parts = build.our_parts()
     assert parts["denoise_strength"].alone and not parts["enlarge_motion"].alone
     assert {kernel.rows.name for kernel in IN_CPP} <= {*parts}
-    strength, motion = (library.open_library(name) for name in ("denoise_strength", "enlarge_motion"))
+    strength, motion = (library.open_library(name)
+                        for name in ("denoise_strength", "enlarge_motion"))
     assert len([*packaged.glob("*/objects/*.o")]) == 2
     assert strength.denoise_strength_takes and motion.mix_partner_takes
     for missing in ("denoise_restore", "denoise_judge"):
@@ -173,32 +191,35 @@ def test_arm64_gives_the_same_bits_too(tmp_path: Path, most: int) -> None:
 
 
 CODED = {coded for _, coded in FROM_CODES}
-OTHERWISE = {FEATURE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED, UPSAMPLE_LIGHT,
-             ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, KEEP, GATHER, FIT, CORRECT, ENLARGE_ALPHA}
-"""Kernels whose portable definition has other answers: the first multiply what they leave out by 0, so that NaN and
-infinity get into neighbours, as alpha's work on pixels where nothing is near; the others hold NaN within bounds, where
-ONNX's Clip, Min and Max leave it."""
+OTHERWISE = {FEATURE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED, UPSAMPLE_LIGHT, ACCUMULATE_PART,
+             BALANCE, DECODE, DECODE_ONE, KEEP, GATHER, FIT, CORRECT, ENLARGE_ALPHA}
+"""Kernels whose portable definition has other answers: the first multiply what they leave out by 0,
+so that NaN and infinity get into neighbours, as alpha's work on pixels where nothing is near; the
+others hold NaN within bounds, where ONNX's Clip, Min and Max leave it."""
 MOST_CHANGED = 330
 """Numbers that three bad ones may change: 6x6 output pixels of three each."""
 
 
-def forms(kernel: Kernel, inputs: dict[str, np.ndarray], case: denoise_cases.Case) -> dict[str, dict[str, np.ndarray]]:
+def forms(kernel: Kernel, inputs: dict[str, np.ndarray],
+          case: denoise_cases.Case) -> dict[str, dict[str, np.ndarray]]:
     """What every form of a kernel makes of the same arguments."""
     found = {level: dict(zip(kernel.writes, at_level(kernel, level, inputs, case), strict=True))
              for level in library.levels()}
     if kernel not in CODED | OTHERWISE | {*denoise_cases.IN_ROWS_ALONE}:
         found["portable"] = run(kernel, Device("cpu", 1, compiled_kernels=False), inputs, case)
     if host_cuda.COMPILER and find_source(kernel) and kernel not in CODED:
-        found["cuda"] = {name: np.zeros(shape(kernel, name, case), kernel.types.get(name, "float32"))
+        found["cuda"] = {name: np.zeros(shape(kernel, name, case),
+                                        kernel.types.get(name, "float32"))
                          for name in kernel.writes}
         host_cuda.run(kernel, inputs | found["cuda"])
     return found
 
 
 def planes_of(kernel: Kernel, inputs: dict[str, np.ndarray]) -> list[str]:
-    """Bindings that may hold NaN: those with a number for every pixel, but for what other kernels made finite."""
-    return [name for name, array in inputs.items()
-            if array.dtype in (np.float32, np.float16) and array.size >= 1000 and name not in ("moved", "keep")]
+    """Bindings that may hold NaN: those with a number for every pixel, but for what other kernels
+    made finite."""
+    return [name for name, array in inputs.items() if array.dtype in (np.float32, np.float16)
+            and array.size >= 1000 and name not in ("moved", "keep")]
 
 
 BAD = (np.nan, np.inf, -np.inf)
@@ -221,24 +242,29 @@ def test_nan_and_infinity_go_into_what_is_made_of_them_and_into_nothing_else(
         found = forms(kernel, broken, case)
         for name in kernel.writes:
             wanted = found[FUSED[0]][name]
-            kept, finite, where = wanted == clean[FUSED[0]][name], np.isfinite(wanted), f"{binding} {name}"
+            kept, finite, where = (wanted == clean[FUSED[0]][name], np.isfinite(wanted),
+                                   f"{binding} {name}")
             assert (~kept).sum() <= MOST_CHANGED, where
             for form, arrays in found.items():
-                bits = 0 if form in FUSED else 1e-6  # others may round a change that these do not see
-                np.testing.assert_allclose(arrays[name][kept], clean[form][name][kept], bits, bits, err_msg=where)
+                # others may round a change that these do not see
+                bits = (0 if form in FUSED else 1e-6)
+                np.testing.assert_allclose(arrays[name][kept], clean[form][name][kept], bits, bits,
+                                           err_msg=where)
                 np.testing.assert_array_equal(np.isfinite(arrays[name]), finite, f"{where} {form}")
                 if form in FUSED:
                     np.testing.assert_array_equal(arrays[name], wanted, f"{where} {form}")
                 else:
                     scale = np.abs(wanted[finite]).max(initial=1)
-                    np.testing.assert_allclose(arrays[name][finite], wanted[finite], 1e-4, 1e-4 * scale, err_msg=where)
+                    np.testing.assert_allclose(arrays[name][finite], wanted[finite], 1e-4,
+                                               1e-4 * scale, err_msg=where)
 
 
 @pytest.mark.parametrize(("kernel", "binding"), [
-    (FILTER, "mixed"), (FILTER, "heads"), (MIX_LEVELS, "coarse"), (MIX_LEVELS, "level"), (POOL, "finer"),
-    (REMODULATE, "filtered"), (HISTORY, "history"), (OPEN_PHASED, "phased_fine")],
+    (FILTER, "mixed"), (FILTER, "heads"), (MIX_LEVELS, "coarse"), (MIX_LEVELS, "level"),
+    (POOL, "finer"), (REMODULATE, "filtered"), (HISTORY, "history"), (OPEN_PHASED, "phased_fine")],
     ids=lambda value: getattr(value, "name", value))
-def test_nan_is_carried_on_and_recognised_by_the_kernel_that_keeps_it_out(kernel: Kernel, binding: str) -> None:
+def test_nan_is_carried_on_and_recognised_by_the_kernel_that_keeps_it_out(kernel: Kernel,
+                                                                          binding: str) -> None:
     case, inputs = next(inputs_of(kernel))
     inputs[binding] = np.full_like(inputs[binding], np.nan)
     for form, arrays in forms(kernel, inputs, case).items():
@@ -251,7 +277,8 @@ def test_constants_of_the_headers_are_those_of_python() -> None:
         text = header.read_text("utf-8")
         beside = header.with_suffix(".py")
         known = constants_of(beside if beside.exists() else build.KERNELS / "image.py", text)
-        for name, value in re.findall(r"^constexpr (?:float|int) ([A-Z][A-Z\d_]+) = (-?[\d.e+-]+)f?;", text, re.M):
+        for name, value in re.findall(r"^constexpr (?:float|int) ([A-Z][A-Z\d_]+) = "
+                                      r"(-?[\d.e+-]+)f?;", text, re.M):
             if name in known:
                 assert np.float32(value) == np.float32(known[name]), f"{header}: {name}"
                 checked += 1
@@ -347,7 +374,8 @@ def test_several_processes_at_once_compile_it_once(plug_in: Path) -> None:
     code = ("import sys; from pathlib import Path; from postfx.compiled import build; "
             "build.build([Path(sys.argv[1])], build.this_target(), Path(sys.argv[2]))")
     folder = plug_in.parent / "cache"
-    many = [subprocess.Popen([sys.executable, "-c", code, plug_in, folder], cwd=REPOSITORY) for _ in range(3)]
+    many = [subprocess.Popen([sys.executable, "-c", code, plug_in, folder], cwd=REPOSITORY)
+            for _ in range(3)]
     assert [one.wait(timeout=120) for one in many] == [0, 0, 0]
     assert len([*folder.glob("*.json")]) == 1
     assert len([*folder.glob("*-*.*")]) == len(build.TARGETS[build.this_target()].levels)
@@ -381,30 +409,35 @@ def test_a_change_compiles_the_files_that_it_touches(tmp_path: Path) -> None:
     assert len(objects()) == 3  # damaged ones are made anew
 
 
-def test_without_a_compiler_there_is_one_line_with_the_fix(plug_in: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_there_is_one_line_with_the_fix(plug_in: Path,
+                                                           monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(DeviceError, match=f"there is no compiler: pip install ziglang=={re.escape(build.ZIG)}$"):
+    with pytest.raises(DeviceError,
+                       match=f"there is no compiler: pip install ziglang=={re.escape(build.ZIG)}$"):
         scaled(plug_in)
 
 
 @needs_compiler
 def test_a_fault_in_a_header_is_one_line(plug_in: Path) -> None:
     plug_in.write_text(HEADER.replace("* *by", "* nothing"))
-    with pytest.raises(DeviceError, match=r"scale.h:8:\d+: error: use of undeclared identifier 'nothing'"):
+    with pytest.raises(DeviceError,
+                       match=r"scale.h:9:\d+: error: use of undeclared identifier 'nothing'"):
         scaled(plug_in)
 
 
 def test_arrays_that_a_kernel_does_not_take_are_an_error() -> None:
     inputs = [*arguments(FILTER, ODD).values()]
     out = np.zeros_like(inputs[0])
-    with pytest.raises(BindingError, match="'denoise_filter' takes arrays f4:3r f4:4r f4:1r f4:3w .*, not f8:3w"):
+    with pytest.raises(BindingError,
+                       match="'denoise_filter' takes arrays f4:3r f4:4r f4:1r f4:3w .*, not f8:3w"):
         FILTER.rows(0, 1, inputs[0].astype(float), *inputs[1:], out)
     with pytest.raises(BindingError, match="with-gaps"):
         FILTER.rows(0, 1, inputs[0][:, ::2], *inputs[1:], out)
     out.flags.writeable = False
     with pytest.raises(BindingError, match="not .* f4:3r$"):
         FILTER.rows(0, 1, *inputs, out)
-    with pytest.raises(BindingError, match=r"exports no kernel 'nothing': write EXPORT\(nothing, rows\) there"):
+    with pytest.raises(BindingError,
+                       match=r"exports no kernel 'nothing': write EXPORT\(nothing, rows\) there"):
         Rows("nothing")(0, 1)
 
 
@@ -418,8 +451,10 @@ from postfx.interpolate import Between
 from postfx.passes.scene import Occlusion
 random, size = np.random.default_rng(0), (48, 64)
 def frame(number):
-    planes = {Role.COLOUR: random.random((*size, 3), np.float32), Role.DEPTH: np.full((*size, 1), 4, np.float32),
-              Role.NORMAL: np.full((*size, 3), (0, 0, 1), np.float32), Role.MOTION: np.ones((*size, 2), np.float32)}
+    planes = {Role.COLOUR: random.random((*size, 3), np.float32),
+              Role.DEPTH: np.full((*size, 1), 4, np.float32),
+              Role.NORMAL: np.full((*size, 3), (0, 0, 1), np.float32),
+              Role.MOTION: np.ones((*size, 2), np.float32)}
     return Frame(planes, number=number)
 first, second = frame(1), frame(2)
 pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap(look="aces2")])
@@ -433,4 +468,5 @@ for made in (shown, between, open_to_light):
 
 def test_a_frame_needs_no_compiler_of_python() -> None:
     """Denoised, tone-mapped, between two others, and its occlusion."""
-    subprocess.run([sys.executable, "-c", WITHOUT_OTHER_COMPILERS], cwd=REPOSITORY, check=True, timeout=300)
+    subprocess.run([sys.executable, "-c", WITHOUT_OTHER_COMPILERS], cwd=REPOSITORY, check=True,
+                   timeout=300)

@@ -1,4 +1,5 @@
-"""A network inside of a kernel gives what the network gives: in C++, by its CUDA source, in Python."""
+"""A network inside of a kernel gives what the network gives: in C++, by its CUDA source, in
+Python."""
 
 from __future__ import annotations
 
@@ -17,11 +18,12 @@ from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable
 from tests.kernels import host_cuda
 
-NETWORKS = (Network(3, (20, 7), 2, "gelu"), Network(5, (), 3), Network(2, (33,), 1, "sine"), Network(9, (64, 64), 3))
+NETWORKS = (Network(3, (20, 7), 2, "gelu"), Network(5, (), 3), Network(2, (33,), 1, "sine"),
+            Network(9, (64, 64), 3))
 POINTS = 77
 HEADER = """
-static void @NAME@_rows(Long first, Long last, View<const float, 1> parameters, View<const float, 2> points,
-                        View<float, 2> values) {
+static void @NAME@_rows(Long first, Long last, View<const float, 1> parameters,
+                        View<const float, 2> points, View<float, 2> values) {
     across(first, last, PIXELS(auto one, Long p) {
         typedef decltype(one) F;
         F features[@INPUTS@], found[@OUTPUTS@];
@@ -75,10 +77,12 @@ class Case(NamedTuple):
 def plug_in(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The header of a plug-in with a kernel of every network, beside its CUDA source."""
     folder = tmp_path_factory.mktemp("plug_in")
-    texts = {"squares.h": '#include "mlp.h"\n#include "rows.h"\n', "squares.cu": "#include <postfx/mlp.cuh>\n"}
+    texts = {"squares.h": '#include "mlp.h"\n#include "rows.h"\n',
+             "squares.cu": "#include <postfx/mlp.cuh>\n"}
     for number, network in enumerate(NETWORKS):
         kind, sizes = network.activation.upper(), ", ".join(map(str, network.sizes))
-        words = {"NAME": f"squares_{number}", "INPUTS": f"{network.inputs}", "OUTPUTS": f"{network.outputs}",
+        words = {"NAME": f"squares_{number}", "INPUTS": f"{network.inputs}",
+                 "OUTPUTS": f"{network.outputs}",
                  "CALL": f"mlp<{kind}, {sizes}>(parameters.at, features, found);"}
         for (name, text), form in zip(texts.items(), (HEADER, CUDA), strict=True):
             for word, value in words.items():
@@ -89,15 +93,20 @@ def plug_in(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "squares.h"
 
 
-@pytest.fixture(params=range(len(NETWORKS)), ids=["-".join(map(str, network.sizes)) for network in NETWORKS])
+@pytest.fixture(params=range(len(NETWORKS)),
+                ids=["-".join(map(str, network.sizes)) for network in NETWORKS])
 def case(request: pytest.FixtureRequest, plug_in: Path) -> Case:
-    network, random, name = NETWORKS[request.param], np.random.default_rng(0), f"squares_{request.param}"
-    kernel = Kernel(name, ("parameters", "points"), ("values",), Rows(name, plug_in), ("values", 0), {
-        "parameters": (network.count,), "points": ("points", network.inputs), "values": ("points", network.outputs)})
+    network, random, name = (NETWORKS[request.param], np.random.default_rng(0),
+                             f"squares_{request.param}")
+    kernel = Kernel(name, ("parameters", "points"), ("values",), Rows(name, plug_in), ("values", 0),
+                    {
+                        "parameters": (network.count,), "points": ("points", network.inputs),
+                        "values": ("points", network.outputs)})
     points = random.normal(size=(POINTS, network.inputs)).astype(np.float32)
     device = Device("cpu", threads=2)
     learner = Learner(device, network)
-    given, made = device.wrap("squared", points * points), device.heap.tensor("values", (POINTS, network.outputs))
+    given, made = (device.wrap("squared", points * points),
+                   device.heap.tensor("values", (POINTS, network.outputs)))
     commands = device.command_buffer("network")
     with commands.compute_encoder("network") as encoder:
         learner.run(encoder, given, made)
@@ -109,8 +118,10 @@ def case(request: pytest.FixtureRequest, plug_in: Path) -> Case:
 
 def test_on_the_cpu(case: Case) -> None:
     device = Device("cpu", threads=2)
-    state, values = device.compute_state(case.kernel), device.heap.tensor("values", case.wanted.shape)
-    table = ArgumentTable(state, {name: device.wrap(name, array) for name, array in case.inputs.items()}
+    state, values = device.compute_state(case.kernel), device.heap.tensor("values",
+                                                                          case.wanted.shape)
+    table = ArgumentTable(state,
+                          {name: device.wrap(name, array) for name, array in case.inputs.items()}
                           | {"values": values})
     commands = device.command_buffer("own")
     with commands.compute_encoder("own") as encoder:
@@ -149,7 +160,8 @@ def test_levels_give_the_same_bits(case: Case) -> None:
     found = {}
     for level in library.levels():
         found[level] = np.zeros_like(case.wanted)
-        Rows(case.kernel.name, case.kernel.rows.header, level)(0, POINTS, *case.inputs.values(), found[level])
+        Rows(case.kernel.name, case.kernel.rows.header,
+             level)(0, POINTS, *case.inputs.values(), found[level])
     lowest = found.pop("baseline", case.wanted)
     np.testing.assert_allclose(lowest, case.wanted, atol=1e-5)
     for values in found.values():

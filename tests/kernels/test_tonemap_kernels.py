@@ -1,4 +1,5 @@
-"""The tone mapper's kernels: compiled rows and portable ONNX definitions against the torch definitions."""
+"""The tone mapper's kernels: compiled rows and portable ONNX definitions against the torch
+definitions."""
 
 from __future__ import annotations
 
@@ -71,7 +72,8 @@ def test_portable_definition_matches(kernel: Kernel, height: int, width: int) ->
     np.testing.assert_allclose(found, by_definition(kernel, inputs), atol=TOLERANCE)
 
 
-@pytest.mark.parametrize("kernel", [kernel for kernel in DEFINITIONS if isinstance(kernel.rows, Rows)],
+@pytest.mark.parametrize("kernel",
+                         [kernel for kernel in DEFINITIONS if isinstance(kernel.rows, Rows)],
                          ids=lambda kernel: kernel.name)
 def test_every_level_gives_the_same_bits(kernel: Kernel) -> None:
     """Beside values that a file should not hold; without fused products, nearly the same."""
@@ -80,7 +82,8 @@ def test_every_level_gives_the_same_bits(kernel: Kernel) -> None:
         like, found = by_definition(kernel, inputs), {}
         for level in library.levels():
             found[level] = np.full(like.shape, np.nan, like.dtype)
-            Rows(kernel.rows.name, level=level)(0, like.shape[kernel.row_axis[1]], *inputs, found[level])
+            Rows(kernel.rows.name, level=level)(0, like.shape[kernel.row_axis[1]], *inputs,
+                                                found[level])
         lowest = found.pop("baseline", None)
         for level, output in found.items():
             np.testing.assert_array_equal(output, found["v3"], f"{height}x{width} {level}")
@@ -92,7 +95,8 @@ def test_every_level_gives_the_same_bits(kernel: Kernel) -> None:
 def test_bands_give_the_same_bits_as_one_run(kernel: Kernel) -> None:
     inputs = list(arguments(kernel, 67, 129).values())
     wanted = by_definition(kernel, inputs)
-    np.testing.assert_array_equal(by_rows(kernel, inputs, wanted, 5), by_rows(kernel, inputs, wanted, 1))
+    np.testing.assert_array_equal(by_rows(kernel, inputs, wanted, 5),
+                                  by_rows(kernel, inputs, wanted, 1))
 
 
 def test_lowres_of_a_flat_picture_is_flat_and_a_firefly_hardly_moves_it() -> None:
@@ -111,7 +115,8 @@ def test_lowres_of_a_flat_picture_is_flat_and_a_firefly_hardly_moves_it() -> Non
 def test_light_beyond_the_range_keeps_its_hue() -> None:
     """Orange light of 2 and of 2000 times white are the same orange in the shaper, not yellow."""
     orange = np.float32([[[600.0, 200.0, 10.0]]]) * np.float32([1, 1000])[:, None, None]
-    shaped = shape(torch.from_numpy(orange).permute(0, 2, 1)[..., None], *default_shaper())[..., 0, 0]
+    shaped = shape(torch.from_numpy(orange).permute(0, 2, 1)[..., None],
+                   *default_shaper())[..., 0, 0]
     torch.testing.assert_close(shaped[1], shaped[0], atol=1e-6, rtol=0)
 
 
@@ -151,5 +156,6 @@ def test_exposure_that_is_held(case: Hold) -> None:
 def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:
     current = np.random.default_rng(0).normal(size=(1, 16, 16, 8, 12)).astype(np.float32)
     result = np.empty_like(current)
-    SMOOTH_GRID.rows(0, 16, np.full_like(current, np.nan), current, np.zeros((1, 4), np.float32), result)
+    SMOOTH_GRID.rows(0, 16, np.full_like(current, np.nan), current, np.zeros((1, 4), np.float32),
+                     result)
     np.testing.assert_array_equal(result, current)

@@ -12,10 +12,20 @@ from postfx.colour.displays import parse_display
 from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE, APPLY_CUBE_FOURS, CONVERT_PRIMARIES, ENCODE_DISPLAY
 from postfx.kernels.image import CHECKERBOARD, turns
-from postfx.kernels.tonemap import EXPOSE, FOLLOW, GRID_SHAPE, KNOTS, LIGHT, LOWRES, SLICE_APPLY, SMOOTH_GRID
+from postfx.kernels.tonemap import (
+    EXPOSE,
+    FOLLOW,
+    GRID_SHAPE,
+    KNOTS,
+    LIGHT,
+    LOWRES,
+    SLICE_APPLY,
+    SMOOTH_GRID,
+)
 from postfx.passes.display import decoding, encoding, parameters
 
-KERNELS = (SLICE_APPLY, LOWRES, LIGHT, FOLLOW, SMOOTH_GRID, EXPOSE, ENCODE_DISPLAY, APPLY_CUBE, CHECKERBOARD)
+KERNELS = (SLICE_APPLY, LOWRES, LIGHT, FOLLOW, SMOOTH_GRID, EXPOSE, ENCODE_DISPLAY, APPLY_CUBE,
+           CHECKERBOARD)
 ON_GPU = (APPLY_CUBE_FOURS,)
 HLG = parse_display("hlg")
 SIZES = ((1, 1), (5, 7), (67, 129), (300, 260))
@@ -25,7 +35,8 @@ PARAMS = {ENCODE_DISPLAY: parameters(None, HLG, 1.7), FOLLOW: np.array([0.98, 0.
 
 @dataclass(frozen=True)
 class Pace:
-    """What `follow` makes of a past and of light of 8 stops, where 0.98 is kept of steady light and 0.6 followed."""
+    """What `follow` makes of a past and of light of 8 stops, where 0.98 is kept of steady light and
+    0.6 followed."""
 
     name: str
     made_for: float
@@ -36,7 +47,8 @@ class Pace:
 
     def arguments(self) -> list[np.ndarray]:
         light = np.full(LIGHT.shapes["light"], 8 * SHAPER[1])
-        params, before = [0.98, 0.6, self.past, SHAPER[1]], [[0.5, self.made_for, self.last, self.share]]
+        params, before = [0.98, 0.6, self.past, SHAPER[1]], [[0.5, self.made_for, self.last,
+                                                              self.share]]
         return [np.array(values, np.float32) for values in (light, params, before)]
 
 
@@ -57,7 +69,8 @@ PACES = (
 
 @dataclass(frozen=True)
 class Hold:
-    """What `expose` makes of a past factor where a look asks for one stop, at an exposure of 1.5."""
+    """What `expose` makes of a past factor where a look asks for one stop, at an exposure of
+    1.5."""
 
     name: str
     previous: float
@@ -66,14 +79,16 @@ class Hold:
 
     def arguments(self) -> list[np.ndarray]:
         previous, params = (self.previous, *SHAPER), (1.5, *SHAPER)
-        return [np.array(values, np.float32) for values in (previous, [[1.0]], [[self.keep, 8, 8, 0.02]], params)]
+        return [np.array(values, np.float32)
+                for values in (previous, [[1.0]], [[self.keep, 8, 8, 0.02]], params)]
 
 
 HOLDS = (
     Hold("nothing kept", math.nan, 0.0, 2.0),
     Hold("half kept", 8.0, 0.5, 4.0),
     Hold("nearly all kept", 1.0, 0.9, 2.0**0.1),
-    *(Hold(f"{value} before", value, 0.9, 2.0) for value in (math.nan, math.inf, -math.inf, 0.0, -1.0, 3e38)),
+    *(Hold(f"{value} before", value, 0.9, 2.0)
+      for value in (math.nan, math.inf, -math.inf, 0.0, -1.0, 3e38)),
 )
 
 
@@ -84,28 +99,33 @@ def sizes(kernel: Kernel) -> tuple[tuple[int, int], ...]:
 
 def hdr(height: int, width: int) -> np.ndarray:
     """Colour over 20 stops with everything in it that a file should not hold."""
-    colour = np.exp2(np.random.default_rng(height).uniform(-12, 8, (height, width, 3))).astype(np.float32)
+    colour = (np.exp2(np.random.default_rng(height).uniform(-12, 8, (height, width, 3)))
+              .astype(np.float32))
     if height > 4:
-        colour[1, 1, 0], colour[2, 2, 1], colour[3, 3, 2], colour[4, 4, 0] = np.nan, np.inf, -np.inf, -3.0
+        colour[1, 1, 0], colour[2, 2, 1], colour[3, 3, 2], colour[4, 4,
+                                                                  0] = np.nan, np.inf, -np.inf, -3.0
     return colour
 
 
 def plain_guide() -> np.ndarray:
-    """Numbers of a guide that is the channels' mean, as before any training; see ``postfx.kernels.tonemap``."""
+    """Numbers of a guide that is the channels' mean, as before any training; see
+    ``postfx.kernels.tonemap``."""
     shifts, slopes = np.linspace(0, 1, KNOTS, endpoint=False), np.eye(1, KNOTS)[0]
-    return np.concatenate([np.eye(3).ravel(), np.zeros(3), np.tile(shifts, 3), np.tile(slopes, 3), np.full(3, 1 / 3),
-                           np.zeros(1)])
+    return np.concatenate([np.eye(3).ravel(), np.zeros(3), np.tile(shifts, 3), np.tile(slopes, 3),
+                           np.full(3, 1 / 3), np.zeros(1)])
 
 
 def bent_cube(size: int) -> np.ndarray:
-    """A cube (size, size, size, 3) with curves, and channels that mix: about as steep as those of looks."""
+    """A cube (size, size, size, 3) with curves, and channels that mix: about as steep as those of
+    looks."""
     axis = np.linspace(0, 1, size)
     r, g, b = np.meshgrid(axis, axis, axis, indexing="ij")
     return np.stack([r**1.5, 0.8 * g + 0.1 * r + 0.1 * b, np.sin(1.5 * b) * (1 - 0.2 * g)], -1)
 
 
 def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
-    """Inputs of a kernel by name, with a guide and grid that use every level and differ from cell to cell."""
+    """Inputs of a kernel by name, with a guide and grid that use every level and differ from cell
+    to cell."""
     random = np.random.default_rng(7)
     guide = plain_guide()
     values = {
@@ -128,7 +148,8 @@ def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
         "greys": np.array([0.15, 0.21]),
     }
     if kernel is APPLY_CUBE_FOURS:
-        values["cube"] = np.pad(values["cube"], ((0, 0), (0, 0), (0, 0), (0, 1)), constant_values=np.nan)
+        values["cube"] = np.pad(values["cube"], ((0, 0), (0, 0), (0, 0), (0, 1)),
+                                constant_values=np.nan)
     if kernel is EXPOSE:
         values |= {"previous": np.array([1.9, *SHAPER]), "current": np.array([[-0.7]])}
     if kernel is CONVERT_PRIMARIES:

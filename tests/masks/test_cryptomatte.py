@@ -21,11 +21,12 @@ def as_floats(*ids: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("name", "expected"), [
-    ("", 0x00800000), ("hello", 0x248BFA47), ("hello, world", 0x149BBB7F), ("rect_][_bot", 0xC2F7D6C0),
-    ("The quick brown fox jumps over the lazy dog", 0x2E4FF723),
+    ("", 0x00800000), ("hello", 0x248BFA47), ("hello, world", 0x149BBB7F),
+    ("rect_][_bot", 0xC2F7D6C0), ("The quick brown fox jumps over the lazy dog", 0x2E4FF723),
 ])
 def test_ids_are_murmur_hashes_that_are_ordinary_floats(name: str, expected: int) -> None:
-    """Values of the reference implementation, seed 0; the empty name's hash, 0, has the exponent of a denormal."""
+    """Values of the reference implementation, seed 0; the empty name's hash, 0, has the exponent of
+    a denormal."""
     assert id_of_name(name) == expected
 
 
@@ -48,8 +49,9 @@ def test_strength_is_what_the_shares_leave() -> None:
     wanted = 1 - (weights[which] * shares.astype(np.float64)).sum(-1)
     assert found.shape == (9, 11, 1) and found.dtype == np.float32
     np.testing.assert_allclose(found[..., 0], np.where(wanted < 1e-3, 0, wanted), atol=1e-6)
-    np.testing.assert_array_equal(found, strength_from_cryptomatte(list(np.moveaxis(ranks, 2, 0)),
-                                                                   {"logo": 0.25, "sky": 0.0, "hero": 1.0}))
+    np.testing.assert_array_equal(found, strength_from_cryptomatte(
+        list(np.moveaxis(ranks, 2, 0)), {"logo": 0.25, "sky": 0.0, "hero": 1.0}
+    ))
 
 
 def test_a_pixel_that_is_all_one_thing_is_exactly_0_or_1() -> None:
@@ -63,9 +65,11 @@ def test_a_pixel_that_is_all_one_thing_is_exactly_0_or_1() -> None:
 
 def test_what_the_functions_refuse() -> None:
     ranks = np.zeros((2, 2, 4), np.float32)
-    with pytest.raises(StrengthError, match="3 AOVs of a Cryptomatte: give an id and its coverage for each rank"):
+    with pytest.raises(StrengthError,
+                       match="3 AOVs of a Cryptomatte: give an id and its coverage for each rank"):
         strength_from_cryptomatte(ranks[..., :3], {"sky": 0})
-    for function, planes in ((strength_from_cryptomatte, ranks), (strength_from_ids, ranks[..., 0])):
+    for function, planes in ((strength_from_cryptomatte, ranks),
+                             (strength_from_ids, ranks[..., 0])):
         with pytest.raises(StrengthError, match="strengths -1 to 2: give 0 to 1"):
             function(planes, {1: -1.0, 2: 2.0})
 
@@ -86,8 +90,8 @@ def test_large_and_averaged_ids() -> None:
 
 def test_entries_of_a_text() -> None:
     assert parse_leave("auto, sky_*,logo = 0.5,7-9@id,a=b=0.25,CryptoObject?x@ViewLayer.Mat=1") == (
-        Entry("auto"), Entry("sky_*"), Entry("logo", None, 0.5), Entry("7-9", "id"), Entry("a=b", None, 0.25),
-        Entry("CryptoObject?x", "ViewLayer.Mat", 1.0))
+        Entry("auto"), Entry("sky_*"), Entry("logo", None, 0.5), Entry("7-9", "id"),
+        Entry("a=b", None, 0.25), Entry("CryptoObject?x", "ViewLayer.Mat", 1.0))
     assert [str(entry) for entry in parse_leave("sky,7@id=0.5")] == ["sky", "7@id=0.5"]
     assert [entry.is_auto for entry in parse_leave("auto,auto@id")] == [True, False]
 
@@ -116,12 +120,15 @@ def test_names_count_as_they_are_before_they_count_as_patterns() -> None:
 
 def test_a_manifest_of_other_hashes_is_told() -> None:
     layer = Cryptomatte("CryptoObject", {"sky": 0x1234ABCD}, "frame.exr")
-    with pytest.raises(StrengthError, match=f"gives 'sky' the id 1234abcd, its hash is {id_of_name('sky'):08x}"):
+    with pytest.raises(StrengthError,
+                       match=f"gives 'sky' the id 1234abcd, its hash is {id_of_name('sky'):08x}"):
         layer.ids_of(Entry("s*"))
 
 
 def test_without_a_manifest_whole_names_are_hashed() -> None:
     layer = Cryptomatte("CryptoObject", None, "frame.exr")
     assert layer.ids_of(Entry("sky")) == [id_of_name("sky")]
-    with pytest.raises(StrengthError, match="CryptoObject has no manifest, so nothing tells which names match 's\\*'"):
+    with pytest.raises(StrengthError,
+                       match="CryptoObject has no manifest, so nothing tells which names match "
+                       "'s\\*'"):
         layer.ids_of(Entry("s*"))

@@ -31,7 +31,8 @@ def sky(seed: int = 0, ground_noise: float = 0.3) -> dict[Role, np.ndarray]:
 def noisy_sky(sigma: float) -> dict[Role, np.ndarray]:
     """Light that is scattered in front of the sky: noise relative to it, alike in all channels."""
     planes = sky()
-    planes[Role.COLOUR][:HORIZON] *= 1 + sigma * np.random.default_rng(1).standard_normal((HORIZON, SIZE[1], 1))
+    planes[Role.COLOUR][:HORIZON] *= (1 + sigma * np.random.default_rng(1)
+                                      .standard_normal((HORIZON, SIZE[1], 1)))
     return planes
 
 
@@ -77,7 +78,8 @@ def test_sparse_spikes_are_denoised_all_over_when_they_are_many_and_around_them_
 
 
 def test_what_moved_in_front_of_the_sky_is_denoised_though_depth_says_miss() -> None:
-    """Depth of the shutter's opening, colour of all of it: a blurred thing that covers a part of some samples."""
+    """Depth of the shutter's opening, colour of all of it: a blurred thing that covers a part of
+    some samples."""
     planes, random = sky(), np.random.default_rng(4)
     covered = random.binomial(4, 0.4, (30, 40, 1)) / 4
     part = planes[Role.COLOUR][20:50, 60:100]
@@ -113,7 +115,8 @@ def test_what_counts_as_a_miss() -> None:
         ({Role.DEPTH: averaged, Role.NORMAL: normal}, False),
         ({Role.DEPTH: depth, Role.DIFFUSE_ALBEDO: np.ones_like(normal)}, missed),
         ({Role.NORMAL: normal, Role.DIFFUSE_ALBEDO: black}, missed),
-        ({Role.NORMAL: normal, Role.DIFFUSE_ALBEDO: black, Role.SPECULAR_ALBEDO: np.ones_like(black)}, False),
+        ({Role.NORMAL: normal, Role.DIFFUSE_ALBEDO: black,
+          Role.SPECULAR_ALBEDO: np.ones_like(black)}, False),
         ({Role.DIFFUSE_ALBEDO: black}, False),
         ({Role.ALPHA: black[..., :1]}, missed),
         ({Role.ALPHA: black[..., :1] + 0.1, Role.DEPTH: depth}, False),
@@ -121,7 +124,8 @@ def test_what_counts_as_a_miss() -> None:
         ({Role.ALPHA: np.ones_like(depth)}, False),
         ({}, False),
     ):
-        np.testing.assert_array_equal(misses_of({Role.COLOUR: colour, **found}), np.broadcast_to(wanted, SIZE))
+        np.testing.assert_array_equal(misses_of({Role.COLOUR: colour, **found}),
+                                      np.broadcast_to(wanted, SIZE))
 
 
 def test_smoke_with_alpha_and_without_depth_is_denoised() -> None:
@@ -139,10 +143,12 @@ def test_bands_of_rows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     found = list(misses_in_bands(planes, lambda: calls.append(1)))
     np.testing.assert_array_equal(np.concatenate([strength for _, strength, _ in found]), wanted)
     assert [rows.start for rows, _, _ in found] == list(range(0, 150, 16)) and len(calls) == 20
-    assert sum(count for _, _, count in found) == misses_of(planes).sum() and 0 < wanted[:60].mean() < 1
+    assert (sum(count for _, _, count in found) == misses_of(planes).sum()
+            and 0 < wanted[:60].mean() < 1)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 40), (5, 5), (40, 2)])
 def test_frames_of_any_size(size: tuple[int, int]) -> None:
-    planes = {Role.COLOUR: np.ones((*size, 3), np.float32), Role.DEPTH: np.full((*size, 1), DEPTH_MISS, np.float32)}
+    planes = {Role.COLOUR: np.ones((*size, 3), np.float32),
+              Role.DEPTH: np.full((*size, 1), DEPTH_MISS, np.float32)}
     assert strength_of_misses(planes).shape == (*size, 1)

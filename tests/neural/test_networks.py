@@ -1,4 +1,5 @@
-"""Small networks: their results, gradients and steps are those of torch, in every form and on any threads."""
+"""Small networks: their results, gradients and steps are those of torch, in every form and on any
+threads."""
 
 from __future__ import annotations
 
@@ -25,12 +26,14 @@ every_network = pytest.mark.parametrize("network", NETWORKS, ids=IDS)
 
 
 class Twin:
-    """The network in torch, and its points and targets; no ReLU's argument is so near 0 that rounding decides."""
+    """The network in torch, and its points and targets; no ReLU's argument is so near 0 that
+    rounding decides."""
 
     def __init__(self, network: Network, count: int = 700) -> None:
         random = np.random.default_rng(1)
         parameters = network.initial(2)
-        self.network, self.start = network, parameters + random.normal(0, 0.02, parameters.shape).astype(np.float32)
+        self.network, self.start = (network, parameters
+                                    + random.normal(0, 0.02, parameters.shape).astype(np.float32))
         self.layers = []
         for weights, biases in network.layers(self.start.copy()):
             layer = torch.nn.Linear(weights.shape[1], weights.shape[0])
@@ -48,10 +51,12 @@ class Twin:
         network, row = self.network, points
         encoded = network.inputs if network.encoded is None else network.encoded
         if network.bands:
-            angles = points[:, None, :encoded] * (2.0 ** torch.arange(network.bands) * np.pi)[:, None]
+            angles = points[:, None, :encoded] * (2.0 ** torch.arange(network.bands)
+                                                  * np.pi)[:, None]
             waves = torch.stack([angles.sin(), angles.cos()], -1)
             row = torch.cat([points, waves.reshape(len(points), -1)], 1)
-        activation = {"relu": torch.relu, "gelu": torch.nn.functional.gelu, "sine": torch.sin}[network.activation]
+        activation = {"relu": torch.relu, "gelu": torch.nn.functional.gelu,
+                      "sine": torch.sin}[network.activation]
         self.nearest = torch.full((len(points),), np.inf)
         for layer in self.layers[:-1]:
             row = layer(row)
@@ -63,10 +68,12 @@ class Twin:
         """Of the mean squared error, and that error."""
         loss = ((self.run(torch.from_numpy(self.points)) - torch.from_numpy(targets)) ** 2).mean()
         parts = [part for layer in self.layers for part in layer.parameters()]
-        return np.concatenate([g.numpy().ravel() for g in torch.autograd.grad(loss, parts)]), loss.item()
+        return (np.concatenate([g.numpy().ravel() for g in torch.autograd.grad(loss, parts)]),
+                loss.item())
 
 
-def in_frame(device: Device, learner: Learner, points: np.ndarray, targets: np.ndarray, steps: int = 1) -> np.ndarray:
+def in_frame(device: Device, learner: Learner, points: np.ndarray, targets: np.ndarray,
+             steps: int = 1) -> np.ndarray:
     """Values after `steps` steps, all in one command buffer."""
     places, wanted = device.wrap("points", points), device.wrap("targets", targets)
     values = device.heap.tensor("values", targets.shape)
@@ -94,7 +101,8 @@ def test_values_and_gradients_are_those_of_torch(network):
     values = in_frame(device, learner, twin.points, twin.targets)
     wanted, error = twin.gradients(twin.targets)
     found = gradients_of(learner)
-    np.testing.assert_allclose(values, twin.run(torch.from_numpy(twin.points)).detach(), atol=1e-5, rtol=1e-5)
+    np.testing.assert_allclose(values, twin.run(torch.from_numpy(twin.points)).detach(), atol=1e-5,
+                               rtol=1e-5)
     np.testing.assert_allclose(found, wanted, atol=1e-5)
     assert learner.error() == pytest.approx(error, rel=1e-5) and abs(wanted).max() > 0.01
 
@@ -102,7 +110,8 @@ def test_values_and_gradients_are_those_of_torch(network):
 def test_steps_are_those_of_adam_in_torch():
     """The same gradients to both, as tiny ones decide the sign of a step."""
     random = np.random.default_rng(0)
-    start, partials = random.normal(size=50).astype(np.float32), random.normal(size=(3, 52)).astype(np.float32)
+    start, partials = (random.normal(size=50).astype(np.float32),
+                       random.normal(size=(3, 52)).astype(np.float32))
     partials[:, -1] = 0.25, 0, 0.25  # half of the points are learnt
     parameters = torch.nn.Parameter(torch.from_numpy(start.copy()))
     adam = torch.optim.Adam([parameters], 0.01, DECAYS, EPSILON)
@@ -123,7 +132,8 @@ def test_threads_do_not_change_a_bit():
     for threads in (1, 2):
         device = Device("cpu", threads=threads)
         learner = Learner(device, network, 1e-3, twin.start)
-        results.append((in_frame(device, learner, twin.points, twin.targets, 3), learner.parameters.download()))
+        results.append((in_frame(device, learner, twin.points, twin.targets, 3),
+                        learner.parameters.download()))
     for one, other in zip(*results, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -148,9 +158,11 @@ def test_points_without_a_target_count_nowhere(every):
 
 @pytest.mark.parametrize("dims", [0, 2])
 def test_empty_points_change_no_step(dims):
-    """The points that are learnt alone, and among others that are not: the same error and the same step."""
+    """The points that are learnt alone, and among others that are not: the same error and the same
+    step."""
     random = np.random.default_rng(4)
-    points, targets = random.uniform(0, 1, (40, 2)).astype(np.float32), random.normal(size=(40, 1)).astype(np.float32)
+    points, targets = (random.uniform(0, 1, (40, 2)).astype(np.float32),
+                       random.normal(size=(40, 1)).astype(np.float32))
     among, empty = np.repeat(points, 100, 0), np.full((4000, 1), np.nan, np.float32)
     empty[::100] = targets
     grid = Grid(2, levels=3, entries=256, sides=(4, 16)) if dims else None
@@ -165,7 +177,8 @@ def test_empty_points_change_no_step(dims):
 
 def test_an_error_of_no_points_is_no_number():
     learner = Learner(Device("cpu", threads=1), Network(2, (4,), 1))
-    in_frame(learner.device, learner, np.zeros((8, 2), np.float32), np.full((8, 1), np.nan, np.float32))
+    in_frame(learner.device, learner, np.zeros((8, 2), np.float32),
+             np.full((8, 1), np.nan, np.float32))
     assert np.isnan(learner.error()) and np.isfinite(learner.parameters.download()).all()
 
 
@@ -179,13 +192,14 @@ def test_a_gpu_computes_what_torch_does(network):
     with torch.no_grad():
         made = twin.run(torch.from_numpy(twin.points)).numpy()
     known = np.isfinite(twin.targets).all(1)
-    wanted, error = (part / known.mean() for part in twin.gradients(np.where(known[:, None], twin.targets, made)))
+    wanted, error = (part / known.mean()
+                     for part in twin.gradients(np.where(known[:, None], twin.targets, made)))
     learner, found = Learner(device, network, 0.0, twin.start), []
     for _ in range(2):
         values = in_frame(device, learner, twin.points, twin.targets)
         found.append((values, learner._last.download()))
-    print(f"{network.sizes}: values {np.abs(values - made).max():.1e}, "
-          f"gradients {np.abs(gradients_of(learner) - wanted).max():.1e} of {np.abs(wanted).max():.1e}")
+    print(f"{network.sizes}: values {np.abs(values - made).max():.1e}, gradients "
+          f"{np.abs(gradients_of(learner) - wanted).max():.1e} of {np.abs(wanted).max():.1e}")
     np.testing.assert_allclose(values, made, atol=1e-5, rtol=1e-5)
     np.testing.assert_allclose(gradients_of(learner), wanted, atol=1e-5)
     assert learner.error() == pytest.approx(error, rel=1e-5)
@@ -210,26 +224,33 @@ def test_a_gpu_learns_as_the_cpu_does():
 
 
 @pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
-@pytest.mark.parametrize("shared", [None, pytest.param(80 << 10, marks=pytest.mark.soak)], ids=["much", "little"])
+@pytest.mark.parametrize("shared", [None, pytest.param(80 << 10, marks=pytest.mark.soak)],
+                         ids=["much", "little"])
 @every_network
 def test_cuda_kernels_compute_what_the_compiled_rows_do(network, shared):
     """Also with less shared memory than the parameters of wide layers need."""
     twin = Twin(network, 150)
-    inputs = {"network": network.facts(), "parameters": twin.start, "points": twin.points, "targets": twin.targets}
+    inputs = {"network": network.facts(), "parameters": twin.start, "points": twin.points,
+              "targets": twin.targets}
     inputs["targets"][5, 0] = np.inf
-    sizes = {"values": twin.targets.shape, "pulls": twin.points.shape, "partials": (2, network.count + 2)}
+    sizes = {"values": twin.targets.shape, "pulls": twin.points.shape,
+             "partials": (2, network.count + 2)}
     for kernel, rows in ((FORWARD, len(twin.points)), (GRADIENTS, 2)):
         given = {binding: inputs[binding] for binding in kernel.reads}
-        wanted, found = ({name: np.full(sizes[name], np.nan, np.float32) for name in kernel.writes} for _ in range(2))
+        wanted, found = ({name: np.full(sizes[name], np.nan, np.float32) for name in kernel.writes}
+                         for _ in range(2))
         kernel.rows(0, rows, *given.values(), *wanted.values())
-        blocks = replace(kernel.blocks, shared=shared or kernel.blocks.shared, most=2 if shared else 264)
+        blocks = replace(kernel.blocks, shared=shared or kernel.blocks.shared,
+                         most=2 if shared else 264)
         host_cuda.run(replace(kernel, blocks=blocks), given | found)
         for name, array in wanted.items():
             np.testing.assert_allclose(found[name], array, atol=1e-5, rtol=1e-5)
     wanted = wanted["partials"]
-    states = [(twin.start.copy(), np.full((network.count, 3), [0.5, 0.5, 3], np.float32)) for _ in range(2)]
+    states = [(twin.start.copy(), np.full((network.count, 3), [0.5, 0.5, 3], np.float32))
+              for _ in range(2)]
     ADAM.rows(0, network.count, wanted, HYPER, *states[0])
-    host_cuda.run(ADAM, {"partials": wanted, "hyper": HYPER, "parameters": states[1][0], "moments": states[1][1]})
+    host_cuda.run(ADAM, {"partials": wanted, "hyper": HYPER, "parameters": states[1][0],
+                         "moments": states[1][1]})
     for one, other in zip(*states, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
 
@@ -249,13 +270,16 @@ def test_every_level_gives_the_same_bits(kernel, network):
 
 
 @pytest.mark.parametrize(("kernel", "binding", "most"), [
-    (FORWARD, "points", 3), (GRADIENTS, "points", 392), (GRADIENTS, "targets", 392), (ADAM, "partials", 3),
+    (FORWARD, "points", 3), (GRADIENTS, "points", 392), (GRADIENTS, "targets", 392),
+    (ADAM, "partials", 3),
     (ADAM, "parameters", 1), (GRID, "points", 3), (GRID, "table", 300), (GRID_PULL, "pulls", 8),
     (GRID_STEP, "table", 1), (GRID_STEP, "moments", 3)],
     ids=lambda value: getattr(value, "name", value))
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_nan_and_infinity_go_into_what_is_made_of_them_and_into_nothing_else(kernel, binding, most, value):
-    """In every form: a group's gradients, a point's values, a parameter's step; sums of whole numbers leave NaN out."""
+def test_nan_and_infinity_go_into_what_is_made_of_them_and_into_nothing_else(kernel, binding, most,
+                                                                             value):
+    """In every form: a group's gradients, a point's values, a parameter's step; sums of whole
+    numbers leave NaN out."""
     given = neural_cases.arguments(kernel, NETWORKS[1], 300)
     broken = {name: array.copy() for name, array in given.items()}
     broken[binding].reshape(-1)[20] = value
@@ -277,7 +301,8 @@ def test_nan_and_infinity_go_into_what_is_made_of_them_and_into_nothing_else(ker
             np.testing.assert_array_equal(np.isfinite(array), finite, f"{name} {form}")
             unit = UNITS if array.dtype == np.int64 else 1
             bits = 0 if form in levels else 1e-5
-            np.testing.assert_allclose(array[finite] / unit, wanted[name][finite] / unit, bits, bits, err_msg=form)
+            np.testing.assert_allclose(array[finite] / unit, wanted[name][finite] / unit, bits,
+                                       bits, err_msg=form)
 
 
 @every_network
@@ -288,7 +313,8 @@ def test_the_onnx_form_reads_the_tensor_that_learning_writes(network, tmp_path):
     network.save_onnx(tmp_path / "open.onnx")
     state = device.pipeline_state(Library(tmp_path), "open", {"points": len(twin.points)})
     points, targets = device.wrap("points", twin.points), device.wrap("targets", twin.targets)
-    direct, portable = (device.heap.tensor(name, twin.targets.shape) for name in ("direct", "portable"))
+    direct, portable = (device.heap.tensor(name, twin.targets.shape)
+                        for name in ("direct", "portable"))
     commands = device.command_buffer("frame")
     with commands.compute_encoder("learn") as encoder:
         learner.learn(encoder, points, targets)
@@ -300,7 +326,8 @@ def test_the_onnx_form_reads_the_tensor_that_learning_writes(network, tmp_path):
     commands.commit()
     commands.wait()
     np.testing.assert_allclose(portable.array, direct.array, atol=1e-5, rtol=1e-5)
-    assert np.abs(direct.array - twin.run(torch.from_numpy(twin.points)).detach().numpy()).max() > 1e-3
+    assert (np.abs(direct.array - twin.run(torch.from_numpy(twin.points)).detach().numpy())
+            .max() > 1e-3)
     network.save_onnx(tmp_path / "closed.onnx", learner.parameters.download())
     closed = device.pipeline_state(Library(tmp_path), "closed", {"points": len(twin.points)})
     assert [binding.name for binding in closed.bindings] == ["points", "values"]
@@ -311,10 +338,12 @@ class GridTwin:
 
     def __init__(self, dims: int) -> None:
         random = np.random.default_rng(0)
-        self.grid = Grid(dims, levels=5, numbers=2, entries=256, sides=(4, 40))  # the first levels fit, others share
+        # the first levels fit, others share
+        self.grid = Grid(dims, levels=5, numbers=2, entries=256, sides=(4, 40))
         self.network = Network(self.grid.width + 1, (16,), 2, "gelu")
         self.start = self.network.initial(1)
-        self.table = torch.nn.Parameter(torch.from_numpy(random.normal(0, 1, (5, 512)).astype(np.float32)))
+        self.table = torch.nn.Parameter(torch.from_numpy(random.normal(0, 1, (5, 512))
+                                                         .astype(np.float32)))
         self.points = random.uniform(-0.1, 1.1, (600, dims + 1)).astype(np.float32)
         self.targets = random.normal(size=(600, 2)).astype(np.float32)
 
@@ -342,7 +371,8 @@ class GridTwin:
 
 
 def check_grid(dims: int, device: Device) -> None:
-    """Values, derivatives by the table and a step of Adam are those of torch; again, they are the same bits."""
+    """Values, derivatives by the table and a step of Adam are those of torch; again, they are the
+    same bits."""
     twin, found = GridTwin(dims), []
     values = twin.values()
     ((values - torch.from_numpy(twin.targets)) ** 2).mean().backward()
@@ -360,7 +390,8 @@ def check_grid(dims: int, device: Device) -> None:
             learner.learn(encoder, points, targets)
         commands.commit()
         commands.wait()
-        found.append((made.download(), learner._grid._sums.download() / UNITS, learner.table.download()))
+        found.append((made.download(), learner._grid._sums.download() / UNITS,
+                      learner.table.download()))
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_allclose(found[0][0], values.detach(), atol=1e-5)
@@ -398,8 +429,8 @@ def test_the_cuda_kernels_of_a_grid_compute_what_the_compiled_rows_do(dims):
     partials = np.full((2, 7), 0.25, np.float32)
     states = [(table.copy(), np.full((5, 512, 3), [0.5, 0.5, 3], np.float32)) for _ in range(2)]
     GRID_STEP.rows(0, 5, made, partials, HYPER, *states[0])
-    host_cuda.run(GRID_STEP, {"sums": made, "partials": partials, "hyper": HYPER, "table": states[1][0],
-                              "moments": states[1][1]})
+    host_cuda.run(GRID_STEP, {"sums": made, "partials": partials, "hyper": HYPER,
+                              "table": states[1][0], "moments": states[1][1]})
     for one, other in zip(*states, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
 
@@ -410,7 +441,8 @@ def test_a_picture_is_learnt_by_a_grid():
     places = random.uniform(0, 1, (4096, 2)).astype(np.float32)
     wanted = np.sign(np.sin(40 * places[:, :1]) * np.sin(31 * places[:, 1:])).astype(np.float32)
     grid = Grid(2, levels=8, entries=1 << 12, sides=(8, 128))
-    for learner in (Learner(Device("cpu", threads=2), Network(grid.width, (32,), 1), 1e-2, grid=grid),
+    for learner in (Learner(Device("cpu", threads=2), Network(grid.width, (32,), 1), 1e-2,
+                            grid=grid),
                     Learner(Device("cpu", threads=2), Network(2, (32,), 1, bands=5), 1e-2)):
         in_frame(learner.device, learner, places, wanted, 60)
         errors.append(learner.error())
@@ -432,15 +464,17 @@ def test_fitting_learns_and_is_repeatable():
 
 
 def test_what_does_not_fit_is_told():
-    for wrong, said in (((4,), "2 or 3"), ((2, 20), "at most 16"), ((2, 8, 2, 1000), "a power of two"),
-                        ((2, 8, 2, 0), "a power of two"), ((2, 8, 2, 1024, (64, 16)), "64 to 16 cells")):
+    for wrong, said in (((4,), "2 or 3"), ((2, 20), "at most 16"),
+                        ((2, 8, 2, 1000), "a power of two"), ((2, 8, 2, 0), "a power of two"),
+                        ((2, 8, 2, 1024, (64, 16)), "64 to 16 cells")):
         with pytest.raises(ModelError, match=said):
             Grid(*wrong)
     with pytest.raises(ModelError, match="needs at least 16 inputs"):
         Learner(Device("cpu", threads=1), NETWORKS[0], grid=Grid(3))
     with pytest.raises(BindingError, match="no grid"):
         _ = Learner(Device("cpu", threads=1), NETWORKS[0]).table
-    for wrong, said in (((3, (200,), 3), "1 to 128"), ((3, (4,) * 5, 3), "at most 4"), ((3, (), 3, "tanh"), "'tanh'"),
+    for wrong, said in (((3, (200,), 3), "1 to 128"), ((3, (4,) * 5, 3), "at most 4"),
+                        ((3, (), 3, "tanh"), "'tanh'"),
                         ((3, (4,), 3, "relu", 2, 4), "there are 3 inputs")):
         with pytest.raises(ModelError, match=said):
             Network(*wrong)
@@ -455,6 +489,7 @@ def test_what_does_not_fit_is_told():
 
 
 def test_the_example_of_the_document_learns(capsys):
-    text = (Path(__file__).parents[2] / "docs" / "howto" / "networks.md").read_text(encoding="utf-8")
+    text = (Path(__file__)
+            .parents[2] / "docs" / "howto" / "networks.md").read_text(encoding="utf-8")
     exec(re.search(r"```python\n(.*?)```", text, re.DOTALL)[1], {})
     assert float(capsys.readouterr().out) < 1e-3

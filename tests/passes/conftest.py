@@ -23,7 +23,8 @@ def unseen(no_first_look: None) -> None:
 
 @pytest.fixture(scope="session")
 def exported_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the models 'denoise_upscale.small' and 'doubting', each with and without guides, 'low', 'residual'."""
+    """Folder of the models 'denoise_upscale.small' and 'doubting', each with and without guides,
+    'low', 'residual'."""
     torch = pytest.importorskip("torch")
     folder = tmp_path_factory.mktemp("models")
     sources = [*(REPOSITORY / "training").rglob("*.py"), SMALL_DENOISER, Path(__file__)]
@@ -36,18 +37,22 @@ def _export(folder: Path) -> None:
     from training.denoise.export import card, example, export_trunk, exported
     from training.export import parity, write_card
 
-    for guides, name in ((False, "denoise_upscale.small.onnx"), (True, "denoise_upscale.small.guides.onnx")):
+    for guides, name in ((False, "denoise_upscale.small.onnx"),
+                         (True, "denoise_upscale.small.guides.onnx")):
         export_trunk(small_model(guides).trunk, folder / name)
     configs = {"low": LOW, "doubting": DOUBTING, "doubting.guides": DOUBTING, "residual": RESIDUAL}
     for tag, config in configs.items():
-        model, path = small_model(tag.endswith(".guides"), config), folder / f"denoise_upscale.{tag}.onnx"
+        model, path = (small_model(tag.endswith(".guides"), config),
+                       folder / f"denoise_upscale.{tag}.onnx")
         checkpoint = {"config": model.config.as_dict(), "weights": model.state_dict(), "notes": {}}
         if tag == "doubting":  # the same layers: its card alone says that it doubts
             shutil.copy(folder / "denoise_upscale.low.onnx", path)
-            told = card(checkpoint, tag, parity(exported(model.trunk), path, example(model.trunk, 32, 48)), {})
+            told = card(checkpoint, tag,
+                        parity(exported(model.trunk), path, example(model.trunk, 32, 48)), {})
         else:
             told = card(checkpoint, tag, export_trunk(model.trunk, path), {})
-        write_card(path, told | ({"halo": RESIDUAL.sees} if config is RESIDUAL else {}))  # random weights use it all
+        # random weights use it all
+        write_card(path, told | ({"halo": RESIDUAL.sees} if config is RESIDUAL else {}))
 
 
 @pytest.fixture

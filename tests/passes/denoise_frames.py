@@ -8,13 +8,16 @@ import numpy as np
 
 from postfx.frame import GUIDE_ROLES, Frame, Role
 
-PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
+PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO,
+          Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
 
 
-def noisy(number: int, height: int = 37, width: int = 50, planes: tuple[Role, ...] = PLANES, **kept) -> Frame:
+def noisy(number: int, height: int = 37, width: int = 50, planes: tuple[Role, ...] = PLANES,
+          **kept) -> Frame:
     """Random planes with the ranges of real ones; another `number` gives other ones."""
     random = np.random.default_rng([number, height, width])
-    unit = {role: random.random((height, width, _CHANNELS.get(role, 3)), np.float32) for role in PLANES + (Role.ALPHA,)}
+    unit = {role: random.random((height, width, _CHANNELS.get(role, 3)), np.float32)
+            for role in PLANES + (Role.ALPHA,)}
     values = unit | {
         Role.COLOUR: 30 * unit[Role.COLOUR] ** 4,
         Role.DEPTH: 1 + 5 * unit[Role.DEPTH],
@@ -26,17 +29,20 @@ def noisy(number: int, height: int = 37, width: int = 50, planes: tuple[Role, ..
     return Frame({role: values[role].astype(np.float32) for role in planes}, number=number, **kept)
 
 
-def guided(frame: Frame, height: int, width: int, roles: tuple[Role, ...] = GUIDE_ROLES, **kept) -> Frame:
+def guided(frame: Frame, height: int, width: int, roles: tuple[Role, ...] = GUIDE_ROLES,
+           **kept) -> Frame:
     """The same frame with random guides of this size."""
     guides = noisy(100 + frame.number, height, width, roles).planes
     return replace(frame, guides=guides, guide_source="guides.exr", **kept)
 
 
 def flat(number: int, value: float, height: int = 24, width: int = 40, **kept) -> Frame:
-    """A picture of one colour at rest: whatever a network predicts, normalised filters leave it as it is."""
-    constant = {Role.COLOUR: value, Role.DEPTH: 3.0, Role.MOTION: 0.0, Role.NORMAL: 0.5, Role.DIFFUSE_ALBEDO: 0.5,
-                Role.SPECULAR_ALBEDO: 0.04, Role.ROUGHNESS: 0.5}
-    planes = {role: np.full((height, width, _CHANNELS.get(role, 3)), v, np.float32) for role, v in constant.items()}
+    """A picture of one colour at rest: whatever a network predicts, normalised filters leave it as
+    it is."""
+    constant = {Role.COLOUR: value, Role.DEPTH: 3.0, Role.MOTION: 0.0, Role.NORMAL: 0.5,
+                Role.DIFFUSE_ALBEDO: 0.5, Role.SPECULAR_ALBEDO: 0.04, Role.ROUGHNESS: 0.5}
+    planes = {role: np.full((height, width, _CHANNELS.get(role, 3)), v, np.float32)
+              for role, v in constant.items()}
     return Frame(planes, number=number, **kept)
 
 

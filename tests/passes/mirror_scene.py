@@ -1,4 +1,5 @@
-"""A polished floor before a textured wall, and a polished ball, in float64: where reflections were, by geometry."""
+"""A polished floor before a textured wall, and a polished ball, in float64: where reflections were,
+by geometry."""
 
 from __future__ import annotations
 
@@ -39,7 +40,8 @@ class View:
     Attributes:
         shiny: whether the first hit is the floor, or the ball.
         depth, points, normals: of the first hit.
-        distance, seen: from there to what is reflected, and where that is on the wall (NaN in matt pixels).
+        distance, seen: from there to what is reflected, and where that is on the wall (NaN in matt
+            pixels).
     """
 
     shiny: np.ndarray
@@ -50,7 +52,8 @@ class View:
     seen: np.ndarray
 
 
-def view(clip_matrix: np.ndarray, places: np.ndarray, width: int, height: int, ball: bool = False) -> View:
+def view(clip_matrix: np.ndarray, places: np.ndarray, width: int, height: int,
+         ball: bool = False) -> View:
     """What is seen at pixel positions (..., 2)."""
     eye, rays = rays_at(clip_matrix, places, width, height)
     with np.errstate(all="ignore"):
@@ -77,10 +80,13 @@ def sphere(eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
     return np.where(root > 0, (-b - np.sqrt(np.maximum(root, 0))) / a, np.inf)
 
 
-def rays_at(clip_matrix: np.ndarray, places: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+def rays_at(clip_matrix: np.ndarray, places: np.ndarray, width: int,
+            height: int) -> tuple[np.ndarray, np.ndarray]:
     """Eye and directions through pixel positions, 1 along the view axis."""
-    eye, corner = view_rays(2, 2, clip_matrix, (-0.5, -0.5))  # through the corners of a picture of one quarter
-    across, down = (corner[0, 1] - corner[0, 0]) * 2 / width, (corner[1, 0] - corner[0, 0]) * 2 / height
+    # through the corners of a picture of one quarter
+    eye, corner = view_rays(2, 2, clip_matrix, (-0.5, -0.5))
+    across, down = ((corner[0, 1] - corner[0, 0]) * 2 / width,
+                    (corner[1, 0] - corner[0, 0]) * 2 / height)
     return eye, corner[0, 0] + places[..., :1] * across + places[..., 1:] * down
 
 
@@ -89,10 +95,12 @@ def texture(points: np.ndarray) -> np.ndarray:
     x, y = points[..., 0], points[..., 1]
     stripes = 0.5 + 0.5 * np.tanh(4 * np.sin(9 * x + 2 * np.sin(3 * y)))
     discs = np.hypot(np.mod(x, 0.7) - 0.35, np.mod(y, 0.7) - 0.35) < 0.22
-    return np.stack([0.1 + 0.8 * stripes, np.where(discs, 0.9, 0.25), 0.2 + 0.6 * stripes * discs], -1)
+    return np.stack([0.1 + 0.8 * stripes, np.where(discs, 0.9, 0.25), 0.2 + 0.6 * stripes * discs],
+                    -1)
 
 
-def frame(number: int, width: int = 96, height: int = 54, ball: bool = False, convention: str = "pbrt",
+def frame(number: int, width: int = 96, height: int = 54, ball: bool = False,
+          convention: str = "pbrt",
           noise: float = 0.0, roughness: float = 0.05, pixel_aspect: float = 1.0) -> Frame:
     """A frame with all planes; `noise` is the deviation of its light over its mean."""
     jitter = jitter_sequence(16)[number % 16]

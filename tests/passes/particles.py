@@ -1,4 +1,5 @@
-"""Sparks without motion vectors before a wall that pans, noisy as a path tracer's frames, with exact references."""
+"""Sparks without motion vectors before a wall that pans, noisy as a path tracer's frames, with
+exact references."""
 
 from __future__ import annotations
 
@@ -16,8 +17,8 @@ CLEAR = 4  # output pixels around a spark that do not count as left by it
 
 @dataclass(frozen=True)
 class Shot:
-    """A frame with sparks in its colour only, the same without them, the sparks' coverage, and at output size what it
-    should be and where sparks are."""
+    """A frame with sparks in its colour only, the same without them, the sparks' coverage, and at
+    output size what it should be and where sparks are."""
 
     frame: Frame
     opaque: Frame
@@ -27,11 +28,14 @@ class Shot:
 
 
 def shots(seed: int = 1, count: int = 24) -> Iterator[Shot]:
-    """Frames of 160x96, exposed as they are, with planes of the wall; references of twice the size."""
+    """Frames of 160x96, exposed as they are, with planes of the wall; references of twice the
+    size."""
     random = np.random.default_rng(seed)
-    places, angles = random.random((count, 2)) * (WIDTH, HEIGHT), random.uniform(0, 2 * np.pi, count)
+    places, angles = (random.random((count, 2)) * (WIDTH, HEIGHT),
+                      random.uniform(0, 2 * np.pi, count))
     steps = np.stack((np.cos(angles), np.sin(angles)), 1) * random.uniform(2, 6, (count, 1))
-    radii, lights = random.uniform(0.8, 2, count), np.array([1, 0.6, 0.25]) * random.uniform(3, 9, (count, 1))
+    radii, lights = (random.uniform(0.8, 2, count),
+                     np.array([1, 0.6, 0.25]) * random.uniform(3, 9, (count, 1)))
     for number in range(FRAMES):
         now = np.mod(places + number * steps, (WIDTH, HEIGHT))
         yield _shot(number, list(zip(now, radii, lights, strict=True)), random)
@@ -44,14 +48,17 @@ def _shot(number: int, sparks: list, random: np.random.Generator) -> Shot:
     noise = random.gamma(SAMPLES, 1 / SAMPLES, light.shape)
     colour = albedo * light * noise
     size = colour.shape[:2]
-    constant = {Role.DEPTH: [3.0], Role.MOTION: -PAN, Role.NORMAL: [0.0, 0.0, 1.0], Role.ROUGHNESS: [0.8],
-                Role.SPECULAR_ALBEDO: [0.0] * 3}
-    planes = {role: np.broadcast_to(np.float32(value), (*size, len(value))) for role, value in constant.items()}
-    planes |= {Role.COLOUR: colour.astype(np.float32), Role.DIFFUSE_ALBEDO: albedo.astype(np.float32)}
+    constant = {Role.DEPTH: [3.0], Role.MOTION: -PAN, Role.NORMAL: [0.0, 0.0, 1.0],
+                Role.ROUGHNESS: [0.8], Role.SPECULAR_ALBEDO: [0.0] * 3}
+    planes = {role: np.broadcast_to(np.float32(value), (*size, len(value)))
+              for role, value in constant.items()}
+    planes |= {Role.COLOUR: colour.astype(np.float32),
+               Role.DIFFUSE_ALBEDO: albedo.astype(np.float32)}
     opaque = Frame(planes, number=number, jitter=jitter, exposure=0.0, reset=number == 0)
     with_sparks = (colour * (1 - alpha) + glow).astype(np.float32)
     reference, covered = _reference(number, sparks)
-    return Shot(replace(opaque, planes={**opaque.planes, Role.COLOUR: with_sparks}), opaque, alpha, reference, covered)
+    return Shot(replace(opaque, planes={**opaque.planes, Role.COLOUR: with_sparks}), opaque, alpha,
+                reference, covered)
 
 
 def _reference(number: int, sparks: list) -> tuple[np.ndarray, np.ndarray]:
@@ -67,7 +74,8 @@ def _reference(number: int, sparks: list) -> tuple[np.ndarray, np.ndarray]:
 
 def _points(scale: int, dx: float, dy: float) -> tuple[np.ndarray, np.ndarray]:
     """Positions x and y of pixels' centres plus an offset, in render pixels."""
-    return np.meshgrid((np.arange(scale * WIDTH) + 0.5 + dx) / scale, (np.arange(scale * HEIGHT) + 0.5 + dy) / scale)
+    return np.meshgrid((np.arange(scale * WIDTH) + 0.5 + dx) / scale,
+                       (np.arange(scale * HEIGHT) + 0.5 + dy) / scale)
 
 
 def _wall(number: int, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -87,8 +95,8 @@ def _sparks(sparks: list, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def ghost_energy(results: list[np.ndarray], sequence: list[Shot]) -> float:
-    """Mean squared error, in the display curve, of pixels that a spark covered in an earlier frame and that are clear
-    of sparks now."""
+    """Mean squared error, in the display curve, of pixels that a spark covered in an earlier frame
+    and that are clear of sparks now."""
     errors, was = [], np.zeros_like(sequence[0].covered)
     for result, shot in zip(results, sequence, strict=True):
         left = was & ~_around(shot.covered)
@@ -99,7 +107,8 @@ def ghost_energy(results: list[np.ndarray], sequence: list[Shot]) -> float:
 
 def _around(mask: np.ndarray) -> np.ndarray:
     for axis in (0, 1):
-        mask = np.logical_or.reduce([np.roll(mask, shift, axis) for shift in range(-CLEAR, CLEAR + 1)])
+        mask = np.logical_or.reduce([np.roll(mask, shift, axis)
+                                     for shift in range(-CLEAR, CLEAR + 1)])
     return mask
 
 

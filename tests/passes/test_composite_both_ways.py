@@ -22,7 +22,8 @@ def frame(weight: float | np.ndarray, later: float = 3.0, colour: float = 1.0) -
 
 @pytest.fixture(scope="module", params=[True, False], ids=["compiled", "portable"])
 def passes(request) -> Pipeline:
-    return Pipeline([BothWays()], Device("cpu", threads=1, compiled_kernels=request.param), exposure=0.0)
+    return Pipeline([BothWays()], Device("cpu", threads=1, compiled_kernels=request.param),
+                    exposure=0.0)
 
 
 @pytest.mark.parametrize(("weight", "expected"), [(0, 1), (1, 3), (0.25, 1.5)])
@@ -34,13 +35,16 @@ def test_it_mixes_by_weight(passes, weight, expected):
 
 def test_weights_count_pixel_by_pixel(passes):
     weights = np.linspace(0, 1, 48, dtype=np.float32).reshape(6, 8, 1)
-    np.testing.assert_allclose(passes(frame(weights))[Role.COLOUR], (1 + 2 * weights).repeat(3, 2), rtol=1e-6)
+    np.testing.assert_allclose(passes(frame(weights))[Role.COLOUR], (1 + 2 * weights).repeat(3, 2),
+                               rtol=1e-6)
 
 
 def test_parts_get_their_share_of_the_mixed_picture(passes):
-    both = Pipeline([BothWays(parts=["key", "fill", Part("z", "depth")])], passes.device, exposure=0.0)
+    both = Pipeline([BothWays(parts=["key", "fill", Part("z", "depth")])], passes.device,
+                    exposure=0.0)
     given = frame(np.linspace(0, 1, 48, dtype=np.float32).reshape(6, 8, 1))
-    given.parts = {"key": 0.75 * given[Role.COLOUR], "fill": 0.25 * given[Role.COLOUR], "z": given[Role.COLOUR] * 9}
+    given.parts = {"key": 0.75 * given[Role.COLOUR], "fill": 0.25 * given[Role.COLOUR],
+                   "z": given[Role.COLOUR] * 9}
     result = both(given)
     np.testing.assert_allclose(result.parts["key"], 0.75 * result[Role.COLOUR], rtol=1e-6)
     np.testing.assert_allclose(result.parts["fill"], 0.25 * result[Role.COLOUR], rtol=1e-6)
@@ -56,6 +60,7 @@ def test_it_says_why_it_does_nothing():
 def test_the_upscaler_hands_the_plane_on_as_it_is():
     rng = np.random.default_rng(2)
     later = rng.random((12, 16, 4), np.float32)
-    small = Frame({Role.COLOUR: rng.random((6, 8, 3), np.float32)}, guides={Role.LATER: later}, jitter=(0.3, -0.2))
+    small = Frame({Role.COLOUR: rng.random((6, 8, 3), np.float32)}, guides={Role.LATER: later},
+                  jitter=(0.3, -0.2))
     result = Pipeline([DenoiseUpscale(strength=0)], Device("cpu", threads=1), exposure=0.0)(small)
     np.testing.assert_array_equal(result[Role.LATER], later)

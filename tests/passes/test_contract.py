@@ -1,4 +1,5 @@
-"""The contract, held against every registered pass: a new pass is tested here without a line of test code."""
+"""The contract, held against every registered pass: a new pass is tested here without a line of
+test code."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from postfx.testing import Maker, PassContract
 from tests import toys
 
 ROOM = Path(__file__).parents[2] / "samples/room"
-TOYS = {"toy double": toys.Double, "toy sum": toys.Sum, "toy enlarge": toys.Enlarge, "toy guide": toys.AddGuide}
+TOYS = {"toy double": toys.Double, "toy sum": toys.Sum, "toy enlarge": toys.Enlarge,
+        "toy guide": toys.AddGuide}
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +27,8 @@ def library(tmp_path_factory) -> Library:
 @pytest.fixture(scope="module")
 def portable(tmp_path_factory) -> Device:
     """With the portable kernels of the toys, too."""
-    return Device("cpu", compiled_kernels=False, kernels=toys.make_kernels(tmp_path_factory.mktemp("kernels")))
+    return Device("cpu", compiled_kernels=False,
+                  kernels=toys.make_kernels(tmp_path_factory.mktemp("kernels")))
 
 
 class TestEveryPass(PassContract):
@@ -33,19 +36,24 @@ class TestEveryPass(PassContract):
 
     @pytest.fixture(params=[*registry.BUILT_IN, *TOYS])
     def make(self, request, library, tmp_path, monkeypatch) -> Maker:
-        """Makes the pass under test, with its default options and the model that it cannot do without."""
+        """Makes the pass under test, with its default options and the model that it cannot do
+        without."""
         if request.param == "toy double":
             return lambda **options: toys.Double(**{"library": library, **options})
-        if request.param == "denoise_upscale":  # integers turn over with the last bit of what another kernel computes
+        # integers turn over with the last bit of what another kernel computes
+        if request.param == "denoise_upscale":
             return lambda **options: registry.load(request.param)(**{"model": "m.fp32", **options})
         if request.param == "irradiance":
             network = Network(3, (4,), 3)
             network.save_onnx(tmp_path / "sky.onnx", network.initial(1))
-            return lambda **options: scene.Irradiance(**{"model": str(tmp_path / "sky.onnx"), **options})
+            return lambda **options: scene.Irradiance(**{"model": str(tmp_path / "sky.onnx"),
+                                                         **options})
         if request.param == "scene_shading":  # the suite's frames have no camera
             monkeypatch.setattr(scene, "camera_of",
-                                lambda frame: np.linspace(-1, 1, scene.CAMERA_NUMBERS, dtype=np.float32))
-            return lambda **options: scene.SceneShading(**{"model": str(ROOM / "temporal.onnx"), **options})
+                                lambda frame: np.linspace(-1, 1, scene.CAMERA_NUMBERS,
+                                                          dtype=np.float32))
+            return lambda **options: scene.SceneShading(**{"model": str(ROOM / "temporal.onnx"),
+                                                           **options})
         if request.param in ("oidn", "partner"):
             pytest.importorskip("pyoidn", reason="Open Image Denoise is not installed")
         return TOYS[request.param] if request.param in TOYS else registry.load(request.param)

@@ -21,11 +21,12 @@ from postfx.runtime import Device, Library
 from postfx.system import models_dir
 from tests.passes.denoise_frames import guided, noisy
 
-FILES = {"s": "s", "s.1x": "s.int8", "m": "s.int8", "m.1x": "s", "m.guides": "m.guides", "l": "s", "own": "s"}
+FILES = {"s": "s", "s.1x": "s.int8", "m": "s.int8", "m.1x": "s", "m.guides": "m.guides", "l": "s",
+         "own": "s"}
 """Tag -> the shipped network that stands in for it: another one at 1x."""
 SHIPPED = {f"denoise_upscale.{tag}" for tag in (
-    "m", "m.int8", "m.fp16", "m.guides", "m.1x", "m.int8.1x", "m.fp16.1x", "l", "l.int8", "l.fp16", "mine", "mine.1x",
-    "own")}
+    "m", "m.int8", "m.fp16", "m.guides", "m.1x", "m.int8.1x", "m.fp16.1x", "l", "l.int8", "l.fp16",
+    "mine", "mine.1x", "own")}
 OUTPUT = 96, 64
 SIZES = {1: (64, 96), 1.5: (43, 64), 2: (32, 48)}
 """Scale -> height and width of frames."""
@@ -49,7 +50,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("models")
     for tag, shipped in FILES.items():
         for ending in ("onnx", "json"):
-            shutil.copy(models_dir() / f"denoise_upscale.{shipped}.{ending}", made / f"denoise_upscale.{tag}.{ending}")
+            shutil.copy(models_dir() / f"denoise_upscale.{shipped}.{ending}",
+                        made / f"denoise_upscale.{tag}.{ending}")
     return made
 
 
@@ -61,7 +63,8 @@ def models(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def chain(**options) -> Pipeline:
-    return Pipeline([DenoiseUpscale(**options)], Device("cpu", threads=2), exposure=0.0, cuts="none")
+    return Pipeline([DenoiseUpscale(**options)], Device("cpu", threads=2), exposure=0.0,
+                    cuts="none")
 
 
 def ran(pipeline: Pipeline) -> set[str]:
@@ -74,7 +77,8 @@ def test_a_plan_tells_that_another_network_stands_in_at_1x() -> None:
     spec = noisy(1).spec
     (remark,) = DenoiseUpscale(model="l", scale=1).remarks(spec)
     assert "model 'l' has no network for 1x: 'm' stands in" in remark
-    assert DenoiseUpscale(model="m", scale=1).remarks(spec) == DenoiseUpscale(model="l", scale=2).remarks(spec) == ()
+    assert (DenoiseUpscale(model="m", scale=1).remarks(spec) == DenoiseUpscale(model="l", scale=2)
+            .remarks(spec) == ())
 
 
 @pytest.mark.usefixtures("models")
@@ -96,11 +100,13 @@ def test_guides_of_the_render_size_change_nothing() -> None:
 
 
 @pytest.mark.parametrize(("tag", "host", "model"), [
-    ("m", True, "m.int8.1x"), ("m", False, "m.fp16.1x"), ("m.fp32", True, "m.1x"), ("m.int8", True, "m.int8.1x"),
-    ("m.fp16", False, "m.fp16.1x"), ("l", True, "m.int8.1x"), ("l", False, "m.fp16.1x"), ("l.fp32", True, "m.1x"),
+    ("m", True, "m.int8.1x"), ("m", False, "m.fp16.1x"), ("m.fp32", True, "m.1x"),
+    ("m.int8", True, "m.int8.1x"), ("m.fp16", False, "m.fp16.1x"), ("l", True, "m.int8.1x"),
+    ("l", False, "m.fp16.1x"), ("l.fp32", True, "m.1x"),
     ("l.int8", True, "m.int8.1x"), ("mine", True, "mine.1x"), ("own", True, "own"),
 ])
-def test_it_has_the_precision_of_the_tag(tag: str, host: bool, model: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_has_the_precision_of_the_tag(tag: str, host: bool, model: str,
+                                         monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(model_names, "Library", Named)
     device = Device("cpu", threads=1)
     if not host:
@@ -110,7 +116,8 @@ def test_it_has_the_precision_of_the_tag(tag: str, host: bool, model: str, monke
 
 @pytest.mark.parametrize("plain", ["m", "m.int8"])
 def test_it_is_not_chosen_by_name(plain: str) -> None:
-    message = f"model '{plain}.1x' runs where the output has the render size: give the model '{plain}'"
+    message = (f"model '{plain}.1x' runs where the output has the render size: give the model "
+               f"'{plain}'")
     with pytest.raises(PassOptionError, match=message):
         DenoiseUpscale(model=f"{plain}.1x")
 
@@ -220,8 +227,10 @@ def test_headers_name_all_networks_of_a_size_that_stays(first: float) -> None:
 def test_frames_with_other_planes_begin_anew() -> None:
     pipeline, fewer = chain(size=OUTPUT, model="s"), sized(1, 1)
     pipeline(sized(0, 2))
-    fewer = replace(fewer, planes={role: plane for role, plane in fewer.planes.items() if role != Role.NORMAL})
-    np.testing.assert_array_equal(pipeline(fewer)[Role.COLOUR], chain(size=OUTPUT, model="s")(fewer)[Role.COLOUR])
+    fewer = replace(fewer, planes={role: plane
+                                   for role, plane in fewer.planes.items() if role != Role.NORMAL})
+    np.testing.assert_array_equal(pipeline(fewer)[Role.COLOUR],
+                                  chain(size=OUTPUT, model="s")(fewer)[Role.COLOUR])
 
 
 @pytest.mark.usefixtures("models")

@@ -19,12 +19,14 @@ COSTS = (1.0, 3.5, 5.0)
 
 
 def rungs(ladder: Ladder, times: list[tuple[float, ...]], noise: float = 0.0) -> list[int]:
-    """What is chosen for each frame where each rung takes its time, and a first frame on a rung three times as long."""
+    """What is chosen for each frame where each rung takes its time, and a first frame on a rung
+    three times as long."""
     random, found = np.random.default_rng(0), []
     for now in times:
         is_first = not found or found[-1] != ladder.rung
         found.append(ladder.rung)
-        ladder.note_time(now[ladder.rung] * (3 if is_first else 1) * (1 + noise * random.uniform(-1, 1)))
+        ladder.note_time(now[ladder.rung] * (3 if is_first else 1)
+                         * (1 + noise * random.uniform(-1, 1)))
     return found
 
 
@@ -39,7 +41,7 @@ def test_the_best_that_fits_is_taken_soon_and_kept() -> None:
         assert found[8:] == [best] * 92, budget
 
 
-def test_load_takes_a_smaller_network_within_three_frames_and_its_end_the_larger_one_again() -> None:
+def test_load_takes_a_smaller_network_in_three_frames_and_its_end_the_larger_one() -> None:
     light, heavy = (10.0, 35.0, 50.0), (30.0, 105.0, 150.0)
     found = rungs(Ladder(COSTS, 60), [light] * 20 + [heavy] * 30 + [light] * 40)
     assert found[19] == 2 and found[22] == 0 and set(found[23:50]) == {0} and found[-1] == 2
@@ -59,8 +61,8 @@ def test_a_network_slower_than_expected_is_tried_less_and_less() -> None:
 
 
 def test_it_climbs_by_the_mean_of_the_times_and_goes_back_after_two_frames() -> None:
-    """A rung of twice the cost needs a mean of at most 42.5 twice in a row; the means are 60, 52.8, 47.8, 44.2, 41.8
-    and 40.0. The first frame of a rung does not count."""
+    """A rung of twice the cost needs a mean of at most 42.5 twice in a row; the means are 60, 52.8,
+    47.8, 44.2, 41.8 and 40.0. The first frame of a rung does not count."""
     ladder, found = Ladder((1.0, 2.0), 100), []
     for milliseconds in (999, 60, 36, 36, 36, 36, 36, 999, 101, 101):
         ladder.note_time(milliseconds)
@@ -69,8 +71,10 @@ def test_it_climbs_by_the_mean_of_the_times_and_goes_back_after_two_frames() -> 
 
 
 @pytest.mark.parametrize(("budget", "rung", "times", "wanted"), [
-    (100, 0, (999, 10, 10), [0, 0, 2]), (40, 2, (999, 80, 80), [2, 2, 1]), (10, 2, (999, 80, 80), [2, 2, 0])])
-def test_two_frames_decide(budget: float, rung: int, times: tuple[float, ...], wanted: list[int]) -> None:
+    (100, 0, (999, 10, 10), [0, 0, 2]), (40, 2, (999, 80, 80), [2, 2, 1]),
+    (10, 2, (999, 80, 80), [2, 2, 0])])
+def test_two_frames_decide(budget: float, rung: int, times: tuple[float, ...],
+                           wanted: list[int]) -> None:
     """The slowest rung that fits, the budget itself included; the fastest where none does."""
     ladder, found = Ladder((1.0, 2.0, 4.0), budget), []
     ladder.rung = rung
@@ -97,8 +101,8 @@ def test_times_at_the_edge_of_the_budget_do_not_make_it_swing() -> None:
 
 
 def test_costs_are_those_of_the_precision() -> None:
-    names = ("denoise_upscale.m", "denoise_upscale.m.guides", "denoise_upscale.m.int8.guides", "denoise_upscale.m.1x",
-             "denoise_upscale.m.int8.1x", "denoise_upscale.mine", "classic")
+    names = ("denoise_upscale.m", "denoise_upscale.m.guides", "denoise_upscale.m.int8.guides",
+             "denoise_upscale.m.1x", "denoise_upscale.m.int8.1x", "denoise_upscale.mine", "classic")
     assert [cost(name) for name in names] == [3.5, 3.5, 2.1, 3.5, 2.1, 1.0, 0.5]
 
 
@@ -110,8 +114,8 @@ def test_families() -> None:
 
 
 def test_the_render_size_follows_the_time_of_a_frame() -> None:
-    """Where most of a frame's time goes with its pixels, and some does not; first frames of a size take twice as long.
-    In the middle a frame is three times as heavy."""
+    """Where most of a frame's time goes with its pixels, and some does not; first frames of a size
+    take twice as long. In the middle a frame is three times as heavy."""
     random, chosen, sizes = np.random.default_rng(0), RenderSize((1920, 1080), 200), []
     taken = []
     for number in range(300):
@@ -144,7 +148,8 @@ def test_a_budget_of_nothing_is_an_error(budget: float) -> None:
 
 def test_the_history_goes_on_with_the_other_network(monkeypatch: pytest.MonkeyPatch) -> None:
     """All but the hidden state, which it could not read."""
-    chain, kept = Pipeline([upscaler := DenoiseUpscale(budget=1000)], Device("cpu", threads=2), exposure=0.0), []
+    chain, kept = Pipeline([upscaler := DenoiseUpscale(budget=1000)], Device("cpu", threads=2),
+                           exposure=0.0), []
     use = Frames.use
 
     def watched(frames: Frames, model: str) -> None:
@@ -167,13 +172,15 @@ def test_the_history_goes_on_with_the_other_network(monkeypatch: pytest.MonkeyPa
 
 
 def test_strength_0_runs_no_network_and_chooses_none() -> None:
-    chain = Pipeline([upscaler := DenoiseUpscale(budget=10, strength=0)], Device("cpu", threads=2), exposure=0.0)
+    chain = Pipeline([upscaler := DenoiseUpscale(budget=10, strength=0)], Device("cpu", threads=2),
+                     exposure=0.0)
     assert upscaler.choice() is None
     chain(noisy(1))
     assert upscaler.choice() is None
 
 
 def test_without_a_budget_one_network_runs_and_none_is_told() -> None:
-    chain = Pipeline([upscaler := DenoiseUpscale(model="s")], Device("cpu", threads=2), exposure=0.0)
+    chain = Pipeline([upscaler := DenoiseUpscale(model="s")], Device("cpu", threads=2),
+                     exposure=0.0)
     assert np.isfinite(chain(noisy(1))[Role.COLOUR]).all()
     assert upscaler.choice() is None

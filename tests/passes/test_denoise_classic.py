@@ -1,4 +1,5 @@
-"""The classical filter: clean, steady, the same in windows, within a budget, and without ONNX Runtime."""
+"""The classical filter: clean, steady, the same in windows, within a budget, and without ONNX
+Runtime."""
 
 from __future__ import annotations
 
@@ -48,7 +49,8 @@ def test_it_is_far_better_than_the_input_and_the_history_helps() -> None:
 
 def test_a_picture_of_one_colour_stays_as_it_is() -> None:
     for size in ((24, 40), (1, 1), (17, 3)):
-        for found in run([flat(number, 0.7, *size, jitter=(0.3, -0.2)) for number in (1, 2, 3)], scale=1.5):
+        for found in run([flat(number, 0.7, *size, jitter=(0.3, -0.2)) for number in (1, 2, 3)],
+                         scale=1.5):
             np.testing.assert_allclose(found, 0.7, rtol=1e-5)
 
 
@@ -77,12 +79,14 @@ def test_a_window_is_as_the_whole_frame() -> None:
 @pytest.mark.gpu
 @pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
 def test_a_gpu_gives_the_same() -> None:
-    """With a history, broken pixels and another size; a network goes on from what it leaves, within a budget."""
+    """With a history, broken pixels and another size; a network goes on from what it leaves, within
+    a budget."""
     frames = [noisy(number) for number in (1, 2, 3)]
     frames[0].planes[Role.COLOUR][5, 7] = np.nan
     frames[1].planes[Role.DEPTH][20, 9] = np.inf
     for scale in (1, 1.5, 2):
-        for found, wanted in zip(run(frames, Device("cuda"), scale=scale), run(frames, scale=scale), strict=True):
+        for found, wanted in zip(run(frames, Device("cuda"), scale=scale), run(frames, scale=scale),
+                                 strict=True):
             np.testing.assert_allclose(shown(found), shown(wanted), atol=1e-3)
     upscaler = DenoiseUpscale(budget=0.01)
     chain = Pipeline([upscaler], Device("cuda"), exposure=0.0)
@@ -94,7 +98,8 @@ def test_a_gpu_gives_the_same() -> None:
 
 def test_tiles_within_a_memory_budget_are_as_the_whole_frame() -> None:
     frames = [noisy(number, 540, 960) for number in (1, 2)]
-    found, whole = run(frames, Device("cpu", threads=2, memory="640M"), scale=1.5), run(frames, scale=1.5)
+    found, whole = (run(frames, Device("cpu", threads=2, memory="640M"), scale=1.5),
+                    run(frames, scale=1.5))
     np.testing.assert_allclose(shown(found[-1]), shown(whole[-1]), atol=2e-3)
 
 
@@ -112,7 +117,8 @@ def test_it_runs_where_no_network_fits_the_budget_and_the_history_goes_on() -> N
 def test_it_needs_the_compiled_kernels_of_a_cpu() -> None:
     """Elsewhere it is an error of one line, and no rung of a budget."""
     device = Device("cpu", threads=2, compiled_kernels=False)
-    with pytest.raises(DeviceError, match="no kernels for this device, 'cpu': give the device cpu with"):
+    with pytest.raises(DeviceError,
+                       match="no kernels for this device, 'cpu': give the device cpu with"):
         run([noisy(1)], device)
     upscaler = DenoiseUpscale(budget=0.01)
     chain = Pipeline([upscaler], device, exposure=0.0)
@@ -130,24 +136,28 @@ def test_it_needs_no_onnx_runtime(tmp_path: Path) -> None:
     """The command line runs without it, and says what is missing where a network is asked for."""
     code = ("import sys\nsys.modules['onnxruntime'] = None\nfrom postfx.cli.main import main\n"
             "sys.exit(main(sys.argv[1:]))")
-    command = [sys.executable, "-c", code, "run", str(ROOM / "noisy.0001.exr"), "--frames", "1", "--no-tonemap",
-               "--run-up", "0"]
-    made = subprocess.run([*command, "--model", CLASSIC, "-o", str(tmp_path / "a.####.exr")], capture_output=True,
-                          text=True)
+    command = [sys.executable, "-c", code, "run", str(ROOM / "noisy.0001.exr"), "--frames", "1",
+               "--no-tonemap", "--run-up", "0"]
+    made = subprocess.run([*command, "--model", CLASSIC, "-o", str(tmp_path / "a.####.exr")],
+                          capture_output=True, text=True)
     assert made.returncode == 0, made.stderr
     assert (tmp_path / "a.0001.exr").stat().st_size > 10000
     assert "onnxruntime" not in made.stdout + made.stderr
-    for options in ((), ("--budget", "10000"), ("--model", "s.fp32")):  # the filter stands in for what is shipped
-        fallen = subprocess.run([*command, *options, "--overwrite", "-o", str(tmp_path / "b.####.exr")],
+    # the filter stands in for what is shipped
+    for options in ((), ("--budget", "10000"), ("--model", "s.fp32")):
+        fallen = subprocess.run([*command, *options, "--overwrite", "-o",
+                                 str(tmp_path / "b.####.exr")],
                                 capture_output=True, text=True)
         assert fallen.returncode == 0, fallen.stderr
         assert (fallen.stdout + fallen.stderr).count("onnxruntime is missing") == 1
-        (one,), (other,) = (list(postfx.read_sequence(tmp_path / f"{name}.####.exr")) for name in "ab")
+        (one,), (other,) = (list(postfx.read_sequence(tmp_path / f"{name}.####.exr"))
+                            for name in "ab")
         np.testing.assert_array_equal(one[Role.COLOUR], other[Role.COLOUR])
 
 
 def test_without_onnx_runtime_looks_that_are_tables_stay_and_the_rest_is_named() -> None:
-    """In one process: the same picture by a table, a warning of the filter, and an error of a look's network."""
+    """In one process: the same picture by a table, a warning of the filter, and an error of a
+    look's network."""
     code = f"""
 import sys, warnings
 import numpy as np
@@ -157,7 +167,8 @@ from postfx.errors import ModelError
 from postfx.passes.registry import create
 frame = next(iter(postfx.read_sequence({str(ROOM / 'noisy.####.exr')!r})))
 for look in ("aces2", "agx", "pbr_neutral"):
-    print(look, Pipeline([create("tonemap", look=look)], exposure=0.0)(frame)[Role.COLOUR].astype(float).sum())
+    shown = Pipeline([create("tonemap", look=look)], exposure=0.0)(frame)
+    print(look, shown[Role.COLOUR].astype(float).sum())
 if len(sys.argv) > 1:
     try:
         Pipeline([create("tonemap", look="auto")])(frame)
@@ -169,6 +180,7 @@ if len(sys.argv) > 1:
 """
     there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     hidden = f"import sys; sys.modules['onnxruntime'] = None\n{code}"
-    missing = subprocess.run([sys.executable, "-c", hidden, "missing"], capture_output=True, text=True)
+    missing = subprocess.run([sys.executable, "-c", hidden, "missing"], capture_output=True,
+                             text=True)
     assert there.returncode == missing.returncode == 0, there.stderr + missing.stderr
     assert there.stdout == missing.stdout and there.stdout.count("\n") == 3

@@ -1,4 +1,5 @@
-"""Files in every convention of depth, matrices and jitter: reflections move as in those of our own."""
+"""Files in every convention of depth, matrices and jitter: reflections move as in those of our
+own."""
 
 from __future__ import annotations
 
@@ -24,10 +25,13 @@ KINDS: dict[str, Callable[[np.ndarray, Frame], np.ndarray]] = {
     "ray": lambda depth, frame: integrate.ray_from_depth(depth, frame.fov_x, frame.jitter),
     f"ray,fov={scene.FOV},miss=-1": lambda depth, frame: np.where(
         depth < DEPTH_MISS, integrate.ray_from_depth(depth, frame.fov_x, frame.jitter), -1),
-    f"device,near={NEAR},far={FAR}": lambda depth, frame: integrate.depth_to_device(depth, NEAR, FAR),
-    f"reversed,near={NEAR}": lambda depth, frame: integrate.depth_to_device(depth, NEAR, reversed_z=True),
-    f"normalised,near={NEAR},far={FAR}": lambda depth, frame: np.minimum((depth - NEAR) / (FAR - NEAR), 1),
-    f"normalised-reversed,near=0,far={FAR}": lambda depth, frame: 1 - np.minimum(depth / FAR, 1),
+    f"device,near={NEAR},far={FAR}": lambda depth, frame: integrate.depth_to_device(
+        depth, NEAR, FAR
+    ), f"reversed,near={NEAR}": lambda depth, frame: integrate.depth_to_device(
+        depth, NEAR, reversed_z=True
+    ), f"normalised,near={NEAR},far={FAR}": lambda depth, frame: np.minimum(
+        (depth - NEAR) / (FAR - NEAR), 1
+    ), f"normalised-reversed,near=0,far={FAR}": lambda depth, frame: 1 - np.minimum(depth / FAR, 1),
 }
 
 
@@ -47,14 +51,16 @@ def test_own_convention(tmp_path: Path) -> None:
     frames = [sample(3), sample(4)]
     found = through_files(frames, tmp_path)
     assert [frame.jitter for frame in found] == [pytest.approx(frame.jitter) for frame in frames]
-    np.testing.assert_allclose(reflected(*found), reflected(*frames), atol=0.03)  # motion is in half floats
+    # motion is in half floats
+    np.testing.assert_allclose(reflected(*found), reflected(*frames), atol=0.03)
     assert np.abs(reflected(*found) - found[1][Role.MOTION]).max() > 1
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_depth(kind: str, tmp_path: Path) -> None:
     planar = through_files([sample(3), sample(4)], tmp_path / "planar")
-    stored = [replace(frame, planes={**frame.planes, Role.DEPTH: KINDS[kind](frame[Role.DEPTH], frame)})
+    stored = [replace(frame,
+                      planes={**frame.planes, Role.DEPTH: KINDS[kind](frame[Role.DEPTH], frame)})
               for frame in planar]
     found = through_files(stored, tmp_path / "stored", depth=kind)
     for one, other in zip(found, planar, strict=True):
@@ -76,11 +82,13 @@ def test_column_vectors(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("aspect", [2.0, 0.5])
 def test_pixels_that_are_not_square(aspect: float) -> None:
-    """What is reflected at no distance moves as the surface does; a header of another shape of pixels is off."""
+    """What is reflected at no distance moves as the surface does; a header of another shape of
+    pixels is off."""
     off = []
     for told in (aspect, 1.0):
         before, now = (replace(scene.frame(number, 96, round(54 * aspect), pixel_aspect=aspect),
                                metadata={"pixelAspectRatio": told}) for number in (3, 4))
         touching = np.minimum(now[Role.SPECULAR_HIT_DISTANCE], 1e-6)
-        off.append(np.abs(reflected(before, now, specular_hit_distance=touching) - now[Role.MOTION]).max())
+        off.append(np.abs(reflected(before, now, specular_hit_distance=touching) - now[Role.MOTION])
+                   .max())
     assert off[0] < 1e-3 and off[1] > 0.05, off

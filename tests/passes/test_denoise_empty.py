@@ -1,4 +1,5 @@
-"""Black frames, and black parts of stills: no network runs there, and they are what it would make of them."""
+"""Black frames, and black parts of stills: no network runs there, and they are what it would make
+of them."""
 
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from postfx.passes.denoise.frame import ReadyNetwork
 from postfx.passes.denoise.models import reach_of
 from postfx.testing import make_frame
 
-ROLES = (Role.COLOUR, Role.DEPTH, Role.NORMAL, Role.MOTION, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
+ROLES = (Role.COLOUR, Role.DEPTH, Role.NORMAL, Role.MOTION, Role.DIFFUSE_ALBEDO,
+         Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
 BLACK = (1, 2, 4)
 """Frames without light: at the start, where no history is, and after a lit one."""
 ALL_BLACK = "all is black"
@@ -26,7 +28,8 @@ MODELS = Path(__file__).parent.parent.parent / "models"
 
 def frames(alpha: bool) -> list[Frame]:
     roles = (*ROLES, Role.ALPHA) if alpha else ROLES
-    made = [make_frame(FrameSpec(44, 36, roles), number, reset=number == 1) for number in range(1, 6)]
+    made = [make_frame(FrameSpec(44, 36, roles), number, reset=number == 1)
+            for number in range(1, 6)]
     for frame in made:
         if frame.number in BLACK:
             for role in {Role.COLOUR, Role.ALPHA} & frame.planes.keys():
@@ -34,10 +37,12 @@ def frames(alpha: bool) -> list[Frame]:
     return made
 
 
-def run(device: Device, given: list[Frame], **options: object) -> tuple[list[Frame], dict[str, str]]:
+def run(device: Device, given: list[Frame],
+        **options: object) -> tuple[list[Frame], dict[str, str]]:
     instance = DenoiseUpscale(**options)
     way = Pipeline([instance], device, exposure=1.0)
-    return [way(frame) for frame in given], {why.split(";")[0]: what for what, why in instance.savings()}
+    return [way(frame) for frame in given], {why.split(";")[0]: what
+                                             for what, why in instance.savings()}
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +51,8 @@ def device() -> Device:
 
 
 @pytest.mark.parametrize("alpha", [False, True])
-@pytest.mark.parametrize(("model", "scale"), [("s", 1), ("s", 2), ("m", 2), ("m.fp32", 1), ("classic", 2)])
+@pytest.mark.parametrize(("model", "scale"),
+                         [("s", 1), ("s", 2), ("m", 2), ("m.fp32", 1), ("classic", 2)])
 def test_a_black_frame_is_what_the_network_makes_of_it(
     device: Device, model: str, scale: int, alpha: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,7 +91,8 @@ OTHER = 30.0
 def test_frames_that_are_the_one_before_are_not_denoised_again(
     device: Device, scale: int, roles: tuple[Role, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The third alike one is the first that is known to be the same. What follows goes on as if it had run."""
+    """The third alike one is the first that is known to be the same. What follows goes on as if it
+    had run."""
     monkeypatch.setattr("postfx.passes.denoise.RepeatDetector.__call__",
                         lambda _, planes: bool(planes[Role.COLOUR][40, 40, 0] < OTHER))
 
@@ -105,7 +112,8 @@ def test_frames_that_are_the_one_before_are_not_denoised_again(
     assert (whole[5][Role.COLOUR] != whole[4][Role.COLOUR]).any()
 
 
-def test_what_goes_on_from_a_history_is_never_the_same(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_goes_on_from_a_history_is_never_the_same(device: Device,
+                                                       monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("postfx.passes.denoise.RepeatDetector.__call__", lambda *_: False)
     clean = [make_frame(FrameSpec(64, 48, ROLES), 1) for _ in range(4)]
     assert SAME not in run(device, clean, model="s")[1]
@@ -135,7 +143,9 @@ def test_what_is_black_in_a_still_is_skipped_and_the_rest_keeps_its_bits(
     assert whole[0][Role.COLOUR].any()
 
 
-def test_black_parts_are_not_skipped_where_a_history_would_miss_them_or_little_is_black(device: Device) -> None:
+def test_black_parts_are_not_skipped_where_a_history_would_miss_them_or_little_is_black(
+    device: Device
+) -> None:
     for frame in (still(False, roles=ROLES), still(False, lit=HIGH)):
         assert BLACK_THERE not in run(device, [frame], model="m")[1]
 
@@ -146,7 +156,8 @@ def reach_in(path: Path) -> int:
     seen = {one.name: (1, 0) for one in graph.input}  # input pixels of a step, and reach
     for node in graph.node:
         known = [seen[name] for name in node.input if name in seen]
-        step, reach = max(one[0] for one in known) if known else 1, max((one[1] for one in known), default=0)
+        step, reach = (max(one[0] for one in known) if known else 1,
+                       max((one[1] for one in known), default=0))
         facts = {fact.name: onnx.helper.get_attribute_value(fact) for fact in node.attribute}
         side, stride = facts.get("kernel_shape", [1])[0], facts.get("strides", [1])[0]
         if node.op_type == "Conv":

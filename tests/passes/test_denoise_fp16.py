@@ -1,4 +1,5 @@
-"""Variants in float16: a small file with the float32 network's weights, in types that a GPU runs."""
+"""Variants in float16: a small file with the float32 network's weights, in types that a GPU
+runs."""
 
 from __future__ import annotations
 
@@ -45,11 +46,13 @@ def folder(exported_models: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 def test_all_arithmetic_is_in_half_precision(folder: Path, name: str) -> None:
     model = onnx.load(folder / f"{fp16.variant_name(name, 'fp16')}.onnx", load_external_data=True)
     graph = shape_inference.infer_shapes(model).graph
-    types = {value.name: value.type.tensor_type.elem_type for value in (*graph.value_info, *graph.input, *graph.output)}
+    types = {value.name: value.type.tensor_type.elem_type
+             for value in (*graph.value_info, *graph.input, *graph.output)}
     constants = {weight.name for weight in graph.initializer}
     assert {kind for name, kind in types.items() if name not in constants} == {TensorProto.FLOAT16}
     assert not any(node.op_type == "Cast" for node in graph.node)
-    sizes = {value.name: [dim.dim_value for dim in value.type.tensor_type.shape.dim] for value in graph.input}
+    sizes = {value.name: [dim.dim_value for dim in value.type.tensor_type.shape.dim]
+             for value in graph.input}
     assert all(name.startswith("packed_") and size[-1] % 8 == 0 for name, size in sizes.items())
 
 
@@ -64,12 +67,14 @@ def test_small_file_gives_the_same_pictures(folder: Path, name: str, small_model
 
 
 @pytest.mark.parametrize(("name", "scale"), [
-    ("denoise_upscale.small", 1.0), ("denoise_upscale.small", 2.0), ("denoise_upscale.small.guides", 2.0)])
+    ("denoise_upscale.small", 1.0), ("denoise_upscale.small", 2.0),
+    ("denoise_upscale.small.guides", 2.0)])
 def test_kernels_around_half_precision_on_a_gpu(
     name: str, scale: float, folder: Path, small_models: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two frames, the second of which has a history. All kernels are written for CUDA: by its portable form ONNX
-    Runtime takes ten times as long. Their rows stand for a GPU, and give the same pictures."""
+    """Two frames, the second of which has a history. All kernels are written for CUDA: by its
+    portable form ONNX Runtime takes ten times as long. Their rows stand for a GPU, and give the
+    same pictures."""
     frames = [guided(noisy(t), 74, 100) if name.endswith("guides") else noisy(t) for t in (1, 2)]
     shots, tag = [Shot(scale, frames)], fp16.variant_name(name, "fp16")
     plain = pictures(shots, Library(folder), tag)
@@ -84,16 +89,19 @@ def test_kernels_around_half_precision_on_a_gpu(
     found = difference(pictures(shots, Library(folder), tag), plain)
     assert 80 < found["worst_psnr_db"] < 200, "close, yet other kernels"
     assert not [kernel.name for kernel in kernels if find_source(kernel) is None]
-    assert {kernel.name for kernel in kernels} > {"denoise_open_half", "denoise_open_fine_half", "denoise_pools"}
+    assert {kernel.name for kernel in kernels} > {"denoise_open_half", "denoise_open_fine_half",
+                                                  "denoise_pools"}
 
 
 def test_a_network_for_1x_shares_the_weights_of_its_own(folder: Path, tmp_path: Path) -> None:
     name = "denoise_upscale.small.1x"
     shutil.copy(folder / f"{NAMES[0]}.onnx", tmp_path / f"{name}.onnx")
     card = fp16.make_fp16(name, tmp_path)
-    assert (card["name"], list(card["weights"])) == ("denoise_upscale.small.fp16.1x", [f"{name}.onnx"])
+    assert (card["name"], list(card["weights"])) == ("denoise_upscale.small.fp16.1x",
+                                                     [f"{name}.onnx"])
     assert Library(tmp_path).load(card["name"])
-    results = [pictures([Shot(1, [noisy(1)])], Library(tmp_path), variant) for variant in (card["name"], name)]
+    results = [pictures([Shot(1, [noisy(1)])], Library(tmp_path), variant)
+               for variant in (card["name"], name)]
     assert difference(*results)["worst_psnr_db"] > 60
 
 
@@ -113,7 +121,8 @@ def test_weights_of_another_export_are_refused(folder: Path, tmp_path: Path) -> 
         Library(tmp_path).load("denoise_upscale.small.fp16")
     (tmp_path / "denoise_upscale.small.onnx").unlink()
     with pytest.raises(ModelError, match="small.onnx' is not a file"):
-        Device("cpu").pipeline_state(Library(tmp_path), "denoise_upscale.small.fp16", {"height": 16, "width": 16})
+        Device("cpu").pipeline_state(Library(tmp_path), "denoise_upscale.small.fp16",
+                                     {"height": 16, "width": 16})
 
 
 def test_a_network_beyond_half_precision_is_found_out(folder: Path) -> None:
@@ -125,6 +134,7 @@ def test_a_network_beyond_half_precision_is_found_out(folder: Path) -> None:
         fp16.difference(half, model)
 
 
-@pytest.mark.parametrize("path", sorted(models_dir().glob("*.fp16*.json")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(models_dir().glob("*.fp16*.json")),
+                         ids=lambda path: path.stem)
 def test_shipped_variant_fits_the_shipped_weights(path: Path) -> None:
     assert Library().load(path.stem), "run training.denoise.fp16 again"

@@ -1,4 +1,5 @@
-"""Light outside the gamut, which is negative: a shot that has enough of it is denoised in wider primaries."""
+"""Light outside the gamut, which is negative: a shot that has enough of it is denoised in wider
+primaries."""
 
 from __future__ import annotations
 
@@ -39,13 +40,15 @@ def lit(number: int, lamps: np.ndarray = LAMPS, **kept) -> Frame:
 
 
 def upscaler(device: Device, **options) -> Pipeline:
-    return Pipeline([DenoiseUpscale(**{"model": "s.fp32", "scale": 1, **options})], device, exposure=0.0)
+    return Pipeline([DenoiseUpscale(**{"model": "s.fp32", "scale": 1, **options})], device,
+                    exposure=0.0)
 
 
 def error_of_mean(frame: Frame, lamps: np.ndarray = LAMPS) -> float:
     """How far the mean colour is from the wall's, by the largest channel."""
     wanted = lamps.mean(0) / 2
-    return float(np.abs(frame[Role.COLOUR].mean((0, 1), dtype=np.float64) - wanted).max() / wanted.max())
+    return float(np.abs(frame[Role.COLOUR].mean((0, 1), dtype=np.float64) - wanted)
+                 .max() / wanted.max())
 
 
 def is_wider(pipeline: Pipeline) -> bool:
@@ -53,7 +56,8 @@ def is_wider(pipeline: Pipeline) -> bool:
 
 
 def test_what_lies_outside() -> None:
-    """Light counts by its brightness up to that of the usual pixel; here all is as bright as that."""
+    """Light counts by its brightness up to that of the usual pixel; here all is as bright as
+    that."""
     grey = np.full((60, 70, 3), 1.0, np.float32)
     assert light_outside(grey) == 0
     assert light_outside(-grey) == 0, "below 0, but grey: no primaries hold it"
@@ -68,7 +72,8 @@ def test_what_lies_outside() -> None:
 
 
 def test_a_firefly_and_a_pixel_filter_decide_nothing() -> None:
-    """Of a bright white point, a sharp filter leaves rings below 0; a red firefly of 1e6 is one pixel."""
+    """Of a bright white point, a sharp filter leaves rings below 0; a red firefly of 1e6 is one
+    pixel."""
     random = np.random.default_rng(4)
     picture = np.exp(random.normal(0, 1, (90, 120, 3))).astype(np.float32)
     picture[30, 40] = 1e6, -2e5, -1e5
@@ -88,7 +93,8 @@ def test_saturated_light_keeps_its_colour(options: dict[str, object], device: De
     assert is_wider(pipeline)
     monkeypatch.setattr(denoise_frame, "OUTSIDE", 1.0)
     cut = upscaler(device, **options)
-    assert error_of_mean([cut(frame) for frame in frames][-1]) > 0.3, "each pixel's negative light is cut"
+    assert error_of_mean([cut(frame)
+                          for frame in frames][-1]) > 0.3, "each pixel's negative light is cut"
 
 
 def test_the_portable_kernels_give_the_same(device: Device) -> None:
@@ -109,8 +115,10 @@ def test_ordinary_frames_stay_as_they_are(device: Device, monkeypatch: pytest.Mo
         np.testing.assert_array_equal(one, never(frame)[Role.COLOUR])
 
 
-def test_a_light_comes_on_in_the_middle_of_a_shot(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From then on to the end of the shot; the history goes on, as if the shot had begun in wider primaries."""
+def test_a_light_comes_on_in_the_middle_of_a_shot(device: Device,
+                                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    """From then on to the end of the shot; the history goes on, as if the shot had begun in wider
+    primaries."""
     frames = [lit(1, ORANGE), lit(2, ORANGE), lit(3), lit(4, ORANGE)]
     pipeline, states, found = upscaler(device), [], []
     for frame in frames:
@@ -140,9 +148,11 @@ def test_parts_of_saturated_light_add_up(options: dict[str, object], device: Dev
     for number in (1, 2):
         frame = lit(number, GREYS if number == 1 else LAMPS)
         share = np.linspace(0, 1, 64, dtype=np.float32)[:, None]
-        frame.parts = {"left": frame[Role.COLOUR] * (1 - share), "right": frame[Role.COLOUR] * share}
+        frame.parts = {"left": frame[Role.COLOUR] * (1 - share),
+                       "right": frame[Role.COLOUR] * share}
         found = pipeline(frame)
-        np.testing.assert_allclose(found.parts["left"] + found.parts["right"], found[Role.COLOUR], rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(found.parts["left"] + found.parts["right"], found[Role.COLOUR],
+                                   rtol=1e-4, atol=1e-4)
     assert is_wider(pipeline)
     left = found.parts["left"].mean((0, 1))
     assert np.abs(left - frame.parts["left"].mean((0, 1))).max() < 0.1 * left.max() and left[2] < 0

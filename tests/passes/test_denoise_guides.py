@@ -22,7 +22,8 @@ pytestmark = pytest.mark.usefixtures("small_models")
 
 
 def pipeline(**options) -> Pipeline:
-    return Pipeline([DenoiseUpscale(**{"model": "small", **options})], Device("cpu", threads=2), exposure=0.0)
+    return Pipeline([DenoiseUpscale(**{"model": "small", **options})], Device("cpu", threads=2),
+                    exposure=0.0)
 
 
 def demodulation(diffuse: np.ndarray, specular: np.ndarray) -> np.ndarray:
@@ -47,7 +48,8 @@ def test_output_size_follows_from_the_guides() -> None:
 
 
 def test_a_scale_that_leads_to_another_size_is_an_error() -> None:
-    message = "guides.exr: guides are 75x56, the colour is 50x37: leave the scale out, or render them at 100x74"
+    message = ("guides.exr: guides are 75x56, the colour is 50x37: leave the scale out, or render "
+               "them at 100x74")
     with pytest.raises(GuideError, match=message):
         pipeline(scale=2)(guided(noisy(1), 56, 75))
     for size in ((55, 75), (56, 75)):  # 55.5 rows, cut and rounded
@@ -62,25 +64,29 @@ def test_guides_that_no_scale_leads_to_are_an_error(size: tuple[int, int]) -> No
 
 def grey(frame: Frame, planes: np.ndarray, guides: np.ndarray) -> Frame:
     """White light of 2 on grey albedos (h, w) of the planes, with those (H, W) of the guides."""
-    inner, outer = (np.repeat(albedo[..., None], 3, 2).astype(np.float32) for albedo in (planes, guides))
+    inner, outer = (np.repeat(albedo[..., None], 3, 2).astype(np.float32)
+                    for albedo in (planes, guides))
     black = {role: np.zeros_like(inner) for role in ALBEDOS[1:]}
-    return replace(frame, planes={**frame.planes, ALBEDOS[0]: inner, **black, Role.COLOUR: 2 * (inner + 0.01)},
+    return replace(frame, planes={**frame.planes, ALBEDOS[0]: inner, **black,
+                                  Role.COLOUR: 2 * (inner + 0.01)},
                    guides={**frame.guides, ALBEDOS[0]: outer, ALBEDOS[1]: np.zeros_like(outer)})
 
 
 def test_reflectance_of_the_guides_is_in_the_output_pixel_by_pixel() -> None:
-    """Whatever a network predicts, even light stays even, and textures are those of the guides, if the planes are
-    their means."""
+    """Whatever a network predicts, even light stays even, and textures are those of the guides, if
+    the planes are their means."""
     detail = np.random.default_rng(1).uniform(0.1, 0.9, (48, 80))
     frame = grey(lit(1), detail.reshape(24, 2, 40, 2).mean((1, 3)), detail)
     chain = pipeline()
     for _ in range(3):
-        np.testing.assert_allclose(chain(frame)[Role.COLOUR][..., 1], 2 * (detail + 0.01), rtol=1e-4)
+        np.testing.assert_allclose(chain(frame)[Role.COLOUR][..., 1], 2 * (detail + 0.01),
+                                   rtol=1e-4)
 
 
 @pytest.mark.parametrize("scale", [1.5, 2, 3])
 def test_guides_that_show_another_surface_count_less(scale: float) -> None:
-    """As glass does in planes of what is seen in it: 0.3 of what is apart by as much as there is detail."""
+    """As glass does in planes of what is seen in it: 0.3 of what is apart by as much as there is
+    detail."""
     size = (round(24 * scale), round(40 * scale))
     frame = grey(lit(1, size), np.full((24, 40), 0.49), np.full(size, 0.99))
     wanted = 2 * (0.5 + 0.3 * (1 - 0.5))
@@ -88,12 +94,14 @@ def test_guides_that_show_another_surface_count_less(scale: float) -> None:
 
 
 def test_guides_of_one_sample_count_less_where_they_are_noise() -> None:
-    """On the left the planes are the guides' means, on the right those of what both are samples of."""
+    """On the left the planes are the guides' means, on the right those of what both are samples
+    of."""
     random = np.random.default_rng(1)
     detail = random.choice([0.1, 0.7], (48, 80))
     planes = detail.reshape(24, 2, 40, 2).mean((1, 3))
     planes[:, 20:] = random.choice([0.1, 0.7], (4, 24, 20)).mean(0)
-    error = np.abs(pipeline()(grey(lit(1), planes, detail))[Role.COLOUR][..., 1] - 2 * (detail + 0.01))
+    error = np.abs(pipeline()(grey(lit(1), planes, detail))[Role.COLOUR][..., 1]
+                   - 2 * (detail + 0.01))
     assert error[:, :24].max() < 1e-3
     assert np.median(error[:, 56:]) > 0.05
 
@@ -109,23 +117,28 @@ def test_all_guides_matter() -> None:
 
 @pytest.mark.parametrize("scale", [1, 1.5, 2])
 @pytest.mark.parametrize("role", GUIDE_ROLES)
-def test_a_guide_stands_in_for_a_missing_plane_and_the_other_way_round(role: Role, scale: float) -> None:
+def test_a_guide_stands_in_for_a_missing_plane_and_the_other_way_round(role: Role,
+                                                                       scale: float) -> None:
     """With planes of one value it makes no difference at which size they are there."""
     frame = flat(1, 0.3)
     size = (round(24 * scale), round(40 * scale))
-    guides = {guide: plane for guide, plane in flat(1, 0.3, *size).planes.items() if guide in GUIDE_ROLES}
+    guides = {guide: plane
+              for guide, plane in flat(1, 0.3, *size).planes.items() if guide in GUIDE_ROLES}
     frame = replace(frame, guides=guides)
     wanted = pipeline()(frame)[Role.COLOUR]
     for lacking in ("planes", "guides"):
         planes = {held: plane for held, plane in getattr(frame, lacking).items() if held != role}
-        np.testing.assert_allclose(pipeline()(replace(frame, **{lacking: planes}))[Role.COLOUR], wanted, rtol=1e-5)
+        np.testing.assert_allclose(pipeline()(replace(frame, **{lacking: planes}))[Role.COLOUR],
+                                   wanted, rtol=1e-5)
 
 
 def test_reduced_guides_are_those_of_the_render_pixels() -> None:
     """Colour alone at render size and albedos at output size: light that is even stays so."""
     frame = lit(1)
-    fine = np.repeat(np.repeat(frame[Role.DIFFUSE_ALBEDO] * np.linspace(0.2, 1, 24)[:, None, None], 2, 0), 2, 1)
-    guides = {Role.DIFFUSE_ALBEDO: fine.astype(np.float32), Role.SPECULAR_ALBEDO: np.zeros_like(fine, np.float32)}
+    fine = np.repeat(np.repeat(frame[Role.DIFFUSE_ALBEDO] * np.linspace(0.2, 1, 24)[:, None, None],
+                               2, 0), 2, 1)
+    guides = {Role.DIFFUSE_ALBEDO: fine.astype(np.float32),
+              Role.SPECULAR_ALBEDO: np.zeros_like(fine, np.float32)}
     colour = (2 * demodulation(fine, 0 * fine)[::2, ::2]).astype(np.float32)
     result = pipeline()(Frame({Role.COLOUR: colour}, guides=guides))[Role.COLOUR]
     wanted = 2 * demodulation(fine, 0 * fine)
@@ -146,7 +159,8 @@ def test_history_continues_with_guides() -> None:
 
 def check_that_guides_stand_in(chain: Pipeline, frame: Frame, shape: tuple[int, ...]) -> None:
     """Without a normal plane the pipeline reads the guides' normals, and these alone."""
-    lacking = replace(frame, planes={role: p for role, p in frame.planes.items() if role != Role.NORMAL})
+    lacking = replace(frame,
+                      planes={role: p for role, p in frame.planes.items() if role != Role.NORMAL})
     assert chain(lacking)[Role.COLOUR].shape == shape
     assert chain.plan.guides == (Role.NORMAL,)
 
@@ -176,12 +190,14 @@ def test_guides_of_the_render_size_stand_in_for_missing_planes_only() -> None:
 
 
 def test_the_variant_for_guides_is_not_chosen_by_name() -> None:
-    with pytest.raises(PassOptionError, match="runs when a frame has guides: give the model 'small'"):
+    with pytest.raises(PassOptionError,
+                       match="runs when a frame has guides: give the model 'small'"):
         DenoiseUpscale(model="small.guides")
 
 
 def test_lost_guides_are_remarked() -> None:
     spec = guided(noisy(1), 74, 100, (Role.NORMAL, Role.DEPTH)).spec
     (remark,) = DenoiseUpscale(model="small").remarks(spec)
-    assert remark == "edges are less exact without the guides diffuse_albedo, specular_albedo, roughness"
+    assert (remark == "edges are less exact without the guides diffuse_albedo, specular_albedo, "
+            "roughness")
     assert DenoiseUpscale(model="small").remarks(guided(noisy(1), 74, 100).spec) == ()

@@ -54,7 +54,8 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
         variant |= {"jitter": [f.jitter for f in frames], "spp": 1, "style": "realtime"}
         facts = {"scale": 2.0, "seed": 1, "scene": "random", "meta": {}}
         if with_guides:
-            held = {plane: np.stack([f.guides[Role(plane)].squeeze() for f in frames]) for plane in GUIDES}
+            held = {plane: np.stack([f.guides[Role(plane)].squeeze() for f in frames])
+                    for plane in GUIDES}
             facts["guides"] = held | {"jitter": np.zeros((3, 2))}
         save_clip(folder / f"{name}.npz", np.zeros((3, 80, 112, 3)), [variant], facts)
     return folder
@@ -78,7 +79,8 @@ def test_variant_runs_in_integers_and_shows_the_same(
     card = quantise.make_int8(name, Library(small_models), str(clips), tmp_path)
     assert card["name"] == quantise.variant_name(name, "int8")
     path = tmp_path / f"{card['name']}.onnx"
-    assert integer_convolutions(path, tmp_path) == card["int8_layers"] == (6 if "low" in name else 11)
+    assert integer_convolutions(path, tmp_path) == card["int8_layers"] == (6 if "low" in name
+                                                                           else 11)
     assert card["difference"]["frames"] == (3 if "guides" in name else 6)
     assert card["difference"]["worst_psnr_db"] > 40
     assert path.stat().st_size < Library(small_models).path(name).stat().st_size
@@ -87,31 +89,38 @@ def test_variant_runs_in_integers_and_shows_the_same(
 
 
 def test_a_variant_without_its_card(tmp_path: Path) -> None:
-    """Its metadata holds the constants by which kernels code what the network reads; where they are outputs, as in
-    older files, it is the card that says which these are."""
+    """Its metadata holds the constants by which kernels code what the network reads; where they are
+    outputs, as in older files, it is the card that says which these are."""
     path = Path(shutil.copy(models_dir() / "denoise_upscale.s.int8.onnx", tmp_path))
     shots = [quantise.Shot(2.0, [noisy(1, 40, 56)])]
-    found, wanted = (quantise.pictures(shots, Library(folder), path.stem) for folder in (tmp_path, models_dir()))
+    found, wanted = (quantise.pictures(shots, Library(folder), path.stem)
+                     for folder in (tmp_path, models_dir()))
     np.testing.assert_array_equal(found, wanted)
     path.write_bytes(lower_constants(onnx.load(path)).SerializeToString())
-    with pytest.raises(ModelError, match="'denoise_upscale.s.int8'.*card.*coding_features.*training.denoise.quantise"):
+    with pytest.raises(
+        ModelError,
+        match="'denoise_upscale.s.int8'.*card.*coding_features.*training.denoise.quantise"
+    ):
         quantise.pictures(shots, Library(tmp_path), "denoise_upscale.s.int8")
 
 
-def test_frames_without_guides_are_an_error_for_a_network_that_reads_them(clips: Path, tmp_path: Path) -> None:
+def test_frames_without_guides_are_an_error_for_a_network_that_reads_them(clips: Path,
+                                                                          tmp_path: Path) -> None:
     (tmp_path / "plain.npz").symlink_to(clips / "plain.npz")
     with pytest.raises(ValueError, match="no clip with guides"):
         list(quantise.shots(str(tmp_path), ".guides"))
 
 
-def test_frames_for_a_network_for_1x_are_not_enlarged(small_models: Path, clips: Path, tmp_path: Path) -> None:
+def test_frames_for_a_network_for_1x_are_not_enlarged(small_models: Path, clips: Path,
+                                                      tmp_path: Path) -> None:
     """Whatever scale their references have."""
     for source in (str(clips), str(ROOM)):
         assert {shot.scale for shot in quantise.shots(source, ".1x")} == {1}
     shutil.copy(small_models / f"{NAMES[0]}.onnx", tmp_path / "denoise_upscale.small.1x.onnx")
     card = quantise.make_int8("denoise_upscale.small.1x", Library(tmp_path), str(clips), tmp_path)
     assert (card["name"], card["tag"]) == ("denoise_upscale.small.int8.1x", "small.int8.1x")
-    assert card["made_from"]["name"] == "denoise_upscale.small.1x" and card["difference"]["worst_psnr_db"] > 40
+    assert (card["made_from"]["name"] == "denoise_upscale.small.1x"
+            and card["difference"]["worst_psnr_db"] > 40)
     (shot,) = [quantise.Shot(1, [noisy(1, 40, 56)])]
     assert quantise.pictures([shot], Library(tmp_path), card["name"])[0].shape == (40, 56, 3)
 
@@ -127,10 +136,12 @@ def test_zero_is_kept_exactly_and_ranges_ignore_what_is_rare() -> None:
 
 
 def test_rounding_makes_up_for_itself() -> None:
-    """By the moments of inputs that depend on each other; without moments it is that of each weight alone."""
+    """By the moments of inputs that depend on each other; without moments it is that of each weight
+    alone."""
     random = np.random.default_rng(0)
     weights = random.normal(0, 1, (8, 36))
-    reads = random.normal(0, 1, (4000, 6)) @ random.normal(0, 1, (6, 36)) + 0.1 * random.normal(0, 1, (4000, 36))
+    reads = (random.normal(0, 1, (4000, 6)) @ random.normal(0, 1, (6, 36))
+             + 0.1 * random.normal(0, 1, (4000, 36)))
     moments = reads.T @ reads / len(reads)
     error = {name: np.square(reads @ (kept.factors * kept.steps[:, None] - weights).T).mean()
              for name, kept in (("alone", round_compensated(weights, 0 * moments)),
@@ -138,7 +149,8 @@ def test_rounding_makes_up_for_itself() -> None:
     assert error["together"] < 0.2 * error["alone"]
     kept = round_compensated(weights, 0 * moments)
     assert (kept.factors == np.rint(kept.factors)).all() and np.abs(kept.factors).max() == LIMIT
-    assert (np.abs(kept.factors * kept.steps[:, None] - weights) <= 0.501 * kept.steps[:, None]).all()
+    assert (np.abs(kept.factors * kept.steps[:, None] - weights)
+            <= 0.501 * kept.steps[:, None]).all()
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -147,19 +159,25 @@ def test_channels_of_more_equal_ranges_are_the_same_network(name: str, small_mod
     shown = list(quantise.find_groups(model.graph))
     assert set(activations(model.graph, quantise.layers_of(model.graph, name))) <= set(shown)
     random = np.random.default_rng(0)
-    reads = {value.name: random.random((1, value.type.tensor_type.shape.dim[1].dim_value, 32, 48), np.float32)
+    reads = {value.name: random.random((1, value.type.tensor_type.shape.dim[1].dim_value, 32, 48),
+                                       np.float32)
              for value in model.graph.input}
 
     def run(some: onnx.ModelProto) -> list[np.ndarray]:
-        session = onnxruntime.InferenceSession(some.SerializeToString(), providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(some.SerializeToString(),
+                                               providers=["CPUExecutionProvider"])
         return session.run(None, reads)
 
-    reach = {tensor: np.abs(found).max((0, 2, 3)) for tensor, found in zip(shown, run(show(model, shown)), strict=True)}
-    equal = quantise.equalise(model, {tensor: found / found.max() for tensor, found in reach.items()})
+    reach = {tensor: np.abs(found).max((0, 2, 3))
+             for tensor, found in zip(shown, run(show(model, shown)), strict=True)}
+    equal = quantise.equalise(model,
+                              {tensor: found / found.max() for tensor, found in reach.items()})
     for found, wanted in zip(run(equal), run(model), strict=True):
         np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
-    after = {tensor: np.abs(found).max((0, 2, 3)) for tensor, found in zip(shown, run(show(equal, shown)), strict=True)}
-    uneven = [[np.median(some[t][some[t] > 0]) / some[t].max() for t in shown] for some in (reach, after)]
+    after = {tensor: np.abs(found).max((0, 2, 3))
+             for tensor, found in zip(shown, run(show(equal, shown)), strict=True)}
+    uneven = [[np.median(some[t][some[t] > 0]) / some[t].max() for t in shown]
+              for some in (reach, after)]
     assert np.mean(uneven[1]) > 1.2 * np.mean(uneven[0])
 
 
@@ -174,7 +192,8 @@ def test_codes_of_planes_are_those_of_the_kernel(name: str) -> None:
     STORE_RINGED.rows(0, 8, planes, np.stack(coding), stored)
     found = stored - coding.zero
     assert (found[:, [0, -1]] == 0).all() and (found[:, :, [0, -1]] == 0).all(), "the ring is zero"
-    np.testing.assert_array_equal(found[:, ring:-ring, ring:-ring].transpose(0, 3, 1, 2), coding.codes(wanted))
+    np.testing.assert_array_equal(found[:, ring:-ring, ring:-ring].transpose(0, 3, 1, 2),
+                                  coding.codes(wanted))
     low, high = LIMITS[name].T[..., None, None]
     step = 1 / coding.scale[:len(low), None, None]
     held = np.clip(wanted, low - (low < 0) * step, high)
@@ -201,13 +220,16 @@ def test_a_channel_of_bias_alone_keeps_its_value(small_models: Path) -> None:
     assert found == pytest.approx(numpy_helper.to_array(weights[name])[0], rel=1e-5)
 
 
-@pytest.mark.parametrize("path", sorted(models_dir().glob("*.int8*.json")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(models_dir().glob("*.int8*.json")),
+                         ids=lambda path: path.stem)
 def test_shipped_variant_is_made_from_the_shipped_network(path: Path) -> None:
     made_from = json.loads(path.read_text())["made_from"]
-    assert made_from["sha256"] == Library().card(made_from["name"])["sha256"], "run training.denoise.quantise again"
+    assert (made_from["sha256"] == Library()
+            .card(made_from["name"])["sha256"]), "run training.denoise.quantise again"
 
 
 def test_shipped_variant_shows_the_room_as_the_float_network_does() -> None:
     shots = [quantise.Shot(2.0, list(postfx.read_sequence(ROOM, frames="1-3")))]
-    results = [quantise.pictures(shots, Library(), f"denoise_upscale.{tag}") for tag in ("m.int8", "m")]
+    results = [quantise.pictures(shots, Library(), f"denoise_upscale.{tag}")
+               for tag in ("m.int8", "m")]
     assert quantise.difference(*results)["worst_psnr_db"] > 45

@@ -1,4 +1,5 @@
-"""Long shots: the history does not grow beyond what networks were trained on, eight frames a clip."""
+"""Long shots: the history does not grow beyond what networks were trained on, eight frames a
+clip."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ SURFACES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL)
 
 
 def around(plane: np.ndarray, scale: int) -> np.ndarray:
-    """A piece of a picture and its mirror image, side by side: it can be moved around without an edge."""
+    """A piece of a picture and its mirror image, side by side: it can be moved around without an
+    edge."""
     piece = plane[:HEIGHT * scale, :WIDTH * scale]
     return np.concatenate([piece, piece[:, ::-1]], 1)
 
@@ -26,21 +28,25 @@ def shifted(picture: np.ndarray, pixels: float) -> np.ndarray:
     """The left half after a shift to the left, linear between pixels."""
     part = pixels % 1
     moved = np.roll(picture, -int(pixels), 1)
-    return ((1 - part) * moved + part * np.roll(moved, -1, 1))[:, :picture.shape[1] // 2].astype(np.float32)
+    return ((1 - part) * moved + part * np.roll(moved, -1,
+                                                1))[:, :picture.shape[1] // 2].astype(np.float32)
 
 
 @pytest.mark.parametrize(("model", "frames"), [
     pytest.param("m.fp32", 120, marks=pytest.mark.soak), ("s.fp32", 70)])
 def test_a_slow_pan_does_not_get_worse(model: str, frames: int, shared_dir: Path) -> None:
-    """History is moved often by parts of a pixel, by exact vectors. With a bias of distrust that is lower by 1, `m`
-    lost 3.5 dB in 120 frames."""
+    """History is moved often by parts of a pixel, by exact vectors. With a bias of distrust that is
+    lower by 1, `m` lost 3.5 dB in 120 frames."""
     folder = shared_dir / "sequences" / "garage"
-    room, truth = (next(iter(read_sequence(folder / f"{name}.####.exr"))) for name in ("noisy", "reference"))
-    light, planes = around(truth[Role.COLOUR], 2), {role: around(room[role], 1) for role in SURFACES}
+    room, truth = (next(iter(read_sequence(folder / f"{name}.####.exr")))
+                   for name in ("noisy", "reference"))
+    light, planes = around(truth[Role.COLOUR], 2), {role: around(room[role], 1)
+                                                    for role in SURFACES}
     motion = np.zeros((HEIGHT, WIDTH, 2), np.float32)
     motion[..., 0] = SPEED
     still = {Role.MOTION: motion, Role.DEPTH: np.full((HEIGHT, WIDTH, 1), 5, np.float32)}
-    passes = Pipeline([DenoiseUpscale(scale=2, model=model)], Device("cpu"), exposure=0.0, cuts="none")
+    passes = Pipeline([DenoiseUpscale(scale=2, model=model)], Device("cpu"), exposure=0.0,
+                      cuts="none")
     random, quality = np.random.default_rng(3), []
     for number in range(frames):
         wanted = shifted(light, 2 * SPEED * number)

@@ -13,7 +13,15 @@ from postfx.errors import ModelError, PassOptionError, PostfxError
 from postfx.frame import FrameSpec, Role
 from postfx.passes.denoise import DenoiseUpscale, graph
 from postfx.passes.denoise.graph import ALPHA, FRAME_NEEDS, LAYER_STEPS, WINDOW_STEPS, kernels_of
-from postfx.passes.denoise.models import CLASSIC, GUIDED, exact, family, model_of, split_ending, validate_tag
+from postfx.passes.denoise.models import (
+    CLASSIC,
+    GUIDED,
+    exact,
+    family,
+    model_of,
+    split_ending,
+    validate_tag,
+)
 from postfx.pipeline import Pipeline
 from postfx.runs.run import provenance_of
 from postfx.runtime import Device, Library
@@ -58,8 +66,10 @@ def test_tags_of_the_float_network() -> None:
 
 
 def test_endings_of_networks_that_are_taken_by_themselves() -> None:
-    found = [split_ending(name) for name in ("m", "m.int8.1x", "denoise_upscale.m.fp16.guides", "m.fp32")]
-    assert found == [("m", ""), ("m.int8", ".1x"), ("denoise_upscale.m.fp16", ".guides"), ("m.fp32", "")]
+    found = [split_ending(name)
+             for name in ("m", "m.int8.1x", "denoise_upscale.m.fp16.guides", "m.fp32")]
+    assert found == [("m", ""), ("m.int8", ".1x"), ("denoise_upscale.m.fp16", ".guides"),
+                     ("m.fp32", "")]
 
 
 def test_both_precisions_give_nearly_the_same() -> None:
@@ -72,15 +82,17 @@ def test_both_precisions_give_nearly_the_same() -> None:
 
 
 def colour_of(**options: object) -> np.ndarray:
-    return Pipeline([DenoiseUpscale(**{"scale": 2, **options})], CPU, exposure=0.0)(noisy(1))[Role.COLOUR]
+    return Pipeline([DenoiseUpscale(**{"scale": 2, **options})], CPU,
+                    exposure=0.0)(noisy(1))[Role.COLOUR]
 
 
 @pytest.fixture
 def nets(tmp_path: Path) -> Path:
-    """A folder of networks: s as 'mine.onnx', with its variant for the render size; s and m as those of a library."""
+    """A folder of networks: s as 'mine.onnx', with its variant for the render size; s and m as
+    those of a library."""
     ours = models_dir()
-    for name, other in (("s", "mine"), ("s.1x", "mine.1x"), ("s", "denoise_upscale.s"), ("m", "denoise_upscale.m"),
-                        ("s.int8", "denoise_upscale.s.int8")):
+    for name, other in (("s", "mine"), ("s.1x", "mine.1x"), ("s", "denoise_upscale.s"),
+                        ("m", "denoise_upscale.m"), ("s.int8", "denoise_upscale.s.int8")):
         for suffix in (".onnx", ".json"):
             shutil.copy(ours / f"denoise_upscale.{name}{suffix}", tmp_path / f"{other}{suffix}")
     return tmp_path
@@ -92,20 +104,25 @@ def test_a_network_in_a_file(nets: Path, scale: int) -> None:
     pipeline = Pipeline([passes], CPU, exposure=0.0)
     found = pipeline(noisy(1))[Role.COLOUR]
     np.testing.assert_array_equal(found, colour_of(model="s.fp32", scale=scale))
-    assert [key for key in pipeline.history() if "network" in key] == ["pass denoise_upscale/network mine"]
+    assert ([key for key in pipeline.history() if "network" in key]
+            == ["pass denoise_upscale/network mine"])
 
 
 def test_networks_of_a_library(nets: Path) -> None:
     for library in (nets, str(nets), Library(nets), Library(nets, models_dir())):
-        np.testing.assert_array_equal(colour_of(model="s.fp32", library=library), colour_of(model="s.fp32"))
-    np.testing.assert_array_equal(colour_of(model="s", library=nets), colour_of(model="s"))  # int8, as ours
+        np.testing.assert_array_equal(colour_of(model="s.fp32", library=library),
+                                      colour_of(model="s.fp32"))
+    # int8, as ours
+    np.testing.assert_array_equal(colour_of(model="s", library=nets), colour_of(model="s"))
     assert family(validate_tag("m", Library(nets))) == (CLASSIC, f"{nets}/s", f"{nets}/m")
     with pytest.raises(PassOptionError, match="takes no networks on trust"):
         DenoiseUpscale(model="m", library=Library(nets, trust=True))
 
 
-@pytest.mark.parametrize("options", [{"model": "mine.onnx"}, {"model": "~/mine.onnx"}, {"library": Path()}])
-def test_its_models_are_part_of_a_runs_settings(nets: Path, options: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("options",
+                         [{"model": "mine.onnx"}, {"model": "~/mine.onnx"}, {"library": Path()}])
+def test_its_models_are_part_of_a_runs_settings(nets: Path, options: dict,
+                                                monkeypatch: pytest.MonkeyPatch) -> None:
     """Any byte of them: a checkpoint of other weights is none of this run."""
     monkeypatch.chdir(nets)
     monkeypatch.setenv("HOME", str(nets))
@@ -132,9 +149,11 @@ def test_the_number_of_threads_is_no_part_of_a_fingerprint() -> None:
 
 @pytest.mark.parametrize(("model", "library", "message"), [
     ("none.onnx", None, "model '.*none.onnx': no such file"),
-    ("mine.1x.onnx", None, "model '.*mine.1x.onnx' runs where the output has the render size: give .*/mine.onnx'"),
+    ("mine.1x.onnx", None,
+     "model '.*mine.1x.onnx' runs where the output has the render size: give .*/mine.onnx'"),
     ("mine.onnx", ".", "model '.*mine.onnx' is a file, which needs no library: leave library out"),
-    ("l", ".", "no model 'denoise_upscale.l' in .*: there are denoise_upscale.m, denoise_upscale.s"),
+    ("l", ".",
+     "no model 'denoise_upscale.l' in .*: there are denoise_upscale.m, denoise_upscale.s"),
     ("s", "nowhere", "model folder '.*nowhere' does not exist"),
 ])
 def test_networks_that_cannot_be(nets: Path, model: str, library: str | None, message: str) -> None:
@@ -145,25 +164,31 @@ def test_networks_that_cannot_be(nets: Path, model: str, library: str | None, me
 
 def test_a_file_that_is_no_denoiser(tmp_path: Path) -> None:
     toys.make_library(tmp_path)
-    with pytest.raises(ModelError, match="model 'double' is not a denoiser: it reads x and gives y"):
+    with pytest.raises(ModelError,
+                       match="model 'double' is not a denoiser: it reads x and gives y"):
         colour_of(model=str(tmp_path / "double.onnx"))
 
 
 @pytest.mark.parametrize(("words", "half", "kernels"), [
-    ("plain moves", False, "dilate history features accumulate pool pool pool pool filter mix filter "
-     "mix filter mix filter mix filter remodulate upsample"),
-    ("plain coded stored", False, "dilate features_stored accumulate pool pool pool pool filter mix "
-     "filter mix filter mix filter mix filter_codes remodulate upsample_codes"),
+    ("plain moves", False,
+     "dilate history features accumulate pool pool pool pool filter mix filter mix filter mix "
+     "filter mix filter remodulate upsample"),
+    ("plain coded stored", False,
+     "dilate features_stored accumulate pool pool pool pool filter mix filter mix filter mix "
+     "filter mix filter_codes remodulate upsample_codes"),
     ("plain gpu shaded", True, "dilate features_half accumulate_half pools filter_half "
      "filter_mixed_half filter_mixed_half filter_mixed_half filter_shaded_half upsample_half"),
-    ("guides guided doubts masked gpu", False, "dilate means keep features guides trust accumulate pools "
-     "filter filter_mixed filter_mixed filter_mixed filter_mixed remodulate_both upsample_guided"),
-    ("unscaled mirrored doubts error", False, "dilate means features mirrored accumulate pool pool pool "
-     "pool filter mix filter mix filter mix filter mix filter remodulate_both upsample_unscaled open_error"),
+    ("guides guided doubts masked gpu", False,
+     "dilate means keep features guides trust accumulate pools filter filter_mixed filter_mixed "
+     "filter_mixed filter_mixed remodulate_both upsample_guided"),
+    ("unscaled mirrored doubts error", False,
+     "dilate means features mirrored accumulate pool pool pool pool filter mix filter mix filter "
+     "mix filter mix filter remodulate_both upsample_unscaled open_error"),
     ("given moves gpu", False, "dilate history features accumulate blend_picture"),
 ])
 def test_words_choose_the_steps_of_a_window(words, half, kernels):
-    """The orders of frames without guides and with them, in 8 bits, in half precision on a GPU, and of a picture."""
+    """The orders of frames without guides and with them, in 8 bits, in half precision on a GPU, and
+    of a picture."""
     found = kernels_of(WINDOW_STEPS, frozenset(words.split()), half)
     assert [kernel.name for kernel in found] == [f"denoise_{name}" for name in kernels.split()]
 

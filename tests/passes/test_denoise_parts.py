@@ -1,4 +1,5 @@
-"""Parts of the picture, and alpha, through the denoiser: their sum is the picture, which does not change."""
+"""Parts of the picture, and alpha, through the denoiser: their sum is the picture, which does not
+change."""
 
 from __future__ import annotations
 
@@ -27,22 +28,26 @@ def device() -> Device:
 
 
 def lit(number: int, height: int = 37, width: int = 50) -> Frame:
-    """A frame with three light groups that add up to its colour; the last one is dark on the left."""
+    """A frame with three light groups that add up to its colour; the last one is dark on the
+    left."""
     frame = noisy(number, height, width)
     shares = np.random.default_rng([7, number]).random((3, height, width, 3), np.float32)
     shares[2, :, : width // 2] = 0
     shares /= shares.sum(0)
-    frame.parts = {name: frame[Role.COLOUR] * share for name, share in zip(NAMES, shares, strict=True)}
+    frame.parts = {name: frame[Role.COLOUR] * share
+                   for name, share in zip(NAMES, shares, strict=True)}
     return frame
 
 
 def upscaler(device: Device, **options) -> Pipeline:
-    return Pipeline([DenoiseUpscale(**{"model": "s.fp32", "scale": 2, **options})], device, exposure=0.5)
+    return Pipeline([DenoiseUpscale(**{"model": "s.fp32", "scale": 2, **options})], device,
+                    exposure=0.5)
 
 
 def assert_adds_up(frame: Frame, names: tuple[str, ...] = NAMES) -> None:
     picture = frame[Role.COLOUR]
-    np.testing.assert_allclose(sum(frame.parts[name] for name in names), picture, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(sum(frame.parts[name] for name in names), picture, rtol=1e-5,
+                               atol=1e-6)
     assert all(frame.parts[name].min() >= 0 for name in names)
 
 
@@ -55,7 +60,8 @@ def masked(frame: Frame, value: float) -> Frame:
 KINDS = {
     "2x": ({}, lambda frame: frame),
     "1.5x": ({"scale": 1.5}, lambda frame: frame),
-    "1x, detail given back": ({"scale": 1}, lambda frame: replace(frame, jitter=(0.0, 0.0), samples=256)),
+    "1x, detail given back": ({"scale": 1},
+                              lambda frame: replace(frame, jitter=(0.0, 0.0), samples=256)),
     "guides": ({}, lambda frame: guided(frame, 74, 100)),
     "strength 0.5": ({"strength": 0.5}, lambda frame: frame),
     "strength 0": ({"strength": 0.0}, lambda frame: frame),
@@ -68,7 +74,8 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_parts_add_up_to_the_picture_which_is_the_same_without_them(kind: str, device: Device) -> None:
+def test_parts_add_up_to_the_picture_which_is_the_same_without_them(kind: str,
+                                                                    device: Device) -> None:
     options, change = KINDS[kind]
     with_parts, without = upscaler(device, parts=NAMES, **options), upscaler(device, **options)
     for frame in map(change, map(lit, (1, 2, 3))):
@@ -86,7 +93,8 @@ def test_a_still_frame_and_a_cut(device: Device) -> None:
 
 
 def test_some_parts_are_what_they_are_among_all(device: Device) -> None:
-    """The rest of the picture, which nobody asked for, is left to it: in the first frame, and by its history."""
+    """The rest of the picture, which nobody asked for, is left to it: in the first frame, and by
+    its history."""
     all_of_it, some = upscaler(device, parts=NAMES), upscaler(device, parts=NAMES[:2])
     for frame in map(lit, (1, 2, 3)):
         whole, found = all_of_it(frame), some(frame)
@@ -97,7 +105,8 @@ def test_some_parts_are_what_they_are_among_all(device: Device) -> None:
 
 @pytest.mark.parametrize("way", ["a memory budget", "a mask"])
 def test_tiles_give_the_same(way: str, device: Device) -> None:
-    """The network works on windows: all of the frame in turn, or around what is not left as it is."""
+    """The network works on windows: all of the frame in turn, or around what is not left as it
+    is."""
     size = (200, 320) if way == "a memory budget" else (300, 420)
     tiles = Device("cpu", 2, memory=PROCESS + (150 << 20)) if way == "a memory budget" else device
     whole, tiled = upscaler(device, parts=NAMES), upscaler(tiles, parts=NAMES)
@@ -106,12 +115,14 @@ def test_tiles_give_the_same(way: str, device: Device) -> None:
         assert_adds_up(found)
         inner = slice(24, 32), slice(24, 64)
         for name in NAMES:
-            np.testing.assert_allclose(found.parts[name][inner], wanted.parts[name][inner], rtol=0.02, atol=0.01)
+            np.testing.assert_allclose(found.parts[name][inner], wanted.parts[name][inner],
+                                       rtol=0.02, atol=0.01)
     assert tiles is not device or "network outside of" in str(tiled.explain())
 
 
 @pytest.mark.parametrize("filters", ["picture", "own"])
-def test_history_goes_on_after_a_stop_and_when_frames_change_their_size(filters: str, device: Device) -> None:
+def test_history_goes_on_after_a_stop_and_when_frames_change_their_size(filters: str,
+                                                                        device: Device) -> None:
     options = {"parts": NAMES, "scale": None, "size": (100, 74), "part_filters": filters}
     pipeline, again = upscaler(device, **options), upscaler(device, **options)
     frames = [lit(number, *size) for number, size in enumerate(((37, 50), (40, 54), (37, 50)), 1)]
@@ -128,18 +139,21 @@ def test_a_recalled_history_is_all_there_is(filters: str, device: Device) -> Non
     """What a part left before is forgotten where the history has none of it."""
     pipeline = upscaler(device, parts=NAMES, part_filters=filters)
     frame = pipeline(lit(1)) and lit(1)
-    kept = {name: array.copy() for name, array in pipeline.history().items() if not name.endswith(" of key")}
+    kept = {name: array.copy()
+            for name, array in pipeline.history().items() if not name.endswith(" of key")}
     assert len(kept) < len(pipeline.history())
     pipeline.recall(frame, kept)
     assert set(pipeline.history()) == set(kept)
 
 
 def test_each_part_has_a_history_of_its_own(device: Device) -> None:
-    """Noise that comes and goes is averaged: a still part differs less from frame to frame than its input."""
+    """Noise that comes and goes is averaged: a still part differs less from frame to frame than its
+    input."""
     pipeline, parts = upscaler(device, parts=NAMES), []
     for number in range(1, 6):
         frame = lit(number)
-        frame.planes = {**lit(1).planes, Role.COLOUR: frame[Role.COLOUR], Role.MOTION: 0 * frame[Role.MOTION]}
+        frame.planes = {**lit(1).planes, Role.COLOUR: frame[Role.COLOUR],
+                        Role.MOTION: 0 * frame[Role.MOTION]}
         parts.append(pipeline(frame).parts["key"])
     alone = upscaler(device, parts=NAMES)(replace(frame, reset=True)).parts["key"]
     assert np.abs(parts[-1] - parts[-2]).mean() < 0.7 * np.abs(alone - parts[-2]).mean()
@@ -153,11 +167,12 @@ def test_own_filters_see_the_noise_of_a_weak_light(device: Device) -> None:
     noise = np.random.default_rng(2).exponential(0.02, (37, 50, 1)).astype(np.float32)
     frame.parts = {"strong": frame[Role.COLOUR], "weak": noise * frame[Role.COLOUR]}
     frame.planes[Role.COLOUR] = frame.parts["strong"] + frame.parts["weak"]
-    by = {filters: upscaler(device, parts=["strong", "weak"], part_filters=filters)(frame).parts["weak"]
-          for filters in ("picture", "own")}
+    by = {filters: upscaler(device, parts=["strong", "weak"], part_filters=filters)(frame)
+                   .parts["weak"] for filters in ("picture", "own")}
     assert by["own"].std() < 0.7 * by["picture"].std()
     assert abs(by["own"].mean() - frame.parts["weak"].mean()) < 0.2 * frame.parts["weak"].mean()
-    assert "own filters: strong, weak" in str(upscaler(device, parts=["strong", "weak"], part_filters="own").explain(
+    assert "own filters: strong, weak" in str(
+        upscaler(device, parts=["strong", "weak"], part_filters="own").explain(
         frame.spec))
     with pytest.raises(PassOptionError, match="no part filters 'all': give picture or own"):
         DenoiseUpscale(part_filters="all")
@@ -165,11 +180,14 @@ def test_own_filters_see_the_noise_of_a_weak_light(device: Device) -> None:
 
 def test_planes_are_filtered_at_output_size_and_keep_their_meaning(device: Device) -> None:
     frame = lit(1)
-    frame.parts = {"n": frame[Role.NORMAL], "p": 9 * frame[Role.NORMAL] - 3, "mist": frame[Role.ROUGHNESS]}
-    found = upscaler(device, parts=[Part("n", "normal"), Part("p", "position"), Part("mist", "mist")])(frame).parts
+    frame.parts = {"n": frame[Role.NORMAL], "p": 9 * frame[Role.NORMAL] - 3,
+                   "mist": frame[Role.ROUGHNESS]}
+    found = upscaler(device, parts=[Part("n", "normal"), Part("p", "position"),
+                                    Part("mist", "mist")])(frame).parts
     np.testing.assert_allclose(np.linalg.norm(found["n"], axis=2), 1, atol=1e-5)
     assert found["p"].min() >= frame.parts["p"].min() and found["p"].max() <= frame.parts["p"].max()
-    assert found["mist"].shape == (74, 100, 1) and 0 <= found["mist"].min() <= found["mist"].max() <= 1
+    assert (found["mist"].shape == (74, 100, 1)
+            and 0 <= found["mist"].min() <= found["mist"].max() <= 1)
     assert abs(found["p"].mean() - frame.parts["p"].mean()) < 0.2
 
 
@@ -178,13 +196,15 @@ def test_depth_is_filtered_by_its_reciprocals_and_nothing_stays_nothing(device: 
     noise = np.random.default_rng(5).random((37, 50, 1), np.float32)
     planes = {"cycles": 1e10, "infinite": np.inf, "none is 0": 0.0, "camera looks along -z": -1e30}
     for name, nothing in planes.items():
-        frame.parts[name] = np.where(np.arange(50)[:, None] < 30, np.float32(-1 if nothing < 0 else 1) * (4 + noise),
+        frame.parts[name] = np.where(np.arange(50)[:, None] < 30,
+                                     np.float32(-1 if nothing < 0 else 1) * (4 + noise),
                                      np.float32(nothing))
     parts = [Part(name, "depth") for name in planes]
     for strength in (1.0, 0.5, 0.0):
         found = upscaler(device, parts=parts, strength=strength)(frame).parts
         for name, nothing in planes.items():
-            assert found[name].shape == (74, 100, 1) and (found[name][:, 76:] == np.float32(nothing)).all()
+            assert (found[name].shape == (74, 100, 1)
+                    and (found[name][:, 76:] == np.float32(nothing)).all())
             there = (-1 if nothing < 0 else 1) * found[name][:, :40]
             assert 4 <= there.min() and there.max() <= 5 and abs(there.mean() - 4.5) < 0.1
             assert strength < 1 or there.std() < 0.5 * noise.std()
@@ -202,18 +222,21 @@ def test_fog_is_filtered_without_the_reflectance_of_what_lies_behind(device: Dev
 
 
 def test_own_filters_of_fog_see_no_surface(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Planes of the surface behind fog mislead them; light through glass, which files divide by a colour, has one."""
+    """Planes of the surface behind fog mislead them; light through glass, which files divide by a
+    colour, has one."""
     runs, encode = [], Frames.encode
 
     def record(frames: Frames, commands, planes, *rest, **named):
-        runs.append({name: planes[name].download() for name in ("colour", "normal", "depth", "diffuse_albedo")})
+        runs.append({name: planes[name].download()
+                     for name in ("colour", "normal", "depth", "diffuse_albedo")})
         return encode(frames, commands, planes, *rest, **named)
 
     monkeypatch.setattr(Frames, "encode", record)
     frame = lit(1)
     frame.parts = {"fog": 0.2 * frame[Role.COLOUR], "glass": 0.3 * frame[Role.COLOUR],
                    "colour": np.ones((37, 50, 3), np.float32)}
-    parts = [Part("fog", "scatter"), Part("glass", "scatter", factor="colour"), Part("colour", "factor")]
+    parts = [Part("fog", "scatter"), Part("glass", "scatter", factor="colour"),
+             Part("colour", "factor")]
     upscaler(device, parts=parts, part_filters="own")(frame)
     seen = {name: next(run for run in runs if np.array_equal(run["colour"], frame.parts[name]))
             for name in ("fog", "glass")}
@@ -226,10 +249,11 @@ def test_no_light_lies_where_there_is_no_lamp_and_no_surface_of_its_kind(device:
     frame, there = lit(1), np.zeros((37, 50, 3), np.float32)
     there[10:20, 10:20] = 1
     light = frame[Role.COLOUR]
-    frame.parts = {"lamp": 4 * there, "glass": there * light, "rest": (1 - there) * light, "colour of glass": there}
+    frame.parts = {"lamp": 4 * there, "glass": there * light, "rest": (1 - there) * light,
+                   "colour of glass": there}
     frame.planes[Role.COLOUR] = light + 4 * there
-    parts = [Part("lamp", "emission"), Part("glass", "scatter", factor="colour of glass"), Part("rest"),
-             Part("colour of glass", "factor")]
+    parts = [Part("lamp", "emission"), Part("glass", "scatter", factor="colour of glass"),
+             Part("rest"), Part("colour of glass", "factor")]
     for filters in ("picture", "own"):
         found = upscaler(device, parts=parts, part_filters=filters)(frame)
         assert_adds_up(found, ("lamp", "glass", "rest"))
@@ -243,7 +267,8 @@ def test_no_light_lies_where_there_is_no_lamp_and_no_surface_of_its_kind(device:
 def test_a_part_fades_at_the_edges_of_its_surfaces_but_sparse_light_reaches_everywhere() -> None:
     lit = np.zeros((24, 30), bool)
     lit[:, 12:] = True
-    np.testing.assert_allclose(coverage(lit, True), np.tile(np.repeat([0, 1 / 3, 1], [11, 1, 18]), (24, 1)), atol=1e-6)
+    np.testing.assert_allclose(coverage(lit, True),
+                               np.tile(np.repeat([0, 1 / 3, 1], [11, 1, 18]), (24, 1)), atol=1e-6)
     sparse = np.random.default_rng(4).random((24, 30)) < 0.2
     assert coverage(sparse, True).mean() > 0.98 and coverage(sparse, False).mean() < 0.6
     assert not coverage(np.zeros((24, 30), bool), True).any()
@@ -257,18 +282,23 @@ def test_sparse_light_is_exposed_by_its_mean() -> None:
     assert abs(mean_stops(light) + 2) < 0.01
 
 
-def test_alpha_is_denoised_where_it_is_noisy_and_left_alone_where_it_is_clean(device: Device) -> None:
+def test_alpha_is_denoised_where_it_is_noisy_and_left_alone_where_it_is_clean(
+    device: Device
+) -> None:
     frame = lit(1)
     noise = np.random.default_rng(3).random((37, 50, 1), np.float32)
-    noisy_alpha = replace(frame, planes={**frame.planes, Role.ALPHA: (0.6 > noise) * (0.5 + 0.5 * noise)})
-    drawn = np.kron(np.random.default_rng(3).random((8, 10)) > 0.5, np.ones((5, 5), np.bool_))[:37, :50, None]
+    noisy_alpha = replace(frame,
+                          planes={**frame.planes, Role.ALPHA: (0.6 > noise) * (0.5 + 0.5 * noise)})
+    drawn = np.kron(np.random.default_rng(3).random((8, 10)) > 0.5,
+                    np.ones((5, 5), np.bool_))[:37, :50, None]
     clean = replace(frame, planes={**frame.planes, Role.ALPHA: drawn.astype(np.float32)})
     resampled = upscaler(device, alpha=False)
     denoised, again, *others = (upscaler(device) for _ in range(4))
     assert np.array_equal(denoised(clean)[Role.ALPHA], resampled(clean)[Role.ALPHA])
     found, plain = denoised(noisy_alpha)[Role.ALPHA], resampled(noisy_alpha)[Role.ALPHA]
     assert found.shape == (74, 100, 1) and 0 <= found.min() and found.max() <= 1
-    assert found.std() < 0.5 * plain.std() and abs(found.mean() - noisy_alpha[Role.ALPHA].mean()) < 0.07
+    assert (found.std() < 0.5 * plain.std()
+            and abs(found.mean() - noisy_alpha[Role.ALPHA].mean()) < 0.07)
     again.recall(noisy_alpha, {name: array.copy() for name, array in denoised.history().items()})
     assert np.array_equal(again(noisy_alpha)[Role.ALPHA], denoised(noisy_alpha)[Role.ALPHA])
     first, second = ([run(frame) for frame in (before, clean, noisy_alpha)][-1][Role.ALPHA]
@@ -280,7 +310,8 @@ NEAR = np.full((1, 1), 2, np.float32)
 
 
 def gathered(alphas: list[np.ndarray], step: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Means of alpha (h, w) of frames that move by so much, at 4 samples a pixel, and their variance."""
+    """Means of alpha (h, w) of frames that move by so much, at 4 samples a pixel, and their
+    variance."""
     (h, w), rates = alphas[0].shape, np.array([1, 1 / 4, 1 / 32, 1 / 16], np.float32)
     samples, doubt = np.zeros((2 * h, 2 * w, 1), np.float32), np.zeros((h, w, 1), np.float32)
     moved = np.broadcast_to(-np.float32(step), (h, w, 2)).copy()
@@ -301,7 +332,8 @@ def test_means_of_alpha_are_exact_where_nothing_moves_and_begin_anew_where_it_ch
     alphas = list((np.random.default_rng(1).random((8, 16, 20, 4)) < 0.4).mean(-1))
     samples, doubt = gathered(alphas, (0, 0))
     exact = np.isclose(samples, np.kron(np.mean(alphas, 0), np.ones((2, 2))), atol=1e-5)
-    assert exact.mean() > 0.9 and np.isclose(doubt, 1 / 32).mean() > 0.9  # chance alone begins anew at a few
+    # chance alone begins anew at a few
+    assert (exact.mean() > 0.9 and np.isclose(doubt, 1 / 32).mean() > 0.9)
     samples, doubt = gathered([*alphas, np.ones((16, 20))], (0, 0))
     assert samples.min() == 1 and doubt.min() == 0.25
 
@@ -324,7 +356,8 @@ def test_corrected_alpha_comes_nearer_to_its_samples_where_it_has_structure() ->
     found, fit = np.empty((26, 30, 1), np.float32), np.zeros((4, 13, 15), np.float32)
     rest = np.zeros((26, 30, 3), np.float32), fit, samples, doubt, moved, NEAR
     CORRECT.rows(0, 26, filtered, *rest, np.array([0.25, 0.01, 0, 0], np.float32), found)
-    means, before = (alpha[..., 0].reshape(13, 2, 15, 2).mean((1, 3)) for alpha in (found, filtered))
+    means, before = (alpha[..., 0].reshape(13, 2, 15, 2).mean((1, 3))
+                     for alpha in (found, filtered))
     apart = np.abs(means - 0.45) / np.abs(before - 0.45)
     np.testing.assert_allclose(found[:11, 2:-2], filtered[:11, 2:-2], atol=0.02)
     assert np.median(apart[9:12, 9:]) < np.median(apart[9:12, :7]) < 0.95
@@ -336,7 +369,8 @@ def test_corrected_alpha_comes_nearer_to_its_samples_where_it_has_structure() ->
 def test_alpha_gets_the_edges_that_colours_have() -> None:
     inside = np.add.outer(0.7 * np.arange(32), np.arange(40)) > 37.3  # an edge across
     picture = np.where(inside[..., None], (0.9, 0.5, 0.1), (0.0, 0.0, 0.0)).astype(np.float32)
-    samples = np.kron(inside.reshape(16, 2, 20, 2).mean((1, 3)), np.ones((2, 2)))[..., None].astype(np.float32)
+    samples = np.kron(inside.reshape(16, 2, 20, 2).mean((1, 3)),
+                      np.ones((2, 2)))[..., None].astype(np.float32)
     fit, found = np.empty((4, 16, 20), np.float32), np.empty((32, 40, 1), np.float32)
     FIT.rows(0, 16, picture, samples, NEAR, fit)
     doubt, moved = np.zeros((16, 20, 1), np.float32), np.zeros((16, 20, 2), np.float32)
@@ -346,12 +380,16 @@ def test_alpha_gets_the_edges_that_colours_have() -> None:
         assert least <= np.abs(found[..., 0] - inside)[4:-4, 4:-4].max() <= most
 
 
-def test_alpha_of_many_samples_is_nearly_the_frame_s_own_but_not_if_it_is_jittered(device: Device) -> None:
-    alpha = np.broadcast_to(np.where(np.arange(50) % 5 < 2, 0.9, 0.0)[:, None], (37, 50, 1)).astype(np.float32)
+def test_alpha_of_many_samples_is_nearly_the_frame_s_own_but_not_if_it_is_jittered(
+    device: Device
+) -> None:
+    alpha = np.broadcast_to(np.where(np.arange(50) % 5 < 2, 0.9, 0.0)[:, None],
+                            (37, 50, 1)).astype(np.float32)
     frame = replace(lit(1), samples=256)
     frame.planes[Role.ALPHA] = alpha
-    own, shifted = (upscaler(device)(replace(frame, jitter=jitter))[Role.ALPHA].reshape(37, 2, 50, 2).mean((1, 3))
-                    for jitter in ((0.0, 0.0), (1e-6, 0.0)))
+    own, shifted = (upscaler(device)(replace(frame, jitter=jitter))[Role.ALPHA].reshape(
+        37, 2, 50, 2
+    ).mean((1, 3)) for jitter in ((0.0, 0.0), (1e-6, 0.0)))
     assert np.abs(own - alpha[..., 0]).mean() < 0.7 * np.abs(shifted - alpha[..., 0]).mean()
 
 
@@ -375,7 +413,8 @@ def test_the_plan_shows_parts_and_a_missing_one_is_named(device: Device) -> None
 def test_values_that_no_file_should_hold_do_not_spread(device: Device) -> None:
     pipeline = upscaler(device, parts=NAMES)
     frame = lit(1)
-    frame.parts["key"][3, 4], frame.parts["key"][9, 9], frame.parts["fill"][5, 5] = np.nan, np.inf, -4
+    frame.parts["key"][3, 4], frame.parts["key"][9, 9], frame.parts["fill"][5,
+                                                                            5] = np.nan, np.inf, -4
     for current in (frame, lit(2)):
         found = pipeline(current)
         assert all(np.isfinite(part).all() and part.min() >= 0 for part in found.parts.values())
@@ -392,7 +431,8 @@ def test_alpha_of_one_sample_a_pixel_is_denoised():
     made = []
     for alpha in (noisy, drawn):
         colour = np.repeat(0.5 * alpha[..., None], 3, axis=2)
-        made.append(pipeline(Frame({Role.COLOUR: colour, Role.ALPHA: alpha}, reset=True))[Role.ALPHA][..., 0])
+        made.append(pipeline(Frame({Role.COLOUR: colour, Role.ALPHA: alpha},
+                                   reset=True))[Role.ALPHA][..., 0])
     assert np.mean((made[0] - cover) ** 2) < 0.3 * np.mean((noisy - cover) ** 2)
     np.testing.assert_array_equal(made[1], drawn)
 
@@ -405,7 +445,9 @@ BEYOND = {
 
 
 @pytest.mark.parametrize("kind", BEYOND)
-def test_light_that_is_no_part_of_the_picture_is_filtered_and_never_rescaled(kind: str, device: Device) -> None:
+def test_light_that_is_no_part_of_the_picture_is_filtered_and_never_rescaled(
+    kind: str, device: Device
+) -> None:
     """Such parts were cut to the picture, in silence: the first one to half of its light."""
     pipeline = upscaler(device, parts=tuple(BEYOND[kind]), scale=1)
     for number in (1, 2):
@@ -413,4 +455,5 @@ def test_light_that_is_no_part_of_the_picture_is_filtered_and_never_rescaled(kin
         frame.parts = {name: share * frame[Role.COLOUR] for name, share in BEYOND[kind].items()}
         found = pipeline(frame)
         for name, part in found.parts.items():
-            assert part.mean() == pytest.approx(BEYOND[kind][name] * found[Role.COLOUR].mean(), rel=0.05)
+            assert part.mean() == pytest.approx(BEYOND[kind][name] * found[Role.COLOUR].mean(),
+                                                rel=0.05)

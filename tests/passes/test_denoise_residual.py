@@ -1,4 +1,5 @@
-"""Networks whose last level has the render size: what they read and give, as the recurrent step in torch does."""
+"""Networks whose last level has the render size: what they read and give, as the recurrent step in
+torch does."""
 
 from __future__ import annotations
 
@@ -33,12 +34,14 @@ SEAM = 1e-5
 
 def seen(number: int, height: int, width: int, mirrored: bool = True, **kept) -> Frame:
     """A noisy frame, with planes that follow mirrors and glass, some of it broken."""
-    frame, random = noisy(number, height, width, **{"exposure": 1.0, **kept}), np.random.default_rng([7, number])
+    frame, random = (noisy(number, height, width, **{"exposure": 1.0, **kept}),
+                     np.random.default_rng([7, number]))
     if not mirrored:
         return frame
     albedo, normal = 1.5 * random.random((2, height, width, 3), np.float32) - 0.2
     normal[3, 4], albedo[5, 6] = np.inf, np.nan
-    return replace(frame, planes={**frame.planes, Role.DENOISING_ALBEDO: albedo, Role.DENOISING_NORMAL: 2 * normal - 1})
+    return replace(frame, planes={**frame.planes, Role.DENOISING_ALBEDO: albedo,
+                                  Role.DENOISING_NORMAL: 2 * normal - 1})
 
 
 def in_torch(frames: list[Frame], size: tuple[int, int]) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -46,9 +49,11 @@ def in_torch(frames: list[Frame], size: tuple[int, int]) -> list[tuple[np.ndarra
     model, results, state, last = small_model(config=RESIDUAL).eval(), [], None, None
     for frame in frames:
         gain = None if last is None else torch.full((1, 1, 1, 1), frame.exposure_factor / last)
-        planes = {str(role): torch.from_numpy(plane).permute(2, 0, 1)[None] for role, plane in frame.planes.items()}
+        planes = {str(role): torch.from_numpy(plane).permute(2, 0, 1)[None]
+                  for role, plane in frame.planes.items()}
         planes["colour"] = planes["colour"] * frame.exposure_factor
-        inputs = network.Inputs(**planes, jitter=torch.tensor([frame.jitter], dtype=torch.float32), gain=gain)
+        inputs = network.Inputs(**planes, jitter=torch.tensor([frame.jitter], dtype=torch.float32),
+                                gain=gain)
         state = state or network.empty_state(inputs, *size)
         with torch.no_grad():
             step = model.step(inputs, state)
@@ -59,8 +64,8 @@ def in_torch(frames: list[Frame], size: tuple[int, int]) -> list[tuple[np.ndarra
 
 
 def chain(device: Device, **options) -> Pipeline:
-    return Pipeline([DenoiseUpscale(**{"model": "residual", "scale": 1, "error": True, **options})], device,
-                    exposure="metadata", cuts="none", checks=False)
+    return Pipeline([DenoiseUpscale(**{"model": "residual", "scale": 1, "error": True, **options})],
+                    device, exposure="metadata", cuts="none", checks=False)
 
 
 def apart(found: np.ndarray, wanted: np.ndarray) -> float:
@@ -78,7 +83,8 @@ def device() -> Device:
 def test_pass_gives_what_torch_gives(
     size: tuple[int, int], scale: float, mirrored: bool, compiled: bool, small_models: Path
 ) -> None:
-    frames = [seen(i, *size, mirrored, exposure=np.log2(exposure)) for i, exposure in enumerate((1.0, 1.0, 2.5))]
+    frames = [seen(i, *size, mirrored, exposure=np.log2(exposure))
+              for i, exposure in enumerate((1.0, 1.0, 2.5))]
     frames[1].jitter = (0.0, 0.0)
     output = tuple(round(side * scale) for side in size)
     pipeline = chain(Device("cpu", threads=2, compiled_kernels=compiled), scale=scale)
@@ -89,15 +95,18 @@ def test_pass_gives_what_torch_gives(
             assert apart(found[Role.ERROR], error) <= TOLERANCE
         else:
             assert found[Role.ERROR].shape == (*output, 1)
-            assert 0.999 * error.min() < found[Role.ERROR].min() and found[Role.ERROR].max() < 1.001 * error.max()
+            assert (0.999 * error.min() < found[Role.ERROR].min()
+                    and found[Role.ERROR].max() < 1.001 * error.max())
     assert set(MIRRORED) <= set(pipeline.plan.planes) or not mirrored
 
 
-def test_each_mirrored_plane_counts_and_only_such_networks_read_them(small_models: Path, device: Device) -> None:
+def test_each_mirrored_plane_counts_and_only_such_networks_read_them(small_models: Path,
+                                                                     device: Device) -> None:
     frame = seen(1, 32, 48)
     whole = chain(device)(frame)
     for role in MIRRORED:
-        without = replace(frame, planes={key: plane for key, plane in frame.planes.items() if key is not role})
+        without = replace(frame, planes={key: plane
+                                         for key, plane in frame.planes.items() if key is not role})
         assert not np.allclose(chain(device)(without)[Role.COLOUR], whole[Role.COLOUR], rtol=1e-3)
     plain = Pipeline([DenoiseUpscale(model="doubting", scale=1)], device)
     plain(frame)
@@ -139,7 +148,8 @@ def test_a_frame_of_strength_0_expects_no_error(small_models: Path, device: Devi
     assert not pipeline(masked(seen(2, 32, 48), 0))[Role.ERROR].any()
 
 
-def test_tiles_within_a_memory_budget_are_as_the_whole_frame(small_models: Path, device: Device) -> None:
+def test_tiles_within_a_memory_budget_are_as_the_whole_frame(small_models: Path,
+                                                             device: Device) -> None:
     frames = [seen(number, 40, 1200) for number in range(3)]
     with pytest.raises(MemoryBudgetError) as refused:
         chain(Device("cpu", threads=2, memory="260M"))(frames[0])
@@ -158,7 +168,8 @@ def test_frames_may_change_their_size(small_models: Path, device: Device) -> Non
     np.testing.assert_array_equal(first[Role.ERROR], whole(seen(0, 64, 96))[Role.ERROR])
 
 
-def test_networks_that_do_not_predict_their_error_say_so(small_models: Path, device: Device) -> None:
+def test_networks_that_do_not_predict_their_error_say_so(small_models: Path,
+                                                         device: Device) -> None:
     for model in ("doubting", "low"):
         with pytest.raises(PassOptionError, match=f"model '{model}' does not predict its error"):
             chain(device, model=model)(seen(1, 32, 48))
@@ -166,19 +177,22 @@ def test_networks_that_do_not_predict_their_error_say_so(small_models: Path, dev
         chain(device, strength=0)(seen(1, 32, 48))
 
 
-def test_a_budget_takes_only_networks_that_predict_their_error(small_models: Path, device: Device) -> None:
+def test_a_budget_takes_only_networks_that_predict_their_error(small_models: Path,
+                                                               device: Device) -> None:
     assert chain(device, budget=1000)(seen(1, 32, 48))[Role.ERROR].all()
 
 
 def run_with_error(postfx, folder: Path, *options: str, output: str = "out/a.####.exr"):
-    return postfx("run", "in/shot.####.exr", "--model", str(folder / "denoise_upscale.residual.onnx"), "--run-up", "0",
+    return postfx("run", "in/shot.####.exr", "--model",
+                  str(folder / "denoise_upscale.residual.onnx"), "--run-up", "0",
                   "--aov", "error", "-o", output, *options)
 
 
 @pytest.mark.usefixtures("noise")
-@pytest.mark.parametrize("options", [(), ("--keep", "all"), ("--tonemap", "aces2"), ("--scale", "1.5"),
-                                     ("--both-ways",)])
-def test_the_command_writes_it_beside_the_picture(options, postfx, tmp_path: Path, exported_models: Path) -> None:
+@pytest.mark.parametrize("options", [(), ("--keep", "all"), ("--tonemap", "aces2"),
+                                     ("--scale", "1.5"), ("--both-ways",)])
+def test_the_command_writes_it_beside_the_picture(options, postfx, tmp_path: Path,
+                                                  exported_models: Path) -> None:
     done = run_with_error(postfx, exported_models, *options, "--exposure", "0", "--frames", "1-2")
     assert done.code == 0, done.err
     picture = oiio.ImageBuf(str(tmp_path / "out/a.0002.exr"))
@@ -186,7 +200,8 @@ def test_the_command_writes_it_beside_the_picture(options, postfx, tmp_path: Pat
     found = pixels[..., names.index("error.V")]
     scale = 1.5 if "--scale" in options else 1
     frames = list(read_sequence(str(tmp_path / "in/shot.####.exr"), "1-2"))
-    denoise = DenoiseUpscale(model=str(exported_models / "denoise_upscale.residual.onnx"), scale=scale, error=True)
+    denoise = DenoiseUpscale(model=str(exported_models / "denoise_upscale.residual.onnx"),
+                             scale=scale, error=True)
     library = Pipeline([denoise], Device("cpu", threads=2), exposure=0.0)
     wanted = [library(frame)[Role.ERROR] for frame in frames][-1]
     np.testing.assert_allclose(found, wanted[..., 0], rtol=2e-3)
@@ -195,14 +210,17 @@ def test_the_command_writes_it_beside_the_picture(options, postfx, tmp_path: Pat
 @pytest.mark.usefixtures("noise")
 def test_a_picture_for_a_display_holds_none(postfx, exported_models: Path) -> None:
     done = run_with_error(postfx, exported_models, output="out/a.####.png")
-    assert done.code and done.err.strip() == (
-        "error: out/a.####.png: pictures for a display hold no AOV 'error': write EXR, or leave error out of --aov")
+    assert (done.code and done.err.strip() == (
+        "error: out/a.####.png: pictures for a display hold no AOV 'error': write EXR, or leave "
+        "error out of --aov"))
 
 
 @pytest.mark.usefixtures("noise")
 def test_the_command_names_a_network_that_predicts_none(postfx) -> None:
-    done = postfx("run", "in/shot.####.exr", "--model", "s", "--aov", "error", "-o", "out/a.####.exr")
-    assert done.code and done.err.startswith("error: model 's' does not predict its error at this size")
+    done = postfx("run", "in/shot.####.exr", "--model", "s", "--aov", "error", "-o",
+                  "out/a.####.exr")
+    assert (done.code
+            and done.err.startswith("error: model 's' does not predict its error at this size"))
     assert done.err.count("\n") == 1
 
 

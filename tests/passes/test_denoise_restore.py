@@ -1,4 +1,5 @@
-"""Clean input stays as it is: what the network takes for noise though it is detail is given back."""
+"""Clean input stays as it is: what the network takes for noise though it is detail is given
+back."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ from postfx.runtime import Device
 
 HEIGHT, WIDTH = 93, 118
 Y, X = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float32)
-PICTURE = (0.4 + 0.25 * np.sin(X / 23) + 0.12 * np.sign(np.sin(X * 1.9) * np.sin(Y * 1.3)))[..., None].repeat(3, 2)
+PICTURE = (0.4 + 0.25 * np.sin(X / 23)
+           + 0.12 * np.sign(np.sin(X * 1.9) * np.sin(Y * 1.3)))[..., None].repeat(3, 2)
 
 
 @pytest.fixture(scope="module")
@@ -24,11 +26,15 @@ def device() -> Device:
 
 
 def frame(samples: int, seed: int = 0, **kept) -> Frame:
-    """Light with detail that no other plane knows of, and the noise of so many samples a pixel; 0 has none."""
-    noise = np.random.default_rng(seed).gamma(0.8 * max(samples, 1), 1 / (0.8 * max(samples, 1)), PICTURE.shape)
+    """Light with detail that no other plane knows of, and the noise of so many samples a pixel; 0
+    has none."""
+    noise = np.random.default_rng(seed).gamma(0.8 * max(samples, 1), 1 / (0.8 * max(samples, 1)),
+                                              PICTURE.shape)
     colour = PICTURE * (noise if samples else 1)
-    flat = {Role.DIFFUSE_ALBEDO: (0.5, 3), Role.NORMAL: (0.6, 3), Role.DEPTH: (3.0, 1), Role.MOTION: (0.0, 2)}
-    planes = {role: np.full((HEIGHT, WIDTH, n), value, np.float32) for role, (value, n) in flat.items()}
+    flat = {Role.DIFFUSE_ALBEDO: (0.5, 3), Role.NORMAL: (0.6, 3), Role.DEPTH: (3.0, 1),
+            Role.MOTION: (0.0, 2)}
+    planes = {role: np.full((HEIGHT, WIDTH, n), value, np.float32)
+              for role, (value, n) in flat.items()}
     return Frame({Role.COLOUR: colour.astype(np.float32), **planes}, **kept)
 
 
@@ -40,7 +46,8 @@ def run(frames: list[Frame], device: Device, **options) -> list[np.ndarray]:
 @pytest.fixture
 def network_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The result as it leaves the network."""
-    monkeypatch.setattr(planes.Restore, "encode", lambda self, commands, frame, denoised, *_: denoised)
+    monkeypatch.setattr(planes.Restore, "encode",
+                        lambda self, commands, frame, denoised, *_: denoised)
 
 
 def quality(picture: np.ndarray) -> float:
@@ -63,11 +70,13 @@ def test_a_clean_picture_comes_back(device: Device) -> None:
 
 
 def judged(removed: np.ndarray, only: np.ndarray | None = None) -> np.ndarray:
-    """Share of detail in a difference on mid grey, tile by tile, of which `only` some are judged."""
+    """Share of detail in a difference on mid grey, tile by tile, of which `only` some are
+    judged."""
     grey = np.full((*removed.shape, 3), 0.5, np.float32)
     tiles = [-(-side // 16) for side in removed.shape]
     sums, detail = np.empty((*tiles, SUMS), np.float32), np.empty((*tiles, 1), np.float32)
-    counted = np.ones((*tiles, 1), np.float32) if only is None else only[..., None].astype(np.float32)
+    counted = (np.ones((*tiles, 1), np.float32) if only is None
+               else only[..., None].astype(np.float32))
     noisy = grey + removed.astype(np.float32)[..., None]
     JUDGE.rows(0, tiles[0], noisy, grey, np.ones(5, np.float32), counted, sums)
     DETAIL.rows(0, tiles[0], sums, np.ones(1, np.float32), detail)
@@ -110,7 +119,8 @@ def test_only_what_has_strength_tells_whether_a_picture_is_clean(device: Device)
     assert np.abs(whole[51:] - PICTURE[51:]).max() > 0.02
 
 
-def test_the_next_frame_sees_what_the_network_made(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_next_frame_sees_what_the_network_made(device: Device,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
     frames = [frame(64, 1, number=1), frame(64, 2, number=2)]
     restored = run(frames, device)
     encode, turns = planes.Restore.encode, iter([False, True])
@@ -121,8 +131,10 @@ def test_the_next_frame_sees_what_the_network_made(device: Device, monkeypatch: 
     np.testing.assert_array_equal(restored[1], plain_first[1])
 
 
-@pytest.mark.parametrize("facts", [{"jitter": (0.2, 0.0)}, {"samples": 16}], ids=["jittered", "few samples"])
-def test_frames_it_leaves_alone(facts: dict, device: Device, request: pytest.FixtureRequest) -> None:
+@pytest.mark.parametrize("facts", [{"jitter": (0.2, 0.0)}, {"samples": 16}],
+                         ids=["jittered", "few samples"])
+def test_frames_it_leaves_alone(facts: dict, device: Device,
+                                request: pytest.FixtureRequest) -> None:
     given = replace(frame(0), **facts)
     found = run([given], device)[0]
     request.getfixturevalue("network_alone")

@@ -38,7 +38,8 @@ def albedo_at(x: np.ndarray, y: np.ndarray, number: int) -> np.ndarray:
     x, y = x + number * PAN[0], y + number * PAN[1]
     stripes = 0.5 + 0.5 * np.tanh(8 * np.sin(40 * x + 6 * np.sin(9 * y)))
     discs = np.hypot(np.mod(x, 0.2) - 0.1, np.mod(y, 0.2) - 0.1) < 0.06
-    return np.stack([0.1 + 0.7 * stripes, np.where(discs, 0.8, 0.3), 0.2 + 0.3 * stripes * discs], -1)
+    return np.stack([0.1 + 0.7 * stripes, np.where(discs, 0.8, 0.3), 0.2 + 0.3 * stripes * discs],
+                    -1)
 
 
 def light_at(x: np.ndarray, y: np.ndarray, number: int) -> np.ndarray:
@@ -57,7 +58,8 @@ def panned(number: int, size: tuple[int, int]) -> Frame:
     jitter = jitter_sequence(16)[number]
     at = places(*size, jitter)
     random, albedo = np.random.default_rng([number, *size]), albedo_at(*at, number)
-    planes = {Role.COLOUR: albedo * light_at(*at, number) * random.gamma(2, 0.5, (*albedo.shape[:2], 1)),
+    planes = {Role.COLOUR: albedo * light_at(*at, number)
+                           * random.gamma(2, 0.5, (*albedo.shape[:2], 1)),
               Role.DIFFUSE_ALBEDO: albedo, Role.DEPTH: np.full(albedo.shape[:2], 3.0),
               Role.MOTION: np.broadcast_to(PAN * size[0], (*albedo.shape[:2], 2)),
               Role.NORMAL: np.broadcast_to([0.0, 0.0, 1.0], albedo.shape)}
@@ -81,22 +83,27 @@ def errors(frames: list[Frame], device: Device, **options) -> list[float]:
 
 
 @pytest.fixture(scope="module", params=["s", pytest.param("m", marks=pytest.mark.soak)])
-def steady(request: pytest.FixtureRequest, device: Device) -> tuple[str, dict[tuple[int, int], list[float]]]:
+def steady(request: pytest.FixtureRequest,
+           device: Device) -> tuple[str, dict[tuple[int, int], list[float]]]:
     """A model, and its PSNR of each frame where all have one size."""
-    return request.param, {size: errors([panned(number, size) for number in range(COUNT)], device, model=request.param)
+    return request.param, {size: errors([panned(number, size) for number in range(COUNT)], device,
+                                        model=request.param)
                            for size in SIZES}
 
 
 @pytest.mark.parametrize("every", [1, 3])
 def test_a_change_of_size_costs_next_to_nothing(every: int, steady: tuple, device: Device) -> None:
-    """Frames are as good as where all have the size of one of the last three, and much better than after cuts."""
+    """Frames are as good as where all have the size of one of the last three, and much better than
+    after cuts."""
     model, alike = steady
     sizes = [SIZES[number // every % len(SIZES)] for number in range(COUNT)]
     frames = [panned(number, size) for number, size in enumerate(sizes)]
     changes = [number for number in range(3, COUNT) if sizes[number] != sizes[number - 1]]
     found = errors(frames, device, model=model)
-    cut = errors([replace(frame, reset=frame.number in changes) for frame in frames], device, model=model)
-    least = {number: min(alike[size][number] for size in sizes[number - 2:number + 1]) for number in changes}
+    cut = errors([replace(frame, reset=frame.number in changes) for frame in frames], device,
+                 model=model)
+    least = {number: min(alike[size][number] for size in sizes[number - 2:number + 1])
+             for number in changes}
     assert all(found[number] > least[number] - 0.5 for number in changes), (found, least)
     assert np.mean([found[number] - cut[number] for number in changes]) > 1.5, (found, cut)
 
@@ -155,7 +162,8 @@ def test_with_a_mask_alpha_a_budget_and_guides(device: Device) -> None:
         frame.planes[Role.STRENGTH] = np.zeros((height, width, 1), np.float32)
         frame.planes[Role.STRENGTH][:, : width // 3] = 1
         result = pipeline(guided(frame, *OUTPUT[::-1]))
-        assert result.spec.width == OUTPUT[0] and np.isfinite(result[Role.COLOUR]).all() and Role.ALPHA in result
+        assert (result.spec.width == OUTPUT[0] and np.isfinite(result[Role.COLOUR]).all()
+                and Role.ALPHA in result)
     assert upscaler.choice() == "m"
 
 
@@ -181,9 +189,11 @@ def test_sizes_of_about_its_aspect_fit(size: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize(("size", "message"), [
-    ((96, 60), "shot.exr: 96x60 has another aspect than the output, 192x108: render it at 96x54, or give a size of"),
+    ((96, 60), "shot.exr: 96x60 has another aspect than the output, 192x108: render it at 96x54, "
+     "or give a size of"),
     ((72, 54), "another aspect"),
-    ((48, 27), "48x27 cannot become 192x108, which is 1 to 3 times as large .* render it at 64x36 to 192x108"),
+    ((48, 27), "48x27 cannot become 192x108, which is 1 to 3 times as large .* render it at 64x36 "
+     "to 192x108"),
     ((384, 216), "cannot become 192x108"),
 ])
 def test_other_frames_are_errors(size: tuple[int, int], message: str) -> None:
@@ -194,13 +204,15 @@ def test_other_frames_are_errors(size: tuple[int, int], message: str) -> None:
 
 def test_guides_of_another_size_are_an_error() -> None:
     frame = guided(noisy(1, 54, 96), 54, 96)
-    with pytest.raises(GuideError, match="guides are 96x54, the output is 192x108: render them at its size"):
+    with pytest.raises(GuideError,
+                       match="guides are 96x54, the output is 192x108: render them at its size"):
         DenoiseUpscale(size=OUTPUT).reflect(frame.spec)
 
 
 @pytest.mark.parametrize(("options", "message"), [
     ({"size": (192, 108), "scale": 2}, "has a scale and a size: give one of them"),
-    ({"size": (192,)}, "cannot make the size"), ({"size": (192, 0)}, "give width and height in pixels"),
+    ({"size": (192,)}, "cannot make the size"),
+    ({"size": (192, 0)}, "give width and height in pixels"),
     ({"size": (192, 10.5)}, "give width and height in pixels"),
 ])
 def test_options_that_cannot_be(options: dict, message: str) -> None:

@@ -46,7 +46,8 @@ def resampled(frame: Frame, role: Role, scale: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("size", "scale"), SIZES)
-def test_no_strength_is_the_resampled_input(size: tuple[int, int], scale: float, device: Device) -> None:
+def test_no_strength_is_the_resampled_input(size: tuple[int, int], scale: float,
+                                            device: Device) -> None:
     frames = [noisy(number, *size) for number in (1, 2)]
     wanted = [resampled(frame, Role.COLOUR, scale) for frame in frames]
     assert frames[0].jitter != (0.0, 0.0) and min(picture.min() for picture in wanted) >= 0
@@ -56,7 +57,8 @@ def test_no_strength_is_the_resampled_input(size: tuple[int, int], scale: float,
 
 
 @pytest.mark.parametrize(("size", "scale"), SIZES)
-def test_between_is_linear_and_both_strengths_multiply(size: tuple[int, int], scale: float, device: Device) -> None:
+def test_between_is_linear_and_both_strengths_multiply(size: tuple[int, int], scale: float,
+                                                       device: Device) -> None:
     frame = noisy(1, *size)
     mask = masked(frame, np.random.default_rng(0).random(size))
     share = 0.5 * resampled(mask, Role.STRENGTH, scale)
@@ -79,18 +81,20 @@ def test_full_strength_is_the_denoised_picture_where_the_plane_says_so(device: D
 def test_rows_of_full_strength_are_denoised_and_those_beside_them_blended(
     size: tuple[int, int], scale: float, device: Device
 ) -> None:
-    """To the bit where the strength is 0 or 1: with the longest run of such rows in the middle, at an end, or cut by a
-    single pixel."""
+    """To the bit where the strength is 0 or 1: with the longest run of such rows in the middle, at
+    an end, or cut by a single pixel."""
     frame, pipeline = noisy(1, *size), Pipeline([DenoiseUpscale(scale=scale)], device, exposure=0.0)
     (full,), plain = run([frame], device, scale=scale), resampled(frame, Role.COLOUR, scale)
-    for first, end, hole in ((0, size[0] - 3, None), (6, size[0], None), (4, size[0] - 5, 7), (5, size[0] - 1, None)):
+    for first, end, hole in ((0, size[0] - 3, None), (6, size[0], None), (4, size[0] - 5, 7),
+                             (5, size[0] - 1, None)):
         strength = np.zeros(size, np.float32)
         strength[first:end], strength[first - 1:first] = 1.0 if first < 5 else 1.5, 0.4
         if hole is not None:
             strength[hole, 2] = 0.99
         pipeline.reset()
         found, share = (make(masked(frame, strength)) for make in (
-            lambda one: pipeline(one)[Role.COLOUR], lambda one: np.clip(resampled(one, Role.STRENGTH, scale), 0, 1)))
+            lambda one: pipeline(one)[Role.COLOUR],
+            lambda one: np.clip(resampled(one, Role.STRENGTH, scale), 0, 1)))
         mixed = plain + (full - plain) * share  # rounded once more than by the kernel
         np.testing.assert_allclose(found, mixed, rtol=2e-6, atol=1e-6)
         ends = np.broadcast_to((share == 0) | (share == 1), found.shape)
@@ -99,21 +103,26 @@ def test_rows_of_full_strength_are_denoised_and_those_beside_them_blended(
 
 
 @pytest.mark.parametrize(("size", "scale"), SIZES)
-def test_strength_1_everywhere_is_not_blended(size: tuple[int, int], scale: float, device: Device) -> None:
+def test_strength_1_everywhere_is_not_blended(size: tuple[int, int], scale: float,
+                                              device: Device) -> None:
     frames = [noisy(number, *size) for number in (1, 2, 3)]
     pipeline = Pipeline([DenoiseUpscale(scale=scale)], device, exposure=0.0)
     strengths = (1, np.pad([[0.5]], ((0, size[0] - 1), (0, size[1] - 1)), constant_values=1), 2)
-    found = [pipeline(masked(frame, value))[Role.COLOUR] for frame, value in zip(frames, strengths, strict=True)]
+    found = [pipeline(masked(frame, value))[Role.COLOUR]
+             for frame, value in zip(frames, strengths, strict=True)]
     wanted = run(frames, device, scale=scale)
-    assert [np.array_equal(one, other) for one, other in zip(found, wanted, strict=True)] == [True, False, True]
+    assert [np.array_equal(one, other)
+            for one, other in zip(found, wanted, strict=True)] == [True, False, True]
     told = {item.what: item.why for item in pipeline.explain().skips}
-    assert told["blend with the input for 2 frames in denoise_upscale"] == "strength is 1 everywhere"
+    assert (told["blend with the input for 2 frames in denoise_upscale"] == "strength is 1 "
+            "everywhere")
 
 
 def test_noise_that_is_left_in_does_not_reach_the_next_frame(device: Device) -> None:
     strengths = (0.1, 0.3, 1)
     frames = [noisy(number) for number in (1, 2, 3)]
-    found = run([masked(frame, value) for frame, value in zip(frames, strengths, strict=True)], device)
+    found = run([masked(frame, value) for frame, value in zip(frames, strengths, strict=True)],
+                device)
     wanted = run([masked(frame, 1) for frame in frames], device)
     assert np.abs(found[1] - wanted[1]).max() > 1e-2
     np.testing.assert_array_equal(found[2], wanted[2])
@@ -135,7 +144,8 @@ def test_nothing_is_read_or_run_for_nothing() -> None:
     assert bare.remarks == ("denoise_upscale: strength 0: the input is only resampled",)
     assert Role.STRENGTH in Pipeline([DenoiseUpscale()]).explain(spec).planes
     alone = DenoiseUpscale(scale=2, strength=0)
-    assert Pipeline([alone])(noisy(1))[Role.COLOUR].shape == (74, 100, 3) and not hasattr(alone._ready, "frames")
+    assert (Pipeline([alone])(noisy(1))[Role.COLOUR].shape == (74, 100, 3)
+            and not hasattr(alone._ready, "frames"))
 
 
 def test_strength_in_the_portable_kernels(device: Device) -> None:

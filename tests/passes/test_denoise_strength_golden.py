@@ -1,4 +1,5 @@
-"""Strength against float64: Keys' cubic for what is left as it is, and a linear blend with the denoised picture."""
+"""Strength against float64: Keys' cubic for what is left as it is, and a linear blend with the
+denoised picture."""
 
 from __future__ import annotations
 
@@ -35,22 +36,28 @@ def enlarged(size: tuple[int, int], scale: float) -> tuple[int, int]:
 
 
 def taps(size: int, out_size: int, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-    """Samples around each output pixel's centre, borders repeated, and their weights: (4, out_size) each.
+    """Samples around each output pixel's centre, borders repeated, and their weights: (4, out_size)
+    each.
 
-    R. Keys, "Cubic convolution interpolation for digital image processing", 1981, equation 15: a = -1/2.
+    R. Keys, "Cubic convolution interpolation for digital image processing", 1981, equation 15: a =
+    -1/2.
     """
     centre = (np.arange(out_size, dtype=np.float64) + 0.5) * size / out_size - 0.5 - jitter
     first = np.floor(centre)
     index = first[None] + np.arange(-1, 3)[:, None]
     away = np.abs(centre[None] - index)
     near, far = 1.5 * away**3 - 2.5 * away**2 + 1, -0.5 * away**3 + 2.5 * away**2 - 4 * away + 2
-    return index.clip(0, size - 1).astype(int), np.where(away <= 1, near, np.where(away < 2, far, 0))
+    return index.clip(0, size - 1).astype(int), np.where(away <= 1, near,
+                                                         np.where(away < 2, far, 0))
 
 
-def enlarged64(image: np.ndarray, out_size: tuple[int, int], jitter: tuple[float, float]) -> np.ndarray:
-    """The input at output size: cubic both ways, within the least and the largest of the four samples around."""
+def enlarged64(image: np.ndarray, out_size: tuple[int, int],
+               jitter: tuple[float, float]) -> np.ndarray:
+    """The input at output size: cubic both ways, within the least and the largest of the four
+    samples around."""
     image = image.astype(np.float64)
-    (rows, down), (columns, across) = (taps(image.shape[i], out_size[i], jitter[1 - i]) for i in (0, 1))
+    (rows, down), (columns,
+                   across) = (taps(image.shape[i], out_size[i], jitter[1 - i]) for i in (0, 1))
     near = image[rows][:, :, columns]  # (4, height, 4, width, channels)
     cubic = np.einsum("jyixc,jy,ix->yxc", near, down, across)
     four = near[1:3][:, :, 1:3]
@@ -58,12 +65,14 @@ def enlarged64(image: np.ndarray, out_size: tuple[int, int], jitter: tuple[float
 
 
 def run(frame: Frame, device: Device, scale: float, **options) -> np.ndarray:
-    return Pipeline([DenoiseUpscale(scale=scale, **options)], device, exposure=0.0)(frame)[Role.COLOUR]
+    return Pipeline([DenoiseUpscale(scale=scale, **options)], device,
+                    exposure=0.0)(frame)[Role.COLOUR]
 
 
 def blended64(mask: Frame, full: np.ndarray, factor: float = 1.0) -> np.ndarray:
     """From the enlarged input to the denoised picture by the enlarged strength."""
-    plain, share = (enlarged64(mask[role], full.shape[:2], mask.jitter) for role in (Role.COLOUR, Role.STRENGTH))
+    plain, share = (enlarged64(mask[role], full.shape[:2], mask.jitter)
+                    for role in (Role.COLOUR, Role.STRENGTH))
     return plain + (full.astype(np.float64) - plain) * share.clip(0, 1) * factor
 
 
@@ -77,13 +86,17 @@ def ramp(size: tuple[int, int]) -> np.ndarray:
 def test_strength_0_is_the_enlarged_input_to_the_bit(
     scale: float, with_guides: bool, samples: int, device: Device
 ) -> None:
-    """Everywhere, or beside pixels that are denoised; at 256 samples the frame is judged for detail at scale 1."""
+    """Everywhere, or beside pixels that are denoised; at 256 samples the frame is judged for detail
+    at scale 1."""
     frame = replace(frame_of((37, 50), scale, with_guides), samples=samples, jitter=(0.0, 0.0))
     nothing = run(frame, device, scale, strength=0)
-    np.testing.assert_allclose(nothing, enlarged64(frame[Role.COLOUR], nothing.shape[:2], frame.jitter), atol=EXACT)
+    np.testing.assert_allclose(nothing,
+                               enlarged64(frame[Role.COLOUR], nothing.shape[:2], frame.jitter),
+                               atol=EXACT)
     np.testing.assert_array_equal(run(masked(frame, 0), device, scale), nothing)
     part = ramp((37, 50))
-    mask, untouched = masked(frame, part), enlarged64(part[..., None], nothing.shape[:2], (0, 0))[..., 0] == 0
+    mask, untouched = masked(frame, part), enlarged64(part[..., None], nothing.shape[:2],
+                                                      (0, 0))[..., 0] == 0
     found = run(mask, device, scale)
     assert 0.2 < untouched.mean() < 0.3
     np.testing.assert_array_equal(found[untouched], nothing[untouched])

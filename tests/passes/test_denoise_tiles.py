@@ -1,4 +1,5 @@
-"""The upscaler on a part of the frame: what is active is as in a run of the whole, the rest is the resampled input."""
+"""The upscaler on a part of the frame: what is active is as in a run of the whole, the rest is the
+resampled input."""
 
 from __future__ import annotations
 
@@ -65,10 +66,12 @@ def boxes(*places: tuple[slice, slice], size: tuple[int, int] = (180, 320)) -> n
 
 
 def full(mask: np.ndarray, factor: int = 2, edge: int = 4) -> np.ndarray:
-    """Output pixels that are denoised fully: not those at the mask's edge, where strength is interpolated."""
+    """Output pixels that are denoised fully: not those at the mask's edge, where strength is
+    interpolated."""
     large = np.kron(mask, np.ones((factor, factor))) > 0
     for axis in (0, 1):
-        large = np.logical_and.reduce([np.roll(large, shift, axis) for shift in range(-edge, edge + 1)])
+        large = np.logical_and.reduce([np.roll(large, shift, axis)
+                                       for shift in range(-edge, edge + 1)])
     return large
 
 
@@ -113,7 +116,9 @@ def test_windows_hold_their_boxes_on_the_grid_or_to_the_frames_end() -> None:
     """Those of their own size, and those that were made ready for other boxes."""
     random, reused = np.random.default_rng(4), 0
     for _ in range(300):
-        h, w, grid, halo = *random.integers(30, 300, 2), int(random.choice([4, 16])), int(random.integers(4, 60))
+        h, w, grid, halo = *random.integers(
+            30, 300, 2
+        ), int(random.choice([4, 16])), int(random.integers(4, 60))
         frame = Sizes(int(h), int(w), 2 * int(h), 2 * int(w), grid)
         sets = [[some_box(random, frame) for _ in range(random.integers(1, 4))] for _ in range(2)]
         shapes = [shape_for(frame, boxes, halo) for boxes in sets]
@@ -121,17 +126,20 @@ def test_windows_hold_their_boxes_on_the_grid_or_to_the_frames_end() -> None:
             reused += shape != shapes[0]
             for tile, box in zip(tiles_of(frame, sets[0], shape, halo), sets[0], strict=True):
                 held = tile.window
-                for first, count, begin, length, size in ((held.top, held.rows, box.top, box.rows, frame.h),
-                                                          (held.left, held.columns, box.left, box.columns, frame.w)):
+                for first, count, begin, length, size in ((
+                    held.top, held.rows, box.top, box.rows, frame.h
+                ), (held.left, held.columns, box.left, box.columns, frame.w)):
                     assert first % grid == 0 and (count % grid == 0 or first + count == size)
-                    assert first <= max(0, begin - halo) and first + count >= min(begin + length + halo, size)
+                    assert (first <= max(0, begin - halo)
+                            and first + count >= min(begin + length + halo, size))
     assert reused > 30
 
 
 def some_box(random: np.random.Generator, frame: Sizes) -> Box:
     """Within the frame, often at its end."""
     top, left = (int(random.integers(0, side - 1)) // CELL * CELL for side in (frame.h, frame.w))
-    rows, columns = (side - first if random.random() < 0.5 else int(random.integers(1, side - first + 1))
+    rows, columns = (side - first
+                     if random.random() < 0.5 else int(random.integers(1, side - first + 1))
                      for side, first in ((frame.h, top), (frame.w, left)))
     return Box(top, left, rows, columns)
 
@@ -153,12 +161,14 @@ def test_bands_and_their_tiles_hold_each_pixel_once(size: tuple[int, int]) -> No
 def test_a_masked_frame_is_the_whole_frame_where_it_is_active(
     mask: np.ndarray, device: Device, room: list[Frame]
 ) -> None:
-    """Over four frames of motion, of which those after the first have no history outside of what was computed."""
+    """Over four frames of motion, of which those after the first have no history outside of what
+    was computed."""
     whole, tiled = chain(device, model="m.fp32"), chain(device, model="m.fp32")
     for frame in room:
         wanted = whole(frame)[Role.COLOUR]
         found = tiled(masked(frame, mask))[Role.COLOUR]
-        error = np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max(2)
+        error = (np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor))
+                 .max(2))
         assert error[full(mask)].max() < 1e-3
         outside = np.kron(mask, np.ones((2, 2))) == 0
         outside &= full(1 - mask)
@@ -166,32 +176,41 @@ def test_a_masked_frame_is_the_whole_frame_where_it_is_active(
     assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
 
 
-def test_what_has_not_converged_is_as_in_a_run_of_the_whole(device: Device, room: list[Frame]) -> None:
-    """Noise is left in a part of the frame; strength falls smoothly around it, and windows follow it."""
+def test_what_has_not_converged_is_as_in_a_run_of_the_whole(device: Device,
+                                                            room: list[Frame]) -> None:
+    """Noise is left in a part of the frame; strength falls smoothly around it, and windows follow
+    it."""
     whole, tiled = chain(device, model="m.fp32"), chain(device, model="m.fp32")
     for frame in room[:2]:
         variance = 0.1 * MASKS["box"][:, :, None] * frame[Role.COLOUR]**2
-        strength = strength_of_converged({**frame.planes, Role.SAMPLE_VARIANCE: variance}, Threshold(error=0.01), 16)
+        strength = strength_of_converged({**frame.planes, Role.SAMPLE_VARIANCE: variance},
+                                         Threshold(error=0.01), 16)
         assert (strength[62:118, 102:168] == 1).any() and (strength == 0).mean() > 0.8
-        wanted, found = whole(frame)[Role.COLOUR], tiled(masked(frame, strength[:, :, 0]))[Role.COLOUR]
+        wanted, found = whole(frame)[Role.COLOUR], tiled(masked(frame,
+                                                                strength[:, :, 0]))[Role.COLOUR]
         active = resampled(masked(frame, strength[:, :, 0]), Role.STRENGTH, 2)[:, :, 0] == 1
-        error = np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max(2)
+        error = (np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor))
+                 .max(2))
         assert active.sum() > 10000 and error[active].max() < 1e-3
     assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
 
 
 @pytest.mark.parametrize("model", ["s", "m", "l"])
-def test_the_halo_is_enough_for_every_network(model: str, device: Device, room: list[Frame]) -> None:
-    """Integers at that: of a first frame, since later a rounding that flips is a difference of its own."""
+def test_the_halo_is_enough_for_every_network(model: str, device: Device,
+                                              room: list[Frame]) -> None:
+    """Integers at that: of a first frame, since later a rounding that flips is a difference of its
+    own."""
     mask = MASKS["box"]
     whole = chain(device, model=model)
-    wanted, found = whole(room[0])[Role.COLOUR], chain(device, model=model)(masked(room[0], mask))[Role.COLOUR]
+    wanted, found = (whole(room[0])[Role.COLOUR],
+                     chain(device, model=model)(masked(room[0], mask))[Role.COLOUR])
     error = np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max(2)
     assert error[full(mask)].max() < 1e-3
 
 
 @pytest.mark.parametrize("model", ["s", "m", "l"])
-def test_the_halo_is_enough_for_the_light_of_a_window(model: str, device: Device, shared_dir: Path) -> None:
+def test_the_halo_is_enough_for_the_light_of_a_window(model: str, device: Device,
+                                                      shared_dir: Path) -> None:
     """Two samples a pixel, few of which hit the light; within half of what is allowed."""
     (frame,) = read_sequence(shared_dir / "sequences/living_room/noisy.####.exr", "1")
     whole = chain(device, model=model)
@@ -199,27 +218,31 @@ def test_the_halo_is_enough_for_the_light_of_a_window(model: str, device: Device
     for rows in (14, 30, 46, 62):
         mask = boxes(np.s_[:rows, :])
         found = chain(device, model=model)(masked(frame, mask))[Role.COLOUR]
-        error = np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max(2)
+        error = (np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor))
+                 .max(2))
         assert error[full(mask)].max() < 5e-4
 
 
 @pytest.mark.parametrize(("scale", "with_guides"), [
     pytest.param(1.5, False, marks=pytest.mark.soak), (1.3, False), (3, True),
     pytest.param(2, True, marks=pytest.mark.soak)])
-def test_tiles_at_other_scales_and_with_guides(scale: float, with_guides: bool, device: Device) -> None:
+def test_tiles_at_other_scales_and_with_guides(scale: float, with_guides: bool,
+                                               device: Device) -> None:
     """1.3 times the size, where no two tiles have output pixels at the same places."""
     size = (149, 213 + 300 * with_guides)
     mask = boxes(np.s_[10:50, 120:200], size=size)
     output = tuple(round(side * scale) for side in size)
     frames = [noisy(number, *size) for number in (1, 2)]
     frames = [guided(frame, *output) if with_guides else frame for frame in frames]
-    whole, tiled = chain(device, scale=scale, model="m.fp32"), chain(device, scale=scale, model="m.fp32")
+    whole, tiled = chain(device, scale=scale, model="m.fp32"), chain(device, scale=scale,
+                                                                     model="m.fp32")
     for frame in frames:
         wanted, part = whole(frame)[Role.COLOUR], masked(frame, mask)
         found = tiled(part)[Role.COLOUR]
         share = resampled(part, Role.STRENGTH, scale)[..., 0]
         active, without = share == 1, share == 0
-        error = np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max(2)
+        error = (np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor))
+                 .max(2))
         assert active.sum() > 1000 and error[active].max() < 1e-3
         np.testing.assert_array_equal(found[without], resampled(part, Role.COLOUR, scale)[without])
     assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
@@ -229,8 +252,8 @@ def test_tiles_at_other_scales_and_with_guides(scale: float, with_guides: bool, 
 def test_masked_frames_of_the_render_size(
     mask: np.ndarray, device: Device, room: list[Frame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Files that do not say how many samples they have: detail is given back, by what is seen of tiles with strength,
-    so that windows give what the whole frame gives with the same mask."""
+    """Files that do not say how many samples they have: detail is given back, by what is seen of
+    tiles with strength, so that windows give what the whole frame gives with the same mask."""
     frames = [masked(replace(frame, jitter=(0.0, 0.0), samples=None), mask) for frame in room[:2]]
     assert Restore.acts_on(None, frames[0])
     tiled = chain(device, scale=1, model="m.fp32")
@@ -239,7 +262,8 @@ def test_masked_frames_of_the_render_size(
     whole = chain(device, scale=1, model="m.fp32")
     for frame, one in zip(frames, found, strict=True):
         wanted = whole(frame)[Role.COLOUR]
-        assert np.abs(seen(one, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max() < 1e-3
+        assert (np.abs(seen(one, whole.exposure_factor) - seen(wanted, whole.exposure_factor))
+                .max() < 1e-3)
         np.testing.assert_array_equal(one[mask == 0], frame[Role.COLOUR][mask == 0])
     assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
     assert not any("strength is 0 there" in item.why for item in whole.explain().skips)
@@ -249,7 +273,8 @@ def test_masked_alpha_and_parts_of_the_render_size(
     device: Device, room: list[Frame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mask = MASKS["box"]
-    alpha = np.clip(np.arange(320, dtype=np.float32)[None, :, None] / 320 + np.zeros((180, 1, 1), np.float32), 0, 1)
+    alpha = np.clip(np.arange(320, dtype=np.float32)[None, :, None] / 320
+                    + np.zeros((180, 1, 1), np.float32), 0, 1)
     parts = {"half": 0.5 * room[0][Role.COLOUR], "rest": 0.5 * room[0][Role.COLOUR]}
     frame = masked(replace(room[0], jitter=(0.0, 0.0), samples=None, parts=parts), mask)
     frame.planes[Role.ALPHA] = alpha
@@ -263,8 +288,8 @@ def test_masked_alpha_and_parts_of_the_render_size(
 
 
 def test_a_mask_that_moves_never_shows_what_is_not_there(device: Device) -> None:
-    """A picture of one colour stays that colour: where the history holds nothing, nothing is mixed in. Every frame
-    moves by half a pixel, so each history pixel is made of several."""
+    """A picture of one colour stays that colour: where the history holds nothing, nothing is mixed
+    in. Every frame moves by half a pixel, so each history pixel is made of several."""
     tiled = chain(device, model="s")
     for number in range(5):
         mask = boxes(np.s_[20 * number:20 * number + 40, 60:150])
@@ -274,7 +299,8 @@ def test_a_mask_that_moves_never_shows_what_is_not_there(device: Device) -> None
         np.testing.assert_allclose(found, 0.3, rtol=2e-3)
 
 
-def test_what_becomes_active_is_denoised_as_in_a_first_frame(device: Device, room: list[Frame]) -> None:
+def test_what_becomes_active_is_denoised_as_in_a_first_frame(device: Device,
+                                                             room: list[Frame]) -> None:
     """Where the mask was not before, nor its halo."""
     first, second = boxes(np.s_[:40, :40]), boxes(np.s_[:40, 240:280])
     moved = chain(device, model="m.fp32")
@@ -289,7 +315,8 @@ def test_what_becomes_active_is_denoised_as_in_a_first_frame(device: Device, roo
 
 
 def test_what_an_earlier_mask_left_is_forgotten(device: Device, room: list[Frame]) -> None:
-    """The two sets that hold the history in turn: each is written where a window was two frames before."""
+    """The two sets that hold the history in turn: each is written where a window was two frames
+    before."""
     tiled = chain(device, model="s")
     for frame in room:
         tiled(masked(frame, boxes(np.s_[:20, :])))
@@ -300,30 +327,36 @@ def test_what_an_earlier_mask_left_is_forgotten(device: Device, room: list[Frame
         assert count[120:].all() and not count[:80].any() and not colour[:160].any()
 
 
-def test_nothing_active_runs_no_network_and_drops_the_history(device: Device, room: list[Frame]) -> None:
+def test_nothing_active_runs_no_network_and_drops_the_history(device: Device,
+                                                              room: list[Frame]) -> None:
     tiled = chain(device, model="s")
     tiled(masked(room[0], 1))
-    np.testing.assert_array_equal(tiled(masked(room[1], 0))[Role.COLOUR], resampled(room[1], Role.COLOUR, 2))
+    np.testing.assert_array_equal(tiled(masked(room[1], 0))[Role.COLOUR],
+                                  resampled(room[1], Role.COLOUR, 2))
     found = tiled(masked(room[2], 1))[Role.COLOUR]
     fixed = Pipeline([DenoiseUpscale(scale=2, model="s")], device, exposure=tiled.exposure)
     np.testing.assert_array_equal(found, fixed(room[2])[Role.COLOUR])
     assert any("strength is 0 everywhere" in item.why for item in tiled.explain().skips)
 
 
-def test_a_mask_that_moves_every_frame_makes_few_networks_ready(device: Device, monkeypatch) -> None:
+def test_a_mask_that_moves_every_frame_makes_few_networks_ready(device: Device,
+                                                                monkeypatch) -> None:
     made, make = [], device.pipeline_state
-    monkeypatch.setattr(device, "pipeline_state", lambda *args, **named: made.append(args) or make(*args, **named))
+    monkeypatch.setattr(device, "pipeline_state",
+                        lambda *args, **named: made.append(args) or make(*args, **named))
     tiled = chain(device, model="s")
     for number in range(24):
         size = 40 + 3 * number
-        mask = boxes(np.s_[4 * number:4 * number + size, 7 * number:7 * number + size], size=(256, 400))
+        mask = boxes(np.s_[4 * number:4 * number + size, 7 * number:7 * number + size],
+                     size=(256, 400))
         tiled(masked(noisy(1, 256, 400), mask))
     assert len(made) <= 10
 
 
 def test_the_portable_kernels_do_the_same(device: Device) -> None:
     portable = Device("cpu", threads=2, compiled_kernels=False)
-    mask, frames = boxes(np.s_[100:140, 20:60], size=(160, 240)), [noisy(number, 160, 240) for number in (1, 2)]
+    mask, frames = boxes(np.s_[100:140, 20:60], size=(160, 240)), [noisy(number, 160, 240)
+                                                                   for number in (1, 2)]
     one, other = (chain(place, model="s.fp32") for place in (device, portable))
     for frame in frames:
         found, wanted = (run(masked(frame, mask))[Role.COLOUR] for run in (one, other))
@@ -331,9 +364,12 @@ def test_the_portable_kernels_do_the_same(device: Device) -> None:
 
 
 def test_the_time_falls_with_the_mask(device: Device) -> None:
-    """The fastest of eight in turns, and far from what is measured, for the machine has other work."""
-    shares = {share: masked(noisy(1, 256, 448), np.arange(256)[:, None] >= share * 256) for share in (0.0, 0.9)}
-    chains, times = {share: chain(device, model="m") for share in shares}, {share: [] for share in shares}
+    """The fastest of eight in turns, and far from what is measured, for the machine has other
+    work."""
+    shares = {share: masked(noisy(1, 256, 448), np.arange(256)[:, None] >= share * 256)
+              for share in (0.0, 0.9)}
+    chains, times = ({share: chain(device, model="m") for share in shares},
+                     {share: [] for share in shares})
     for _ in range(10):
         for share, frame in shares.items():
             chains[share](frame)
@@ -346,10 +382,12 @@ def test_a_still_picture_is_not_moved(device: Device) -> None:
     frames = [noisy(number, 48, 64) for number in (1, 2, 3)]
     for frame in frames:
         frame.planes[Role.MOTION][:] = 0
-    tiny = [replace(frame, planes={**frame.planes, Role.MOTION: np.full_like(frame[Role.MOTION], 1e-30)})
+    tiny = [replace(frame,
+                    planes={**frame.planes, Role.MOTION: np.full_like(frame[Role.MOTION], 1e-30)})
             for frame in frames]
     still, moving = (Pipeline([DenoiseUpscale(scale=2)], device, exposure=0.0) for _ in range(2))
     for one, other in zip(frames, tiny, strict=True):
         np.testing.assert_array_equal(still(one)[Role.COLOUR], moving(other)[Role.COLOUR])
     reasons = [item.why for item in still.explain().skips]
-    assert "nothing moves" in reasons and "nothing moves" not in [item.why for item in moving.explain().skips]
+    assert ("nothing moves" in reasons and "nothing "
+            "moves" not in [item.why for item in moving.explain().skips])

@@ -36,8 +36,10 @@ def test_a_scale_out_of_range_is_an_error(scale: object) -> None:
         DenoiseUpscale(scale=scale)
 
 
-@pytest.mark.parametrize(("scale", "size"), [(1, (37, 50)), (1.5, (56, 75)), (2, (74, 100)), (3, (111, 150))])
-def test_output_has_the_scaled_size_and_no_jitter(scale: float, size: tuple[int, int], device: Device) -> None:
+@pytest.mark.parametrize(("scale", "size"),
+                         [(1, (37, 50)), (1.5, (56, 75)), (2, (74, 100)), (3, (111, 150))])
+def test_output_has_the_scaled_size_and_no_jitter(scale: float, size: tuple[int, int],
+                                                  device: Device) -> None:
     (result,) = run([noisy(1)], device, scale=scale)
     assert result[Role.COLOUR].shape == (*size, 3)
     assert result.jitter == (0.0, 0.0)
@@ -62,18 +64,22 @@ def test_history_matters_and_a_reset_drops_it(device: Device) -> None:
 def test_without_motion_every_frame_stands_alone(device: Device) -> None:
     planes = tuple(role for role in PLANES if role != Role.MOTION)
     frames = [noisy(number, planes=planes) for number in (1, 2)]
-    np.testing.assert_array_equal(run(frames, device)[1][Role.COLOUR], run(frames[1:], device)[0][Role.COLOUR])
+    np.testing.assert_array_equal(run(frames, device)[1][Role.COLOUR],
+                                  run(frames[1:], device)[0][Role.COLOUR])
 
 
-@pytest.mark.parametrize("role", [role for role in PLANES if role not in (Role.COLOUR, Role.MOTION)])
+@pytest.mark.parametrize("role",
+                         [role for role in PLANES if role not in (Role.COLOUR, Role.MOTION)])
 def test_a_missing_plane_is_as_good_as_its_neutral_value(role: Role, device: Device) -> None:
     lacking, filled = [], []
     for number in (1, 2):
         frame = noisy(number)
         neutral = np.full_like(frame[role], ABSENT[role])
         filled.append(Frame({**frame.planes, role: neutral}, number, frame.jitter))
-        lacking.append(Frame({k: v for k, v in frame.planes.items() if k != role}, number, frame.jitter))
-    for found, wanted in zip(colours(run(lacking, device)), colours(run(filled, device)), strict=True):
+        lacking.append(Frame({k: v for k, v in frame.planes.items() if k != role}, number,
+                             frame.jitter))
+    for found, wanted in zip(colours(run(lacking, device)), colours(run(filled, device)),
+                             strict=True):
         assert np.isfinite(found).all()
         np.testing.assert_array_equal(found, wanted)
 
@@ -89,9 +95,12 @@ def test_jitter_is_read_from_the_frame(device: Device) -> None:
     assert np.abs(difference).max() > 1e-2
 
 
-@pytest.mark.parametrize("exposures", [(1.0, 1.0, 1.0), (1.0, 4.0, 0.25)], ids=["steady", "changing"])
-def test_exposure_never_changes_the_brightness(exposures: tuple[float, ...], device: Device) -> None:
-    frames = [flat(number, 0.3, exposure=np.log2(exposure)) for number, exposure in enumerate(exposures)]
+@pytest.mark.parametrize("exposures", [(1.0, 1.0, 1.0), (1.0, 4.0, 0.25)],
+                         ids=["steady", "changing"])
+def test_exposure_never_changes_the_brightness(exposures: tuple[float, ...],
+                                               device: Device) -> None:
+    frames = [flat(number, 0.3, exposure=np.log2(exposure))
+              for number, exposure in enumerate(exposures)]
     for colour in colours(run(frames, device, exposure="metadata")):
         np.testing.assert_allclose(colour, 0.3, rtol=1e-3)
 
@@ -99,7 +108,8 @@ def test_exposure_never_changes_the_brightness(exposures: tuple[float, ...], dev
 def test_a_darker_scene_with_more_exposure_is_the_same_picture(device: Device) -> None:
     bright = noisy(1)
     dark = Frame({**bright.planes, Role.COLOUR: bright[Role.COLOUR] / 8}, 1, bright.jitter)
-    found, wanted = run([dark], device, exposure=3.0)[0][Role.COLOUR], run([bright], device)[0][Role.COLOUR]
+    found, wanted = run([dark], device,
+                        exposure=3.0)[0][Role.COLOUR], run([bright], device)[0][Role.COLOUR]
     np.testing.assert_allclose(found * 8, wanted, rtol=1e-3, atol=1e-4)
 
 
@@ -137,7 +147,8 @@ def test_bad_pixels_harm_no_other_part_of_the_picture(device: Device) -> None:
     """A block that is too large to be repaired from its rim."""
     good, broken = flat(1, 0.3, 64, 96), flat(1, 0.3, 64, 96)
     broken[Role.COLOUR][4:10, 5:11] = np.nan
-    touched = np.abs(run([broken], device)[0][Role.COLOUR] - run([good], device)[0][Role.COLOUR]).max(2) > 3e-3
+    touched = (np.abs(run([broken], device)[0][Role.COLOUR] - run([good], device)[0][Role.COLOUR])
+               .max(2) > 3e-3)
     assert touched.any()
     assert not touched[:, 150:].any() and not touched[100:].any()
 
@@ -178,11 +189,14 @@ def test_depth_and_albedo_are_left_out_where_depth_is_noise(device: Device, mode
     shares = (0.0, 0.6, 0.34, 0.2)  # 0.34 is too little noise to begin, and enough to go on
     frames = [hazy(number, share) for number, share in enumerate(shares)]
     lost = (Role.DEPTH, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
-    bare = [replace(f, planes={**f.planes, **{role: np.full_like(f.planes[role], role is Role.DEPTH) for role in lost}})
+    bare = [replace(f, planes={**f.planes, **{role: np.full_like(f.planes[role], role is Role.DEPTH)
+                                              for role in lost}})
             if number in (1, 2) else f for number, f in enumerate(frames)]
-    pipeline, other = (Pipeline([DenoiseUpscale(scale=2, model=model)], device, exposure=0.0, cuts="none")
+    pipeline, other = (Pipeline([DenoiseUpscale(scale=2, model=model)], device, exposure=0.0,
+                                cuts="none")
                        for _ in range(2))
     for number, (frame, wanted) in enumerate(zip(frames, bare, strict=True)):
-        np.testing.assert_array_equal(pipeline(frame)[Role.COLOUR], other(wanted)[Role.COLOUR], f"frame {number}")
+        np.testing.assert_array_equal(pipeline(frame)[Role.COLOUR], other(wanted)[Role.COLOUR],
+                                      f"frame {number}")
     told = {item.what: item.why for item in pipeline.explain().skips}
     assert told["depth and albedo of 2 frames in denoise_upscale"] == "depth is noise, as in fog"

@@ -37,7 +37,8 @@ def shown(
 
 
 def by_colour_science(light: np.ndarray, display: str) -> np.ndarray:
-    """Code values of linear Rec.709 by colour-science, with matrices out of the primaries (its own are rounded)."""
+    """Code values of linear Rec.709 by colour-science, with matrices out of the primaries (its own
+    are rounded)."""
     target = parse_display(display)
     space = colour.RGB_COLOURSPACES[SPACES[target.name]].copy()
     space.use_derived_matrix_RGB_to_XYZ = space.use_derived_matrix_XYZ_to_RGB = True
@@ -49,18 +50,21 @@ def by_colour_science(light: np.ndarray, display: str) -> np.ndarray:
     if target.name == "hlg":
         nits = light * target.white
         nits = np.maximum(nits, 1e-13)  # it divides by their sum
-        return colour.models.eotf_inverse_BT2100_HLG(nits, L_B=0, L_W=target.peak, gamma=target.system_gamma).clip(0, 1)
+        return colour.models.eotf_inverse_BT2100_HLG(nits, L_B=0, L_W=target.peak,
+                                                     gamma=target.system_gamma).clip(0, 1)
     return CURVES[target.name](light)
 
 
-@pytest.mark.parametrize("display", ["srgb", "p3", "rec709", "rec2020", "pq,peak=600", "pq,peak=4000,white=100", "hlg",
-                                     "hlg,peak=2000"])
+@pytest.mark.parametrize("display", ["srgb", "p3", "rec709", "rec2020", "pq,peak=600",
+                                     "pq,peak=4000,white=100", "hlg", "hlg,peak=2000"])
 def test_light_is_encoded_as_colour_science_does(display: str, device: Device) -> None:
     random = np.random.default_rng(4)
-    light = np.exp2(random.uniform(-14, 5, (64, 64, 3))) * random.choice([1, 1, 1, 0.01], (64, 64, 3))
+    light = np.exp2(random.uniform(-14, 5, (64, 64, 3))) * random.choice([1, 1, 1, 0.01],
+                                                                         (64, 64, 3))
     light[0, :4], light[0, 4] = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]], [0.2, -0.05, 0.1]
     found = shown(light / 4, display, device, ev=2.0)
-    np.testing.assert_allclose(found, by_colour_science(light, display), atol=BOUND[display.partition(",")[0]])
+    np.testing.assert_allclose(found, by_colour_science(light, display),
+                               atol=BOUND[display.partition(",")[0]])
 
 
 @pytest.mark.parametrize("display", ["p3", "rec709", "rec2020", "pq", "hlg"])
@@ -83,9 +87,12 @@ def test_there_and_back(device: Device) -> None:
 def test_diffuse_white_is_203_nits_and_the_plan_says_what_is_no_hdr(device: Device) -> None:
     white = shown(np.ones((2, 2, 3)), "hlg", device)
     np.testing.assert_allclose(white, 0.75, atol=3e-3)  # ITU-R BT.2408-7, table 1
-    (remark,) = Pipeline([Display(display="pq")], device).explain(FrameSpec(2, 2, [Role.COLOUR], "srgb")).remarks
-    assert remark == "display: the picture was made for srgb: its white is shown at 203 nits, nothing is brighter"
-    assert Pipeline([Display(display="pq")], device).explain(FrameSpec(2, 2, [Role.COLOUR])).remarks == ()
+    (remark,) = Pipeline([Display(display="pq")],
+                         device).explain(FrameSpec(2, 2, [Role.COLOUR], "srgb")).remarks
+    assert (remark == "display: the picture was made for srgb: its white is shown at 203 nits, "
+            "nothing is brighter")
+    assert Pipeline([Display(display="pq")],
+                    device).explain(FrameSpec(2, 2, [Role.COLOUR])).remarks == ()
 
 
 def test_bad_pixels(device: Device) -> None:
@@ -98,5 +105,6 @@ def test_bad_pixels(device: Device) -> None:
 
 
 def test_pictures_for_hdr_are_not_turned_into_others(device: Device) -> None:
-    with pytest.raises(PassOptionError, match="cannot turn pq,peak=1000,white=203 into srgb: tone-map for"):
+    with pytest.raises(PassOptionError,
+                       match="cannot turn pq,peak=1000,white=203 into srgb: tone-map for"):
         shown(np.ones((2, 2, 3)), "srgb", device, "pq")

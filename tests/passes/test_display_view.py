@@ -43,18 +43,22 @@ def scene(side: int = 128) -> np.ndarray:
     y, x = np.mgrid[0:side, 0:side] / side
     light = 0.18 * np.exp2(14 * x - 8)
     pure = random.dirichlet((0.7, 0.7, 0.7), (8, 8)) * 3
-    patches = (y[:8, :1] * 0 + np.linspace(0, 1, 8)[:, None])[..., None] * pure + np.linspace(1, 0, 8)[:, None, None]
+    patches = ((y[:8, :1] * 0 + np.linspace(0, 1, 8)[:, None])[..., None] * pure
+               + np.linspace(1, 0, 8)[:, None, None])
     return (light[..., None] * patches.repeat(side // 8, 0).repeat(side // 8, 1)).astype(np.float32)
 
 
-def through(view: str, display: str, device: Device, light: np.ndarray, ev: float = 0.0, exact: bool = False) -> Frame:
-    return Pipeline([View(view=view, display=display, exact=exact)], device, exposure=ev)(Frame({Role.COLOUR: light}))
+def through(view: str, display: str, device: Device, light: np.ndarray, ev: float = 0.0,
+            exact: bool = False) -> Frame:
+    return Pipeline([View(view=view, display=display, exact=exact)], device,
+                    exposure=ev)(Frame({Role.COLOUR: light}))
 
 
 def by_ocio(light: np.ndarray, display: str) -> np.ndarray:
     """By OpenColorIO's own package and CPU processor, from its linear Rec.709."""
     config = OCIO.Config.CreateFromBuiltinConfig(CONFIG)
-    processor = config.getProcessor("Linear Rec.709 (sRGB)", *ACES[display], OCIO.TRANSFORM_DIR_FORWARD)
+    processor = config.getProcessor("Linear Rec.709 (sRGB)", *ACES[display],
+                                    OCIO.TRANSFORM_DIR_FORWARD)
     out = np.ascontiguousarray(light.reshape(-1, 1, 3), np.float32)
     processor.getDefaultCPUProcessor().applyRGB(out)
     return out.reshape(light.shape).clip(0, 1)
@@ -62,12 +66,14 @@ def by_ocio(light: np.ndarray, display: str) -> np.ndarray:
 
 def itp(codes: np.ndarray, display: str) -> np.ndarray:
     target = parse_display(display)
-    space = {"p3": "Display P3", "pq": "ITU-R BT.2020", "hlg": "ITU-R BT.2020"}.get(target.name, "sRGB")
+    space = {"p3": "Display P3", "pq": "ITU-R BT.2020",
+             "hlg": "ITU-R BT.2020"}.get(target.name, "sRGB")
     nits = target.decode(codes.astype(np.float64)) * (target.white or 100)
     return colour.RGB_to_ICtCp(np.maximum(colour.RGB_to_RGB(nits, space, "ITU-R BT.2020"), 0))
 
 
-def assert_near(found: np.ndarray, wanted: np.ndarray, display: str, psnr: float, mean: float, most: float) -> None:
+def assert_near(found: np.ndarray, wanted: np.ndarray, display: str, psnr: float, mean: float,
+                most: float) -> None:
     difference = colour.difference.delta_E_ITP(itp(found, display), itp(wanted, display))
     assert -10 * np.log10(np.square(found.astype(np.float64) - wanted).mean()) > psnr
     assert difference.mean() < mean
@@ -83,16 +89,19 @@ def test_aces_views_are_those_of_opencolorio(display: str, device: Device) -> No
 
 @pytest.mark.parametrize("display", ACES)
 @pytest.mark.parametrize("ev", [0.0, 4.0])
-def test_an_exact_view_is_opencolorio_itself_in_saturated_light_too(display: str, ev: float, device: Device) -> None:
+def test_an_exact_view_is_opencolorio_itself_in_saturated_light_too(display: str, ev: float,
+                                                                    device: Device) -> None:
     found = through("ocio:", display, device, scene() / 8, ev=3.0 + ev, exact=True)
     assert found.encoding == str(parse_display(display))
-    assert np.abs(found[Role.COLOUR] - by_ocio(scene() * np.float32(2**ev), display)).max() < 0.5 / 255
+    assert (np.abs(found[Role.COLOUR] - by_ocio(scene() * np.float32(2**ev), display))
+            .max() < 0.5 / 255)
 
 
 def test_the_cube_is_off_where_the_exact_view_is_not(device: Device) -> None:
     bright = np.random.default_rng(10).random((24, 32, 3)) @ matrix_between(ACESCG, REC709).T * 16
     light = bright.astype(np.float32)
-    fast, exact = (through("ocio:", "srgb", device, light, exact=exact)[Role.COLOUR] for exact in (False, True))
+    fast, exact = (through("ocio:", "srgb", device, light, exact=exact)[Role.COLOUR]
+                   for exact in (False, True))
     assert 2 / 255 < np.abs(fast - exact).max() < 16 / 255
 
 
@@ -102,7 +111,9 @@ def test_exact_is_what_a_pass_does_by_itself(device: Device) -> None:
     np.testing.assert_array_equal(by_default[Role.COLOUR], wanted[Role.COLOUR])
 
 
-def test_without_the_package_openimageio_gives_the_same_colours(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_package_openimageio_gives_the_same_colours(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
     light = scene() @ matrix_between(REC709, ACESCG).T
     by_package = view_transform("", parse_display("srgb")).apply(light)
     monkeypatch.setattr(ocio_library, "is_installed", lambda: False)
@@ -124,23 +135,29 @@ def test_the_packages_newer_configs_are_there(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_neutral_and_reinhard_are_their_formulas(device: Device) -> None:
-    for name, display in (("neutral", "srgb"), ("reinhard", "srgb"), ("reinhard", "p3"), ("reinhard", "pq,peak=4000")):
+    for name, display in (("neutral", "srgb"), ("reinhard", "srgb"), ("reinhard", "p3"),
+                          ("reinhard", "pq,peak=4000")):
         view = find_view(name, parse_display(display))
         wanted = view.apply(np.maximum(scene() @ matrix_between(REC709, view.primaries).T, 0))
-        assert_near(through(name, display, device, scene())[Role.COLOUR], wanted, display, psnr=54, mean=0.5, most=3.5)
+        assert_near(through(name, display, device, scene())[Role.COLOUR], wanted, display, psnr=54,
+                    mean=0.5, most=3.5)
 
 
 def test_colours_outside_rec709_reach_a_wide_display(device: Device) -> None:
     """Negative light in Rec.709 that is red in P3."""
-    red = np.array([[[0.2, 0.0, 0.0]]]) @ colour.matrix_RGB_to_RGB("Display P3", "sRGB", "Bradford").T
+    red = (np.array([[[0.2, 0.0, 0.0]]])
+           @ colour.matrix_RGB_to_RGB("Display P3", "sRGB", "Bradford").T)
     assert red.min() < 0
     found = through("ocio:un-tone", "p3", device, red.astype(np.float32))[Role.COLOUR][0, 0]
     np.testing.assert_allclose(found, [0.4845, 0, 0], atol=0.02)
 
 
 def test_grey_stays_grey_and_brighter_stays_brighter(device: Device) -> None:
-    ramp = np.ascontiguousarray(np.broadcast_to(0.18 * np.exp2(np.linspace(-10, 9, 2000))[None, :, None], (4, 2000, 3)))
-    for name, display in (("neutral", "srgb"), ("reinhard", "pq"), ("ocio:", "srgb"), ("ocio:", "pq")):
+    ramp = np.ascontiguousarray(np.broadcast_to(
+        0.18 * np.exp2(np.linspace(-10, 9, 2000))[None, :, None], (4, 2000, 3)
+    ))
+    for name, display in (("neutral", "srgb"), ("reinhard", "pq"), ("ocio:", "srgb"),
+                          ("ocio:", "pq")):
         found = through(name, display, device, ramp.astype(np.float32))[Role.COLOUR][0]
         assert np.ptp(found, axis=1).max() < 1e-3
         assert np.diff(found[:, 1]).min() > -1e-6
@@ -160,15 +177,18 @@ def test_a_look_up_table_is_read_as_opencolorio_reads_it(device: Device, tmp_pat
     path = tmp_path / "film.cube"
     axis = np.linspace(0, 1, 33)
     blue, green, red = np.meshgrid(axis, axis, axis, indexing="ij")
-    film = np.stack([red, green * 0.9 + 0.05, blue * 0.8 + 0.1], -1).reshape(-1, 3) ** [1.2, 1.0, 0.9]
-    path.write_text("LUT_3D_SIZE 33\n" + "\n".join(" ".join(f"{v:.6f}" for v in row) for row in film))
+    film = np.stack([red, green * 0.9 + 0.05, blue * 0.8 + 0.1],
+                    -1).reshape(-1, 3) ** [1.2, 1.0, 0.9]
+    path.write_text("LUT_3D_SIZE "
+                    "33\n" + "\n".join(" ".join(f"{v:.6f}" for v in row) for row in film))
     found = through(f"{path},input=ACEScct", "srgb", device, scene())
     config = OCIO.Config.CreateFromBuiltinConfig(CONFIG)
     into = OCIO.ColorSpaceTransform("Linear Rec.709 (sRGB)", "ACEScct")
     both = OCIO.GroupTransform([into, OCIO.FileTransform(str(path))])
     wanted = np.ascontiguousarray(scene().reshape(-1, 1, 3))
     config.getProcessor(both).getDefaultCPUProcessor().applyRGB(wanted)
-    assert_near(found[Role.COLOUR], wanted.reshape(scene().shape).clip(0, 1), "srgb", psnr=55, mean=0.5, most=3)
+    assert_near(found[Role.COLOUR], wanted.reshape(scene().shape).clip(0, 1), "srgb", psnr=55,
+                mean=0.5, most=3)
 
 
 def test_a_look_up_table_must_say_what_it_takes(tmp_path: Path) -> None:
@@ -221,9 +241,11 @@ def test_the_users_config_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 BROKEN_TABLES = {
-    "a.cube": b"\xff\xfe\x80LUT_3D_SIZE 2\n", "b.cube": b"LUT_3D_SIZE \xff\xfe\n", "a.spi3d": b"SPILUT \xff 1.0\n3 3\n",
-    "a.csp": b"CSPLUTV100\n3D\n\nBEGIN METADATA\n\xff\nEND METADATA\n\xfe\n", "b.csp": b"\xffCSPLUTV100\n3D\n",
-    "a.3dl": b"\xff\xfe 1 2 3\n", "a.clf": b"<ProcessList id='\xff\xfe'/>", "all.cube": bytes(range(256)),
+    "a.cube": b"\xff\xfe\x80LUT_3D_SIZE 2\n", "b.cube": b"LUT_3D_SIZE \xff\xfe\n",
+    "a.spi3d": b"SPILUT \xff 1.0\n3 3\n",
+    "a.csp": b"CSPLUTV100\n3D\n\nBEGIN METADATA\n\xff\nEND METADATA\n\xfe\n",
+    "b.csp": b"\xffCSPLUTV100\n3D\n", "a.3dl": b"\xff\xfe 1 2 3\n",
+    "a.clf": b"<ProcessList id='\xff\xfe'/>", "all.cube": bytes(range(256)),
 }
 
 
@@ -239,6 +261,7 @@ def test_a_broken_table_whose_bytes_are_no_text_is_refused_in_one_line(tmp_path,
 def test_a_broken_config_whose_bytes_are_no_text_is_refused_in_one_line(tmp_path, monkeypatch):
     (tmp_path / "config.ocio").write_bytes(b"ocio_profile_version: \xff\xfe\n")
     monkeypatch.setenv("OCIO", str(tmp_path / "config.ocio"))
-    with pytest.raises(ColourError, match=r"config\.ocio: not a readable OpenColorIO config") as caught:
+    with pytest.raises(ColourError,
+                       match=r"config\.ocio: not a readable OpenColorIO config") as caught:
         view_transform("", parse_display("srgb"))
     assert "\n" not in str(caught.value)

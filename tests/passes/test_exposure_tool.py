@@ -38,14 +38,16 @@ def test_exposed_it_is_two_greys_around_mid_grey(ev: float, device: Device) -> N
 def test_cells_are_square_and_alternate(device: Device) -> None:
     shown = Pipeline([ExposureTool()], device, 0.0)(frame())[Role.COLOUR][..., 0] > 0.18
     side = SIZE[0] // CELLS
-    assert shown[0, :side].sum() == 0 and shown[0, side : 2 * side].all() and shown[side : 2 * side, 0].all()
+    assert (shown[0, :side].sum() == 0 and shown[0, side : 2 * side].all()
+            and shown[side : 2 * side, 0].all())
     rows, columns = cells(*SIZE)
     assert np.array_equal(shown, rows[:, None] != columns[None, :])
 
 
 def test_the_picture_below_does_not_shine_through(device: Device) -> None:
     other = Frame({Role.COLOUR: np.full((*SIZE, 3), np.nan, np.float32)})
-    one, two = (Pipeline([ExposureTool()], device, 1.0)(item)[Role.COLOUR] for item in (frame(), other))
+    one, two = (Pipeline([ExposureTool()], device, 1.0)(item)[Role.COLOUR]
+                for item in (frame(), other))
     assert np.array_equal(one, two)
 
 
@@ -74,28 +76,35 @@ def test_a_display_picture_is_left_alone() -> None:
 
 
 @pytest.mark.parametrize("value", ("0", "", None, "false", "OFF", "no"))
-def test_nothing_is_drawn_unless_the_environment_asks(value: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_drawn_unless_the_environment_asks(value: str | None,
+                                                      monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(TOOL_VARIABLE, raising=False)
     if value is not None:
         monkeypatch.setenv(TOOL_VARIABLE, value)
     assert names([DenoiseUpscale(), ToneMap()]) == ["denoise_upscale", "tonemap"]
 
 
-def test_the_environment_draws_it_where_the_upscaler_writes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_draws_it_where_the_upscaler_writes(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv(TOOL_VARIABLE, "1")
-    assert names([DenoiseUpscale(), BothWays(), ToneMap()]) == ["denoise_upscale", "exposure_tool", "tonemap"]
+    assert names([DenoiseUpscale(), BothWays(), ToneMap()]) == ["denoise_upscale", "exposure_tool",
+                                                                "tonemap"]
     assert names([ToneMap()]) == ["exposure_tool", "tonemap"]
     assert names([DenoiseUpscale()]) == ["denoise_upscale", "exposure_tool"]
     assert names([ExposureTool(), ToneMap()]) == ["exposure_tool", "tonemap"]
 
 
-def test_the_plan_tells_that_a_checkerboard_covers_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_plan_tells_that_a_checkerboard_covers_the_picture(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv(TOOL_VARIABLE, "1")
     plan = Pipeline([ToneMap()], Device("cpu")).explain(frame().spec)
     assert any(TOOL_VARIABLE in remark for remark in plan.remarks)
 
 
-def test_under_a_whole_board_nothing_is_denoised(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
+def test_under_a_whole_board_nothing_is_denoised(monkeypatch: pytest.MonkeyPatch,
+                                                 device: Device) -> None:
     monkeypatch.setenv(TOOL_VARIABLE, "yes")
     covered = Pipeline([DenoiseUpscale(scale=1.5, model="l", budget=9)], device, 1.0)
     shown = covered(frame())[Role.COLOUR]
@@ -103,7 +112,8 @@ def test_under_a_whole_board_nothing_is_denoised(monkeypatch: pytest.MonkeyPatch
     assert covered.passes[0].options["strength"] == 0 and not device.models
 
 
-def test_a_part_leaves_the_rest_of_the_picture(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
+def test_a_part_leaves_the_rest_of_the_picture(monkeypatch: pytest.MonkeyPatch,
+                                               device: Device) -> None:
     monkeypatch.setenv(TOOL_VARIABLE, "part")
     given = frame()
     given.planes[Role.ALPHA] = np.zeros((*SIZE, 1), np.float32)
@@ -112,12 +122,14 @@ def test_a_part_leaves_the_rest_of_the_picture(monkeypatch: pytest.MonkeyPatch, 
     shown = made(given)
     area = board_area(*SIZE, True)
     assert shown[Role.COLOUR][area].shape == (18, 32, 3)
-    np.testing.assert_allclose(np.unique(shown[Role.COLOUR][area]), 0.18 * 2.0 ** np.array([-2.25, -1.75]), rtol=1e-5)
+    np.testing.assert_allclose(np.unique(shown[Role.COLOUR][area]),
+                               0.18 * 2.0 ** np.array([-2.25, -1.75]), rtol=1e-5)
     assert (shown[Role.ALPHA][area] == 1).all() and shown[Role.ALPHA].mean() == pytest.approx(1 / 9)
     rest = np.ones(SIZE, bool)
     rest[area] = False
     assert np.array_equal(shown[Role.COLOUR][rest], given[Role.COLOUR][rest])
-    assert any("a checkerboard covers a part of the picture" in text for text in made.explain().remarks)
+    assert any("a checkerboard covers a part of the picture" in text
+               for text in made.explain().remarks)
 
 
 def test_an_unknown_form_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,7 +34,8 @@ def with_oidn() -> None:
 def picture(seed: int = 0, **planes: np.ndarray) -> Frame:
     """A noisy grey frame, and other planes."""
     noise = np.random.default_rng(seed).gamma(2.0, 0.25, (*SIZE, 3)).astype(np.float32)
-    return Frame({Role.COLOUR: noise, **{Role(name): np.asarray(plane, np.float32) for name, plane in planes.items()}})
+    return Frame({Role.COLOUR: noise,
+                  **{Role(name): np.asarray(plane, np.float32) for name, plane in planes.items()}})
 
 
 def even(value: float, channels: int = 3) -> np.ndarray:
@@ -60,7 +61,8 @@ class Brighter(Pass):
     def compile(self, device: Device, spec: FrameSpec) -> None:
         from postfx.runtime import ArgumentTable
 
-        state = device.host_state("brighter", ("colour",), ("output",), lambda colour, output: np.copyto(
+        state = device.host_state("brighter", ("colour",), ("output",),
+                                  lambda colour, output: np.copyto(
             output, 2 * colour))
         output = device.heap.transient("brighter", (spec.height, spec.width, 3))
         self._table = ArgumentTable(state, {"output": output})
@@ -106,10 +108,11 @@ def test_both_albedos_count(device: Device) -> None:
     """A texture that only the specular albedo shows stays sharp."""
     stripes = (np.arange(SIZE[1]) // 4 % 2 * 0.6 + 0.2).astype(np.float32)[None, :, None] * even(1)
     noise = np.random.default_rng(2).gamma(4.0, 0.25, (*SIZE, 3)).astype(np.float32)
-    frame = Frame({Role.COLOUR: stripes * noise, Role.DIFFUSE_ALBEDO: even(0), Role.SPECULAR_ALBEDO: stripes,
-                   Role.NORMAL: even(0.5)})
+    frame = Frame({Role.COLOUR: stripes * noise, Role.DIFFUSE_ALBEDO: even(0),
+                   Role.SPECULAR_ALBEDO: stripes, Role.NORMAL: even(0.5)})
     (clean,) = run([Oidn()], [frame], device)
-    assert np.abs(clean[Role.COLOUR] - stripes).mean() < 0.4 * np.abs(frame[Role.COLOUR] - stripes).mean()
+    assert (np.abs(clean[Role.COLOUR] - stripes).mean() < 0.4 * np.abs(frame[Role.COLOUR] - stripes)
+            .mean())
 
 
 @pytest.mark.usefixtures("with_oidn")
@@ -118,8 +121,11 @@ def test_an_albedo_for_denoisers_takes_the_place_of_the_others(device: Device) -
     stripes = (np.arange(SIZE[1]) // 4 % 2 * 0.6 + 0.2).astype(np.float32)[None, :, None] * even(1)
     noise = np.random.default_rng(2).gamma(4.0, 0.25, (*SIZE, 3)).astype(np.float32)
     others = {Role.COLOUR: stripes * noise, Role.DIFFUSE_ALBEDO: even(0.9), Role.NORMAL: even(0.5)}
-    with_it, without = run([Oidn()], [Frame({**others, Role.DENOISING_ALBEDO: stripes}), Frame(others)], device)
-    assert np.abs(with_it[Role.COLOUR] - stripes).mean() < 0.7 * np.abs(without[Role.COLOUR] - stripes).mean()
+    with_it, without = run([Oidn()],
+                           [Frame({**others, Role.DENOISING_ALBEDO: stripes}), Frame(others)],
+                           device)
+    assert (np.abs(with_it[Role.COLOUR] - stripes)
+            .mean() < 0.7 * np.abs(without[Role.COLOUR] - stripes).mean())
 
 
 @pytest.mark.usefixtures("with_oidn")
@@ -127,12 +133,15 @@ def test_a_normal_for_denoisers_goes_with_such_an_albedo(device: Device) -> None
     """It shows the edge of what a mirror shows, where the mirror itself is even."""
     rng = np.random.default_rng(2)
     step = (np.arange(SIZE[1]) >= SIZE[1] // 2).astype(np.float32)[None, :, None] * even(1)
-    edge = np.where(step > 0, np.float32([0, 0.6, 0.8]), np.float32([0.6, 0, 0.8])).astype(np.float32)
+    edge = np.where(step > 0, np.float32([0, 0.6, 0.8]),
+                    np.float32([0.6, 0, 0.8])).astype(np.float32)
     frame = {Role.COLOUR: (0.2 + step) * rng.gamma(4.0, 0.25, (*SIZE, 3)).astype(np.float32),
              Role.DIFFUSE_ALBEDO: even(0.9), Role.NORMAL: even(0.5)}
     (plain,) = run([Oidn()], [Frame(frame)], device)
     (alone,) = run([Oidn()], [Frame({**frame, Role.DENOISING_NORMAL: edge})], device)
-    (both,) = run([Oidn()], [Frame({**frame, Role.DENOISING_ALBEDO: even(0.9), Role.DENOISING_NORMAL: edge})], device)
+    (both,) = run([Oidn()],
+                  [Frame({**frame, Role.DENOISING_ALBEDO: even(0.9), Role.DENOISING_NORMAL: edge})],
+                  device)
     same = {**frame, Role.NORMAL: edge}
     (wanted,) = run([Oidn()], [Frame(same)], device)
     np.testing.assert_array_equal(alone[Role.COLOUR], plain[Role.COLOUR])
@@ -143,7 +152,8 @@ def test_a_normal_for_denoisers_goes_with_such_an_albedo(device: Device) -> None
 @pytest.mark.usefixtures("with_oidn")
 def test_values_that_are_no_numbers_spoil_nothing(device: Device) -> None:
     bad = picture(diffuse_albedo=even(0.5), normal=even(0.5))
-    for role, value in ((Role.COLOUR, np.nan), (Role.COLOUR, np.inf), (Role.DIFFUSE_ALBEDO, np.nan)):
+    for role, value in ((Role.COLOUR, np.nan), (Role.COLOUR, np.inf),
+                        (Role.DIFFUSE_ALBEDO, np.nan)):
         bad.planes[role][3, 4] = value
     pipeline = Pipeline([Oidn()], device, exposure=0.0)
     result = pipeline.on_device(bad.planes, exposure=0.0)  # where nothing is repaired before
@@ -169,7 +179,8 @@ def test_noisy_alpha_is_denoised_and_may_be_left_alone(device: Device) -> None:
 
 
 @pytest.mark.usefixtures("with_oidn")
-def test_filters_of_a_size_are_committed_once(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_filters_of_a_size_are_committed_once(device: Device,
+                                              monkeypatch: pytest.MonkeyPatch) -> None:
     from postfx import oidn
 
     made: list[oidn.Kind] = []
@@ -193,7 +204,8 @@ def test_an_unknown_quality_is_named() -> None:
 def test_without_the_package_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("postfx.oidn.find_spec", lambda name: None)
     for make in (Oidn, Partner):
-        with pytest.raises(DeviceError, match=r"pyoidn.*is not installed: pip install '\.\[oidn\]'"):
+        with pytest.raises(DeviceError,
+                           match=r"pyoidn.*is not installed: pip install '\.\[oidn\]'"):
             make()
 
 
@@ -222,9 +234,12 @@ def test_a_first_frame_is_the_weighted_mean_of_logarithms(device: Device) -> Non
     np.testing.assert_allclose(found, between(1, 7, FIRST), rtol=1e-5)
 
 
-def test_the_partner_counts_less_the_longer_the_history_and_the_larger_the_picture(device: Device) -> None:
+def test_the_partner_counts_less_the_longer_the_history_and_the_larger_the_picture(
+    device: Device
+) -> None:
     weights = [partner_weight(frames) for frames in range(1, 40)]
-    assert weights == sorted(weights, reverse=True) and 0.7 < weights[0] <= 1 and 0.2 < weights[-1] < 0.4
+    assert (weights == sorted(weights, reverse=True) and 0.7 < weights[0] <= 1
+            and 0.2 < weights[-1] < 0.4)
     (enlarged,) = mix([pair(1, 7)], device, scale=2)
     np.testing.assert_allclose(enlarged, between(1, 7, partner_weight(1, 2.0)), rtol=1e-5)
     (known,) = mix([pair(1, 7)], device, both_ways=True)
@@ -258,18 +273,21 @@ def test_the_last_mixture_stays_as_long_as_it_lies_near_the_mean(device: Device)
     *_, first, second, third = mix(frames, device)
     np.testing.assert_allclose(second, first, rtol=0.03)
     weight = partner_weight(SETTLED + 2)
-    np.testing.assert_allclose(third, between(20, 30, (1 - MIXTURE_REACH_SHARE) * weight), rtol=1e-5)
+    np.testing.assert_allclose(third, between(20, 30, (1 - MIXTURE_REACH_SHARE) * weight),
+                               rtol=1e-5)
 
 
 def test_the_last_mixture_moves_along_the_motion(device: Device) -> None:
-    """A bright column goes two pixels to the right; where the picture has no past, the mean comes out."""
+    """A bright column goes two pixels to the right; where the picture has no past, the mean comes
+    out."""
     def column(at: int) -> np.ndarray:
         plane = even(1)
         plane[:, at] = 3
         return plane
 
     moved = np.broadcast_to(np.float32([-2, 0]), (*SIZE, 2))
-    frames = [Frame({Role.COLOUR: column(at), Role.PARTNER: column(at) * 1.5, Role.MOTION: moved.copy()})
+    frames = [Frame({Role.COLOUR: column(at), Role.PARTNER: column(at) * 1.5,
+                     Role.MOTION: moved.copy()})
               for at in range(10, 10 + 2 * SETTLED, 2)]
     *_, first, second = mix(frames, device)
     np.testing.assert_allclose(second[:, 8 + 2 * SETTLED], first[:, 6 + 2 * SETTLED], rtol=0.02)
@@ -284,8 +302,10 @@ def test_no_past_counts_without_motion_or_after_a_cut(device: Device) -> None:
     np.testing.assert_allclose(mix(moving, device)[1], between(1.2, 6.5, FIRST), rtol=1e-5)
 
 
-@pytest.mark.parametrize(("option", "plane", "share"), [(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.5, 0.5, 0.25)])
-def test_strength_says_how_much_is_mixed(option: float, plane: float, share: float, device: Device) -> None:
+@pytest.mark.parametrize(("option", "plane", "share"),
+                         [(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.5, 0.5, 0.25)])
+def test_strength_says_how_much_is_mixed(option: float, plane: float, share: float,
+                                         device: Device) -> None:
     (found,) = mix([pair(1, 7, strength=even(plane, 1))], device, strength=option)
     np.testing.assert_allclose(found, between(1, 7, share * FIRST), rtol=1e-5)
 
@@ -294,7 +314,8 @@ def test_parts_add_up_to_the_mixture(device: Device) -> None:
     given = pair(1, 7)
     given.parts = {"key": 0.75 * given[Role.COLOUR], "fill": 0.25 * given[Role.COLOUR]}
     (found,) = run([MixPartner(parts=["key", "fill"])], [given], device)
-    np.testing.assert_allclose(found.parts["key"] + found.parts["fill"], found[Role.COLOUR], rtol=1e-5)
+    np.testing.assert_allclose(found.parts["key"] + found.parts["fill"], found[Role.COLOUR],
+                               rtol=1e-5)
 
 
 def test_very_bright_light_is_not_cut(device: Device) -> None:
@@ -304,7 +325,8 @@ def test_very_bright_light_is_not_cut(device: Device) -> None:
 
 def test_it_says_why_it_does_nothing() -> None:
     skips = make_plan([MixPartner()], picture().spec).skips
-    assert ("mix_partner", "there is no partner's picture") in [(skip.what, skip.why) for skip in skips]
+    assert ("mix_partner", "there is no partner's picture") in [(skip.what, skip.why)
+                                                                for skip in skips]
 
 
 # Any pass as a partner
@@ -314,7 +336,8 @@ def test_it_says_why_it_does_nothing() -> None:
 @pytest.mark.parametrize("scale", [1, 1.5, 2])
 def test_any_pass_of_the_frames_size_may_be_a_partner(scale: float, device: Device) -> None:
     light = Frame({Role.COLOUR: even(0.5), Role.MOTION: even(0, 2), Role.DEPTH: even(1, 1)})
-    passes = [Partner(of="brighter"), DenoiseUpscale(scale=scale, model="s.fp32"), MixPartner(scale=scale)]
+    passes = [Partner(of="brighter"), DenoiseUpscale(scale=scale, model="s.fp32"),
+              MixPartner(scale=scale)]
     (found,) = run(passes, [light], device)
     (alone,) = run([DenoiseUpscale(scale=scale, model="s.fp32")], [light], device)
     assert set(found.planes) >= {Role.COLOUR} and Role.PARTNER not in found
@@ -324,7 +347,9 @@ def test_any_pass_of_the_frames_size_may_be_a_partner(scale: float, device: Devi
 
 
 def test_a_pass_that_changes_the_size_is_no_partner() -> None:
-    with pytest.raises(FrameError, match="pass 'denoise_upscale' cannot be a partner: it does not make a picture"):
+    with pytest.raises(FrameError,
+                       match="pass 'denoise_upscale' cannot be a partner: it does not make a "
+                       "picture"):
         make_plan([Partner(of="denoise_upscale,scale=2")], picture().spec)
 
 
@@ -344,15 +369,18 @@ def test_copies_do_not_share_the_other_pass(device: Device) -> None:
         assert other.options == one.options
         assert other.described().startswith("oidn (pyoidn ")
     frame = picture(diffuse_albedo=even(0.5), normal=even(0.5))
-    (first,), (second,) = (run([each, DenoiseUpscale(scale=1, model="s.fp32"), MixPartner()], [frame], device)
+    (first,), (second,) = (run([each, DenoiseUpscale(scale=1, model="s.fp32"), MixPartner()],
+                               [frame], device)
                            for each in (one, copy.copy(one)))
     np.testing.assert_array_equal(first[Role.COLOUR], second[Role.COLOUR])
 
 
 @pytest.mark.usefixtures("with_oidn")
 def test_the_partner_makes_the_result_better_and_as_steady(device: Device) -> None:
-    """Noise on a flat wall: closer to the truth than both, and steadier than Open Image Denoise alone."""
-    planes = {"diffuse_albedo": even(0.5), "normal": even(0.5), "depth": even(1, 1), "motion": even(0, 2)}
+    """Noise on a flat wall: closer to the truth than both, and steadier than Open Image Denoise
+    alone."""
+    planes = {"diffuse_albedo": even(0.5), "normal": even(0.5), "depth": even(1, 1),
+              "motion": even(0, 2)}
     frames = [picture(seed, **planes) for seed in range(6)]
     ours = run([DenoiseUpscale(scale=1)], frames, device)
     theirs = run([Oidn()], frames, device)
@@ -360,7 +388,8 @@ def test_the_partner_makes_the_result_better_and_as_steady(device: Device) -> No
 
     def flicker(results: list[Frame]) -> float:
         colours = [result[Role.COLOUR] for result in results[2:]]
-        return float(np.mean([np.abs(b - a).mean() for a, b in zip(colours, colours[1:], strict=False)]))
+        return float(np.mean([np.abs(b - a).mean()
+                              for a, b in zip(colours, colours[1:], strict=False)]))
 
     def error(results: list[Frame]) -> float:
         return float(np.mean([((result[Role.COLOUR] - 0.5) ** 2).mean() for result in results[2:]]))

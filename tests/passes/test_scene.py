@@ -30,36 +30,43 @@ def room() -> list[Frame]:
 
 
 def corner(**facts: object) -> Frame:
-    """A floor that meets a wall: depth of the camera's axis, by a camera that looks at the edge from 3 above."""
+    """A floor that meets a wall: depth of the camera's axis, by a camera that looks at the edge
+    from 3 above."""
     rows, columns = SIZE
     tangent = np.tan(np.radians(60) / 2)
     down = (np.arange(rows) + 0.5) / rows * 2 - 1
     slope = down * tangent * rows / columns
     floor = np.where(slope > 0, 1 / np.maximum(slope, 1e-6), np.inf)
     depth = np.minimum(floor, 4.0)[:, None] * np.ones((1, columns))
-    normal = np.where((floor < 4)[:, None, None], (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)) * np.ones((1, columns, 1))
-    planes = {Role.COLOUR: np.ones((*SIZE, 3), np.float32), Role.DEPTH: depth[..., None].astype(np.float32),
+    normal = np.where((floor < 4)[:, None, None], (0.0, 1.0, 0.0),
+                      (0.0, 0.0, -1.0)) * np.ones((1, columns, 1))
+    planes = {Role.COLOUR: np.ones((*SIZE, 3), np.float32),
+              Role.DEPTH: depth[..., None].astype(np.float32),
               Role.NORMAL: normal.astype(np.float32)}
     return Frame(planes, **{"world_to_camera": np.eye(4), "fov_x": 60.0, **facts})
 
 
 def shade_of(frame: Frame, device: Device, **options: object) -> np.ndarray:
-    return Pipeline([Occlusion(radius=1.0, **options)], device, exposure=1.0)(frame)[Role.COLOUR][..., 0]
+    return Pipeline([Occlusion(radius=1.0, **options)], device,
+                    exposure=1.0)(frame)[Role.COLOUR][..., 0]
 
 
 @pytest.mark.parametrize("network", [False, True])
 def test_a_corner_is_dark_and_open_surfaces_are_not(device: Device, network: bool) -> None:
-    """In the edge half of the hemisphere is hidden; GTAO is exact for two planes, but for its fade."""
+    """In the edge half of the hemisphere is hidden; GTAO is exact for two planes, but for its
+    fade."""
     shade = shade_of(corner(), device, network=network)
     edge = int(np.argmax(corner()[Role.DEPTH][:, 0, 0] < 4))
     assert 0.4 < shade[edge, 28] < 0.8 and shade[edge - 1, 28] < 0.85
     assert shade[2, 28] > 0.95 and shade[-1, 28] > 0.9
 
 
-def test_normals_come_from_depth_where_there_is_no_camera_or_no_plane(device: Device, caplog) -> None:
+def test_normals_come_from_depth_where_there_is_no_camera_or_no_plane(device: Device,
+                                                                      caplog) -> None:
     usual = shade_of(corner(), device, network=False)
     planes = {role: plane for role, plane in corner().planes.items() if role is not Role.NORMAL}
-    without_normals = shade_of(Frame(planes, world_to_camera=np.eye(4), fov_x=60.0), device, network=False)
+    without_normals = shade_of(Frame(planes, world_to_camera=np.eye(4), fov_x=60.0), device,
+                               network=False)
     blind = shade_of(corner(world_to_camera=None), device, network=False)
     assert np.abs(without_normals - usual).mean() < 0.02
     np.testing.assert_array_equal(blind, without_normals)
@@ -96,7 +103,8 @@ def test_misses_and_broken_depth_are_left_alone(device: Device) -> None:
     assert (shade[:4] == 1).all() and np.isfinite(shade).all()
 
 
-@pytest.mark.parametrize(("options", "text"), [({"radius": 0.0}, "radius 0"), ({"strength": 2.0}, "strength 2")])
+@pytest.mark.parametrize(("options", "text"),
+                         [({"radius": 0.0}, "radius 0"), ({"strength": 2.0}, "strength 2")])
 def test_options_out_of_range_are_errors(options: dict, text: str) -> None:
     with pytest.raises(PassOptionError, match=text):
         Occlusion(**options)
@@ -109,7 +117,8 @@ def test_shading_is_what_the_network_computes(device: Device, room: list[Frame])
     reference = next(iter(postfx.read_sequence(str(ROOM / "reference.####.exr"))))[Role.COLOUR]
     factor = reference.shape[0] // shaded.shape[0]
     truth = reference.reshape(shaded.shape[0], factor, shaded.shape[1], factor, 3).mean((1, 3))
-    codes = [np.sqrt(np.maximum(light, 0) / (1 + np.maximum(light, 0))) for light in (shaded, truth)]
+    codes = [np.sqrt(np.maximum(light, 0) / (1 + np.maximum(light, 0)))
+             for light in (shaded, truth)]
     assert -10 * np.log10(np.mean((codes[0] - codes[1]) ** 2)) > 25
 
 
@@ -135,7 +144,8 @@ def test_a_history_can_be_taken_up(device: Device, room: list[Frame]) -> None:
     np.testing.assert_array_equal(other(room[1])[Role.COLOUR], wanted)
 
 
-def test_shading_needs_the_camera_and_its_own_kind_of_model(device: Device, room: list[Frame]) -> None:
+def test_shading_needs_the_camera_and_its_own_kind_of_model(device: Device,
+                                                            room: list[Frame]) -> None:
     blind = Frame(dict(room[0].planes))
     with pytest.raises(FrameError, match="no camera in its file, which pass 'scene_shading' needs"):
         Pipeline([SceneShading(model=str(ROOM / "shading.onnx"))], device, exposure=1.0)(blind)
@@ -158,23 +168,29 @@ def test_irradiance_is_learnt_and_lights_surfaces(device: Device, tmp_path: Path
         albedo = random.uniform(0.1, 0.9, (*SIZE, 3)).astype(np.float32)
         light = np.exp(0.5 + normal @ np.float32([[0.2, 0, 0], [0.9, 1.0, 1.2], [0, 0, 0.3]]))
         normal[0] = 0  # misses
-        colour = np.where(normal.any(-1, keepdims=True), albedo * light / np.float32(np.pi), 7.0).astype(np.float32)
-        frames.append(Frame({Role.COLOUR: colour, Role.NORMAL: normal, Role.DIFFUSE_ALBEDO: albedo}, number=number))
+        colour = np.where(normal.any(-1, keepdims=True), albedo * light / np.float32(np.pi),
+                          7.0).astype(np.float32)
+        frames.append(Frame({Role.COLOUR: colour, Role.NORMAL: normal, Role.DIFFUSE_ALBEDO: albedo},
+                            number=number))
     network, parameters = irradiance.train(frames[:2], (16, 16), 300)
     assert irradiance.error(network, parameters, frames[2:]) < 1e-3
     network.save_onnx(tmp_path / "sky.onnx", parameters)
     given = Frame(dict(frames[2].planes) | {Role.COLOUR: np.full((*SIZE, 3), 7.0, np.float32)})
-    lit = Pipeline([Irradiance(model=str(tmp_path / "sky.onnx"))], device, exposure=1.0)(given)[Role.COLOUR]
+    lit = Pipeline([Irradiance(model=str(tmp_path / "sky.onnx"))], device,
+                   exposure=1.0)(given)[Role.COLOUR]
     assert (lit[0] == 7).all()
     np.testing.assert_allclose(lit[1:], frames[2][Role.COLOUR][1:], rtol=0.15)
     assert np.abs(lit[1:] / frames[2][Role.COLOUR][1:] - 1).mean() < 0.03
 
 
 def lit_room(frame: Frame) -> Frame:
-    """The frame by light of a known form: it grows with the place in the room, and with the normal."""
+    """The frame by light of a known form: it grows with the place in the room, and with the
+    normal."""
     place = places_of(camera_of(frame), frame[Role.DEPTH])
     shines = frame[Role.DEPTH] < 1e9
-    light = np.where(shines, 1 + 0.2 * np.tanh(place) + 0.5 * np.maximum(frame[Role.NORMAL][..., 1:2], 0), 1.0)
+    light = np.where(shines,
+                     1 + 0.2 * np.tanh(place) + 0.5 * np.maximum(frame[Role.NORMAL][..., 1:2], 0),
+                     1.0)
     colour = light * reflectance_of(frame[Role.DIFFUSE_ALBEDO], frame[Role.SPECULAR_ALBEDO])
     return Frame({Role.COLOUR: colour.astype(np.float32)}, number=frame.number)
 
@@ -187,10 +203,12 @@ def test_places_are_those_of_the_projection(room: list[Frame]) -> None:
         clip = frame.world_to_camera @ integrate.perspective(frame.fov_x, width, height, **axes)
         wanted = integrate.positions_from_depth(frame[Role.DEPTH], clip, frame.jitter)
         hit = frame[Role.DEPTH][..., 0] < 1e9
-        np.testing.assert_allclose(places_of(camera_of(frame), frame[Role.DEPTH])[hit], wanted[hit], atol=1e-3)
+        np.testing.assert_allclose(places_of(camera_of(frame), frame[Role.DEPTH])[hit], wanted[hit],
+                                   atol=1e-3)
 
 
-def test_a_network_of_points_learns_light_and_shades(device: Device, room: list[Frame], tmp_path: Path) -> None:
+def test_a_network_of_points_learns_light_and_shades(device: Device, room: list[Frame],
+                                                     tmp_path: Path) -> None:
     """A frame that it has not seen, in which lamps keep their colour."""
     model = tmp_path / "room.onnx"
     lit = [lit_room(frame) for frame in room]
@@ -205,19 +223,23 @@ def test_a_network_of_points_learns_light_and_shades(device: Device, room: list[
 def test_a_network_of_points_needs_its_card(tmp_path: Path, room: list[Frame]) -> None:
     network = Network(POINT, (4,), 3, "gelu", bands=4, encoded=3)
     network.save_onnx(tmp_path / "room.onnx", network.initial(1))
-    with pytest.raises(ModelError, match="no card with the scene's box beside it: keep the JSON file"):
+    with pytest.raises(ModelError,
+                       match="no card with the scene's box beside it: keep the JSON file"):
         SceneShading(model=str(tmp_path / "room.onnx"))
     with pytest.raises(FrameError, match="no multiple of its frame's"):
         train_scene.light_at(Frame({Role.COLOUR: np.zeros((7, 9, 3), np.float32)}), room[0])
     with pytest.raises(FrameError, match="has no normal.*: render these planes, too"):
-        train_scene.box_of([Frame({Role.COLOUR: room[0][Role.COLOUR], Role.DEPTH: room[0][Role.DEPTH]})])
+        train_scene.box_of([Frame({Role.COLOUR: room[0][Role.COLOUR],
+                                   Role.DEPTH: room[0][Role.DEPTH]})])
 
 
 def test_passes_stand_on_the_command_line(postfx) -> None:
     """Before the denoiser, whose result has no planes of the render; the reason says so."""
     frames = str(ROOM / "noisy.####.exr")
     alone = "--frames", "1", "--preroll", "0", "--run-up", "0"
-    done = postfx("run", frames, "-o", "before", *alone, "--pass", "occlusion,strength=0.5,before=denoise_upscale")
+    done = postfx("run", frames, "-o", "before", *alone, "--pass",
+                  "occlusion,strength=0.5,before=denoise_upscale")
     assert done.code == 0 and "occlusion: network for 1 frame" in done.out + done.err
     done = postfx("run", frames, "-o", "after", *alone, "--pass", "occlusion")
-    assert "no plane depth here; those of the render are there with before=denoise_upscale" in done.out + done.err
+    assert ("no plane depth here; those of the render are there with "
+            "before=denoise_upscale" in done.out + done.err)

@@ -26,7 +26,8 @@ def scene(seed: int = 0, height: int = 90, width: int = 160) -> np.ndarray:
     random = np.random.default_rng(seed)
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     light = np.exp2(8 * x / width - 6)[..., None] * np.ones(3, np.float32)
-    patches = random.uniform(0.2, 1.0, (4, 4, 3)).repeat(height // 4 + 1, 0).repeat(width // 4 + 1, 1)[:height, :width]
+    patches = (random.uniform(0.2, 1.0, (4, 4, 3)).repeat(height // 4 + 1, 0)
+               .repeat(width // 4 + 1, 1)[:height, :width])
     lamp = 40.0 * (((x - 30) ** 2 + (y - 20) ** 2) < 36)[..., None]
     return np.ascontiguousarray(light * patches + lamp, np.float32)
 
@@ -59,11 +60,12 @@ def test_mid_grey_and_highlights_land_where_the_look_puts_them(
     assert tone_map(np.zeros((90, 160, 3), np.float32), device, look=tag).max() < 0.03
 
 
-@pytest.mark.parametrize(("tag", "tint"), [("aces2", 1e-5), ("agx", 1e-3), ("pbr_neutral", 1e-5), ("local", 0.05),
-                                           ("auto", 1e-5)])
+@pytest.mark.parametrize(("tag", "tint"), [("aces2", 1e-5), ("agx", 1e-3), ("pbr_neutral", 1e-5),
+                                           ("local", 0.05), ("auto", 1e-5)])
 def test_grey_stays_grey_and_brighter_stays_brighter(device: Device, tag: str, tint: float) -> None:
     ramp = np.exp2(np.linspace(-7, 5, 640, dtype=np.float32)) * 0.18
-    out = tone_map(np.ascontiguousarray(np.broadcast_to(ramp[None, :, None], (360, 640, 3))), device, look=tag)
+    out = tone_map(np.ascontiguousarray(np.broadcast_to(ramp[None, :, None], (360, 640, 3))),
+                   device, look=tag)
     assert (out.max(2) - out.min(2)).max() < tint
     luminance = out[180] @ np.float32([0.2126, 0.7152, 0.0722])
     assert np.diff(luminance).min() > -1 / 255
@@ -71,9 +73,11 @@ def test_grey_stays_grey_and_brighter_stays_brighter(device: Device, tag: str, t
 
 
 def test_light_outside_rec709_is_not_cut(device: Device) -> None:
-    """A green of Rec.2020, whose red is negative in Rec.709, differs from the green that cutting would make of it."""
+    """A green of Rec.2020, whose red is negative in Rec.709, differs from the green that cutting
+    would make of it."""
     green = np.full((8, 8, 3), [-0.2, 0.4, 0.0], np.float32)
-    assert np.abs(tone_map(green, device, look="agx") - tone_map(np.maximum(green, 0), device, look="agx")).max() > 0.02
+    assert np.abs(tone_map(green, device, look="agx")
+                  - tone_map(np.maximum(green, 0), device, look="agx")).max() > 0.02
 
 
 def test_very_bright_colours_keep_their_hue(device: Device) -> None:
@@ -84,11 +88,13 @@ def test_very_bright_colours_keep_their_hue(device: Device) -> None:
 
 def test_a_look_can_be_a_file(device: Device) -> None:
     path = models_dir() / "tonemap.agx.onnx"
-    np.testing.assert_array_equal(tone_map(scene(), device, look=str(path)), tone_map(scene(), device, look="agx"))
+    np.testing.assert_array_equal(tone_map(scene(), device, look=str(path)),
+                                  tone_map(scene(), device, look="agx"))
 
 
 def test_exposure_scales_the_scene_before_the_look(device: Device) -> None:
-    np.testing.assert_allclose(tone_map(scene() / 8, device, ev=3.0), tone_map(scene(), device), atol=1e-4)
+    np.testing.assert_allclose(tone_map(scene() / 8, device, ev=3.0), tone_map(scene(), device),
+                               atol=1e-4)
     assert tone_map(scene(), device, ev=2.0).mean() > tone_map(scene(), device).mean() + 0.05
 
 
@@ -157,16 +163,19 @@ def test_looks_follow_a_step_of_light(device: Device, tag: str, frames: int, sto
 
 @pytest.mark.parametrize(("tag", "share"), [("local", 0.41), ("auto", 0.021)])
 def test_small_changes_hardly_move_a_look(device: Device, tag: str, share: float) -> None:
-    """Light that wavers by a twentieth of a stop, and a noise: the look takes no more of it than its card says."""
+    """Light that wavers by a twentieth of a stop, and a noise: the look takes no more of it than
+    its card says."""
     pipeline, random = steady(tag, device), np.random.default_rng(5)
     pipeline(frame(scene()))
     for number in range(8):
         before = kept_of(pipeline)
-        given = scene() * np.float32(2.0 ** (0.05 * (number % 2))) * random.uniform(0.8, 1.2, (90, 160, 1))
+        given = scene() * np.float32(2.0 ** (0.05 * (number % 2))) * random.uniform(0.8, 1.2,
+                                                                                    (90, 160, 1))
         alone = steady(tag, device)
         alone(frame(given.astype(np.float32)))
         pipeline(frame(given.astype(np.float32)))
-        asked, moved = np.abs(kept_of(alone) - before).mean(), np.abs(kept_of(pipeline) - before).mean()
+        asked, moved = (np.abs(kept_of(alone) - before).mean(),
+                        np.abs(kept_of(pipeline) - before).mean())
         assert asked > 1e-4 and moved < share * asked
 
 
@@ -182,7 +191,8 @@ def test_a_slow_ramp_is_followed(device: Device, tag: str) -> None:
 
 
 def test_a_recalled_history_goes_on_with_the_same_bits_amid_a_change(device: Device) -> None:
-    frames = [Frame({Role.COLOUR: scene() * np.float32(gain)}, number) for number, gain in enumerate([1, 1, 4, 4, 4])]
+    frames = [Frame({Role.COLOUR: scene() * np.float32(gain)}, number)
+              for number, gain in enumerate([1, 1, 4, 4, 4])]
     whole, again = steady("auto", device), steady("auto", device)
     for given in frames[:3]:
         whole(given)
@@ -195,7 +205,8 @@ def test_a_recalled_history_goes_on_with_the_same_bits_amid_a_change(device: Dev
 @pytest.mark.parametrize("tag", ["aces2", "local", "auto"])
 def test_portable_kernels_give_the_same_picture(device: Device, tag: str) -> None:
     portable = Device("cpu", threads=2, compiled_kernels=False)
-    np.testing.assert_allclose(tone_map(scene(), portable, look=tag), tone_map(scene(), device, look=tag), atol=1e-5)
+    np.testing.assert_allclose(tone_map(scene(), portable, look=tag),
+                               tone_map(scene(), device, look=tag), atol=1e-5)
 
 
 def test_skips_what_is_for_a_display_already() -> None:

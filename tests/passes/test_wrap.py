@@ -16,18 +16,23 @@ BOUND = 2e-3
 
 
 def panorama(number: int, turned: int = 0) -> Frame:
-    """A noisy picture around the whole horizon, which turns by STEP pixels to the right a frame; and its motion."""
+    """A noisy picture around the whole horizon, which turns by STEP pixels to the right a frame;
+    and its motion."""
     across, down = np.meshgrid(np.arange(WIDTH) - STEP * number, np.arange(HEIGHT))
     angle = 2 * np.pi * across / WIDTH
     clean = np.stack([1.2 + np.sin(k * angle + down / 9) for k in (1, 3, 8)], -1)
     noisy = clean * np.random.default_rng(number).gamma(4, 1 / 4, clean.shape)
-    planes = {Role.COLOUR: noisy, Role.MOTION: np.broadcast_to(np.float32([-STEP, 0]), (HEIGHT, WIDTH, 2))}
-    planes = {role: np.ascontiguousarray(np.roll(plane, turned, 1), np.float32) for role, plane in planes.items()}
+    planes = {Role.COLOUR: noisy,
+              Role.MOTION: np.broadcast_to(np.float32([-STEP, 0]), (HEIGHT, WIDTH, 2))}
+    planes = {role: np.ascontiguousarray(np.roll(plane, turned, 1), np.float32)
+              for role, plane in planes.items()}
     return Frame(planes, number)
 
 
-def denoised(scale: float, wrap: str, turned: int = 0, frames: int = FRAMES, **header) -> list[np.ndarray]:
-    passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=scale, model="s.fp32")], wrap=wrap, exposure=0, checks=False)
+def denoised(scale: float, wrap: str, turned: int = 0, frames: int = FRAMES,
+             **header) -> list[np.ndarray]:
+    passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=scale, model="s.fp32")], wrap=wrap,
+                             exposure=0, checks=False)
     shot = (panorama(number, turned).copy_with(metadata=header) for number in range(1, frames + 1))
     return [np.log1p(passes(frame)[Role.COLOUR]) for frame in shot]
 
@@ -44,7 +49,8 @@ def test_a_turned_panorama_gives_the_turned_result(around):
         assert here.shape == (HEIGHT, WIDTH, 3)
         np.testing.assert_allclose(np.roll(there, -WIDTH // 2, 1), here, atol=BOUND)
     plain, turned = (denoised(1, "none", by)[-1] for by in (0, WIDTH // 2))
-    assert np.abs(np.roll(turned, -WIDTH // 2, 1) - plain).max() > 10 * BOUND  # there is a seam without
+    # there is a seam without
+    assert np.abs(np.roll(turned, -WIDTH // 2, 1) - plain).max() > 10 * BOUND
 
 
 def test_enlarged_panoramas_have_no_seam_either():
@@ -71,10 +77,12 @@ def test_a_header_that_says_so_is_enough(around, tmp_path):
 
 
 def test_motion_the_long_way_round_is_the_short_way(around):
-    passes = postfx.Pipeline([postfx.DenoiseUpscale(model="s.fp32")], wrap="x", exposure=0, checks=False)
+    passes = postfx.Pipeline([postfx.DenoiseUpscale(model="s.fp32")], wrap="x", exposure=0,
+                             checks=False)
     for number in range(1, FRAMES + 1):
         frame = panorama(number)
-        frame.planes[Role.MOTION][:, :STEP, 0] += WIDTH  # as a renderer writes it that takes the difference of columns
+        # as a renderer writes it that takes the difference of columns
+        frame.planes[Role.MOTION][:, :STEP, 0] += WIDTH
         found = np.log1p(passes(frame)[Role.COLOUR])
     np.testing.assert_array_equal(found, around[-1])
 

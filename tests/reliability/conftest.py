@@ -25,13 +25,15 @@ def write_frame(path: Path, number: int, reset: bool = False, gain: float = 1.0,
     y, x = np.mgrid[: size[0], : size[1]]
     light = (1.2 + np.sin((x + 2 * number) / 5) * np.cos(y / 7)) * 1.1**number * gain
     noise = rng.gamma(2, 0.5, (*size, 3))
-    planes = np.dstack([light[..., None] * noise, np.full(size, 3.0), np.full(size, 2.0), np.zeros(size)])
+    planes = np.dstack([light[..., None] * noise, np.full(size, 3.0), np.full(size, 2.0),
+                        np.zeros(size)])
     spec = oiio.ImageSpec(size[1], size[0], 6, "float")
     spec.channelnames = ("R", "G", "B", "depth.Z", "motion.X", "motion.Y")
     if reset:
         spec.attribute("postfx:reset", 1)
     output = oiio.ImageOutput.create(str(path))
-    assert output.open(str(path), spec) and output.write_image(planes.astype(np.float32)) and output.close()
+    assert (output.open(str(path), spec) and output.write_image(planes.astype(np.float32))
+            and output.close())
 
 
 @pytest.fixture(scope="session")
@@ -51,11 +53,14 @@ class Runs:
     """Runs `postfx` with frames of one shot into one folder."""
 
     def __init__(self, shot: str, folder: Path, capsys) -> None:
-        self.shot, self.folder, self.log, self._capsys = shot, folder, folder.parent / f"{folder.name}.jsonl", capsys
+        self.shot, self.folder, self.log, self._capsys = (shot, folder,
+                                                          folder.parent / f"{folder.name}.jsonl",
+                                                          capsys)
         self._started = 0
 
     def arguments(self, *more: str, passes: tuple[str, ...] = QUICK) -> list[str]:
-        return ["run", self.shot, "-o", str(self.folder / "out.####.exr"), "--log", str(self.log), *passes, *more]
+        return ["run", self.shot, "-o", str(self.folder / "out.####.exr"), "--log", str(self.log),
+                *passes, *more]
 
     def __call__(self, *more: str, passes: tuple[str, ...] = QUICK) -> tuple[int, str]:
         """Run in this process; gives the exit code and what was said."""
@@ -72,7 +77,8 @@ class Runs:
         said = self.folder.parent / f"{self.folder.name}.{self._started}.txt"
         return Faulty(faults, self.arguments(*more, passes=passes), said)
 
-    def fail(self, *faults: dict, more: tuple[str, ...] = (), passes: tuple[str, ...] = QUICK) -> tuple[int, str]:
+    def fail(self, *faults: dict, more: tuple[str, ...] = (),
+             passes: tuple[str, ...] = QUICK) -> tuple[int, str]:
         """Run with faults to the end, whatever it is; gives the exit code and what was said."""
         return self.start(list(faults), *more, passes=passes).finished()
 
@@ -115,7 +121,8 @@ def unbroken(shot, tmp_path_factory) -> dict[str, bytes]:
 
 @pytest.fixture
 def refused(tmp_path, monkeypatch):
-    """Loads a model without a card, or with one, and gives the one line with which it is refused."""
+    """Loads a model without a card, or with one, and gives the one line with which it is
+    refused."""
     def touched(*_, **__):
         raise AssertionError("ONNX Runtime was handed the model")
 
@@ -128,7 +135,8 @@ def refused(tmp_path, monkeypatch):
         monkeypatch.setattr(session_module.ort, "InferenceSession", touched)
         with pytest.raises(ModelError) as caught:
             Device("cpu").pipeline_state(Library(tmp_path / "models"), "bad", {"height": 4})
-        assert "models/" in str(caught.value) and "\n" not in str(caught.value) and len(str(caught.value)) < 500
+        assert ("models/" in str(caught.value) and "\n" not in str(caught.value)
+                and len(str(caught.value)) < 500)
         return str(caught.value)
 
     return load

@@ -1,9 +1,11 @@
-"""Faults by groups, injected one by one and counted: `python -m tests.reliability.faults [GROUP...] [--share 1]`.
+"""Faults by groups, injected one by one and counted: `python -m tests.reliability.faults [GROUP...]
+[--share 1]`.
 
-Prints a row of a table for each group: faults that were injected, and those that were survived. Survived means: exit
-code 0, or one line that says what is wrong, without a traceback, a hang or a file that is not whole; and after a run
-that was stopped, the next one ends with the very bytes of one that nothing happened to. What did not survive is printed
-below, and the exit code is then 1. `--share 0.1` injects a tenth of each group; `--at-once 4` that many at a time.
+Prints a row of a table for each group: faults that were injected, and those that were survived.
+Survived means: exit code 0, or one line that says what is wrong, without a traceback, a hang or a
+file that is not whole; and after a run that was stopped, the next one ends with the very bytes of
+one that nothing happened to. What did not survive is printed below, and the exit code is then 1.
+`--share 0.1` injects a tenth of each group; `--at-once 4` that many at a time.
 """
 
 from __future__ import annotations
@@ -32,20 +34,24 @@ from tests.reliability.faulty import DAMAGE, Faulty
 from tests.reliability.model_files import model_of, outside
 
 ROOT = Path(__file__).resolve().parents[2]
-READ, WRITE, ENCODE = "postfx.io.sequence.Sequence.read", "postfx.cli.job.write_frame", "postfx.io.writer.write_exr"
+READ, WRITE, ENCODE = ("postfx.io.sequence.Sequence.read", "postfx.cli.job.write_frame",
+                       "postfx.io.writer.write_exr")
 PREVIEW = "postfx.cli.job.Job.preview"
-MANIFEST, CHECKPOINT = "postfx.runs.manifest.write_atomically", "postfx.runs.folder.write_atomically"
+MANIFEST, CHECKPOINT = ("postfx.runs.manifest.write_atomically",
+                        "postfx.runs.folder.write_atomically")
 HANGS_S = 300
 """After which a run on a busy machine counts as one that hangs."""
 HOUR, DAY = 3600.0, 86400.0
-OUTSIDE = ("/etc/hostname", "/dev/zero", "/proc/self/mem", "../secret.bin", "../../etc/passwd", "a/../../secret.bin",
-           "./../secret.bin", "~/secret.bin", "//secret.bin", "\\\\host\\share", "C:\\secret.bin", "link.bin",
+OUTSIDE = ("/etc/hostname", "/dev/zero", "/proc/self/mem", "../secret.bin", "../../etc/passwd",
+           "a/../../secret.bin", "./../secret.bin", "~/secret.bin", "//secret.bin",
+           "\\\\host\\share", "C:\\secret.bin", "link.bin",
            "folder.bin", "pipe.bin", "", ".", "..", "a\0b")
 """Where weights of a network that someone sent might be said to lie."""
 
 
 class Shot:
-    """Frames of a shot in a folder of their own, and what a run makes of them that nothing happens to."""
+    """Frames of a shot in a folder of their own, and what a run makes of them that nothing happens
+    to."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self._numbers = folder, count(1)
@@ -67,7 +73,8 @@ class Shot:
         return Faulty(list(faults), words, self.folder / f"said {next(self._numbers)}.txt")
 
     def words(self, folder: Path, *more: str, shot: str = "") -> list[str]:
-        return ["run", shot or str(self.folder / "in/in.####.exr"), "-o", str(folder / "out.####.exr"), *QUICK, *more]
+        return ["run", shot or str(self.folder / "in/in.####.exr"), "-o",
+                str(folder / "out.####.exr"), *QUICK, *more]
 
     def run(self, folder: Path, *more: str) -> Path:
         """A run that nothing happens to."""
@@ -76,11 +83,14 @@ class Shot:
         return folder
 
     def goes_on(self, folder: Path) -> None:
-        """The next run ends with the bytes of one that nothing happened to, and leaves nothing else behind."""
-        assert all(self.whole[name] == content for name, content in self.files_of(folder).items()), "half a file"
+        """The next run ends with the bytes of one that nothing happened to, and leaves nothing else
+        behind."""
+        assert all(self.whole[name] == content
+                   for name, content in self.files_of(folder).items()), "half a file"
         self.run(folder, "--skip-existing")
         assert self.files_of(folder) == self.whole, "other bytes"
-        assert sorted(path.name for path in folder.iterdir()) == [*self.whole, MANIFEST_NAME], "left-overs"
+        assert sorted(path.name
+                      for path in folder.iterdir()) == [*self.whole, MANIFEST_NAME], "left-overs"
         assert verify(folder).is_well, "verify"
 
 
@@ -96,7 +106,8 @@ def kills(shot: Shot, at: tuple[str, ...], calls: range) -> Iterator[Callable[[]
         def kill(place: str = place, call: int = call, when: str = when) -> None:
             folder = shot.new_folder()
             fault = {"at": place, "do": "kill", "calls": [call], "when": when}
-            code, said = shot.start(shot.words(folder, "--checkpoint", "0"), fault).finished(HANGS_S)
+            code, said = shot.start(shot.words(folder, "--checkpoint", "0"),
+                                    fault).finished(HANGS_S)
             assert code in (0, -signal.SIGKILL), said[-300:]
             shot.goes_on(folder)
         yield kill
@@ -119,12 +130,15 @@ def failing_disks(shot: Shot) -> Iterator[Callable[[], None]]:
 
 
 def rewritten_inputs(shot: Shot) -> Iterator[Callable[[], None]]:
-    """What is read is one frame or the other, and each file is whole; a run of the old inputs makes all good again."""
+    """What is read is one frame or the other, and each file is whole; a run of the old inputs makes
+    all good again."""
     for how, number in product(DAMAGE, (3, 6)):
         def rewrite(how: str = how, number: int = number) -> None:
             folder = shot.new_folder()
-            source = Path(shutil.copytree(shot.folder / "in", folder.with_name(f"{folder.name} in")))
-            fault = {"at": READ, "do": "damage", "how": how, "calls": [2], "file": str(source / f"in.{number:04d}.exr")}
+            source = Path(shutil.copytree(shot.folder / "in",
+                                          folder.with_name(f"{folder.name} in")))
+            fault = {"at": READ, "do": "damage", "how": how, "calls": [2],
+                     "file": str(source / f"in.{number:04d}.exr")}
             words = shot.words(folder, shot=str(source / "in.####.exr"))
             in_words(*shot.start(words, fault).finished(HANGS_S))
             found = verify(folder) if (folder / MANIFEST_NAME).exists() else None
@@ -132,7 +146,8 @@ def rewritten_inputs(shot: Shot) -> Iterator[Callable[[], None]]:
             if how != "of one frame later":
                 others = {name: content for name, content in shot.files_of(folder).items()
                           if int(name.split(".")[1]) < number}
-                assert all(shot.whole[name] == content for name, content in others.items()), "other bytes"
+                assert all(shot.whole[name] == content
+                           for name, content in others.items()), "other bytes"
         yield rewrite
 
 
@@ -156,7 +171,8 @@ def clocks(shot: Shot) -> Iterator[Callable[[], None]]:
             folder = shot.new_folder()
             clock = {"at": READ, "do": "clock", "seconds": seconds, "calls": [call]}
             kill = {"at": WRITE, "do": "kill", "calls": [6]}
-            code, said = shot.start(shot.words(folder, "--checkpoint", "0"), clock, kill).finished(HANGS_S)
+            code, said = shot.start(shot.words(folder, "--checkpoint", "0"), clock,
+                                    kill).finished(HANGS_S)
             assert code == -signal.SIGKILL, said[-300:]
             shot.goes_on(folder)
         yield turn
@@ -195,16 +211,18 @@ def killed_watches(shot: Shot) -> Iterator[Callable[[], None]]:
     for place, call in product((PREVIEW, READ, WRITE, ENCODE), (1, 5)):
         def kill(place: str = place, call: int = call) -> None:
             folder = shot.new_folder()
-            words = ["watch", str(shot.folder / "in"), "-o", str(folder / "out.####.exr"), "--settle", "0.05",
-                     "--until", str(FRAMES), "--", *QUICK]
-            code, said = shot.start(words, {"at": place, "do": "kill", "calls": [call]}).finished(HANGS_S)
+            words = ["watch", str(shot.folder / "in"), "-o", str(folder / "out.####.exr"),
+                     "--settle", "0.05", "--until", str(FRAMES), "--", *QUICK]
+            code, said = shot.start(words,
+                                    {"at": place, "do": "kill", "calls": [call]}).finished(HANGS_S)
             assert code == -signal.SIGKILL, said[-300:]
             done = shot.files_of(folder)
             code, said = shot.start(words).finished(HANGS_S)
             made = shot.files_of(folder)
             assert code == 0 and len(made) == FRAMES, said[-300:]
             assert all(made[name] == content for name, content in done.items()), "half a file"
-            assert not [path.name for path in folder.iterdir() if path.name not in made], "left-overs"
+            assert not [path.name
+                        for path in folder.iterdir() if path.name not in made], "left-overs"
         yield kill
 
 
@@ -213,7 +231,8 @@ def killed_chunks(shot: Shot) -> Iterator[Callable[[], None]]:
     for place, call, chunk in product((READ, WRITE, ENCODE), (2,), (0, 1)):
         def kill(place: str = place, call: int = call, chunk: int = chunk) -> None:
             folder = shot.new_folder()
-            words = [shot.words(folder, "--checkpoint", "0", "--frames", frames) for frames in ("1-4", "5-8")]
+            words = [shot.words(folder, "--checkpoint", "0", "--frames", frames)
+                     for frames in ("1-4", "5-8")]
             code, said = shot.start(words[1 - chunk]).finished(HANGS_S)
             assert code == 0, said[-300:]
             fault = {"at": place, "do": "kill", "calls": [call]}
@@ -223,12 +242,14 @@ def killed_chunks(shot: Shot) -> Iterator[Callable[[], None]]:
             assert shot.start(check).finished(HANGS_S)[0] == 1, "verify did not see what is missing"
             code, said = shot.start([*words[chunk], "--skip-existing"]).finished(HANGS_S)
             assert code == 0, said[-300:]
-            assert shot.start(check).finished(HANGS_S)[0] == 0 and len(shot.files_of(folder)) == FRAMES
+            assert (shot.start(check).finished(HANGS_S)[0] == 0
+                    and len(shot.files_of(folder)) == FRAMES)
         yield kill
 
 
 def outside_weights(shot: Shot) -> Iterator[Callable[[], None]]:
-    """A network whose weights are said to lie outside of its folder is refused before anything is opened."""
+    """A network whose weights are said to lie outside of its folder is refused before anything is
+    opened."""
     for place in OUTSIDE:
         def load(place: str = place) -> None:
             folder = shot.new_folder() / "models"
@@ -237,7 +258,8 @@ def outside_weights(shot: Shot) -> Iterator[Callable[[], None]]:
             (folder / "link.bin").symlink_to("../secret.bin")
             (folder / "folder.bin").mkdir()
             os.mkfifo(folder / "pipe.bin")
-            (folder / "bad.onnx").write_bytes(model_of(weights=[outside(place)]).SerializeToString())
+            (folder / "bad.onnx").write_bytes(model_of(weights=[outside(place)])
+                                              .SerializeToString())
             try:
                 Device("cpu", threads=1).pipeline_state(Library(folder), "bad", {"height": 4})
             except PostfxError as error:
@@ -249,8 +271,9 @@ def outside_weights(shot: Shot) -> Iterator[Callable[[], None]]:
 
 @dataclass(frozen=True)
 class Group:
-    """Faults of a kind: `make` gives a function for each, which raises AssertionError where it is not survived; of
-    damage in a process of its own, `damaged` names the kind of `tests.fuzz.mutate` and how many there are."""
+    """Faults of a kind: `make` gives a function for each, which raises AssertionError where it is
+    not survived; of damage in a process of its own, `damaged` names the kind of `tests.fuzz.mutate`
+    and how many there are."""
 
     title: str
     make: Callable[[Shot], Iterator[Callable[[], None]]] | None = None
@@ -260,7 +283,8 @@ class Group:
 GROUPS = {
     "exr": Group("EXR files with bytes changed, cut, doubled or swapped", damaged=("exr", 500)),
     "hdr": Group("Radiance files, likewise", damaged=("hdr", 100)),
-    "cryptomatte": Group("manifests of ids, in the header and beside it", damaged=("cryptomatte", 100)),
+    "cryptomatte": Group("manifests of ids, in the header and beside it",
+                         damaged=("cryptomatte", 100)),
     "settings": Group("`postfx.toml`", damaged=("settings", 120)),
     "profile": Group("profiles of renderers", damaged=("profile", 60)),
     "cube": Group("`.cube`", damaged=("cube", 60)),
@@ -287,11 +311,13 @@ def damage(kind: str, count: int) -> tuple[int, list[str]]:
     survived, first, faults = 0, 0, []
     with tempfile.TemporaryDirectory() as folder:
         while first < count:
-            done = subprocess.run([sys.executable, "-m", "tests.fuzz.mutate", kind, str(count - first), str(first)],
-                                  cwd=folder, capture_output=True, text=True, check=False, errors="replace",
-                                  env={**os.environ, "PYTHONPATH": str(ROOT)})
+            done = subprocess.run([sys.executable, "-m", "tests.fuzz.mutate", kind,
+                                   str(count - first), str(first)],
+                                  cwd=folder, capture_output=True, text=True, check=False,
+                                  errors="replace", env={**os.environ, "PYTHONPATH": str(ROOT)})
             if done.returncode == 0:
-                return survived + sum(ast.literal_eval(done.stdout.splitlines()[-1]).values()), faults
+                return (survived + sum(ast.literal_eval(done.stdout.splitlines()[-1]).values()),
+                        faults)
             at = int((Path(folder) / "at").read_text())
             faults.append(f"{kind} {at}: {done.stderr[-300:]}")
             survived, first = survived + at - first, at + 1
@@ -323,7 +349,8 @@ def main(names: list[str], share: float, at_once: int) -> int:
                 continue
             attempts = list(make(shot))[::max(1, round(1 / share))]
             counts[name] = len(attempts)
-            begun[name] = [pool.submit(attempted, name, number, attempt) for number, attempt in enumerate(attempts)]
+            begun[name] = [pool.submit(attempted, name, number, attempt)
+                           for number, attempt in enumerate(attempts)]
         survived, told = 0, list[str]()
         print("| faults | injected | survived | group |\n| --- | --- | --- | --- |")
         for name in chosen:

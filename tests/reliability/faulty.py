@@ -1,9 +1,10 @@
 """`postfx` with faults, in a process of its own: see `Faulty`.
 
-A fault is a mapping: `at`, the dotted name of a function that is called by its module's name; `do`, one of
-kill (SIGKILL to this process), sleep, fail (ReadError), full (OSError: no space left), damage (do `how` to `file`) and
-clock (it goes back by `seconds` for good); `when`, before (default) or after the call; `of`, what the arguments must
-name; `calls`, numbers of such calls from 1 on that it happens at, or all of them without; `seconds` of sleep.
+A fault is a mapping: `at`, the dotted name of a function that is called by its module's name; `do`,
+one of kill (SIGKILL to this process), sleep, fail (ReadError), full (OSError: no space left),
+damage (do `how` to `file`) and clock (it goes back by `seconds` for good); `when`, before (default)
+or after the call; `of`, what the arguments must name; `calls`, numbers of such calls from 1 on that
+it happens at, or all of them without; `seconds` of sleep.
 """
 
 import errno
@@ -31,7 +32,8 @@ DAMAGE = {
     "cut short": lambda path: path.write_bytes(path.read_bytes()[:path.stat().st_size // 2]),
     "no picture": lambda path: path.write_bytes(b"no picture" * 50),
     "of one frame later": lambda path: path.write_bytes(
-        path.with_name(re.sub(r"(\d+)(?=\.\w+$)", lambda digits: f"{int(digits[1]) + 1:04d}", path.name)).read_bytes()),
+        path.with_name(re.sub(r"(\d+)(?=\.\w+$)", lambda digits: f"{int(digits[1]) + 1:04d}",
+                              path.name)).read_bytes()),
     "a folder": lambda path: (path.unlink(missing_ok=True), path.mkdir()),
 }
 """What may happen to a file while a run is under way."""
@@ -89,15 +91,18 @@ def run(faults, arguments, said):
 
 
 class Faulty:
-    """A process of `postfx ARGUMENTS` with faults, like subprocess.Popen. What it says goes to the file `said`.
+    """A process of `postfx ARGUMENTS` with faults, like subprocess.Popen. What it says goes to the
+    file `said`.
 
-    It is forked from one that has imported everything and made nothing yet, which spares a second or two each time.
+    It is forked from one that has imported everything and made nothing yet, which spares a second
+    or two each time.
     """
 
     def __init__(self, faults, arguments, said):
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload([__name__])
-        self._process = context.Process(target=run, args=(faults, arguments, str(said)), daemon=True)
+        self._process = context.Process(target=run, args=(faults, arguments, str(said)),
+                                        daemon=True)
         self._process.start()
         self.pid, self._said = self._process.pid, said
 

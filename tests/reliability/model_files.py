@@ -23,7 +23,8 @@ def weights_of(dims, content=b"", name="w", kind=TensorProto.FLOAT):
 
 def outside(location, **entries):
     """Weights of four floats in another file."""
-    tensor = TensorProto(name="w", dims=[4], data_type=TensorProto.FLOAT, data_location=TensorProto.EXTERNAL)
+    tensor = TensorProto(name="w", dims=[4], data_type=TensorProto.FLOAT,
+                         data_location=TensorProto.EXTERNAL)
     for key, value in {"location": location, **entries}.items():
         tensor.external_data.add(key=key, value=str(value))
     return tensor

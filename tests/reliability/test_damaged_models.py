@@ -1,4 +1,5 @@
-"""Model files that are damaged, or no such files, are refused in one line, before ONNX Runtime sees them."""
+"""Model files that are damaged, or no such files, are refused in one line, before ONNX Runtime sees
+them."""
 
 import json
 import os
@@ -19,11 +20,14 @@ from tests.reliability.model_files import model_of, outside
 
 @pytest.mark.parametrize("part", [0, 1, 7, 0.5, 0.99])
 def test_truncated_model(refused, part):
-    content = model_of(weights=[numpy_helper.from_array(np.ones(64, "f4"), "w")]).SerializeToString()
-    assert "is damaged or no ONNX file" in refused(content[: int(part * len(content)) if part < 1 else part])
+    content = model_of(weights=[numpy_helper.from_array(np.ones(64, "f4"),
+                                                        "w")]).SerializeToString()
+    assert ("is damaged or no ONNX "
+            "file" in refused(content[: int(part * len(content)) if part < 1 else part]))
 
 
-@pytest.mark.parametrize("content", [b"", b"not a model", b"\xff" * 50, b"PK\x03\x04" + bytes(60), b"\x0b" * 9])
+@pytest.mark.parametrize("content", [b"", b"not a model", b"\xff" * 50, b"PK\x03\x04" + bytes(60),
+                                     b"\x0b" * 9])
 def test_file_that_is_no_model(refused, content):
     assert "is damaged or no ONNX file" in refused(content)
 
@@ -44,7 +48,8 @@ def test_model_of_too_many_parts(refused, monkeypatch):
 def test_oversize_model(tmp_path):
     with (tmp_path / "bad.onnx").open("wb") as file:
         file.truncate(MOST_MODEL_BYTES + 1)  # takes no room on the disk
-    with pytest.raises(ModelError, match=r"bad.onnx' is refused: it has 1024 MB, more than 1024 MB"):
+    with pytest.raises(ModelError,
+                       match=r"bad.onnx' is refused: it has 1024 MB, more than 1024 MB"):
         Library(tmp_path).load("bad")
 
 
@@ -64,20 +69,24 @@ def test_names_that_would_break_the_line(refused):
 
 def test_operators_are_onnx_own():
     known = {schema.name for schema in onnx.defs.get_all_schemas() if schema.domain == ""}
-    assert OPERATORS - known == {"SimplifiedLayerNormalization"}  # ONNX Runtime has it in ONNX's domain
+    # ONNX Runtime has it in ONNX's domain
+    assert OPERATORS - known == {"SimplifiedLayerNormalization"}
 
 
 def test_our_reader_agrees_with_the_package(tmp_path):
     for path in sorted(models_dir().rglob("*.onnx")):
-        ours, theirs = parse_model(path.read_bytes()), onnx.load(path, load_external_data=False).graph
+        ours, theirs = (parse_model(path.read_bytes()),
+                        onnx.load(path, load_external_data=False).graph)
         assert [(n.operator, n.inputs, n.outputs) for n in ours.nodes] == [
             (n.op_type, list(n.input), list(n.output)) for n in theirs.node]
-        assert [(w.name, w.dims) for w in ours.weights] == [(w.name, tuple(w.dims)) for w in theirs.initializer]
+        assert [(w.name, w.dims) for w in ours.weights] == [(w.name, tuple(w.dims))
+                                                            for w in theirs.initializer]
         assert [v.name for v in ours.inputs] == [v.name for v in theirs.input]
 
 
 def test_mutated_models_are_refused_or_well_formed(tmp_path):
-    """3000 random changes of small models: nothing but ModelError comes out, and nothing takes long."""
+    """3000 random changes of small models: nothing but ModelError comes out, and nothing takes
+    long."""
     chance = random.Random(7)
     seeds = [model_of(weights=[numpy_helper.from_array(np.ones(3, "f4"), "w")]).SerializeToString(),
              model_of(weights=[outside("w.bin", offset=4)]).SerializeToString(),
@@ -108,8 +117,10 @@ def test_mutated_models_are_refused_or_well_formed(tmp_path):
 def test_shapes_are_read_as_the_package_reads_them():
     """Bytes or numbers, with every sign; not what is too long to be a shape."""
     values = [-1, 0, 16, (1 << 62) + 1, -(1 << 63), (1 << 63) - 1]
-    typed, packed = helper.make_tensor("typed", TensorProto.INT64, [6], values), np.array(values, np.int64)
-    weights = [typed, numpy_helper.from_array(packed, "raw"), numpy_helper.from_array(np.arange(16), "longest"),
+    typed, packed = (helper.make_tensor("typed", TensorProto.INT64, [6], values),
+                     np.array(values, np.int64))
+    weights = [typed, numpy_helper.from_array(packed, "raw"),
+               numpy_helper.from_array(np.arange(16), "longest"),
                numpy_helper.from_array(np.arange(17), "too long")]
     found = parse_model(model_of(weights=weights).SerializeToString()).weights
     assert [one.values for one in found] == [tuple(values), tuple(values), tuple(range(16)), ()]
@@ -138,5 +149,6 @@ def test_what_no_network_needs(refused, change, told):
 
 
 def test_name_that_is_no_text(refused):
-    content = model_of(helper.make_node("Evil", ["x"], ["y"])).SerializeToString().replace(b"Evil", b"Ev\xffl")
+    content = (model_of(helper.make_node("Evil", ["x"], ["y"])).SerializeToString()
+               .replace(b"Evil", b"Ev\xffl"))
     assert "a name that is not UTF-8" in refused(content)

@@ -26,7 +26,8 @@ def test_stopped_and_resumed(runs, unbroken, number):
     process = runs.start([SLOW])
     runs.wait_for("frame", 2)
     said = stopped(process, number)
-    assert "stopping when this frame is finished" in said and "interrupted: finished frames are kept" in said
+    assert ("stopping when this frame is finished" in said and "interrupted: finished frames are "
+            "kept" in said)
     done = runs.files()
     assert 2 <= len(done) < 8 and all(unbroken[name] == content for name, content in done.items())
     code, found = runs.verify()

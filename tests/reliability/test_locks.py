@@ -1,4 +1,5 @@
-"""Several runs, one folder: nothing is written twice at once, and what dead processes left is taken over."""
+"""Several runs, one folder: nothing is written twice at once, and what dead processes left is taken
+over."""
 
 import errno
 import json
@@ -15,7 +16,16 @@ import pytest
 from postfx.errors import RunError
 from postfx.runs import locks as claim_module
 from postfx.runs.folder import RunFolder
-from postfx.runs.locks import EMPTY, LOCK_TIMEOUT_SECONDS, OLD, Claim, FolderLock, Process, age_of, is_alive
+from postfx.runs.locks import (
+    EMPTY,
+    LOCK_TIMEOUT_SECONDS,
+    OLD,
+    Claim,
+    FolderLock,
+    Process,
+    age_of,
+    is_alive,
+)
 from postfx.runs.manifest import MANIFEST_NAME, Output, load_manifest, update_manifest
 
 SLOW = {"at": "postfx.cli.job.write_frame", "do": "sleep", "seconds": 0.5}
@@ -36,7 +46,8 @@ def test_two_runs_of_the_same_frames(runs, unbroken):
     runs.wait_for("begin")
     code, said = runs("--overwrite", "--frames", "5-8")
     assert code == 2
-    assert f"out.0005.exr: is being written by process {first.pid} on" in said and "wait for it" in said
+    assert (f"out.0005.exr: is being written by process {first.pid} on" in said and "wait for "
+            "it" in said)
     assert first.wait(60) == 0
     assert runs.files() == unbroken and runs.verify()[0] == 0
 
@@ -47,7 +58,8 @@ def test_two_runs_of_different_frames(runs, unbroken):
     assert (first.wait(60), second.wait(60)) == (0, 0)
     assert runs.files() == unbroken
     code, found = runs.verify()
-    assert code == 0 and len(found["whole"]) == 8 and list(found["runs"].values()) == ["finished"] * 2
+    assert (code == 0 and len(found["whole"]) == 8
+            and list(found["runs"].values()) == ["finished"] * 2)
 
 
 def test_run_after_a_killed_one_takes_over(runs, unbroken):
@@ -101,13 +113,16 @@ def test_lock_of_a_process_whose_number_was_used_again(lock):
 @pytest.mark.parametrize("holder", [Process.me(), ELSEWHERE])
 def test_lock_of_a_living_process_is_waited_for(lock, holder):
     lock.write_text(json.dumps(holder.as_dict()))
-    with pytest.raises(RunError, match=rf"lock: held by process {holder.pid} on {holder.host}"), FolderLock(lock, 0.1):
+    with pytest.raises(
+        RunError, match=rf"lock: held by process {holder.pid} on {holder.host}"
+    ), FolderLock(lock, 0.1):
         pass
     assert lock.exists()
 
 
 @pytest.mark.parametrize(
-    "content", [json.dumps(ELSEWHERE.as_dict()), "", "{", "[]"], ids=("whole", "empty", "cut", "list")
+    "content", [json.dumps(ELSEWHERE.as_dict()), "", "{", "[]"],
+    ids=("whole", "empty", "cut", "list")
 )
 def test_old_lock_of_another_machine_is_taken_over(lock, content):
     lock.write_text(content)
@@ -131,7 +146,8 @@ def test_lock_that_names_nobody_is_taken_over_before_patience_ends(lock, content
 def test_lock_is_never_seen_empty(lock, monkeypatch):
     seen = []
     link = os.link
-    monkeypatch.setattr(os, "link", lambda one, other: seen.append(Path(one).read_text()) or link(one, other))
+    monkeypatch.setattr(os, "link",
+                        lambda one, other: seen.append(Path(one).read_text()) or link(one, other))
     with FolderLock(lock):
         assert [Process.of(json.loads(text)) for text in seen] == [Process.me()]
         assert sorted(path.name for path in lock.parent.iterdir()) == ["lock"]
@@ -195,7 +211,8 @@ def _count(folder, times):
 
 
 def test_only_one_at_a_time(tmp_path):
-    """Four processes, the first lock of which is left by a dead one, count to a hundred without losing one."""
+    """Four processes, the first lock of which is left by a dead one, count to a hundred without
+    losing one."""
     (tmp_path / "count").write_text("0")
     (tmp_path / "lock").write_text(json.dumps(dead().as_dict()))
     context = multiprocessing.get_context("fork")
@@ -210,7 +227,9 @@ def test_only_one_at_a_time(tmp_path):
 def _enter(folder, first):
     (folder / ".postfx").mkdir(exist_ok=True)
     for number in range(first, first + 20):
-        update_manifest(folder, lambda manifest, n=number: manifest.outputs.update({f"{n}.exr": Output("r", n)}))
+        update_manifest(folder, lambda manifest, n=number: manifest.outputs.update(
+            {f"{n}.exr": Output("r", n)}
+        ))
 
 
 def test_no_entry_of_the_manifest_is_lost(tmp_path):
@@ -273,7 +292,9 @@ def test_claim_of_another_machine_counts_while_it_beats(tmp_path):
     folder.mkdir()
     path = folder / "other.claim"
     path.write_text(json.dumps({"process": ELSEWHERE.as_dict(), "files": ["a"]}))
-    with pytest.raises(RunError, match="a: is being written by process .* on another-machine: wait for it, or choose"):
+    with pytest.raises(RunError,
+                       match="a: is being written by process .* on another-machine: wait for it, "
+                       "or choose"):
         Claim(folder, "mine", ["a"])
     os.utime(path, (time.time() - claim_module.SILENT_SECONDS - 10,) * 2)
     Claim(folder, "mine", ["a"]).release()

@@ -1,4 +1,5 @@
-"""Looks of the user's own (`--tonemap FILE.onnx`) that are damaged or mean harm: one line, and no memory touched."""
+"""Looks of the user's own (`--tonemap FILE.onnx`) that are damaged or mean harm: one line, and no
+memory touched."""
 
 import json
 
@@ -25,16 +26,19 @@ def device():
 def refused(tmp_path, device):
     """Compiles the pass with a model and gives the one line with which it is refused."""
     def load(nodes, weights, inputs=(), outputs=("cube",), card=None, constant=("cube", "guide")):
-        declared = [value(name, (3, 3, 3, 3) if name == "cube" else GRID if name == "grid" else (112,))
+        declared = [value(name,
+                          (3, 3, 3, 3) if name == "cube" else GRID if name == "grid" else (112,))
                     for name in outputs]
         for item in declared:
             item.type.tensor_type.ClearField("shape")
         graph = helper.make_graph(nodes, "look", list(inputs), declared,
-                                  [numpy_helper.from_array(array, name) for name, array in weights.items()])
+                                  [numpy_helper.from_array(array, name)
+                                   for name, array in weights.items()])
         model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
         (tmp_path / "bad.onnx").write_bytes(model.SerializeToString())
         marked = {name: {"constant": name in constant} for name in outputs}
-        (tmp_path / "bad.json").write_text(json.dumps({"shaper": SHAPER, "outputs": marked, **(card or {})}))
+        (tmp_path / "bad.json").write_text(json.dumps({"shaper": SHAPER, "outputs": marked,
+                                                       **(card or {})}))
         with pytest.raises(ModelError) as caught:
             ToneMap(look=str(tmp_path / "bad.onnx")).compile(device, SPEC)
         assert "\n" not in str(caught.value) and "bad" in str(caught.value)
@@ -63,7 +67,8 @@ def test_cube_of_numbers_that_cannot_be(refused, content):
 
 def test_outputs_that_no_look_has(refused):
     node = helper.make_node("Identity", ["w"], ["other"])
-    assert "marks other as constant, not cube" in refused([node], cube(), outputs=("other",), constant=("other",))
+    assert "marks other as constant, not cube" in refused([node], cube(), outputs=("other",),
+                                                          constant=("other",))
     assert "marks no output as constant, not cube" in refused(COPY, cube(), constant=())
 
 
@@ -84,7 +89,8 @@ def test_card_without_a_shaper(refused, shaper):
 
 @pytest.mark.parametrize("keep", [1, -0.1, float("nan"), "x", None, True])
 def test_card_that_keeps_what_cannot_be(refused, keep):
-    assert "of the last grid, not 0 to below 1" in refused(COPY, cube(), card={"shaper": SHAPER, "keep": keep})
+    assert "of the last grid, not 0 to below 1" in refused(COPY, cube(),
+                                                           card={"shaper": SHAPER, "keep": keep})
 
 
 @pytest.mark.parametrize("follow", [1.1, -0.1, float("nan"), "x", None, True])
@@ -94,15 +100,18 @@ def test_card_that_follows_what_cannot_be(refused, follow):
 
 
 def sized_by(operator):
-    """Nodes that make 2^40 elements and more of a few, step by step or by an operator's own arithmetic."""
+    """Nodes that make 2^40 elements and more of a few, step by step or by an operator's own
+    arithmetic."""
     if operator == "Concat":
         start = helper.make_node("ReduceMax", ["lowres"], ["s0"])
-        return [start, *(helper.make_node("Concat", [f"s{i}"] * 4096, [f"s{i + 1}"], axis=0) for i in range(3))], "s3"
+        return [start, *(helper.make_node("Concat", [f"s{i}"] * 4096, [f"s{i + 1}"], axis=0)
+                         for i in range(3))], "s3"
     attributes = {"strides": [1 << 15, 1 << 15]} if operator == "ConvTranspose" else {}
     return [helper.make_node(operator, MAKERS[operator], ["big"], **attributes)], "big"
 
 
-MAKERS = {"Pad": ["lowres", "pads"], "Range": ["zero", "huge", "one"], "OneHot": ["indices", "huge", "pair"],
+MAKERS = {"Pad": ["lowres", "pads"], "Range": ["zero", "huge", "one"],
+          "OneHot": ["indices", "huge", "pair"],
           "CenterCropPad": ["lowres", "shape"], "ConvTranspose": ["lowres", "kernel"],
           "Resize": ["lowres", "", "scales"]}
 INGREDIENTS = {
@@ -115,7 +124,8 @@ INGREDIENTS = {
 
 @pytest.mark.parametrize("operator", [*MAKERS, "Concat"])
 def test_little_that_makes_more_than_the_machine_has(refused, operator):
-    """What no look at the file tells: ONNX Runtime gets no more memory than the machine has, and says so."""
+    """What no look at the file tells: ONNX Runtime gets no more memory than the machine has, and
+    says so."""
     nodes, big = sized_by(operator)
     nodes += [helper.make_node("Cast", [big], ["floats"], to=TensorProto.FLOAT),
               helper.make_node("ReduceMax", ["floats"], ["one number"], keepdims=0),

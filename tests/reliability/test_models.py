@@ -1,4 +1,5 @@
-"""Models that mean harm, or are not what their card says, are refused in one line, before ONNX Runtime sees them."""
+"""Models that mean harm, or are not what their card says, are refused in one line, before ONNX
+Runtime sees them."""
 
 import hashlib
 import os
@@ -16,8 +17,9 @@ from tests.reliability.model_files import graph_of, model_of, outside, weights_o
 
 
 def test_what_is_well_is_loaded(tmp_path, device):
-    (tmp_path / "good.onnx").write_bytes(model_of(weights=[numpy_helper.from_array(np.ones(1, "f4"), "w")])
-                                         .SerializeToString())
+    (tmp_path / "good.onnx").write_bytes(model_of(
+        weights=[numpy_helper.from_array(np.ones(1, "f4"), "w")]
+    ).SerializeToString())
     assert device.pipeline_state(Library(tmp_path), "good", {"height": 4}).bindings[0].name == "x"
 
 
@@ -41,19 +43,22 @@ def test_every_shipped_model_has_a_hash_and_declares_its_inputs():
 
 
 def test_external_data_absolute_path(refused):
-    assert "weights may lie in the model's own folder only" in refused(model_of(weights=[outside("/etc/passwd")]))
+    assert ("weights may lie in the model's own folder "
+            "only" in refused(model_of(weights=[outside("/etc/passwd")])))
 
 
 def test_external_data_parent_folder(refused, tmp_path):
     (tmp_path / "secret.bin").write_bytes(bytes(16))
-    assert "weights may lie in the model's own folder only" in refused(model_of(weights=[outside("../secret.bin")]))
+    assert ("weights may lie in the model's own folder "
+            "only" in refused(model_of(weights=[outside("../secret.bin")])))
 
 
 def test_external_data_link_out_of_the_folder(refused, tmp_path):
     (tmp_path / "secret.bin").write_bytes(bytes(16))
     (tmp_path / "models").mkdir()
     os.symlink("../secret.bin", tmp_path / "models/w.bin")
-    assert "a link that leads out of the model's folder" in refused(model_of(weights=[outside("w.bin")]))
+    assert ("a link that leads out of the model's "
+            "folder" in refused(model_of(weights=[outside("w.bin")])))
 
 
 def test_external_data_that_is_not_there(refused):
@@ -85,12 +90,14 @@ def test_external_data_that_was_altered(refused, tmp_path):
     (tmp_path / "models").mkdir()
     (tmp_path / "models/w.bin").write_bytes(bytes(16))
     model = model_of(weights=[outside("w.bin")])
-    card = {"sha256": hashlib.sha256(model.SerializeToString()).hexdigest(), "weights": {"w.bin": "0" * 64}}
+    card = {"sha256": hashlib.sha256(model.SerializeToString()).hexdigest(),
+            "weights": {"w.bin": "0" * 64}}
     assert "sha256 differs" in refused(model, card)
 
 
 def test_card_that_names_weights_elsewhere(refused):
-    assert "name a file of the same folder" in refused(model_of(), {"weights": {"../w.bin": "0" * 64}})
+    assert "name a file of the same folder" in refused(model_of(),
+                                                       {"weights": {"../w.bin": "0" * 64}})
 
 
 def test_altered_model(refused):
@@ -103,12 +110,14 @@ def test_malformed_card(refused, part):
 
 
 def test_input_that_is_not_the_cards(refused):
-    assert "it has the inputs x, its card has features" in refused(model_of(), {"inputs": {"features": {}}})
+    assert "it has the inputs x, its card has features" in refused(model_of(),
+                                                                   {"inputs": {"features": {}}})
 
 
 @pytest.mark.parametrize("shape", [[1, 35], [2, "height"], [1, "width"], [1, "height", 1]])
 def test_input_shape_that_is_not_the_cards(refused, shape):
-    assert "its input 'x' is 1xheight, its card says" in refused(model_of(), {"inputs": {"x": {"shape": shape}}})
+    assert ("its input 'x' is 1xheight, its card "
+            "says" in refused(model_of(), {"inputs": {"x": {"shape": shape}}}))
 
 
 def test_output_that_is_not_the_cards(refused):
@@ -122,7 +131,8 @@ def test_unknown_domain(refused):
 
 
 def test_domain_that_no_node_uses_is_no_harm(tmp_path):
-    model = model_of(opsets=[helper.make_opsetid("ai.onnx.ml", 3), helper.make_opsetid("com.microsoft", 1)])
+    model = model_of(opsets=[helper.make_opsetid("ai.onnx.ml", 3),
+                             helper.make_opsetid("com.microsoft", 1)])
     (tmp_path / "optimised.onnx").write_bytes(model.SerializeToString())
     assert Library(tmp_path).load("optimised")
 
@@ -137,15 +147,20 @@ def test_every_known_operator_is_one_of_onnx_runtime():
 def test_operators_of_onnx_runtime_that_do_more_than_compute(refused, operator):
     node = helper.make_node(operator, ["x"], ["y"], domain="com.microsoft")
     reason = refused(model_of(node, opsets=[helper.make_opsetid("com.microsoft", 1)]))
-    assert f"the operator 'com.microsoft.{operator}' is not known" in reason and "trust=True" in reason
+    assert (f"the operator 'com.microsoft.{operator}' is not "
+            "known" in reason and "trust=True" in reason)
 
 
 def test_trust_overrides_what_nodes_do_and_nothing_else(tmp_path, device):
-    taken = graph_of([helper.make_node("Neg", ["x"], ["z"])], inputs=(), outputs=[toys.value("z", (1, "height"))])
+    taken = graph_of([helper.make_node("Neg", ["x"], ["z"])], inputs=(),
+                     outputs=[toys.value("z", (1, "height"))])
     chosen = helper.make_node("If", ["yes"], ["y"], then_branch=taken, else_branch=taken)
     path = tmp_path / "branch.onnx"
-    path.write_bytes(model_of(chosen, weights=[numpy_helper.from_array(np.array(True), "yes")]).SerializeToString())
-    with pytest.raises(ModelError, match=r"operator 'If' is not known; .* Library\(folder, trust=True\) loads it"):
+    path.write_bytes(model_of(chosen, weights=[numpy_helper.from_array(np.array(True), "yes")])
+                     .SerializeToString())
+    with pytest.raises(ModelError,
+                       match=r"operator 'If' is not known; .* Library\(folder, trust=True\) loads "
+                       r"it"):
         Library(tmp_path).load("branch")
     trusting = Library(tmp_path, trust=True)
     assert device.pipeline_state(trusting, "branch", {"height": 4}).bindings[1].shape == (1, 4)
@@ -161,12 +176,14 @@ def test_operator_of_an_undeclared_domain(refused):
 
 @pytest.mark.parametrize("operator", ["Evil", "Loop", "If", "Scan", "StringConcat", "RandomNormal"])
 def test_unknown_operator(refused, operator):
-    assert f"the operator '{operator}' is not known" in refused(model_of(helper.make_node(operator, ["x"], ["y"])))
+    assert (f"the operator '{operator}' is not "
+            "known" in refused(model_of(helper.make_node(operator, ["x"], ["y"]))))
 
 
 def test_graph_inside_a_node(refused):
     inner = graph_of([helper.make_node("Identity", ["x"], ["y"])])
-    assert "holds a graph of its own" in refused(model_of(helper.make_node("Identity", ["x"], ["y"], body=inner)))
+    assert ("holds a graph of its "
+            "own" in refused(model_of(helper.make_node("Identity", ["x"], ["y"], body=inner))))
 
 
 def test_functions_of_its_own(refused):
@@ -191,14 +208,16 @@ def test_huge_weights(refused, dims):
 
 
 def test_weights_of_an_unknown_type(refused):
-    assert "of a type that is not known (8)" in refused(model_of(weights=[weights_of([1], b"x", kind=8)]))
+    assert ("of a type that is not known "
+            "(8)" in refused(model_of(weights=[weights_of([1], b"x", kind=8)])))
 
 
 def test_huge_input(refused):
     assert "'x' is too large" in refused(model_of(inputs=[toys.value("x", (1 << 20, 1 << 20))]))
 
 
-@pytest.mark.parametrize(("operator", "at"), [("ConstantOfShape", 0), ("Expand", 1), ("Tile", 1), ("Resize", 3)])
+@pytest.mark.parametrize(("operator", "at"),
+                         [("ConstantOfShape", 0), ("Expand", 1), ("Tile", 1), ("Resize", 3)])
 @pytest.mark.parametrize("constant", [False, True])
 @pytest.mark.parametrize("typed", [False, True])
 def test_little_that_makes_much(refused, operator, at, constant, typed):

@@ -1,4 +1,5 @@
-"""No pickle: neither in the sources of postfx nor while it runs; nothing that a file holds is ever executed."""
+"""No pickle: neither in the sources of postfx nor while it runs; nothing that a file holds is ever
+executed."""
 
 import ast
 import subprocess
@@ -9,7 +10,8 @@ import postfx
 
 PACKAGE = Path(postfx.__file__).parent
 REPOSITORY = PACKAGE.parent
-FORBIDDEN = {"pickle", "cPickle", "_pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal", "torch", "yaml"}
+FORBIDDEN = {"pickle", "cPickle", "_pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal",
+             "torch", "yaml"}
 CALLS = {"eval", "exec", "compile"}
 
 RUN = """
@@ -31,11 +33,14 @@ def misuses(source: str) -> list[str]:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names if alias.name.split(".")[0] in FORBIDDEN]
-        elif isinstance(node, ast.ImportFrom) and not node.level and node.module.split(".")[0] in FORBIDDEN:
+        elif (isinstance(node, ast.ImportFrom) and not node.level
+              and node.module.split(".")[0] in FORBIDDEN):
             found.append(node.module)
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in CALLS:
+        elif (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+              and node.func.id in CALLS):
             found.append(node.func.id)
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "load":
+        elif (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+              and node.func.attr == "load"):
             if isinstance(node.func.value, ast.Name) and node.func.value.id in ("np", "numpy"):
                 refuses = [item.value for item in node.keywords if item.arg == "allow_pickle"]
                 if not refuses or getattr(refuses[0], "value", True) is not False:
@@ -49,7 +54,8 @@ def test_sources_have_no_pickle():
 
 
 def test_the_check_sees_them():
-    source = "import pickle\nfrom torch import load\nnp.load(f)\nnp.load(f, allow_pickle=True)\neval('1')\n"
+    source = ("import pickle\nfrom torch import load\nnp.load(f)\nnp.load(f, allow_pickle=True)\n"
+              "eval('1')\n")
     assert misuses(source) == ["pickle", "torch", "np.load", "np.load", "eval"]
     assert misuses("np.load(f, allow_pickle=False)\njson.load(f)\nre.compile('x')\n") == []
 
@@ -57,4 +63,5 @@ def test_the_check_sees_them():
 def test_a_run_unpickles_nothing(tmp_path):
     code = RUN.replace("{noisy!r}", repr(str(REPOSITORY / "samples/room/noisy.####.exr"))).replace(
         "{out!r}", repr(str(tmp_path / "out.####.exr")))
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=REPOSITORY, capture_output=True, timeout=300)
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=REPOSITORY, capture_output=True,
+                   timeout=300)

@@ -19,7 +19,8 @@ PLACES = {
     "while a frame is processed": ("postfx.pipeline.Flow._run", 4, "before"),
     "before a frame is written": ("postfx.cli.job.write_frame", 4, "before"),
     "between writing a frame and naming it": ("postfx.io.writer.write_exr", 4, "after"),
-    "between naming a frame and entering it into the manifest": ("postfx.cli.job.write_frame", 4, "after"),
+    "between naming a frame and entering it into the "
+    "manifest": ("postfx.cli.job.write_frame", 4, "after"),
     "while the manifest is written": ("postfx.runs.manifest.write_atomically", 2, "before"),
     "after the manifest was written": ("postfx.runs.folder.update_manifest", 2, "after"),
     "between writing a checkpoint and naming it": ("os.replace", 3, "before", ".checkpoint"),
@@ -50,8 +51,10 @@ def test_killed_and_resumed_with_the_denoiser(runs, seconds):
     assert len(runs.events("recall")) == (seconds == "0")
 
 
-@pytest.mark.parametrize("sizes", [((32, 48), (24, 36), (32, 48), (16, 24)), ((48, 72), (24, 36), (32, 48), (24, 36)),
-                                   ((24, 36), (48, 72), (24, 36), (32, 48))], ids=["enlarged", "1x last", "1x next"])
+@pytest.mark.parametrize("sizes", [((32, 48), (24, 36), (32, 48), (16, 24)),
+                                   ((48, 72), (24, 36), (32, 48), (24, 36)),
+                                   ((24, 36), (48, 72), (24, 36), (32, 48))],
+                         ids=["enlarged", "1x last", "1x next"])
 @pytest.mark.parametrize("seconds", ["0", "none"])
 def test_killed_and_resumed_across_changing_sizes(tmp_path, capsys, seconds, sizes):
     """The frame where it goes on is of another size than those before and after it."""
@@ -101,7 +104,8 @@ def test_truncated_checkpoint(runs, unbroken):
 
 
 def test_checkpoint_of_other_settings_is_not_used(runs):
-    runs.killed("postfx.cli.job.write_frame", 6, more=("--checkpoint", "0", "--exposure", "auto", "--cuts", "none"))
+    runs.killed("postfx.cli.job.write_frame", 6,
+                more=("--checkpoint", "0", "--exposure", "auto", "--cuts", "none"))
     code, said = runs(*RESUME)
     assert code == 0 and not runs.events("recall")
     assert "were made with other settings, models or versions: --overwrite makes them again" in said
@@ -160,7 +164,8 @@ def test_file_that_someone_altered_is_kept(runs, unbroken):
     assert runs()[0] == 0
     shutil.copy(runs.folder / "out.0002.exr", runs.folder / "out.0003.exr")
     code, said = runs(*RESUME)
-    assert code == 0 and "out.0003.exr was altered since it was written: kept; delete it to make it again" in said
+    assert (code == 0 and "out.0003.exr was altered since it was written: kept; delete it to make "
+            "it again" in said)
     assert runs.files()["out.0003.exr"] == unbroken["out.0002.exr"]
 
 
@@ -170,7 +175,8 @@ def test_damaged_file_is_made_anew(runs, unbroken, how):
     path = runs.folder / "out.0004.exr"
     content = path.read_bytes()
     half = len(content) // 2
-    path.write_bytes({"truncated": content[:half], "empty": b"", "zeros": content[:half] + bytes(half)}[how])
+    path.write_bytes({"truncated": content[:half], "empty": b"",
+                      "zeros": content[:half] + bytes(half)}[how])
     assert runs.verify()[1]["altered"] == ["out.0004.exr"]
     assert runs(*RESUME)[0] == 0
     assert runs.files() == unbroken and runs.verify()[0] == 0
@@ -242,8 +248,10 @@ def test_manifest_tells_how_frames_were_made(runs):
     (run,) = manifest["runs"].values()
     assert run["settings"]["exposure"] == "auto" and run["passes"]["tonemap"]["look"] == "aces2"
     assert {"postfx", "python", "numpy", "OpenImageIO", "onnxruntime"} <= set(run["versions"])
-    assert len(run["models"]["tonemap.aces2"]) == 64 and run["device"]["name"] == "cpu" and run["status"] == "finished"
+    assert (len(run["models"]["tonemap.aces2"]) == 64 and run["device"]["name"] == "cpu"
+            and run["status"] == "finished")
     entry = manifest["outputs"]["out.0003.exr"]
-    assert entry["frame"] == 3 and (entry["width"], entry["height"]) == (48, 32) and len(entry["sha256"]) == 64
+    assert (entry["frame"] == 3 and (entry["width"], entry["height"]) == (48, 32)
+            and len(entry["sha256"]) == 64)
     ((source, (size, changed)),) = entry["inputs"].items()
     assert Path(source).stat().st_size == size and Path(source).stat().st_mtime_ns == changed

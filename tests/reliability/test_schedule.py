@@ -26,11 +26,12 @@ def test_the_shot_so_far_before_a_lost_frame():
 
 
 def test_a_checkpoint_instead_of_frames():
-    assert plan(range(1, 9), [6, 7], checkpoints=[4]) == [Work(4, False, Path("4")), Work(5, False), Work(6, True),
-                                                          Work(7, True)]
+    assert plan(range(1, 9), [6, 7], checkpoints=[4]) == [Work(4, False, Path("4")), Work(5, False),
+                                                          Work(6, True), Work(7, True)]
     assert plan(range(1, 9), [6], checkpoints=[2, 4]) == plan(range(1, 9), [6], checkpoints=[4])
     assert plan(range(1, 9), [6], checkpoints=[4], starts=[6]) == [Work(6, True)]
-    assert plan(range(1, 9), [3], checkpoints=[4]) == [Work(1, False), Work(2, False), Work(3, True)]
+    assert plan(range(1, 9), [3], checkpoints=[4]) == [Work(1, False), Work(2, False),
+                                                       Work(3, True)]
 
 
 def test_at_most_so_many():
@@ -48,7 +49,8 @@ def test_history_ends_at_a_hole():
 
 
 def test_every_written_frame_has_its_whole_history():
-    """Follows the works as the passes would: a state is the set of frames that it remembers since its shot began."""
+    """Follows the works as the passes would: a state is the set of frames that it remembers since
+    its shot began."""
     for seed in range(300):
         follow(seed)
 
@@ -86,12 +88,14 @@ def test_which_files_are_kept(tmp_path):
     size, inputs, (a, b, c) = SIZE[::-1], {"in": (5, 6)}, sorted(tmp_path.iterdir())
     c.write_bytes(c.read_bytes()[:-99])
     known = Output("run", 1, hash_file(a), a.stat().st_size, *size, inputs)
-    assert judge(a, known, size, {}) == judge(a, known, size, inputs) == judge(a, None, size, {}) == Judgement(True)
+    assert judge(a, known, size, {}) == judge(a, known, size,
+                                              inputs) == judge(a, None, size, {}) == Judgement(True)
     assert judge(a, known, size, {"new": (1, 2), **inputs}).kept
     refused = {
         "does not exist": judge(tmp_path / "d", known, size, inputs),
         "is not complete": judge(c, None, size, inputs),
-        "is older than the run that should have written it": judge(a, Output("run", 1), size, inputs),
+        "is older than the run that should have written "
+        "it": judge(a, Output("run", 1), size, inputs),
         "is 48x32, not 32x48": judge(a, known, SIZE, inputs),
         "was made of an input that has changed since": judge(a, known, size, {"in": (5, 7)}),
         "is damaged": judge(c, known, size, inputs),

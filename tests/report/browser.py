@@ -1,4 +1,5 @@
-"""Pages in headless Chromium: the elements that a page's scripts make, or a page to look at, click and drag in."""
+"""Pages in headless Chromium: the elements that a page's scripts make, or a page to look at, click
+and drag in."""
 
 from __future__ import annotations
 
@@ -33,12 +34,15 @@ def program() -> str:
 
 
 def rendered(page: Path, script: str = "") -> str:
-    """The page's elements after its scripts ran, and `script` after them. Skips where there is no Chromium."""
+    """The page's elements after its scripts ran, and `script` after them. Skips where there is no
+    Chromium."""
     scripted = page.with_name(f"scripted_{page.name}")
     text = page.read_text(encoding="utf-8")
-    scripted.write_text(text.replace("</body>", f"<script>{script}</script></body>"), encoding="utf-8")
+    scripted.write_text(text.replace("</body>", f"<script>{script}</script></body>"),
+                        encoding="utf-8")
     done = subprocess.run(
-        [program(), *OPTIONS, f"--user-data-dir={page.parent / 'browser'}", "--dump-dom", scripted.as_uri()],
+        [program(), *OPTIONS, f"--user-data-dir={page.parent / 'browser'}", "--dump-dom",
+         scripted.as_uri()],
         capture_output=True,
         text=True,
         timeout=120,
@@ -63,7 +67,8 @@ class Tab:
         self.problems: list[str] = []
         self.requests: list[str] = []
         target = self._call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self._call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._session = self._call("Target.attachToTarget", targetId=target,
+                                   flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self._call(f"{domain}.enable")
 
@@ -71,24 +76,30 @@ class Tab:
         """Load a page into a window of this size."""
         media = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self._call("Emulation.setEmulatedMedia", features=media)
-        self._call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        self._call("Emulation.setDeviceMetricsOverride", width=width, height=height,
+                   deviceScaleFactor=1, mobile=False)
         self._call("Page.navigate", url=page.as_uri())
-        self.value("new Promise(done => document.readyState === 'complete' ? done() : addEventListener('load', done))")
+        self.value("new Promise(done => document.readyState === 'complete' ? done() : "
+                   "addEventListener('load', done))")
 
     def value(self, expression: str) -> Any:
         """What a JavaScript expression gives, awaited if it is a promise."""
-        found = self._call("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
+        found = self._call("Runtime.evaluate", expression=expression, awaitPromise=True,
+                           returnByValue=True)
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
 
     def drag(self, selector: str, start: float, end: float) -> None:
         """Press the mouse in an element, at a share of its width, and let go at another one."""
         box = self.value(f"""(() => {{ const one = document.querySelector({selector!r});
-            one.scrollIntoView({{ block: "center" }}); return one.getBoundingClientRect().toJSON(); }})()""")
+            one.scrollIntoView({{ block: "center" }});
+            return one.getBoundingClientRect().toJSON(); }})()""")
         y = box["y"] + box["height"] / 2
         places = [box["x"] + box["width"] * share for share in (start, (start + end) / 2, end, end)]
-        for kind, x in zip(("mousePressed", "mouseMoved", "mouseMoved", "mouseReleased"), places, strict=True):
-            self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+        for kind, x in zip(("mousePressed", "mouseMoved", "mouseMoved", "mouseReleased"), places,
+                           strict=True):
+            self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1,
+                       clickCount=1)
 
     def press(self, key: str) -> None:
         """Press and release a key, such as 'ArrowRight'."""
@@ -128,8 +139,10 @@ class Tab:
         if method == "Network.requestWillBeSent":
             self.requests.append(facts["request"]["url"])
         elif method == "Runtime.exceptionThrown":
-            self.problems.append(facts["exceptionDetails"].get("exception", {}).get("description", "exception"))
-        elif method == "Runtime.consoleAPICalled" and facts["type"] in ("error", "warning", "assert"):
+            self.problems.append(facts["exceptionDetails"].get("exception", {})
+                                 .get("description", "exception"))
+        elif (method == "Runtime.consoleAPICalled"
+              and facts["type"] in ("error", "warning", "assert")):
             self.problems.append(json.dumps(facts["args"]))
         elif method == "Log.entryAdded" and facts["entry"]["level"] in ("error", "warning"):
             self.problems.append(facts["entry"]["text"])
@@ -138,12 +151,15 @@ class Tab:
 @contextmanager
 def chromium(folder: Path) -> Iterator[Tab]:
     """A tab of a browser whose own files are in `folder`. Skips where there is no Chromium."""
-    browser, options = program(), [*OPTIONS, f"--user-data-dir={folder / 'browser'}", "--remote-debugging-pipe"]
+    browser, options = program(), [*OPTIONS, f"--user-data-dir={folder / 'browser'}",
+                                   "--remote-debugging-pipe"]
     (command_end, commands), (answers, answer_end) = os.pipe(), os.pipe()
     ends = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 10) for end in (command_end, answer_end)]
     actions = [(os.POSIX_SPAWN_OPEN, quiet, os.devnull, os.O_WRONLY, 0) for quiet in (1, 2)]
-    actions += [(os.POSIX_SPAWN_DUP2, end, wanted) for end, wanted in zip(ends, (3, 4), strict=True)]
-    process = os.posix_spawn(browser, [browser, *options], os.environ | ENVIRONMENT, file_actions=actions)
+    actions += [(os.POSIX_SPAWN_DUP2, end, wanted)
+                for end, wanted in zip(ends, (3, 4), strict=True)]
+    process = os.posix_spawn(browser, [browser, *options], os.environ | ENVIRONMENT,
+                             file_actions=actions)
     for end in (command_end, answer_end, *ends):
         os.close(end)
     try:

@@ -27,7 +27,8 @@ def test_equal_captures(captured):
     found = compare(captured("a"), captured("b"), tolerance=0.0)
     assert found.first is None
     rows = [(row.index, row.access, row.tensor, row.error) for row in found.differences]
-    assert rows == [(0, "input", "a", 0), (0, "input", "b", 0), (0, "write", "total", 0), (1, "write", "y", 0)]
+    assert rows == [(0, "input", "a", 0), (0, "input", "b", 0), (0, "write", "total", 0),
+                    (1, "write", "y", 0)]
 
 
 def test_the_first_difference_is_named(captured):
@@ -44,7 +45,8 @@ def test_a_difference_inside(captured):
     changed[0, 2, 3] = np.nan
     np.save(file, changed)
     found = compare(a, b)
-    assert (found.first.label, found.first.tensor, found.first.place) == ("toy/double", "y", (0, 2, 3))
+    assert (found.first.label, found.first.tensor, found.first.place) == ("toy/double", "y",
+                                                                          (0, 2, 3))
     assert found.first.error == float("inf")
     assert json.loads(json.dumps(found.as_dict(), allow_nan=False))["first"]["error"] == "inf"
 
@@ -71,7 +73,8 @@ def looked_into(tmp_path):
 
     def make(name, level=LEVEL, x=1.0, network=True):
         library = make_deep(tmp_path / f"models {name}", level)
-        capture, _ = capture_deep(library, x, tensors="all", folder=tmp_path / name, network=network)
+        capture, _ = capture_deep(library, x, tensors="all", folder=tmp_path / name,
+                                  network=network)
         write_capture(capture, tmp_path / name, "toy")
         return tmp_path / name
 
@@ -80,12 +83,13 @@ def looked_into(tmp_path):
 
 def test_the_first_node_that_differs_is_named(looked_into):
     found = compare(looked_into("a", level=0.6), looked_into("b"))
-    assert (found.first.access, found.first.tensor, found.first.node) == ("node", "above", "node 3 Sub")
+    assert (found.first.access, found.first.tensor, found.first.node) == ("node", "above",
+                                                                          "node 3 Sub")
     rows = [(row.access, row.tensor, row.error > 0) for row in found.differences]
-    assert rows == [
-        ("input", "picture", False), ("node", "conv", False), ("node", "relu", False), ("node", "above", True),
-        ("node", "root", True), ("node", "y", True), ("write", "y", True),
-    ]  # fmt: skip
+    assert (rows == [
+        ("input", "picture", False), ("node", "conv", False), ("node", "relu", False),
+        ("node", "above", True), ("node", "root", True), ("node", "y", True), ("write", "y", True),
+    ])  # fmt: skip
     assert "written by node 3 Sub of command 0 'deep' (network 'deep')" in text_of(found)
     assert json.loads(json.dumps(found.as_dict()))["first"]["node"] == "node 3 Sub"
 

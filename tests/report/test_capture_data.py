@@ -5,7 +5,8 @@ from postfx.report.capture_data import edges
 
 def command(index, reads=(), writes=()):
     named = {"reads": reads, "writes": writes}
-    return {"index": index, **{k: [{"name": n, "address": list(at)} for n, *at in v] for k, v in named.items()}}
+    return {"index": index,
+            **{k: [{"name": n, "address": list(at)} for n, *at in v] for k, v in named.items()}}
 
 
 def arrows(*commands):
@@ -19,7 +20,8 @@ def test_the_last_writer_counts():
 
 def test_a_read_of_two_writers_and_of_what_nobody_wrote():
     writes = command(0, writes=[("a", 0, 8)]), command(1, writes=[("b", 4, 8)])
-    assert arrows(*writes, command(2, reads=[("c", 0, 12)])) == [(1, 2, "c"), (0, 2, "c"), (None, 2, "c")]
+    assert arrows(*writes, command(2, reads=[("c", 0, 12)])) == [(1, 2, "c"), (0, 2, "c"),
+                                                                 (None, 2, "c")]
 
 
 def test_a_command_reads_before_it_writes():

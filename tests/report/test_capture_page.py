@@ -1,4 +1,5 @@
-"""The page of a capture: what it holds, that it needs nothing beside it, and that its script draws it."""
+"""The page of a capture: what it holds, that it needs nothing beside it, and that its script draws
+it."""
 
 import json
 import re
@@ -23,7 +24,8 @@ def page_of(capture, folder):
 
 
 def embedded(text):
-    (data,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    (data,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text,
+                         re.DOTALL)
     return json.loads(data)
 
 
@@ -47,7 +49,8 @@ def test_json_is_machine_readable(make_capture, tmp_path):
         {"from": 0, "to": 1, "tensor": "total"},
     ]
     (written,) = data["commands"][1]["writes"]
-    assert written["statistics"]["mean"] == 6.0 and written["shape"] == [1, 4, 5] and written["values"] == [6.0] * 20
+    assert (written["statistics"]["mean"] == 6.0 and written["shape"] == [1, 4, 5]
+            and written["values"] == [6.0] * 20)
 
 
 def test_what_is_not_finite_is_text_in_json(make_capture):
@@ -88,7 +91,8 @@ def test_without_onnx_the_page_says_so(make_capture, monkeypatch, tmp_path):
 def test_all_has_a_picture_for_each_channel_and_each_input_once(tmp_path):
     device = Device("cpu", threads=1)
     state = device.compute_state(toys.ADD)
-    a, total = device.wrap("a", np.ones((8, 9, 5), np.float32)), device.heap.tensor("total", (8, 9, 5))
+    a, total = (device.wrap("a", np.ones((8, 9, 5), np.float32)),
+                device.heap.tensor("total", (8, 9, 5)))
     commands = device.command_buffer("frame")
     with commands.compute_encoder("add") as encoder:
         encoder.dispatch(state, ArgumentTable(state, {"a": a, "b": a, "total": total}))
@@ -99,7 +103,8 @@ def test_all_has_a_picture_for_each_channel_and_each_input_once(tmp_path):
     (command,) = data["commands"]
     labels = [picture["label"] for picture in data["pictures"][command["writes"][0]["pictures"]]]
     assert labels == ["channels 0 to 2 as colour", *(f"channel {number}" for number in range(5))]
-    assert [tensor["pictures"] for tensor in command["reads"]] == [0, 0] and len(data["pictures"]) == 2
+    assert ([tensor["pictures"] for tensor in command["reads"]] == [0, 0]
+            and len(data["pictures"]) == 2)
 
 
 def test_folders_that_cannot_be_written(make_capture, tmp_path):
@@ -117,22 +122,28 @@ def test_other_files_are_no_captures(tmp_path):
 
 
 def test_the_script_draws_commands_graph_and_details(make_capture, tmp_path):
-    found = rendered(write_capture(make_capture(), tmp_path / "out", "toy"), "networks.get(1).show(1); choose(1);")
+    found = rendered(write_capture(make_capture(), tmp_path / "out", "toy"),
+                     "networks.get(1).show(1); choose(1);")
     rows = re.search(r'<table id="commands">(.*?)</table>', found, re.DOTALL)[1]
-    assert [label for label in ("toy/add", "toy/double") if f"<td>{label}</td>" in rows] == ["toy/add", "toy/double"]
+    assert ([label for label in ("toy/add", "toy/double") if f"<td>{label}</td>" in rows]
+            == ["toy/add", "toy/double"])
     graph = re.search(r'<div id="graph">(.*?)</svg>', found, re.DOTALL)[1]
     assert len(re.findall(r'<g class="box ', graph)) == 2
-    assert re.findall(r'<g class="edge[^"]*" data-from="(\d+)" data-to="(\d+)"', graph) == [("0", "1")]
+    assert re.findall(r'<g class="edge[^"]*" data-from="(\d+)" data-to="(\d+)"',
+                      graph) == [("0", "1")]
     assert re.findall(r'data-form="(\w+)"', graph) == ["consumer"]
     details = re.search(r'<aside id="details">(.*?)</aside>', found, re.DOTALL)[1]
-    assert "6 to 6, mean 6" in details and "written by command 0" in details and "data:image/png" in details
+    assert ("6 to 6, mean 6" in details and "written by command "
+            "0" in details and "data:image/png" in details)
     assert ">its graph</button>" in details
-    assert ">Add</span>" in re.search(r'<section id="networks">(.*?)</section>', found, re.DOTALL)[1]
+    assert ">Add</span>" in re.search(r'<section id="networks">(.*?)</section>', found,
+                                      re.DOTALL)[1]
 
 
 def test_a_click_shows_a_command_and_what_is_not_finite(make_capture, tmp_path):
     path = write_capture(make_capture(a=float("inf"), b=1.0), tmp_path / "out", "toy")
-    click = """document.querySelector('g[data-command="0"] rect').dispatchEvent(new MouseEvent("click"));"""
+    click = ("""document.querySelector('g[data-command="0"] rect')"""
+             """.dispatchEvent(new MouseEvent("click"));""")
     found = rendered(path, "choose(1); " + click)
     details = re.search(r'<aside id="details">(.*?)</aside>', found, re.DOTALL)[1]
     assert "kernel 'add'" in details and '<p class="bad">0 NaN, 20 infinite</p>' in details

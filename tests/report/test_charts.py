@@ -8,7 +8,15 @@ import pytest
 
 from postfx.errors import WriteError
 from postfx.exposure.debugger import Reading, Report, Shot
-from postfx.report.charts import NEEDED_RGB, PLOT_LEFT_PX, PLOT_RIGHT_PX, STRIP_ROWS_PX, USED_RGB, Canvas, draw_exposure
+from postfx.report.charts import (
+    NEEDED_RGB,
+    PLOT_LEFT_PX,
+    PLOT_RIGHT_PX,
+    STRIP_ROWS_PX,
+    USED_RGB,
+    Canvas,
+    draw_exposure,
+)
 
 
 def report(used: list[float], needed: list[float], cuts: tuple[int, ...] = ()) -> Report:
@@ -17,7 +25,8 @@ def report(used: list[float], needed: list[float], cuts: tuple[int, ...] = ()) -
         for i, (u, n) in enumerate(zip(used, needed, strict=True))
     ]
     edges = [0, *cuts, len(used)]
-    shots = [Shot(a + 1, b, "too dark", -1.0, 0.0, 0.4, 0.0, None) for a, b in zip(edges, edges[1:], strict=False)]
+    shots = [Shot(a + 1, b, "too dark", -1.0, 0.0, 0.4, 0.0, None)
+             for a, b in zip(edges, edges[1:], strict=False)]
     return Report(readings, shots, 0.45, (-8.0, 8.0))
 
 
@@ -31,17 +40,21 @@ def test_curves_stand_at_their_stops_and_the_strip_shows_what_was_seen(tmp_path:
     pixels = oiio.ImageBuf(str(tmp_path / "a/curve.png")).get_pixels(oiio.FLOAT) * 255
     x = PLOT_LEFT_PX + (PLOT_RIGHT_PX - PLOT_LEFT_PX) * 2.5 / 8
     used, needed = rows_of(pixels, USED_RGB, x).mean(), rows_of(pixels, NEEDED_RGB, x).mean()
-    assert used - needed == pytest.approx((400 - 74) / 2, abs=3)  # one stop of the two that the axis spans
+    # one stop of the two that the axis spans
+    assert used - needed == pytest.approx((400 - 74) / 2, abs=3)
     assert pixels[STRIP_ROWS_PX[0] + 5, round(x)] == pytest.approx(255 * 0.24, abs=1)
     assert pixels[STRIP_ROWS_PX[1] - 5, round(x)] == pytest.approx(255 * 0.45, abs=1)
-    word = np.flatnonzero(np.ptp(pixels[STRIP_ROWS_PX[1] + 36:STRIP_ROWS_PX[1] + 54], axis=0).max(-1) > 40)
-    assert word.size > 10 and (word[0] + word[-1]) / 2 == pytest.approx((PLOT_LEFT_PX + PLOT_RIGHT_PX) / 2, abs=2)
+    word = np.flatnonzero(np.ptp(pixels[STRIP_ROWS_PX[1] + 36:STRIP_ROWS_PX[1] + 54], axis=0)
+                          .max(-1) > 40)
+    assert (word.size > 10 and (word[0] + word[-1]) / 2
+            == pytest.approx((PLOT_LEFT_PX + PLOT_RIGHT_PX) / 2, abs=2))
     assert (tmp_path / "a/curve.png").stat().st_size < 300_000
 
 
 def test_curves_are_not_joined_over_a_cut(tmp_path: Path) -> None:
     for cuts in ((), (4,)):
-        draw_exposure(report([0.0] * 4 + [2.0] * 4, [0.0] * 8, cuts), "title", tmp_path / "curve.png")
+        draw_exposure(report([0.0] * 4 + [2.0] * 4, [0.0] * 8, cuts), "title",
+                      tmp_path / "curve.png")
         pixels = oiio.ImageBuf(str(tmp_path / "curve.png")).get_pixels(oiio.FLOAT) * 255
         x = PLOT_LEFT_PX + (PLOT_RIGHT_PX - PLOT_LEFT_PX) * 3.9 / 8
         assert (rows_of(pixels, USED_RGB, x).size > 0) == (not cuts)
@@ -49,7 +62,8 @@ def test_curves_are_not_joined_over_a_cut(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("count", (1, 2, 3000))
 def test_any_number_of_frames_fits(count: int, tmp_path: Path) -> None:
-    draw_exposure(report([0.0] * count, list(np.linspace(-9, 9, count))), "title", tmp_path / "curve.png")
+    draw_exposure(report([0.0] * count, list(np.linspace(-9, 9, count))), "title",
+                  tmp_path / "curve.png")
     assert (tmp_path / "curve.png").stat().st_size > 3000
 
 

@@ -1,4 +1,5 @@
-"""What is kept of a sequence: numbers of all frames, pictures of a few, changes along the motion."""
+"""What is kept of a sequence: numbers of all frames, pictures of a few, changes along the
+motion."""
 
 import numpy as np
 import pytest
@@ -61,7 +62,8 @@ def test_one_frame_may_be_chosen_for_two_reasons_and_two_frames_are_first_and_la
 def test_cuts_break_the_curve():
     log = FrameLog([1, 2, 3, 4], SCENE, "after")
     for number in (1, 2, 3, 4):
-        log.add(number, {"after": picture(number / 4)}, 1.0, STILL, cut=number == 3, readings={"exposure used": 0.5})
+        log.add(number, {"after": picture(number / 4)}, 1.0, STILL, cut=number == 3,
+                readings={"exposure used": 0.5})
     values = [row.readings["change after"] for row in log.rows]
     assert values[0] is values[2] is None and values[1] > 0 and values[3] > 0
     first, second = charts(log.rows)
@@ -80,9 +82,12 @@ def test_large_frames_are_reduced_and_the_exposure_is_in_the_codes():
     log.add(1, {"after": picture(0.5, (900, 1600))}, 4.0, maps={"FLIP": picture(1.0, (900, 1600))})
     (frame,) = log.frames()
     packed = frame["pictures"]["after"]
-    assert frame["size"] == (1600, 900) and (packed["width"], packed["height"]) == (LONGEST_SIDE_PX, 450)
-    assert (log._sights[1].pictures["after"] == encode_light(picture(2.0, (1, 1)), SCENE.highest)[0, 0]).all()
-    assert log._sights[1].maps["FLIP"].shape == (450, 800, 3) and (log._sights[1].maps["FLIP"] == 255).all()
+    assert (frame["size"] == (1600, 900)
+            and (packed["width"], packed["height"]) == (LONGEST_SIDE_PX, 450))
+    assert (log._sights[1].pictures["after"]
+            == encode_light(picture(2.0, (1, 1)), SCENE.highest)[0, 0]).all()
+    assert (log._sights[1].maps["FLIP"].shape == (450, 800, 3)
+            and (log._sights[1].maps["FLIP"] == 255).all())
 
 
 def test_light_of_a_display_is_not_exposed_again():

@@ -1,4 +1,5 @@
-"""Pictures for a viewer: a server that speaks tev's protocol gets them, and a missing or hanging one stops nothing."""
+"""Pictures for a viewer: a server that speaks tev's protocol gets them, and a missing or hanging
+one stops nothing."""
 
 from __future__ import annotations
 
@@ -45,7 +46,8 @@ class Tev:
         name, rest = text(rest)
         if kind == live.CREATE:
             width, height, count = struct.unpack("<iii", rest[:12])
-            assert b"".join(part + b"\0" for part in rest[12:].split(b"\0")[:-1]) == b"R\0G\0B\0" and count == 3
+            assert (b"".join(part + b"\0" for part in rest[12:].split(b"\0")[:-1]) == b"R\0G\0B\0"
+                    and count == 3)
             self.images[name] = np.full((height, width, count), np.nan, np.float32)
             return
         assert kind == live.UPDATE
@@ -56,7 +58,8 @@ class Tev:
         places = np.frombuffer(rest[16 : 16 + 16 * count], "<i8")
         data = np.frombuffer(rest[16 + 16 * count :], "<f4")
         assert len(data) == width * height * count
-        for channel, (offset, stride) in enumerate(zip(places[:count], places[count:], strict=True)):
+        for channel, (offset, stride) in enumerate(zip(places[:count], places[count:],
+                                                       strict=True)):
             plane = data[offset::stride][: width * height].reshape(height, width)
             self.images[name][y : y + height, x : x + width, channel] = plane
 
@@ -82,7 +85,8 @@ def shot(tmp_path_factory):
 
 
 def run(shot, out, address: str) -> int:
-    return main(["run", str(shot), "-o", str(out / "####.exr"), "--model", "classic", "--live", address])
+    return main(["run", str(shot), "-o", str(out / "####.exr"), "--model", "classic", "--live",
+                 address])
 
 
 def test_a_viewer_gets_the_frames_that_are_written(shot, tmp_path, monkeypatch):
@@ -129,12 +133,14 @@ def test_a_viewer_that_hangs_holds_nothing(monkeypatch):
 
 
 @pytest.mark.parametrize(("text", "host", "port"), [
-    ("tev", "localhost", 14158), ("tev:wall", "wall", 14158), ("tev:wall:99", "wall", 99), ("tev:[::1]:7", "::1", 7)])
+    ("tev", "localhost", 14158), ("tev:wall", "wall", 14158), ("tev:wall:99", "wall", 99),
+    ("tev:[::1]:7", "::1", 7)])
 def test_addresses(text, host, port):
     assert parse_address(text) == (host, port)
 
 
-@pytest.mark.parametrize("text", ["nuke", "tev:", "tev:host:port", "tev:host:0", "tev:host:70000", ""])
+@pytest.mark.parametrize("text",
+                         ["nuke", "tev:", "tev:host:port", "tev:host:0", "tev:host:70000", ""])
 def test_what_is_no_address_is_refused(text):
     with pytest.raises(OptionError, match="give tev, tev:HOST or tev:HOST:PORT"):
         parse_address(text)

@@ -27,10 +27,12 @@ def test_nodes_have_attributes_weights_and_blocks(deep):
     assert found["blocks"] == [[0, 1, 2], [3, 4], [5]]
     cast, conv, _, below, *_ = found["nodes"]
     assert (cast["op"], cast["constant"], cast["attributes"]) == ("Cast", True, {"to": 1})
-    assert conv == {
-        "op": "Conv", "domain": "", "name": "first", "attributes": {"kernel_shape": [3, 3], "pads": [1, 1, 1, 1]},
-        "inputs": ["x", "stem.weight"], "outputs": ["conv"], "constant": False, "weights": ["stem.weight_half"],
-    }  # fmt: skip
+    assert (conv == {
+        "op": "Conv", "domain": "", "name": "first",
+        "attributes": {"kernel_shape": [3, 3], "pads": [1, 1, 1, 1]},
+        "inputs": ["x", "stem.weight"], "outputs": ["conv"], "constant": False,
+        "weights": ["stem.weight_half"],
+    })  # fmt: skip
     assert below["weights"] == ["level"]
     json.dumps(found, allow_nan=False)
 
@@ -47,10 +49,12 @@ def test_weights_have_type_shape_bytes_and_range(tmp_path):
     weight = np.linspace(-1, 2, 24, dtype=np.float32)
     weight[3] = np.nan
     add = helper.make_node("Add", ["x", "w"], ["y"])
-    toys.save_model(tmp_path / "add.onnx", [add], [toys.value("x", (24,))], [toys.value("y", (24,))], {"w": weight})
+    toys.save_model(tmp_path / "add.onnx", [add], [toys.value("x", (24,))],
+                    [toys.value("y", (24,))], {"w": weight})
     (found,) = describe(tmp_path / "add.onnx", {})["weights"].values()
     assert (found["dtype"], found["shape"], found["bytes"]) == ("float32", [24], 96)
-    assert (found["statistics"]["minimum"], found["statistics"]["maximum"], found["statistics"]["nans"]) == (-1, 2, 1)
+    assert (found["statistics"]["minimum"], found["statistics"]["maximum"],
+            found["statistics"]["nans"]) == (-1, 2, 1)
     assert "values" not in found
     level = describe(make_deep(tmp_path).path("deep"), DIMS)["weights"]["level"]
     assert (level["shape"], level["values"]) == ([1], [0.5])

@@ -25,8 +25,8 @@ def test_constants_stand_before_their_first_reader():
 
 def test_branches_that_lie_mixed_in_the_file_are_drawn_one_after_the_other():
     nodes = [
-        Node(["x"], ["a"]), Node(["a"], ["left"]), Node(["a"], ["right"]), Node(["left"], ["left2"]),
-        Node(["right"], ["right2"]), Node(["left2", "right2"], ["y"]),
+        Node(["x"], ["a"]), Node(["a"], ["left"]), Node(["a"], ["right"]),
+        Node(["left"], ["left2"]), Node(["right"], ["right2"]), Node(["left2", "right2"], ["y"]),
     ]  # fmt: skip
     assert blocks(nodes) == [[0], [1, 3], [2, 4], [5]]
 
@@ -41,9 +41,11 @@ def test_random_graphs_are_complete_and_in_order():
         nodes = []
         for n in range(choose.randint(1, 30)):
             inputs = [f"v{choose.randrange(n)}" for _ in range(choose.randint(0, 3))] if n else []
-            varying = any(not nodes[int(name[1:])].constant for name in inputs) or choose.random() < 0.3
+            varying = (any(not nodes[int(name[1:])].constant for name in inputs)
+                       or choose.random() < 0.3)
             nodes.append(Node(inputs + ["x"] * (varying and not inputs), [f"v{n}"], not varying))
         order = [n for block in blocks(nodes) for n in block]
         assert sorted(order) == list(range(len(nodes))), seed
         place = {f"v{n}": at for at, n in enumerate(order)}
-        assert all(place[name] < place[f"v{n}"] for n in order for name in nodes[n].inputs if name != "x"), seed
+        assert all(place[name] < place[f"v{n}"] for n in order
+                   for name in nodes[n].inputs if name != "x"), seed

@@ -25,7 +25,8 @@ def pixels_of(tmp_path):
 def test_one_slice_is_grey_with_gamma(pixels_of):
     pixels, text = pixels_of([[[0, 1, 1], [0.5, 1, 1]]])
     assert pixels.shape == (2, 3, 3) and text == "black 0, white 1, gamma 2.2"
-    assert pixels[0, 1].tolist() == [255] * 3 and pixels[1, 0].tolist() == [round(255 * 0.5 ** (1 / 2.2))] * 3
+    assert (pixels[0, 1].tolist() == [255] * 3
+            and pixels[1, 0].tolist() == [round(255 * 0.5 ** (1 / 2.2))] * 3)
 
 
 def test_negative_values_are_linear(pixels_of):

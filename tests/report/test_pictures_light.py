@@ -1,4 +1,5 @@
-"""Codes of light: fine enough for a screen at every exposure, and what is not finite stays visible."""
+"""Codes of light: fine enough for a screen at every exposure, and what is not finite stays
+visible."""
 
 import numpy as np
 import pytest

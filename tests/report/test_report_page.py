@@ -1,4 +1,5 @@
-"""The page of a run on the sample: it needs nothing beside it, and what can be moved in it changes the picture."""
+"""The page of a run on the sample: it needs nothing beside it, and what can be moved in it changes
+the picture."""
 
 import base64
 import re
@@ -27,9 +28,9 @@ def page(tmp_path_factory):
     """Report of frames 1 to 3 of the sample with references."""
     folder = tmp_path_factory.mktemp("report")
     path = folder / "look" / "report.html"
-    assert main(["run", str(ROOM / "noisy.####.exr"), "-o", str(folder / "clean.####.exr"), "--frames", "1-3",
-                 "--model", "s", "--scale", "2", "--device", "cpu", "--report", str(path), "--reference",
-                 str(ROOM / "reference.####.exr")]) == 0
+    assert main(["run", str(ROOM / "noisy.####.exr"), "-o", str(folder / "clean.####.exr"),
+                 "--frames", "1-3", "--model", "s", "--scale", "2", "--device", "cpu", "--report",
+                 str(path), "--reference", str(ROOM / "reference.####.exr")]) == 0
     return path
 
 
@@ -45,8 +46,8 @@ def as_opened(request):
     """Every test begins at the last frame, unexposed, before and after in halves."""
     if "tab" in request.fixturenames:
         tab = request.getfixturevalue("tab")
-        tab.value("(scrollTo(0, 0), viewer.ev.value = 0, viewer.wipe.value = 50, viewer.left.value = 'before', "
-                  "viewer.right.value = 'after', viewer.show(data.frames.length - 1))")
+        tab.value("(scrollTo(0, 0), viewer.ev.value = 0, viewer.wipe.value = 50, viewer.left.value "
+                  "= 'before', viewer.right.value = 'after', viewer.show(data.frames.length - 1))")
 
 
 def seen(tab):
@@ -82,11 +83,13 @@ def test_light_is_unpacked_as_it_was_packed(tab, page):
 
 def test_the_line_moves_with_the_mouse_and_the_keys(tab):
     middle = seen(tab)
-    assert noise(middle[:, :310]) > 3 * noise(middle[:, 330:])  # noisy at the left of the line, clean at the right
+    # noisy at the left of the line, clean at the right
+    assert noise(middle[:, :310]) > 3 * noise(middle[:, 330:])
     tab.drag("#wipe", 0.5, 0.2)
     left = seen(tab)
     assert noise(left[:, 200:310]) < noise(middle[:, 200:310]) / 3
-    assert np.array_equal(left[:, 330:], middle[:, 330:]) and np.array_equal(left[:, :100], middle[:, :100])
+    assert (np.array_equal(left[:, 330:], middle[:, 330:])
+            and np.array_equal(left[:, :100], middle[:, :100]))
     edge = tab.value("Number(viewer.picture.dataset.edge)")
     assert abs(edge - 0.2 * 640) < 8
     tab.value("viewer.wipe.focus()")
@@ -100,7 +103,8 @@ def test_the_exposure_slider_acts_on_linear_light(tab):
     tab.drag("#ev", 0.5, 0.75)
     exposed = seen(tab)
     ev = tab.value("Number(viewer.ev.value)")
-    assert 2 < ev < 4 and tab.value("document.getElementById('ev-text').textContent") == f"+{ev:.1f} EV"
+    assert (2 < ev < 4
+            and tab.value("document.getElementById('ev-text').textContent") == f"+{ev:.1f} EV")
     clean, brighter = unexposed[:, 340:] / 255, exposed[:, 340:] / 255
     inner = (clean > 0.1) & (clean < 0.9)
     code = np.where(clean <= 0.04045, clean / 12.92, ((clean + 0.055) / 1.055) ** 2.4)
@@ -114,7 +118,8 @@ def test_the_exposure_slider_acts_on_linear_light(tab):
 
 def test_frames_and_pictures_can_be_chosen(tab):
     last = seen(tab)
-    assert tab.value("[...document.querySelectorAll('#choices button')].map(one => one.textContent)")[0] == "1, first"
+    assert tab.value("[...document.querySelectorAll('#choices button')].map(one => "
+                     "one.textContent)")[0] == "1, first"
     tab.value("document.querySelector('#choices button').click()")
     assert not np.array_equal(seen(tab), last) and tab.value("viewer.picture.dataset.frame") == "1"
     tab.value("(viewer.left.value = 'reference', viewer.right.value = 'FLIP')")
@@ -122,7 +127,8 @@ def test_frames_and_pictures_can_be_chosen(tab):
     assert noise(chosen[:, :310]) < noise(last[:, :310])
     assert chosen[:, 330:].mean() < 60  # errors are dark where they are small
     note = tab.value("document.getElementById('frame-note').textContent")
-    flip = re.search(r"Frame 1, 640x360\. .* PSNR before 14\.\d+ dB, PSNR after 2\d\.\d+ dB, FLIP (0\.\d+)\.", note)[1]
+    flip = re.search(r"Frame 1, 640x360\. .* PSNR before 14\.\d+ dB, PSNR after 2\d\.\d+ dB, FLIP "
+                     r"(0\.\d+)\.", note)[1]
     assert 0.05 < float(flip) < 0.15
 
 
@@ -133,7 +139,8 @@ def test_the_pointer_reads_the_light_of_the_files(tab):
     text = tab.value("document.getElementById('pixel').textContent")
     x, y, light = re.match(r"\((\d+), (\d+)\) .*reference ([\d. e-]+)", text).groups()
     (reference,) = read_sequence(ROOM / "reference.####.exr", frames=[3])
-    np.testing.assert_allclose(list(map(float, light.split())), reference[Role.COLOUR][int(y), int(x)], rtol=0.02)
+    np.testing.assert_allclose(list(map(float, light.split())),
+                               reference[Role.COLOUR][int(y), int(x)], rtol=0.02)
 
 
 def test_curves_times_planes_and_roles_are_there(tab):
@@ -144,10 +151,13 @@ def test_curves_times_planes_and_roles_are_there(tab):
     assert changes["before"][0] is None and changes["before"][1] > 5 * changes["after"][1] > 0
     assert tab.value("[...document.querySelectorAll('[data-curve]')].length") == 3 + 2 + 2 + 1 + 1
     ran = tab.value("document.getElementById('ran').innerText")
-    assert "denoise_upscale" in ran and "EXR output stays scene-linear" in ran and "3 of 3 frames" in ran
-    assert tab.value("[...document.querySelectorAll('#sheet img')].every(one => one.naturalWidth === 320)")
+    assert ("denoise_upscale" in ran and "EXR output stays scene-linear" in ran and "3 of 3 "
+            "frames" in ran)
+    assert tab.value("[...document.querySelectorAll('#sheet img')].every(one => one.naturalWidth "
+                     "=== 320)")
     assert "albedo.R, albedo.G, albedo.B" in tab.value("document.getElementById('roles').innerText")
-    assert tab.value("document.getElementById('findings').innerText").startswith("None, in 3 frames")
+    assert (tab.value("document.getElementById('findings').innerText")
+            .startswith("None, in 3 frames"))
 
 
 def test_it_looks_alike_in_the_dark_and_on_a_narrow_window(tab, page):
@@ -163,4 +173,5 @@ def test_it_looks_alike_in_the_dark_and_on_a_narrow_window(tab, page):
 def test_nothing_went_wrong_and_nothing_was_asked_for(tab, page):
     """The last test of this file, on what all others did."""
     assert tab.problems == []
-    assert {request for request in tab.requests if not request.startswith("data:")} == {page.as_uri()}
+    assert {request
+            for request in tab.requests if not request.startswith("data:")} == {page.as_uri()}

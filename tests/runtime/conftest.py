@@ -33,9 +33,11 @@ def device() -> Device:
 
 @pytest.fixture
 def remote(monkeypatch, kernels):
-    """A device whose memory the host cannot look at: the same path as on a GPU, on the CPU provider."""
+    """A device whose memory the host cannot look at: the same path as on a GPU, on the CPU
+    provider."""
     placement = Placement("CPUExecutionProvider", "cpu", 0, 2)
-    monkeypatch.setattr(device_module, "choose", lambda *rest: (placement, ProviderMemory(placement)))
+    monkeypatch.setattr(device_module, "choose",
+                        lambda *rest: (placement, ProviderMemory(placement)))
     return Device("auto", kernels=kernels, explicit_barriers=True)
 
 
@@ -55,7 +57,8 @@ def run_once(state, tensors: dict, stage: str = "machine_learning") -> None:
 
 
 class Bench:
-    """A device with a network 'double' and a kernel 'add' on tensors of one size, to record short graphs with."""
+    """A device with a network 'double' and a kernel 'add' on tensors of one size, to record short
+    graphs with."""
 
     def __init__(self, device: Device, library: Library) -> None:
         self.device = device
@@ -108,4 +111,5 @@ def chain(device, library):
 
 @pytest.fixture(params=["host", "remote"])
 def any_chain(request, library):
-    return Chain(request.getfixturevalue("device" if request.param == "host" else "remote"), library)
+    return Chain(request.getfixturevalue("device" if request.param == "host" else "remote"),
+                 library)

@@ -9,7 +9,8 @@ PRODUCER = {"after": "compute", "before_queue": "machine-learning"}
 
 
 class Chain:
-    """'first' (compute) writes y in two dispatches, 'second' (a network) reads y, each with barriers of choice."""
+    """'first' (compute) writes y in two dispatches, 'second' (a network) reads y, each with
+    barriers of choice."""
 
     def __init__(self, bench):
         self.bench = bench
@@ -92,23 +93,28 @@ def test_missing_barrier_between_buffers_names_both_forms_and_both_buffers(chain
     chain.first(chain.buffer("frame 1")).commit()
     with pytest.raises(HazardError) as caught:
         chain.second(chain.buffer("frame 2")).commit()
-    assert str(caught.value) == (
-        "read after write: 'second' (network 'double') of 'frame 2' reads 'y', which 'first' (kernel 'add') of "
-        "'frame 1' writes, in no certain order: record barrier(after='compute', before='machine-learning') in "
-        "'second' before it, or barrier(after='compute', before_queue='machine-learning') in 'first' after it"
-    )
+    assert (str(caught.value) == (
+        "read after write: 'second' (network 'double') of 'frame 2' reads 'y', which 'first' "
+        "(kernel 'add') of 'frame 1' writes, in no certain order: record barrier(after='compute', "
+        "before='machine-learning') in 'second' before it, or barrier(after='compute', "
+        "before_queue='machine-learning') in 'first' after it"
+    ))
 
 
 @pytest.mark.parametrize(("masks", "message"), [
     ({"after": "", "before": "compute"}, "the after= stage mask names '', which is not a stage"),
-    ({"after": (), "before": "compute"}, "the after= stage mask is empty: name 'compute' and 'machine-learning'"),
+    ({"after": (), "before": "compute"},
+     "the after= stage mask is empty: name 'compute' and 'machine-learning'"),
     ({"after": "compute", "before": []}, "the before= stage mask is empty"),
     ({"after": "compute", "before_queue": []}, "the before_queue= stage mask is empty"),
     ({"after": "compute", "before": "blit"},
-     "the before= stage mask names 'blit', which is not a stage: stages are 'compute' and 'machine-learning'"),
+     "the before= stage mask names 'blit', which is not a stage: stages are 'compute' and "
+     "'machine-learning'"),
     ({"after": 3, "before": "compute"}, "the after= stage mask names '3', which is not a stage"),
-    ({"after": "compute", "before_queue": ("compute", "ml")}, "the before_queue= stage mask names 'ml'"),
-    ({"after": "compute"}, r"give before= \(this and later encoders\) or before_queue= \(later encoders\) too"),
+    ({"after": "compute", "before_queue": ("compute", "ml")},
+     "the before_queue= stage mask names 'ml'"),
+    ({"after": "compute"},
+     r"give before= \(this and later encoders\) or before_queue= \(later encoders\) too"),
     ({"before": "compute"}, r"give after= too, with before=; .*barrier\(\) takes no stages"),
     ({"before_queue": "compute"}, "give after= too, with before_queue="),
     ({"after": "compute", "before": "compute", "before_queue": "compute"},

@@ -34,12 +34,16 @@ def test_commands_barriers_tensors_and_memory_are_recorded(bench, library):
     (buffer,) = capture.buffers
     assert buffer.label == "frame 7"
     add, barrier, double = buffer.records
-    assert barrier == CapturedBarrier("consumer", double.encoder, ("compute",), ("machine-learning",))
-    assert (add.index, add.label, add.command, add.stage) == (0, "toy/add", "kernel 'add'", "compute")
+    assert barrier == CapturedBarrier("consumer", double.encoder, ("compute",),
+                                      ("machine-learning",))
+    assert (add.index, add.label, add.command, add.stage) == (0, "toy/add", "kernel 'add'",
+                                                              "compute")
     assert (double.index, double.label, double.command) == (1, "double", "network 'double'")
     assert add.model is None and double.model == library.path("double")
-    assert add.milliseconds > 0 and [add.milliseconds] == [ms for label, ms in commands.timings if label == "toy/add"]
-    assert [(t.name, t.shape, t.dtype, t.nbytes) for t in double.writes] == [("y", (1, 4, 5), "float32", 80)]
+    assert (add.milliseconds > 0
+            and [add.milliseconds] == [ms for label, ms in commands.timings if label == "toy/add"])
+    assert [(t.name, t.shape, t.dtype, t.nbytes) for t in double.writes] == [("y", (1, 4, 5),
+                                                                              "float32", 80)]
     assert (double.writes[0].start, double.writes[0].end) == (y.start, y.end)
     assert buffer.heap_used == bench.device.heap.used and buffer.heap_peak >= buffer.heap_used > 0
 
@@ -87,7 +91,8 @@ def test_all_keeps_arrays_in_files(bench, tmp_path):
 
 def test_a_capture_changes_no_bit(library, tmp_path):
     frames = [toys.make_frame(number) for number in (1, 2)]
-    plain, captured = (Pipeline([toys.Double(library=library, times=2), toys.Sum()], Device("cpu")) for _ in range(2))
+    plain, captured = (Pipeline([toys.Double(library=library, times=2), toys.Sum()], Device("cpu"))
+                       for _ in range(2))
     for frame in frames:
         expected = plain(frame)["colour"]
         with captured.device.capture("all", tmp_path) as capture:
@@ -124,17 +129,20 @@ def test_a_failed_command_is_named_and_the_rest_did_not_run(device, failing):
 def test_files_that_cannot_be_written_are_an_error_and_the_commands_still_run(bench, tmp_path):
     (tmp_path / "tensors").write_text("in the way")
     commands, y = record_two(bench)
-    with pytest.raises(CaptureError, match="the capture is not complete"), bench.device.capture("all", tmp_path):
+    with pytest.raises(CaptureError,
+                       match="the capture is not complete"), bench.device.capture("all", tmp_path):
         run(commands)
     assert (y.array == 4.0).all()
 
 
 def test_options_and_nesting_are_checked(device):
-    with pytest.raises(CaptureError, match="cannot keep 'some' of tensors: use one of thumbnails, none, all"):
+    with pytest.raises(CaptureError,
+                       match="cannot keep 'some' of tensors: use one of thumbnails, none, all"):
         device.capture("some")
     with pytest.raises(CaptureError, match="needs a folder="):
         device.capture("all")
-    with device.capture(), pytest.raises(CaptureError, match="being captured already"), device.capture():
+    with device.capture(), pytest.raises(CaptureError,
+                                         match="being captured already"), device.capture():
         pass
     with device.capture() as capture:
         assert capture.buffers == []
@@ -173,7 +181,8 @@ def test_planes(shape, planes):
 
 
 def test_pictures_are_small(device):
-    a, b = device.wrap("a", np.ones((30, 1000, 5), np.float32)), device.heap.tensor("b", (30, 1000, 5))
+    a, b = (device.wrap("a", np.ones((30, 1000, 5), np.float32)),
+            device.heap.tensor("b", (30, 1000, 5)))
     state = device.compute_state(toys.ADD)
     commands = device.command_buffer("frame")
     with commands.compute_encoder("add") as encoder:

@@ -21,7 +21,8 @@ def test_nodes_have_figures_pictures_and_times(deep):
     assert dispatch.dims == {"height": 4, "width": 5} and dispatch.network.difference < 1e-6
     assert (conv.index, conv.op, conv.name, conv.milliseconds > 0) == (1, "Conv", "first", True)
     (written,) = conv.outputs
-    assert (written.name, written.shape, written.dtype, written.nbytes) == ("conv", (1, 4, 4, 5), "float32", 320)
+    assert (written.name, written.shape, written.dtype, written.nbytes) == ("conv", (1, 4, 4, 5),
+                                                                            "float32", 320)
     assert (written.snapshot.statistics.minimum, written.snapshot.statistics.maximum) == (8, 18)
     assert [picture.shape for picture in written.snapshot.pictures] == [(4, 5)] * 4
     assert cast.constant and cast.outputs[0].snapshot.pictures == []

@@ -1,4 +1,5 @@
-"""Networks run node by node: the same results, by every node; constants, graphs inside nodes, failures."""
+"""Networks run node by node: the same results, by every node; constants, graphs inside nodes,
+failures."""
 
 import numpy as np
 import pytest
@@ -17,16 +18,18 @@ CPU = Placement("CPUExecutionProvider", "cpu", 0, 2)
 def test_every_node_writes_what_it_should(tmp_path):
     x = np.random.default_rng(1).random((1, 2, 4, 5), np.float32) + 1
     runs = list(run_nodes(make_deep(tmp_path).path("deep"), CPU, {"x": x}))
-    assert [(run.index, run.op, run.constant) for run in runs] == [
-        (0, "Cast", True), (1, "Conv", False), (2, "Relu", False), (3, "Sub", False), (4, "Sqrt", False),
-        (5, "Add", False),
-    ]  # fmt: skip
-    assert runs[1].name == "first" and all(run.milliseconds > 0 and run.error is None for run in runs)
+    assert ([(run.index, run.op, run.constant) for run in runs] == [
+        (0, "Cast", True), (1, "Conv", False), (2, "Relu", False), (3, "Sub", False),
+        (4, "Sqrt", False), (5, "Add", False),
+    ])  # fmt: skip
+    assert runs[1].name == "first" and all(run.milliseconds > 0 and run.error is None
+                                           for run in runs)
     values = {name: array for run in runs for name, array in run.outputs.items()}
     padded = np.pad(x.sum(1), ((0, 0), (1, 1), (1, 1)))
     sums = sum(padded[:, i : i + 4, j : j + 5] for i in range(3) for j in range(3))
     np.testing.assert_allclose(values["relu"], np.repeat(sums[:, None], 4, 1), rtol=1e-6)
-    np.testing.assert_allclose(values["y"], values["relu"] + np.sqrt(values["relu"] - LEVEL), rtol=1e-6)
+    np.testing.assert_allclose(values["y"], values["relu"] + np.sqrt(values["relu"] - LEVEL),
+                               rtol=1e-6)
 
 
 def test_a_failing_node_ends_it(library):
@@ -36,7 +39,8 @@ def test_a_failing_node_ends_it(library):
 
 def test_a_graph_inside_a_node_reads_values_around_it(tmp_path):
     branch = [
-        helper.make_graph([helper.make_node(op, ["twice", "one"], [op])], op, [], [toys.value(op, (3,))])
+        helper.make_graph([helper.make_node(op, ["twice", "one"], [op])], op, [],
+                          [toys.value(op, (3,))])
         for op in ("Add", "Sub")
     ]
     nodes = [
@@ -61,7 +65,8 @@ def test_what_is_not_read_again_is_let_go(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "tag, tolerance", [("s", 1e-4), ("s.int8", 0.05), ("s.fp16", 0.02)], ids=["float32", "int8", "float16"]
+    "tag, tolerance", [("s", 1e-4), ("s.int8", 0.05), ("s.fp16", 0.02)],
+    ids=["float32", "int8", "float16"]
 )
 def test_the_networks_of_each_precision(tag, tolerance):
     """Against ONNX Runtime's run of the whole, which fuses and optimises."""

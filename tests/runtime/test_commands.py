@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from postfx.kernels import Kernel
-from postfx.runtime import ArgumentTable, BindingError, CommandError, Device, EncodingError, HazardError
+from postfx.runtime import (
+    ArgumentTable,
+    BindingError,
+    CommandError,
+    Device,
+    EncodingError,
+    HazardError,
+)
 from postfx.runtime.encoders import Recordings
 from tests import toys
 
@@ -44,7 +51,8 @@ def test_commit_and_wait(device):
 
 def test_nothing_runs_before_commit_and_then_on_the_queues_thread(device):
     seen = []
-    commands, _ = one_dispatch(device, lambda y0, y1, a, b: seen.append(threading.current_thread().name))
+    commands, _ = one_dispatch(device,
+                               lambda y0, y1, a, b: seen.append(threading.current_thread().name))
     assert seen == []
     commands.commit()
     commands.wait(10)
@@ -83,7 +91,9 @@ def test_error_of_a_network_names_it(device, failing):
         return failing.picked.download()[0]
 
     assert pick(1) == 20
-    with pytest.raises(CommandError, match=r"'look up' \(network 'pick'\) of 'frame' failed: .*out of data bounds"):
+    with pytest.raises(CommandError,
+                       match=r"'look up' \(network 'pick'\) of 'frame' failed: .*out of data "
+                       r"bounds"):
         pick(7)
     assert pick(2) == 30
 
@@ -96,10 +106,10 @@ def test_what_a_failed_command_should_have_written_is_undefined(device):
     with pytest.raises(HazardError) as caught:
         b.download()
     assert (caught.value.kind, caught.value.first) == ("read before write", "work")
-    assert str(caught.value) == (
-        "'b' is read by the host, but 'work' (kernel 'test') of 'frame 1' failed: nothing to divide by: "
-        "commit that again, or upload to 'b'"
-    )
+    assert (str(caught.value) == (
+        "'b' is read by the host, but 'work' (kernel 'test') of 'frame 1' failed: nothing to "
+        "divide by: commit that again, or upload to 'b'"
+    ))
 
 
 def test_the_queue_goes_on_after_an_error(device):
@@ -153,7 +163,8 @@ def test_timings_per_encoder_with_groups(device):
 
 def test_a_group_is_measured_at_once_where_commands_are_one_graph(device, monkeypatch):
     monkeypatch.setattr(device.memory, "replays", True)
-    monkeypatch.setattr(device.memory, "replay", lambda key, kept, enqueue: enqueue(), raising=False)
+    monkeypatch.setattr(device.memory, "replay", lambda key, kept, enqueue: enqueue(),
+                        raising=False)
     a, b = (device.heap.tensor(name, (8,)) for name in "ab")
     a.fill(1.0)
     commands, copied = device.command_buffer("frame"), kernel_state(device, copy_rows)
@@ -175,7 +186,8 @@ def test_nothing_is_recorded_after_commit(device):
     with pytest.raises(EncodingError, match=message):
         commands.compute_encoder("late")
     commands.wait(10)
-    with pytest.raises(EncodingError, match=r"into 'frame 1': it is done, call begin\(\) to record again"):
+    with pytest.raises(EncodingError,
+                       match=r"into 'frame 1': it is done, call begin\(\) to record again"):
         commands.compute_encoder("late")
 
 
@@ -201,7 +213,8 @@ def test_wait_before_commit_and_after_discard(device):
     with pytest.raises(EncodingError, match="it is open, commit it first"):
         commands.wait(1)
     commands.discard()
-    with pytest.raises(EncodingError, match=r"'frame' cannot be committed: it was discarded, call begin\(\)"):
+    with pytest.raises(EncodingError,
+                       match=r"'frame' cannot be committed: it was discarded, call begin\(\)"):
         commands.commit()
     with pytest.raises(EncodingError, match="it is discarded, commit it first"):
         commands.wait(1)
@@ -235,14 +248,16 @@ def test_run_orders_kernels_and_networks_by_what_they_read_and_write(by_itself, 
             x.upload(value * ones)
         commands.commit()
         commands.wait(10)
-        assert np.array_equal(total.array, 6 * value * ones) and np.array_equal(once.array, 7 * value * ones)
+        assert (np.array_equal(total.array, 6 * value * ones)
+                and np.array_equal(once.array, 7 * value * ones))
     assert [label for label, _ in commands.timings] == ["pass/add", "pass/double", "pass/sums"]
 
 
 def test_run_goes_beside_encoders_and_passages(by_itself, ones):
     known, x = Recordings(), by_itself.wrap("x", ones)
     made = [by_itself.heap.tensor(str(i), (1, 4, 5)) for i in range(3)]
-    table = ArgumentTable(by_itself.compute_state(toys.ADD), {"a": made[0], "b": x, "total": made[1]})
+    table = ArgumentTable(by_itself.compute_state(toys.ADD),
+                          {"a": made[0], "b": x, "total": made[1]})
     for _ in range(2):
         commands = by_itself.command_buffer("frame", known=known)
         commands.repeat(("one", x), lambda: commands.run(toys.ADD, "same", a=x, b=x, total=made[0]))  # noqa: B023
@@ -265,13 +280,16 @@ def test_run_names_what_does_not_fit_even_after_one_that_did(by_itself, ones, ch
     commands = by_itself.command_buffer("frame")
     commands.run(toys.ADD, "first", **fitting)
     commands.begin()
-    wrong = {name: {"x": x, None: None}.get(change.get(name, 0), fitting.get(name)) for name in (*fitting, *change)}
+    wrong = {name: {"x": x, None: None}.get(change.get(name, 0), fitting.get(name))
+             for name in (*fitting, *change)}
     with pytest.raises((BindingError, HazardError), match=message):
-        commands.run(toys.ADD, "first", **{name: tensor for name, tensor in wrong.items() if tensor is not None})
+        commands.run(toys.ADD, "first",
+                     **{name: tensor for name, tensor in wrong.items() if tensor is not None})
 
 
 def test_run_finds_its_tables_again(by_itself, ones):
-    known, x, total = Recordings(), by_itself.wrap("x", ones), by_itself.heap.tensor("total", (1, 4, 5))
+    known, x, total = (Recordings(), by_itself.wrap("x", ones),
+                       by_itself.heap.tensor("total", (1, 4, 5)))
     found = []
     for _ in range(2):
         commands = by_itself.command_buffer("frame", known=known)

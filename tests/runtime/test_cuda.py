@@ -1,4 +1,5 @@
-"""CUDA graphs: when commands are captured and launched. The driver is played, so this runs without a GPU."""
+"""CUDA graphs: when commands are captured and launched. The driver is played, so this runs without
+a GPU."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ class Driver:
             self.made += 1
             if name == "cuStreamEndCapture":
                 return self.end_status, self.made
-            return (0, self.made) if name in ("cuGraphInstantiate", "cuEventCreate", "cuEventElapsedTime") else (0,)
+            return ((0, self.made) if name
+                    in ("cuGraphInstantiate", "cuEventCreate", "cuEventElapsedTime") else (0,))
 
         return call
 
@@ -47,7 +49,11 @@ def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
 
 def test_captured_the_second_time_and_launched_from_then_on(driver: Driver) -> None:
     graphs, runs = CudaGraphs(STREAM), []
-    replay = lambda: graphs.replay("frame", "states", lambda: runs.append(graphs.capturing) or len(runs))  # noqa: E731
+
+    def replay() -> object:
+        return graphs.replay(
+            "frame", "states", lambda: runs.append(graphs.capturing) or len(runs))
+
     assert replay() is None and not runs and not driver.calls
     assert replay() == 1 and runs == [True]
     assert replay() == 1 and replay() == 1
@@ -114,7 +120,8 @@ def test_errors_of_the_driver_are_named(driver: Driver, monkeypatch: pytest.Monk
 
 
 class Streams(Driver):
-    """Streams and events as CUDA orders them: for each stream, what is done before the next command on it."""
+    """Streams and events as CUDA orders them: for each stream, what is done before the next command
+    on it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -140,7 +147,8 @@ class Streams(Driver):
 
 
 @pytest.mark.parametrize("captured", [False, True])
-def test_streams_wait_for_what_barriers_put_before(monkeypatch: pytest.MonkeyPatch, captured: bool) -> None:
+def test_streams_wait_for_what_barriers_put_before(monkeypatch: pytest.MonkeyPatch,
+                                                   captured: bool) -> None:
     """Commands 1 and 2 come after 0, 4 after all before it, 3 and 5 after none."""
     played, a, b = Streams(), 5, 6
     monkeypatch.setattr(cuda, "driver", lambda: played)
@@ -151,7 +159,8 @@ def test_streams_wait_for_what_barriers_put_before(monkeypatch: pytest.MonkeyPat
         for number, stream in enumerate(streams):
             fork.run(number, played.command(number, stream or STREAM))
     order = {number: done - {"earlier"} for number, done in played.at.items()}
-    assert order == {0: set(), 1: {0}, 2: {0}, 3: {0, 1}, 4: {0, 1, 2, 3}, 5: {0, 2}}, "3 and 5 follow on their streams"
+    assert order == {0: set(), 1: {0}, 2: {0}, 3: {0, 1}, 4: {0, 1, 2, 3},
+                     5: {0, 2}}, "3 and 5 follow on their streams"
     assert all("earlier" in done for done in played.at.values())
     assert played.done[STREAM] == {"earlier", *range(6)}, "what comes later waits for all"
 
@@ -187,8 +196,11 @@ class Launches(Driver):
         return (Status(rest[6] > self.allowed[kernel] or not rest[0]),)
 
 
-def test_launches_of_a_kernel_with_less_and_more_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A launch made later does not take away what an earlier one may have; one that is refused is described."""
+def test_launches_of_a_kernel_with_less_and_more_shared_memory(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A launch made later does not take away what an earlier one may have; one that is refused is
+    described."""
     monkeypatch.setattr(cuda, "driver", lambda played=Launches(): played)  # noqa: B008
     monkeypatch.setattr(cuda, "_most_shared", lambda index: 1000)
     memory = CudaMemory.__new__(CudaMemory)
@@ -199,5 +211,7 @@ def test_launches_of_a_kernel_with_less_and_more_shared_memory(monkeypatch: pyte
         runs.append(memory._launcher("convolve", None, function, grid, (256, 1), shared, []))
     for run in runs[:3]:
         run()
-    with pytest.raises(DeviceError, match=r"INVALID_VALUE for kernel 'convolve' with a grid of \(0, 1\), .* 300 bytes"):
+    with pytest.raises(DeviceError,
+                       match=r"INVALID_VALUE for kernel 'convolve' with a grid of \(0, 1\), .* 300 "
+                       r"bytes"):
         runs[3]()

@@ -24,7 +24,8 @@ def test_constants_are_those_of_the_module_beside_the_file_and_of_the_layout() -
     assert (found["ROUGHEST"], found["MAX_COLOUR"]) == (history.ROUGHEST, layout.MAX_COLOUR)
     low, high = output.STRUCTURE
     found = constants(SHARED / "denoise/output.cu")
-    assert (found["STRUCTURE_LOW"], found["STRUCTURE_HIGH"], found["TILE"]) == (low, high, output.TILE)
+    assert (found["STRUCTURE_LOW"], found["STRUCTURE_HIGH"], found["TILE"]) == (low, high,
+                                                                                output.TILE)
 
 
 @pytest.mark.parametrize("path", FAMILIES, ids=lambda path: path.name)
@@ -42,6 +43,7 @@ def test_printed_constants_have_the_values_of_python(path: Path) -> None:
 @pytest.mark.parametrize("path", FAMILIES, ids=lambda path: path.name)
 def test_no_source_defines_them_again(path: Path) -> None:
     lines = re.findall(r"^(?:\[\[maybe_unused\]\] )?(?:enum|const \w+) .*", read_source(path), re.M)
-    defined = [name for line in lines for name in
-               re.findall(r"\b[A-Z][A-Z_\d]+\b" + (r"(?= =)" if line.startswith(("const", "[")) else ""), line)]
+    defined = [name for line in lines for name in re.findall(
+        r"\b[A-Z][A-Z_\d]+\b" + (r"(?= =)" if line.startswith(("const", "[")) else ""), line
+    )]
     assert len(defined) == len(set(defined)) and set(constants(path)) <= set(defined)

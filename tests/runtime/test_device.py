@@ -1,4 +1,5 @@
-"""Devices: choice, kernels in bands and by their portable definitions, steady state, memory out of the host's sight."""
+"""Devices: choice, kernels in bands and by their portable definitions, steady state, memory out of
+the host's sight."""
 
 import dataclasses
 import gc
@@ -55,16 +56,20 @@ def test_unknown_device(name):
         Device(name)
 
 
-@pytest.mark.parametrize(("name", "index"), [("cuda", 0), ("cuda:0", 0), ("cuda:3", 3), ("auto", 0)])
+@pytest.mark.parametrize(("name", "index"),
+                         [("cuda", 0), ("cuda:0", 0), ("cuda:3", 3), ("auto", 0)])
 def test_number_of_a_cuda_device(name, index, monkeypatch):
     asked = []
-    monkeypatch.setattr(device_module, "cuda_fault", lambda number: asked.append(number) or "it is not there")
-    with nullcontext() if name == "auto" else pytest.raises(DeviceError, match=f"'{name}' is not available: it is not"):
+    monkeypatch.setattr(device_module, "cuda_fault",
+                        lambda number: asked.append(number) or "it is not there")
+    with nullcontext() if name == "auto" else pytest.raises(DeviceError, match=f"'{name}' is not "
+                                                            "available: it is not"):
         assert Device(name).name == "cpu"
     assert asked == [index]
 
 
-@pytest.mark.skipif("CUDAExecutionProvider" in onnxruntime.get_available_providers(), reason="ONNX Runtime has CUDA")
+@pytest.mark.skipif("CUDAExecutionProvider" in onnxruntime.get_available_providers(),
+                    reason="ONNX Runtime has CUDA")
 def test_cuda_where_there_is_none():
     with pytest.raises(DeviceError, match=r"'cuda' is not available: .* pip install '\.\[cuda\]'"):
         Device("cuda")
@@ -99,7 +104,8 @@ def test_rows_may_lie_along_any_axis(device):
 
 
 def test_a_plug_in_may_compile_rows_by_numba():
-    """Numba's functions are called as Python's are; the kernel's other forms lie beside what was compiled."""
+    """Numba's functions are called as Python's are; the kernel's other forms lie beside what was
+    compiled."""
     numba = pytest.importorskip("numba")
 
     def twice(y0, y1, a, b):
@@ -123,9 +129,11 @@ def test_compiled_and_portable_kernels_agree(kernel, kernels):
     compiled = Device("cpu", threads=2)
     portable = Device("cpu", threads=2, compiled_kernels=False, kernels=kernels)
     states = compiled.compute_state(kernel), portable.compute_state(kernel)
-    assert isinstance(states[0], CompiledComputeState) and isinstance(states[1], PortableComputeState)
+    assert (isinstance(states[0], CompiledComputeState)
+            and isinstance(states[1], PortableComputeState))
     assert states[0].bindings == states[1].bindings
-    first, second = run(compiled, states[0], arrays, output), run(portable, states[1], arrays, output)
+    first, second = run(compiled, states[0], arrays, output), run(portable, states[1], arrays,
+                                                                  output)
     assert all(np.array_equal(first[name], second[name]) for name in output)
 
 
@@ -137,7 +145,9 @@ def test_missing_portable_definition(kernels):
 
 def test_portable_definition_with_other_bindings(kernels):
     device = Device("cpu", compiled_kernels=False, kernels=kernels)
-    with pytest.raises(ModelError, match="has the inputs a float32, b float32: they must be a float32, c float32"):
+    with pytest.raises(ModelError,
+                       match="has the inputs a float32, b float32: they must be a float32, c "
+                       "float32"):
         device.compute_state(Kernel("add", ("a", "c"), ("total",), print, ("total", 0)))
 
 
@@ -185,7 +195,8 @@ def test_networks_read_and_write_tensors_where_they_lie(bench, ones):
     result = np.zeros_like(ones)
     commands = bench.device.command_buffer("frame")
     with commands.machine_learning_encoder("double") as encoder:
-        encoder.dispatch_network(*bench.double(bench.device.wrap("x", ones), bench.device.wrap("y", result)))
+        encoder.dispatch_network(*bench.double(bench.device.wrap("x", ones),
+                                               bench.device.wrap("y", result)))
     commands.commit()
     commands.wait(10)
     assert np.all(result == 2)
@@ -218,7 +229,8 @@ def test_portable_kernels_do_not_write_past_a_tensor(kernels):
     device = Device("cpu", compiled_kernels=False, kernels=kernels)
     undeclared = Kernel("twice_as_large", ("coarse",), ("fine",), print, ("fine", 0))
     coarse = np.ones((4, 4, 3), np.float32)
-    assert run(device, device.compute_state(undeclared), {"coarse": coarse}, {"fine": (8, 8, 3)})["fine"].min() == 1
+    assert run(device, device.compute_state(undeclared), {"coarse": coarse},
+               {"fine": (8, 8, 3)})["fine"].min() == 1
     with pytest.raises(CommandError, match="kernel 'twice_as_large'"):
         run(device, device.compute_state(undeclared), {"coarse": coarse}, {"fine": (7, 8, 3)})
 
@@ -247,26 +259,33 @@ def test_a_foreign_kernel_never_gets_a_form_of_ours(tmp_path, kernels):
     binding = ("image", "rows", "columns"), ("output",)
     foreign = Kernel("resample", *binding, print, ("output", 0), folder=tmp_path)
     assert find_source(RESAMPLE) and find_source(foreign) is None and RESAMPLE.home is None
-    with pytest.raises(ModelError, match=f"no form that runs on .*: there is no '{tmp_path}/resample.onnx'"):
+    with pytest.raises(ModelError,
+                       match=f"no form that runs on .*: there is no '{tmp_path}/resample.onnx'"):
         Device("cpu", compiled_kernels=False).compute_state(foreign)
     other = tmp_path / "other"
     other.mkdir()
-    (other / "own.cu").write_text('extern "C" __global__ void resample(View image, View output) {}\n')
+    (other / "own.cu").write_text('extern "C" __global__ void resample(View image, View output) '
+                                  '{}\n')
     own = dataclasses.replace(foreign, folder=other)
-    assert find_source(own) == other / "own.cu" and "MOST_REFLECTANCE" not in read_source(other / "own.cu")
-    assert "struct View" in read_source(other / "own.cu") and "MOST_REFLECTANCE" in read_source(find_source(RESAMPLE))
+    assert (find_source(own) == other / "own.cu"
+            and "MOST_REFLECTANCE" not in read_source(other / "own.cu"))
+    assert ("struct View" in read_source(other / "own.cu")
+            and "MOST_REFLECTANCE" in read_source(find_source(RESAMPLE)))
     assert toys.ADD.home == Path(toys.__file__).parent
 
 
 def test_a_foreign_kernel_runs_by_the_portable_form_beside_it(tmp_path):
     toys.make_kernels(tmp_path)
     foreign = dataclasses.replace(toys.ADD, folder=tmp_path)
-    assert isinstance(Device("cpu", compiled_kernels=False).compute_state(foreign), PortableComputeState)
+    assert isinstance(Device("cpu", compiled_kernels=False).compute_state(foreign),
+                      PortableComputeState)
 
 
 def test_a_gpu_runs_kernels_by_their_cuda_sources_and_others_portably(monkeypatch):
     device, gpu = Device("cpu"), object()
     monkeypatch.setattr(Device, "gpu", gpu)
     state = device.compute_state(SCALE)
-    assert isinstance(state, CudaComputeState) and state._memory is gpu and state._source.name == "prepare.cu"
-    assert isinstance(device.compute_state(toys.ADD), CompiledComputeState)  # the CPU's, as it is no GPU really
+    assert (isinstance(state, CudaComputeState) and state._memory is gpu
+            and state._source.name == "prepare.cu")
+    # the CPU's, as it is no GPU really
+    assert isinstance(device.compute_state(toys.ADD), CompiledComputeState)

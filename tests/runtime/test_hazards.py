@@ -9,20 +9,24 @@ BOTH = ("compute", "machine-learning")
 
 
 def record(bench, *steps, barrier=None):
-    """Commands of one encoder a step; `barrier` (after, before) opens every encoder but the first."""
+    """Commands of one encoder a step; `barrier` (after, before) opens every encoder but the
+    first."""
     commands = bench.device.command_buffer("frame 7")
     for index, (label, (state, table)) in enumerate(steps):
-        begin = commands.compute_encoder if state.stage == "compute" else commands.machine_learning_encoder
+        begin = (commands.compute_encoder if state.stage == "compute"
+                 else commands.machine_learning_encoder)
         with begin(label) as encoder:
             if barrier and index:
                 encoder.barrier(after=barrier[0], before=barrier[1])
-            (encoder.dispatch if state.stage == "compute" else encoder.dispatch_network)(state, table)
+            (encoder.dispatch if state.stage == "compute"
+             else encoder.dispatch_network)(state, table)
     return commands
 
 
 def graph(bench, kind):
     """Two steps on 'shared' that need an order, a network first."""
-    one, shared, other = bench.tensor("one", True), bench.tensor("shared", True), bench.tensor("other")
+    one, shared, other = (bench.tensor("one", True), bench.tensor("shared", True),
+                          bench.tensor("other"))
     return {
         "read after write": (bench.double(one, shared), bench.add(shared, one, other)),
         "write after write": (bench.double(one, shared), bench.add(one, one, shared)),
@@ -40,13 +44,15 @@ def test_missing_barrier_names_both_commands_the_tensor_and_the_mend(bench, kind
     with pytest.raises(HazardError) as caught:
         commands.commit()
     error = caught.value
-    assert (error.kind, error.tensor, error.first, error.second) == (kind, "shared", "denoise", "apply")
+    assert (error.kind, error.tensor, error.first, error.second) == (kind, "shared", "denoise",
+                                                                     "apply")
     does, did = ("writes" if word == "write" else "reads" for word in kind.split(" after "))
-    assert str(error) == (
-        f"{kind}: 'apply' (kernel 'add') {does} 'shared', which 'denoise' (network 'double') {did}, in no certain "
-        "order: record barrier(after='machine-learning', before='compute') in 'apply' before it, or "
-        "barrier(after='machine-learning', before_queue='compute') in 'denoise' after it"
-    )
+    assert (str(error) == (
+        f"{kind}: 'apply' (kernel 'add') {does} 'shared', which 'denoise' (network 'double') "
+        f"{did}, in no certain order: record barrier(after='machine-learning', before='compute') "
+        "in 'apply' before it, or barrier(after='machine-learning', before_queue='compute') in "
+        "'denoise' after it"
+    ))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -59,8 +65,10 @@ def test_covering_barrier_passes(bench, kind, barrier):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("barrier", [("compute", "compute"), ("machine-learning", "machine-learning"),
-                                     ("compute", "machine-learning"), ("compute", BOTH), (BOTH, "machine-learning")])
+@pytest.mark.parametrize("barrier", [("compute", "compute"),
+                                     ("machine-learning", "machine-learning"),
+                                     ("compute", "machine-learning"), ("compute", BOTH),
+                                     (BOTH, "machine-learning")])
 def test_barrier_that_misses_a_stage_is_none(bench, kind, barrier):
     first, second = graph(bench, kind)
     with pytest.raises(HazardError, match=kind):
@@ -69,7 +77,8 @@ def test_barrier_that_misses_a_stage_is_none(bench, kind, barrier):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_within_one_encoder_only_a_plain_barrier_orders(bench, kind):
-    one, shared, other = bench.tensor("one", True), bench.tensor("shared", True), bench.tensor("other")
+    one, shared, other = (bench.tensor("one", True), bench.tensor("shared", True),
+                          bench.tensor("other"))
     first, second = {
         "read after write": (bench.add(one, one, shared), bench.add(shared, one, other)),
         "write after write": (bench.add(one, one, shared), bench.add(one, one, shared)),
@@ -124,10 +133,12 @@ def test_reads_need_no_order(bench):
 
 def test_read_before_write_names_the_later_writer(bench):
     x, empty, y = bench.tensor("x", True), bench.tensor("empty"), bench.tensor("y")
-    commands = record(bench, ("use", bench.double(empty, y)), ("make", bench.add(x, x, empty)), barrier=(BOTH, BOTH))
+    commands = record(bench, ("use", bench.double(empty, y)), ("make", bench.add(x, x, empty)),
+                      barrier=(BOTH, BOTH))
     with pytest.raises(HazardError) as caught:
         commands.commit()
-    assert (caught.value.kind, caught.value.first, caught.value.second) == ("read before write", "make", "use")
+    assert (caught.value.kind, caught.value.first, caught.value.second) == ("read before write",
+                                                                            "make", "use")
     assert str(caught.value) == (
         "read before write: 'use' (network 'double') reads 'empty', which nothing wrote before: "
         "only 'make' (kernel 'add') writes it, later: record it first"
@@ -135,7 +146,8 @@ def test_read_before_write_names_the_later_writer(bench):
 
 
 def test_reading_what_nothing_ever_writes(bench):
-    with pytest.raises(HazardError, match="'use' .* reads 'empty', .*: upload to it, or write it by a command"):
+    with pytest.raises(HazardError,
+                       match="'use' .* reads 'empty', .*: upload to it, or write it by a command"):
         record(bench, ("use", bench.double(bench.tensor("empty"), bench.tensor("y")))).commit()
 
 
@@ -168,9 +180,10 @@ def test_the_same_tensor_read_and_written_in_one_dispatch(bench):
     with pytest.raises(HazardError) as caught:
         record(bench, ("in place", bench.double(x, x)))
     assert (caught.value.kind, caught.value.second) == ("aliasing", "in place")
-    assert str(caught.value) == (
-        "'in place' (network 'double') has 'x' on the same memory, one of them written: bind separate tensors"
-    )
+    assert (str(caught.value) == (
+        "'in place' (network 'double') has 'x' on the same memory, one of them written: bind "
+        "separate tensors"
+    ))
 
 
 def test_overlapping_views_in_one_dispatch(bench):
@@ -179,7 +192,8 @@ def test_overlapping_views_in_one_dispatch(bench):
     first, second = whole.view("first", (1, 4, 5)), whole.view("second", (1, 4, 5), offset=19)
     with pytest.raises(HazardError, match="'first' and 'second' on the same memory"):
         record(bench, ("in place", bench.double(first, second)))
-    commands = record(bench, ("apart", bench.double(first, whole.view("third", (1, 4, 5), offset=20))))
+    commands = record(bench,
+                      ("apart", bench.double(first, whole.view("third", (1, 4, 5), offset=20))))
     commands.commit()
     commands.wait(10)
     assert np.array_equal(whole.array, [1] * 20 + [2] * 20)
@@ -203,7 +217,8 @@ def test_two_wraps_of_one_array_are_the_same_memory(bench, ones):
 def test_one_argument_written_twice(bench, device):
     from postfx.kernels import Kernel
 
-    state = device.compute_state(Kernel("split", ("a",), ("b", "c"), lambda y0, y1, a, b, c: None, ("b", 0)))
+    state = device.compute_state(Kernel("split", ("a",), ("b", "c"), lambda y0, y1, a, b, c: None,
+                                        ("b", 0)))
     from postfx.runtime import ArgumentTable
 
     x, y = bench.tensor("x", True), bench.tensor("y")
@@ -215,7 +230,9 @@ def test_released_between_recording_and_commit(bench):
     x, y = bench.tensor("x", True), bench.tensor("y")
     commands = record(bench, ("use", bench.double(x, y)))
     x.release()
-    with pytest.raises(HazardError, match="'use' .* uses 'x', which was released before commit: record it with a new"):
+    with pytest.raises(HazardError,
+                       match="'use' .* uses 'x', which was released before commit: record it with "
+                       "a new"):
         commands.commit()
 
 
@@ -238,7 +255,8 @@ def test_hazards_between_buffers_end_with_wait_and_not_before(bench):
 
 def test_a_failed_commit_leaves_nothing_behind(bench, ones):
     x, y = bench.tensor("x", True), bench.tensor("y")
-    commands = record(bench, ("one", bench.double(x, y)), ("two", bench.add(y, x, bench.tensor("z"))))
+    commands = record(bench, ("one", bench.double(x, y)),
+                      ("two", bench.add(y, x, bench.tensor("z"))))
     with pytest.raises(HazardError):
         commands.commit()
     x.upload(ones)

@@ -1,4 +1,5 @@
-"""The hazard search against a brute-force one, on random graphs of dispatches and the three forms of barriers."""
+"""The hazard search against a brute-force one, on random graphs of dispatches and the three forms
+of barriers."""
 
 from __future__ import annotations
 
@@ -7,7 +8,13 @@ import random
 
 import pytest
 
-from postfx.runtime.encoders import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier
+from postfx.runtime.encoders import (
+    STAGES,
+    ConsumerBarrier,
+    Dispatch,
+    EncoderBarrier,
+    ProducerBarrier,
+)
 from postfx.runtime.hazards import Footprint, find_conflict, predecessors, with_barriers
 from postfx.runtime.tensor import Tensor
 
@@ -30,7 +37,8 @@ class Bytes:
 
 
 def random_records(rng, encoders):
-    """Encoders in turn; their numbers are in no order, as when recorded buffers are committed in another order."""
+    """Encoders in turn; their numbers are in no order, as when recorded buffers are committed in
+    another order."""
     records, numbers = [], rng.sample(range(100), encoders)
     for encoder in numbers:
         stage = rng.choice(STAGES)
@@ -38,7 +46,8 @@ def random_records(rng, encoders):
             kind = rng.random()
             if kind < 0.55:
                 reads, writes = ([Bytes(rng) for _ in range(rng.randint(0, 2))] for _ in range(2))
-                records.append(Dispatch("label", "command", stage, encoder, tuple(reads), tuple(writes), lambda: None))
+                records.append(Dispatch("label", "command", stage, encoder, tuple(reads),
+                                        tuple(writes), lambda: None))
             elif kind < 0.7:
                 records.append(EncoderBarrier(encoder))
             else:
@@ -48,8 +57,10 @@ def random_records(rng, encoders):
 
 
 def holds(barrier, place, one, first, two, second, turn):
-    """Whether the barrier recorded at `place` puts dispatch `one`, recorded at `first`, before `two`, at `second`."""
-    earlier, later = turn[one.encoder] - turn[barrier.encoder], turn[two.encoder] - turn[barrier.encoder]
+    """Whether the barrier recorded at `place` puts dispatch `one`, recorded at `first`, before
+    `two`, at `second`."""
+    earlier, later = (turn[one.encoder] - turn[barrier.encoder],
+                      turn[two.encoder] - turn[barrier.encoder])
     if isinstance(barrier, EncoderBarrier):
         return earlier == later == 0 and first < place < second
     scopes = one.stage in barrier.after and two.stage in barrier.before
@@ -59,10 +70,13 @@ def holds(barrier, place, one, first, two, second, turn):
 
 
 def ordered_pairs(records):
-    """Pairs of dispatch indices that barriers order: the definition, written down plainly, then closed."""
+    """Pairs of dispatch indices that barriers order: the definition, written down plainly, then
+    closed."""
     places = [place for place, record in enumerate(records) if isinstance(record, Dispatch)]
-    barriers = [(place, record) for place, record in enumerate(records) if not isinstance(record, Dispatch)]
-    turn = {encoder: index for index, encoder in enumerate(dict.fromkeys(record.encoder for record in records))}
+    barriers = [(place, record)
+                for place, record in enumerate(records) if not isinstance(record, Dispatch)]
+    turn = {encoder: index
+            for index, encoder in enumerate(dict.fromkeys(record.encoder for record in records))}
     pairs = set()
     for (i, first), (j, second) in itertools.combinations(enumerate(places), 2):
         one, two = records[first], records[second]
@@ -75,16 +89,19 @@ def ordered_pairs(records):
 
 
 def brute_force(records, first_new, across):
-    """All (second, first, kinds) of unordered dispatches that share a byte which one of them writes."""
+    """All (second, first, kinds) of unordered dispatches that share a byte which one of them
+    writes."""
     dispatches = [record for record in records if isinstance(record, Dispatch)]
     pairs, found = ordered_pairs(records), []
     touched = [
-        ({b for t in d.reads for b in range(t.start, t.end)}, {b for t in d.writes for b in range(t.start, t.end)})
+        ({b for t in d.reads for b in range(t.start, t.end)},
+         {b for t in d.writes for b in range(t.start, t.end)})
         for d in dispatches
     ]
     for i, j in itertools.combinations(range(len(dispatches)), 2):
         (reads, writes), (later_reads, later_writes) = touched[i], touched[j]
-        shared = {"read after write": writes & later_reads, "write after write": writes & later_writes,
+        shared = {"read after write": writes & later_reads,
+                  "write after write": writes & later_writes,
                   "write after read": reads & later_writes}
         kinds = {kind for kind, bytes_ in shared.items() if bytes_}
         if kinds and (i, j) not in pairs and j >= first_new and (i < first_new or not across):
@@ -140,7 +157,8 @@ def test_barriers_are_made_where_brute_force_finds_conflicts(seed):
 
 def test_encoders_that_take_the_whole_device_come_one_after_the_other():
     rng = random.Random(1)
-    records = [Dispatch("label", "command", STAGES[i // 2 % 2], i // 2, (), (Bytes(rng),), lambda: None)
+    records = [Dispatch("label", "command", STAGES[i // 2 % 2], i // 2, (), (Bytes(rng),),
+                        lambda: None)
                for i in range(6)]
     records[0].writes = records[1].writes = records[3].writes = ()
     before = predecessors(with_barriers(Footprint(records)))
@@ -159,7 +177,8 @@ def test_needs_are_the_bytes_read_before_they_are_written(seed):
         footprint = Footprint(records)
         found = [ranges for _, _, ranges in footprint.needs.values()]
         assert {b for ranges in found for span in ranges.spans for b in range(*span)} == needed
-        assert {b for r in footprint.writes.values() for span in r.spans for b in range(*span)} == written
+        assert {b for r in footprint.writes.values() for span in r.spans
+                for b in range(*span)} == written
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -168,7 +187,8 @@ def test_orders_are_those_of_the_definition(seed):
     for _ in range(100):
         records = random_records(rng, encoders=5)
         found = {
-            (i, j) for j, mask in enumerate(predecessors(records)) for i in range(j) if mask >> i & 1
+            (i, j) for j, mask in enumerate(predecessors(records))
+            for i in range(j) if mask >> i & 1
         }
         assert found == ordered_pairs(records)
 

@@ -108,7 +108,8 @@ def test_upload_takes_lists_and_strided_arrays_and_scalars(device):
 
 def test_upload_of_wrong_shape_or_kind_is_refused(device):
     tensor = device.heap.tensor("t", (2, 3), "int32")
-    with pytest.raises(BindingError, match=r"upload of \(3, 2\) int64 to 't': the tensor is \(2, 3\) int32"):
+    with pytest.raises(BindingError,
+                       match=r"upload of \(3, 2\) int64 to 't': the tensor is \(2, 3\) int32"):
         tensor.upload(np.zeros((3, 2), np.int64))
     with pytest.raises(BindingError, match="float64"):
         tensor.upload(np.zeros((2, 3)))
@@ -153,7 +154,8 @@ def test_wrap_shares_memory_and_counts_as_written(device, ones):
 
 
 def test_wrap_needs_arrays_of_this_machines_byte_order(device):
-    with pytest.raises(BindingError, match="has the byte order of other machines: pass it as float32"):
+    with pytest.raises(BindingError,
+                       match="has the byte order of other machines: pass it as float32"):
         device.wrap("x", np.ones(3, ">f4"))
 
 

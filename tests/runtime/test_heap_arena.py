@@ -22,7 +22,8 @@ def test_a_plan_is_made_once_for_commands_of_one_shape(chain, library):
 def test_other_work_recorded_between_makes_no_other_plan(chain):
     chain.run()
     commands = chain.device.command_buffer("frame 2")
-    for name, between, total in (("one", chain.first, chain.totals[0]), ("two", chain.second, chain.totals[1])):
+    for name, between, total in (("one", chain.first, chain.totals[0]),
+                                 ("two", chain.second, chain.totals[1])):
         chain.device.next_encoder()  # as when another thread records
         with commands.machine_learning_encoder(name) as encoder:
             encoder.barrier(after="machine-learning", before="machine-learning")

@@ -1,4 +1,5 @@
-"""Plans against a brute-force check on random graphs: what may share bytes, and how much memory it takes."""
+"""Plans against a brute-force check on random graphs: what may share bytes, and how much memory it
+takes."""
 
 from __future__ import annotations
 
@@ -7,7 +8,13 @@ import random
 
 import pytest
 
-from postfx.runtime.encoders import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier
+from postfx.runtime.encoders import (
+    STAGES,
+    ConsumerBarrier,
+    Dispatch,
+    EncoderBarrier,
+    ProducerBarrier,
+)
 from postfx.runtime.hazards import predecessors
 from postfx.runtime.heap import Present, make_plan
 
@@ -15,7 +22,8 @@ SERIAL = 8
 
 
 def random_graph(rng: random.Random):
-    """Records with barriers, sizes of tensors, and which of them every dispatch uses; each is used at least once."""
+    """Records with barriers, sizes of tensors, and which of them every dispatch uses; each is used
+    at least once."""
     records, uses, count = [], [], rng.randint(1, 8)
     for encoder in range(rng.randint(1, 6)):
         stage = rng.choice(STAGES)
@@ -44,7 +52,8 @@ def done_before(one, other, uses, before):
 
 
 def overlap(one, other, offsets, sizes):
-    return offsets[one] < offsets[other] + sizes[other] and offsets[other] < offsets[one] + sizes[one]
+    return (offsets[one] < offsets[other] + sizes[other]
+            and offsets[other] < offsets[one] + sizes[one])
 
 
 def check(plan, records, sizes, uses, kept, memory=0):
@@ -58,7 +67,8 @@ def check(plan, records, sizes, uses, kept, memory=0):
                  and done_before(item, o, uses, before)]
         assert (taker in later) if later else taker is None
     assert plan.bound <= plan.nbytes <= max(plan.total, memory) and plan.total == sum(sizes)
-    assert plan.nbytes == max(offset + size for offset, size in zip(plan.offsets, sizes, strict=True))
+    assert plan.nbytes == max(offset + size
+                              for offset, size in zip(plan.offsets, sizes, strict=True))
     assert all(offset % 256 == 0 for offset in plan.offsets)
 
 
@@ -74,10 +84,13 @@ def check_random_graph(seed):
     kept = rng.sample(range(len(sizes)), rng.randint(0, 1))
     plan = make_plan(sizes, uses, kept, records)
     check(plan, records, sizes, uses, kept)
-    spans = [[index for index, used in enumerate(uses) if item in used] for item in range(len(sizes))]
+    spans = [[index for index, used in enumerate(uses) if item in used]
+             for item in range(len(sizes))]
     alive = [sum(size for item, size in enumerate(sizes)
-                 if spans[item][0] <= time and (time <= spans[item][-1] or item in kept)) for time in range(len(uses))]
-    assert max(alive) <= plan.bound <= most_that_must_be_apart(records, sizes, uses, kept) <= plan.nbytes
+                 if spans[item][0] <= time and (time <= spans[item][-1] or item in kept))
+             for time in range(len(uses))]
+    assert (max(alive) <= plan.bound <= most_that_must_be_apart(records, sizes, uses, kept)
+            <= plan.nbytes)
 
 
 def most_that_must_be_apart(records, sizes, uses, kept):
@@ -85,7 +98,8 @@ def most_that_must_be_apart(records, sizes, uses, kept):
     before = predecessors(records)
     free = {frozenset((one, other)) for one, other in itertools.permutations(range(len(sizes)), 2)
             if one not in kept and done_before(one, other, uses, before)}
-    sets = (items for count in range(len(sizes) + 1) for items in itertools.combinations(range(len(sizes)), count))
+    sets = (items for count in range(len(sizes) + 1)
+            for items in itertools.combinations(range(len(sizes)), count))
     return max(sum(sizes[item] for item in items) for items in sets
                if not any(frozenset(pair) in free for pair in itertools.combinations(items, 2)))
 
@@ -100,7 +114,8 @@ def test_tensors_stay_only_where_they_may():
         rng = random.Random(seed)
         records, sizes, uses = random_graph(rng)
         offsets = [rng.choice([-1, 256 * rng.randint(0, 40)]) for _ in sizes]
-        memory = max(offset + size for offset, size in zip(offsets, sizes, strict=True)) + 256 * rng.randint(0, 20)
+        memory = (max(offset + size for offset, size in zip(offsets, sizes, strict=True))
+                  + 256 * rng.randint(0, 20))
         plan = make_plan(sizes, uses, [], records, Present(memory, offsets))
         check(plan, records, sizes, uses, [], memory)
         stay = all(old in (-1, new) for old, new in zip(offsets, plan.offsets, strict=True))

@@ -55,7 +55,8 @@ def line(device):
 
 
 def commit_chain(line, count):
-    """Buffers of which each reads what the one before wrote; all committed while the first one runs."""
+    """Buffers of which each reads what the one before wrote; all committed while the first one
+    runs."""
     line.gate.clear()
     tensors = [line.tensor("t 0", 0.0), *(line.tensor(f"t {i + 1}") for i in range(count))]
     buffers = [line.commit(i, tensors[i], tensors[i + 1], **AFTER_ALL) for i in range(count)]
@@ -77,7 +78,8 @@ def test_waiting_for_one_retires_those_before_it_and_no_other(line):
     line.gate.set()
     buffers[1].wait(10)
     assert buffers[3].is_done(10)
-    assert [tensor.state.kind for tensor in tensors] == ["defined", "defined", "being read", *["being written"] * 2]
+    assert [tensor.state.kind for tensor in tensors] == ["defined", "defined", "being read",
+                                                         *["being written"] * 2]
     assert line.device.hazards.in_flight() == buffers[2:]
     tensors[0].fill(0.0)
     with pytest.raises(HazardError, match=r"wait\(\) for 'frame 2' first"):
@@ -87,7 +89,8 @@ def test_waiting_for_one_retires_those_before_it_and_no_other(line):
 
 
 def test_a_ring_of_buffers_with_two_frames_in_flight(line):
-    """Frame n is uploaded and committed while frame n - 1 runs; each slot has tensors of its own."""
+    """Frame n is uploaded and committed while frame n - 1 runs; each slot has tensors of its
+    own."""
     slots = [(line.tensor(f"in {i}", 0.0), line.tensor(f"out {i}")) for i in range(2)]
     ring = [line.device.command_buffer(f"slot {i}") for i in range(2)]
     for commands, (a, b) in zip(ring, slots, strict=True):
@@ -111,7 +114,8 @@ def test_a_ring_of_buffers_with_two_frames_in_flight(line):
 
 def test_what_depends_on_a_failed_buffer_names_the_first_cause_and_the_rest_runs(line):
     line.gate.clear()
-    x, lost, more, most, fine = line.tensor("x", 0.0), *(line.tensor(n) for n in ("lost", "more", "most", "fine"))
+    x, lost, more, most, fine = line.tensor("x", 0.0), *(line.tensor(n)
+                                                         for n in ("lost", "more", "most", "fine"))
     failing = line.commit(1, x, lost, line.fail)
     dependent = line.commit(2, lost, more, after="compute", before="compute")
     indirect = line.commit(3, more, most, after="compute", before="compute")
@@ -122,8 +126,10 @@ def test_what_depends_on_a_failed_buffer_names_the_first_cause_and_the_rest_runs
     cause = "'step 1' (kernel 'fail') of 'frame 1' failed: nothing to divide by"
     for commands, text in (
         (failing, cause),
-        (indirect, f"'step 3' (kernel 'add one') of 'frame 3' did not run: it reads 'more', but {cause}"),
-        (dependent, f"'step 2' (kernel 'add one') of 'frame 2' did not run: it reads 'lost', but {cause}"),
+        (indirect,
+         f"'step 3' (kernel 'add one') of 'frame 3' did not run: it reads 'more', but {cause}"),
+        (dependent,
+         f"'step 2' (kernel 'add one') of 'frame 2' did not run: it reads 'lost', but {cause}"),
     ):
         with pytest.raises(CommandError) as caught:
             commands.wait(10)
@@ -153,10 +159,10 @@ def test_commands_that_read_what_was_lost_are_refused_once_that_is_known(line):
         line.commit(1, x, lost, line.fail).wait(10)
     with pytest.raises(HazardError) as caught:
         line.commit(2, lost, line.tensor("y"))
-    assert str(caught.value) == (
-        "read before write: 'step 2' (kernel 'add one') reads 'lost', but 'step 1' (kernel 'fail') of 'frame 1' "
-        "failed: nothing to divide by: commit that again, or upload to 'lost'"
-    )
+    assert (str(caught.value) == (
+        "read before write: 'step 2' (kernel 'add one') reads 'lost', but 'step 1' (kernel 'fail') "
+        "of 'frame 1' failed: nothing to divide by: commit that again, or upload to 'lost'"
+    ))
 
 
 def test_wait_times_out_and_can_be_repeated(line):
@@ -164,7 +170,8 @@ def test_wait_times_out_and_can_be_repeated(line):
     assert line.started.wait(10)
     with pytest.raises(CommandTimeout) as caught:
         first.wait(timeout=0.05)
-    text = "'frame 0' was not done after 0.05 s: 'step 0' (kernel 'add one') of 'frame 0' is running"
+    text = ("'frame 0' was not done after 0.05 s: 'step 0' (kernel 'add one') of 'frame 0' is "
+            "running")
     assert (str(caught.value), caught.value.running, caught.value.waiting) == (text, "step 0", ())
     line.gate.set()
     first.wait(10)
@@ -179,10 +186,12 @@ def test_time_out_names_what_runs_and_what_waits_behind_it(line):
     with pytest.raises(CommandTimeout) as caught:
         buffers[2].wait(timeout=0)
     assert str(caught.value) == f"'frame 2' was not done after 0 s: {running}; {behind}"
-    assert (caught.value.running, caught.value.waiting) == ("step 0", tuple(f"frame {i}" for i in range(1, 7)))
+    assert (caught.value.running, caught.value.waiting) == ("step 0", tuple(f"frame {i}"
+                                                                            for i in range(1, 7)))
     with pytest.raises(CommandTimeout) as caught:
         line.device.wait_idle(timeout=0.01)
-    assert str(caught.value) == f"Device('cpu', threads=2) was not idle after 0.01 s: {running}; {behind}"
+    assert (str(caught.value) == f"Device('cpu', threads=2) was not idle after 0.01 s: {running}; "
+            f"{behind}")
     line.gate.set()
     line.device.wait_idle(10)
 

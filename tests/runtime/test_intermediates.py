@@ -1,4 +1,5 @@
-"""What networks compute between their inputs and outputs: its size, memory that networks share, what the heap tells."""
+"""What networks compute between their inputs and outputs: its size, memory that networks share,
+what the heap tells."""
 
 import os
 import subprocess
@@ -23,13 +24,16 @@ PLANE = CHANNELS * SIDE * SIDE * 4
 
 
 def save_wide(folder: Path) -> Library:
-    """A network 'wide' of one channel that is 32 channels in between, by a convolution of two layers."""
+    """A network 'wide' of one channel that is 32 channels in between, by a convolution of two
+    layers."""
     random = np.random.default_rng(1)
     weights = [numpy_helper.from_array(random.standard_normal(shape, np.float32), name)
                for name, shape in (("a", (CHANNELS, 1, 1, 1)), ("b", (1, CHANNELS, 1, 1)))]
-    nodes = [helper.make_node("Conv", ["x", "a"], ["between"]), helper.make_node("Sin", ["between"], ["bent"]),
+    nodes = [helper.make_node("Conv", ["x", "a"], ["between"]),
+             helper.make_node("Sin", ["between"], ["bent"]),
              helper.make_node("Conv", ["bent", "b"], ["y"])]
-    values = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 1, "height", "width"]) for name in "xy"]
+    values = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 1, "height", "width"])
+              for name in "xy"]
     graph = helper.make_graph(nodes, "wide", values[:1], values[1:], weights)
     opsets = [helper.make_opsetid("", 20)]
     onnx.save(helper.make_model(graph, opset_imports=opsets, ir_version=10), folder / "wide.onnx")
@@ -58,14 +62,15 @@ with device.capture(tensors="none") as capture:
         encoder.dispatch_network(state, ArgumentTable(state, {"x": x, "y": y}))
     commands.commit()
     commands.wait(60)
-print(held() - before, device.heap.peak - peak, device.heap.networks, capture.buffers[0].heap_peak - peak)
+print(held() - before, device.heap.peak - peak, device.heap.networks,
+      capture.buffers[0].heap_peak - peak)
 """
 
 
 def in_a_process(folder: Path, what: str) -> list[int]:
     """Figures of a process in which no other network ran."""
-    done = subprocess.run([sys.executable, "-c", GROWTH, str(folder), what], capture_output=True, text=True, check=True,
-                          env=os.environ | {"MALLOC_ARENA_MAX": "1"})
+    done = subprocess.run([sys.executable, "-c", GROWTH, str(folder), what], capture_output=True,
+                          text=True, check=True, env=os.environ | {"MALLOC_ARENA_MAX": "1"})
     return [int(word) for word in done.stdout.split()]
 
 
@@ -81,8 +86,8 @@ def test_the_heap_and_captures_know_what_a_network_takes(tmp_path: Path) -> None
 @GLIBC
 def test_intermediates_grow_with_the_picture_and_are_measured_again(tmp_path: Path) -> None:
     device, library = Device("cpu", threads=1), save_wide(tmp_path)
-    sizes = [device.pipeline_state(library, "wide", {"height": side, "width": side}).intermediates_size
-             for side in (SIDE, 2 * SIDE, SIDE)]
+    sizes = [device.pipeline_state(library, "wide", {"height": side, "width": side})
+             .intermediates_size for side in (SIDE, 2 * SIDE, SIDE)]
     assert sizes[0] == pytest.approx(sizes[2], rel=0.05) and sizes[1] > 3 * sizes[0] > 3 * PLANE
 
 
@@ -97,7 +102,8 @@ def test_a_second_network_runs_in_the_arena_of_the_first(tmp_path: Path) -> None
         x.fill(1.0)
         commands, before = device.command_buffer("one"), device.heap.networks
         with commands.machine_learning_encoder("wide") as encoder:
-            encoder.dispatch_network(state, ArgumentTable(state, {"x": x, "y": y}), device.intermediates(state))
+            encoder.dispatch_network(state, ArgumentTable(state, {"x": x, "y": y}),
+                                     device.intermediates(state))
         commands.commit()
         commands.wait(60)
         return device.heap.networks - before
@@ -114,8 +120,11 @@ def test_too_little_memory_is_refused(tmp_path: Path) -> None:
     x, y = (device.heap.tensor(name, (1, 1, SIDE, SIDE)) for name in "xy")
     commands = device.command_buffer("one")
     with commands.machine_learning_encoder("wide") as encoder:
-        with pytest.raises(BindingError, match=r"'wide' needs [\d,]+ bytes .* has 1,000: give device.intermediates"):
-            encoder.dispatch_network(state, ArgumentTable(state, {"x": x, "y": y}), heap=device.intermediates(1000))
+        with pytest.raises(BindingError,
+                           match=r"'wide' needs [\d,]+ bytes .* has 1,000: give "
+                           r"device.intermediates"):
+            encoder.dispatch_network(state, ArgumentTable(state, {"x": x, "y": y}),
+                                     heap=device.intermediates(1000))
         with pytest.raises(BindingError, match="different devices"):
             encoder.dispatch_network(state, ArgumentTable(state, {"x": x, "y": y}),
                                      heap=Device("cpu").intermediates(1 << 40))
@@ -123,16 +132,20 @@ def test_too_little_memory_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
-def test_our_own_networks_share_memory_of_the_heap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two sizes of a network, once each in its own memory and once both in one; without a barrier that is a hazard."""
+def test_our_own_networks_share_memory_of_the_heap(tmp_path: Path,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two sizes of a network, once each in its own memory and once both in one; without a barrier
+    that is a hazard."""
     (tmp_path / "toy.onnx").write_bytes(make_network(lambda graph: None))
     monkeypatch.setattr(Device, "gpu", HostGpu(warpgroups=False, processors=7))
     device = Device("cpu", threads=1, explicit_barriers=True)
     library, random = Library(tmp_path), np.random.default_rng(1)
-    states = [device.pipeline_state(library, "toy", {"height": rows, "width": 56}) for rows in (40, 24)]
+    states = [device.pipeline_state(library, "toy", {"height": rows, "width": 56})
+              for rows in (40, 24)]
     tables = []
     for state in states:
-        tensors = {binding.name: device.heap.tensor(binding.name, state.shapes[binding.name], binding.dtype)
+        tensors = {binding.name: device.heap.tensor(binding.name, state.shapes[binding.name],
+                                                    binding.dtype)
                    for binding in state.bindings}
         tensors["packed"].upload(random.random(state.shapes["packed"]).astype(np.float16))
         tables.append(ArgumentTable(state, tensors))
@@ -155,7 +168,8 @@ def test_our_own_networks_share_memory_of_the_heap(tmp_path: Path, monkeypatch: 
     assert device.heap.used - before == pytest.approx(heap.size, rel=0.05)
     for one, other in zip(shared, run(None), strict=True):
         np.testing.assert_array_equal(one, other)
-    assert device.heap.used - before == pytest.approx(heap.size + sum(state.intermediates_size for state in states),
-                                                      rel=0.05)
+    assert device.heap.used - before == pytest.approx(heap.size + sum(
+        state.intermediates_size for state in states
+    ), rel=0.05)
     with pytest.raises(HazardError, match="intermediates"):
         run(heap, barrier=False)

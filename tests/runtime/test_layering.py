@@ -20,7 +20,8 @@ def imported(source: Path) -> set[str]:
             found |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             found.add(node.module.split(".")[0])
-        elif isinstance(node, ast.Call) and getattr(node.func, "id", getattr(node.func, "attr", "")) == "import_module":
+        elif (isinstance(node, ast.Call)
+              and getattr(node.func, "id", getattr(node.func, "attr", "")) == "import_module"):
             first = node.args[0]
             found |= {first.value.split(".")[0]} if isinstance(first, ast.Constant) else set()
     return found
@@ -35,7 +36,8 @@ def test_imports():
 
 
 def test_the_check_sees_imports(tmp_path):
-    text = "def f():\n    import torch.nn\n    from onnxruntime import X\n    importlib.import_module('training.x')\n"
+    text = ("def f():\n    import torch.nn\n    from onnxruntime import X\n    "
+            "importlib.import_module('training.x')\n")
     (tmp_path / "m.py").write_text(text)
     assert imported(tmp_path / "m.py") == {"torch", "onnxruntime", "training"}
 
@@ -47,7 +49,8 @@ def module_of(source: Path, root: Path) -> str:
 
 
 def import_graph(package: Path) -> dict[str, set[str]]:
-    """Module -> modules of the same package that it imports: anywhere in it, also for type checking only."""
+    """Module -> modules of the same package that it imports: anywhere in it, also for type checking
+    only."""
     modules = {module_of(source, package.parent): source for source in package.rglob("*.py")}
     graph = {}
     for name, source in modules.items():
@@ -65,9 +68,11 @@ def import_graph(package: Path) -> dict[str, set[str]]:
 def test_files_know_neither_kernels_nor_what_is_made_of_frames():
     graph = import_graph(PACKAGE)
     rooms = {name: {".".join(one.split(".")[:2]) for one in found} for name, found in graph.items()}
-    above = {"postfx.kernels", "postfx.interpolate", "postfx.passes", "postfx.runtime", "postfx.pipeline"}
+    above = {"postfx.kernels", "postfx.interpolate", "postfx.passes", "postfx.runtime",
+             "postfx.pipeline"}
     for name in ("postfx.compiled", "postfx.motion", "postfx.io"):
-        found = {one for module in graph if f"{module}.".startswith(f"{name}.") for one in rooms[module]}
+        found = {one for module in graph if f"{module}.".startswith(f"{name}.")
+                 for one in rooms[module]}
         assert not found & above, name
         assert name != "postfx.motion" or "postfx.io" not in found
 
@@ -79,7 +84,8 @@ def test_no_imports_run_in_a_circle():
 def test_the_check_sees_circles_of_type_checking_imports(tmp_path):
     (tmp_path / "p").mkdir()
     (tmp_path / "p" / "__init__.py").touch()
-    (tmp_path / "p" / "a.py").write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from p import b\n")
+    (tmp_path / "p" / "a.py").write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n"
+                                         "    from p import b\n")
     (tmp_path / "p" / "b.py").write_text("def f():\n    from p.a import g\n")
     assert import_graph(tmp_path / "p") == {"p": set(), "p.a": {"p.b"}, "p.b": {"p.a"}}
     with pytest.raises(CycleError):

@@ -64,17 +64,21 @@ def test_card_without_hash_is_not_checked(library, tmp_path):
 
 def test_reflection_of_fixed_dimensions(device, library):
     state = device.pipeline_state(library, "double", {"height": 4, "width": 6})
-    assert state.bindings == (Binding("x", "read", (1, 4, 6), "float32"), Binding("y", "write", (1, 4, 6), "float32"))
-    assert device.pipeline_state(library, "pick").bindings[0] == Binding("index", "read", (1,), "int64")
+    assert state.bindings == (Binding("x", "read", (1, 4, 6), "float32"),
+                              Binding("y", "write", (1, 4, 6), "float32"))
+    assert device.pipeline_state(library, "pick").bindings[0] == Binding("index", "read", (1,),
+                                                                         "int64")
 
 
 def test_outputs_follow_the_inputs(device, kernels):
-    state = device.pipeline_state(kernels, "twice_as_large", {"height": 2, "width": 3, "channels": 4})
+    state = device.pipeline_state(kernels, "twice_as_large",
+                                  {"height": 2, "width": 3, "channels": 4})
     assert state.bindings[1] == Binding("fine", "write", (4, 6, 4), "float32")
 
 
 def test_dimension_left_free_is_named(device, library):
-    with pytest.raises(ModelError, match="network 'double' leaves width of 'x' free: dims were height=4"):
+    with pytest.raises(ModelError,
+                       match="network 'double' leaves width of 'x' free: dims were height=4"):
         device.pipeline_state(library, "double", {"height": 4})
     with pytest.raises(ModelError, match="leaves height, width of 'x' free: dims were none"):
         device.pipeline_state(library, "double")
@@ -82,7 +86,8 @@ def test_dimension_left_free_is_named(device, library):
 
 def test_size_that_depends_on_data_is_refused(device, tmp_path):
     x, found = toys.value("x", (4,)), toys.value("found", (1, None), TensorProto.INT64)
-    toys.save_model(tmp_path / "find.onnx", [helper.make_node("NonZero", ["x"], ["found"])], [x], [found])
+    toys.save_model(tmp_path / "find.onnx", [helper.make_node("NonZero", ["x"], ["found"])], [x],
+                    [found])
     with pytest.raises(ModelError, match="of 'found' free"):
         device.pipeline_state(Library(tmp_path), "find")
 
@@ -113,14 +118,17 @@ def test_copy_model_is_one_identity_node():
 
 def test_constants_are_computed_once_and_not_bound(tmp_path, device):
     scale = {"scale": np.array([3.0], np.float32)}
-    nodes = [helper.make_node("Mul", ["x", "scale"], ["y"]), helper.make_node("Add", ["scale", "scale"], ["six"])]
-    shapes = [toys.value("x", (2,)), toys.value("y", (2,)), toys.value("six", (1,)), toys.value("scale", (1,))]
+    nodes = [helper.make_node("Mul", ["x", "scale"], ["y"]),
+             helper.make_node("Add", ["scale", "scale"], ["six"])]
+    shapes = [toys.value("x", (2,)), toys.value("y", (2,)), toys.value("six", (1,)),
+              toys.value("scale", (1,))]
     toys.save_model(tmp_path / "parts.onnx", nodes, shapes[:1], shapes[1:], scale)
     card = {"outputs": {"y": {}, "six": {"constant": True}, "scale": {"constant": True}}}
     (tmp_path / "parts.json").write_text(json.dumps(card))
     state = device.pipeline_state(Library(tmp_path), "parts")
     assert [binding.name for binding in state.bindings] == ["x", "y"]
-    assert {name: array.tolist() for name, array in state.constants.items()} == {"six": [6], "scale": [3]}
+    assert {name: array.tolist() for name, array in state.constants.items()} == {"six": [6],
+                                                                                 "scale": [3]}
     y = device.heap.tensor("y", (2,))
     commands = device.command_buffer("test")
     with commands.machine_learning_encoder("network") as encoder:
@@ -138,12 +146,14 @@ def test_constants_are_taken_from_the_metadata(tmp_path, device):
         model = onnx.load(tmp_path / "twice.onnx")
         onnx.helper.set_model_props(model, {CONSTANTS: text})
         onnx.save(model, tmp_path / "twice.onnx")
-        (tmp_path / "twice.json").write_text(json.dumps({"outputs": {"y": {}, "six": {"constant": True}}}))
+        (tmp_path / "twice.json").write_text(json.dumps({"outputs": {"y": {},
+                                                                     "six": {"constant": True}}}))
         return Library(tmp_path)
 
     told = '{"six": {"shape": [1, 1], "float32": "AADAQA=="}}'
     assert device.pipeline_state(make(told), "twice").constants["six"].tolist() == [[6]]
-    for damaged in ("{", "[]", '{"six": 6}', told.replace("[1, 1]", "[2]"), told.replace("AADAQA==", "AAD?")):
+    for damaged in ("{", "[]", '{"six": 6}', told.replace("[1, 1]", "[2]"),
+                    told.replace("AADAQA==", "AAD?")):
         with pytest.raises(ModelError, match="'postfx.constants' of its metadata is damaged"):
             device.pipeline_state(make(damaged), "twice")
     with pytest.raises(ModelError, match="model 'twice' cannot be run"):
@@ -155,9 +165,11 @@ def test_shipped_cards_mark_constants(name):
     library = Library()
     model = onnx.load(library.path(name), load_external_data=False)
     constant = {item.name for item in model.graph.initializer}
-    constant |= {output for index in constant_nodes(model) for output in model.graph.node[index].output}
+    constant |= {output for index in constant_nodes(model)
+                 for output in model.graph.node[index].output}
     outputs = {item.name for item in model.graph.output}
-    lifted = {name for item in model.metadata_props if item.key == CONSTANTS for name in json.loads(item.value)}
+    lifted = {name for item in model.metadata_props if item.key == CONSTANTS
+              for name in json.loads(item.value)}
     assert set(library.constants(name)) == outputs & constant | lifted
     if name.startswith("denoise_upscale"):  # execution providers other than ours cannot have them
         assert not outputs & {item.name for item in model.graph.initializer}

@@ -1,4 +1,5 @@
-"""Networks as people have them: operators beyond convolutions, sizes without names, states, other types and layouts."""
+"""Networks as people have them: operators beyond convolutions, sizes without names, states, other
+types and layouts."""
 
 import numpy as np
 import pytest
@@ -37,7 +38,8 @@ def gru(x, w, r):
     """ONNX's GRU with gates z, r, h and zero biases."""
     h, out, n = np.zeros((x.shape[1], r.shape[1]), np.float32), [], r.shape[1]
     for row in x:
-        z, reset = (sigmoid(row @ w[i * n:(i + 1) * n].T + h @ r[i * n:(i + 1) * n].T) for i in range(2))
+        z, reset = (sigmoid(row @ w[i * n:(i + 1) * n].T + h @ r[i * n:(i + 1) * n].T)
+                    for i in range(2))
         h = (1 - z) * np.tanh(row @ w[2 * n:].T + (reset * h) @ r[2 * n:].T) + z * h
         out.append(h)
     return np.stack(out)[:, None]
@@ -66,12 +68,13 @@ def rms(x, scale):
 
 STEPS, HEADS = (5, 2, 3), (1, 2, 4, 8)
 CASES = {
-    "GRU": (gru, ("", {"hidden_size": 4, "linear_before_reset": 0}), (STEPS, (12, 3), (12, 4)), (5, 1, 2, 4), (1, 2)),
+    "GRU": (gru, ("", {"hidden_size": 4, "linear_before_reset": 0}), (STEPS, (12, 3), (12, 4)),
+            (5, 1, 2, 4), (1, 2)),
     "LSTM": (lstm, ("", {"hidden_size": 4}), (STEPS, (16, 3), (16, 4)), (5, 1, 2, 4), (1, 2)),
     "Attention": (attention, ("", {}), (HEADS, HEADS, HEADS), HEADS, ()),
     "RMSNormalization": (rms, ("", {"axis": -1}), ((2, 6), (6,)), (2, 6), ()),
-    "FusedMatMul": (lambda a, b: 2 * a @ b.T, ("com.microsoft", {"transB": 1, "alpha": 2.0}), ((3, 4), (5, 4)), (3, 5),
-                    ()),
+    "FusedMatMul": (lambda a, b: 2 * a @ b.T, ("com.microsoft", {"transB": 1, "alpha": 2.0}),
+                    ((3, 4), (5, 4)), (3, 5), ()),
 }
 
 
@@ -80,12 +83,16 @@ def test_operators_of_other_networks_compute(operator, device, tmp_path):
     expected, (domain, attributes), shapes, result, directions = CASES[operator]
     given = arrays(*shapes)
     names = [f"x{i}" for i in range(len(given))]
-    stored = [array[None] if i in directions else array for i, array in enumerate(given)]  # weights of one direction
+    # weights of one direction
+    stored = [array[None] if i in directions else array for i, array in enumerate(given)]
     node = helper.make_node(operator, names, ["y"], domain=domain, **attributes)
     inputs = [toys.value(name, array.shape) for name, array in zip(names, stored, strict=True)]
-    state = device.pipeline_state(save(tmp_path, "own", [node], inputs, [toys.value("y", result)]), "own")
+    state = device.pipeline_state(save(tmp_path, "own", [node], inputs, [toys.value("y", result)]),
+                                  "own")
     y = device.heap.tensor("y", result)
-    run_once(state, {name: device.wrap(name, array) for name, array in zip(names, stored, strict=True)} | {"y": y})
+    run_once(state,
+             {name: device.wrap(name, array) for name, array in zip(names, stored, strict=True)}
+             | {"y": y})
     assert np.allclose(y.array, expected(*given), atol=1e-5)
 
 
@@ -117,7 +124,8 @@ def test_dimensions_that_cannot_be(unnamed, device, dims, reason):
 
 def test_bfloat16(device, tmp_path):
     x, y = toys.value("x", (4,), TensorProto.BFLOAT16), toys.value("y", (4,), TensorProto.BFLOAT16)
-    nodes = [helper.make_node("Cast", ["x"], ["f"], to=TensorProto.FLOAT), helper.make_node("Neg", ["f"], ["g"]),
+    nodes = [helper.make_node("Cast", ["x"], ["f"], to=TensorProto.FLOAT),
+             helper.make_node("Neg", ["f"], ["g"]),
              helper.make_node("Cast", ["g"], ["y"], to=TensorProto.BFLOAT16)]
     state = device.pipeline_state(save(tmp_path, "half", nodes, [x], [y]), "half")
     x, y = (device.heap.tensor(name, (4,), "bfloat16") for name in "xy")
@@ -131,19 +139,24 @@ def test_bfloat16(device, tmp_path):
 def test_strided_arrays_are_read_and_written_where_they_lie(device, library):
     picture = np.arange(2 * 9 * 12, dtype=np.float32).reshape(9, 12, 2)
     before, target = picture.copy(), np.zeros((5, 8, 1), np.float32)
-    crop, turned = picture[6:2:-1, 1:11:2, :1].transpose(2, 0, 1), target[:4, 7:2:-1].transpose(2, 0, 1)
+    crop, turned = (picture[6:2:-1, 1:11:2, :1].transpose(2, 0, 1),
+                    target[:4, 7:2:-1].transpose(2, 0, 1))
     x, y = device.wrap("x", crop), device.wrap("y", turned)
     run_once(device.pipeline_state(library, "double", {"height": 4, "width": 5}), {"x": x, "y": y})
     assert np.array_equal(turned, 2 * crop) and np.array_equal(picture, before)
-    assert np.count_nonzero(target) <= 20 and np.array_equal(y.download(), y.array) and y.array.base is not None
+    assert (np.count_nonzero(target) <= 20 and np.array_equal(y.download(), y.array)
+            and y.array.base is not None)
     y.fill(7.0)
-    assert np.all(target[:4, 3:8] == 7.0) and np.all(target[4] == 0.0) and np.all(target[:, :3] == 0.0)
+    assert (np.all(target[:4, 3:8] == 7.0) and np.all(target[4] == 0.0)
+            and np.all(target[:, :3] == 0.0))
 
 
 def test_strided_arrays_and_kernels(device):
     whole = np.ones((4, 6, 6), np.float32)
-    a, b, total = (device.wrap(name, whole[:, :, i::3]) for i, name in enumerate(("a", "b", "total")))
-    with pytest.raises(HazardError, match="'a' and 'total' on the same memory"):  # by their first and last byte
+    a, b, total = (device.wrap(name, whole[:, :, i::3])
+                   for i, name in enumerate(("a", "b", "total")))
+    # by their first and last byte
+    with pytest.raises(HazardError, match="'a' and 'total' on the same memory"):
         run_once(device.compute_state(toys.ADD), {"a": a, "b": b, "total": total}, "compute")
     result = np.zeros((4, 6, 4), np.float32)
     total = device.wrap("total", result[:, :, ::2])
@@ -162,7 +175,8 @@ def test_strided_arrays_are_uploaded_where_memory_is_elsewhere(remote):
 def running_sum(tmp_path):
     """state_out = state + x, and what it was before."""
     shapes = [toys.value(name, (3,)) for name in ("x", "state", "state_out", "before")]
-    nodes = [helper.make_node("Add", ["x", "state"], ["state_out"]), helper.make_node("Neg", ["state"], ["before"])]
+    nodes = [helper.make_node("Add", ["x", "state"], ["state_out"]),
+             helper.make_node("Neg", ["state"], ["before"])]
     return save(tmp_path, "sum", nodes, shapes[:2], shapes[2:])
 
 
@@ -170,7 +184,8 @@ def running_sum(tmp_path):
 def test_a_network_that_keeps_a_state(where, request, running_sum):
     device: Device = request.getfixturevalue(where)
     network = device.pipeline_state(running_sum, "sum", in_place={"state": "state_out"})
-    assert [(b.name, b.access) for b in network.bindings] == [("x", "read"), ("state", "read-write"),
+    assert [(b.name, b.access) for b in network.bindings] == [("x", "read"),
+                                                              ("state", "read-write"),
                                                               ("before", "write")]
     x, before = device.wrap("x", np.float32([1, 2, 3])), device.heap.tensor("before", (3,))
     state = device.heap.tensor("state", (3,))
@@ -184,8 +199,9 @@ def test_a_network_that_keeps_a_state(where, request, running_sum):
         run_once(network, {"x": state, "state": state, "before": before})
 
 
-@pytest.mark.parametrize("pair, reason", [({"state": "y"}, "it has the inputs 'x', 'state' and the outputs"),
-                                          ({"stat": "state_out"}, "cannot replace 'stat' by 'state_out'")])
+@pytest.mark.parametrize("pair, reason",
+                         [({"state": "y"}, "it has the inputs 'x', 'state' and the outputs"),
+                          ({"stat": "state_out"}, "cannot replace 'stat' by 'state_out'")])
 def test_states_that_cannot_be_replaced(running_sum, device, pair, reason):
     with pytest.raises(ModelError, match=reason):
         device.pipeline_state(running_sum, "sum", in_place=pair)
@@ -196,16 +212,21 @@ def add_to_rows(y0, y1, amount, total):
         total[y] += amount[0]
 
 
-ADD_TO = Kernel("add_to", ("amount", "total"), ("total",), add_to_rows, ("total", 0), {"amount": (1,), "total": ("n",)})
+ADD_TO = Kernel("add_to", ("amount", "total"), ("total",), add_to_rows, ("total", 0),
+                {"amount": (1,), "total": ("n",)})
 
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_a_kernel_that_works_in_place(tmp_path, compiled):
-    shapes = [toys.value(name, shape) for name, shape in (("amount", (1,)), ("total", ("n",)), ("total_out", ("n",)))]
-    portable = save(tmp_path, "add_to", [helper.make_node("Add", ["amount", "total"], ["total_out"])], shapes[:2],
+    shapes = [toys.value(name, shape)
+              for name, shape in (("amount", (1,)), ("total", ("n",)), ("total_out", ("n",)))]
+    portable = save(tmp_path, "add_to",
+                    [helper.make_node("Add", ["amount", "total"], ["total_out"])], shapes[:2],
                     shapes[2:])
     device = Device("cpu", threads=2, compiled_kernels=compiled, kernels=portable)
-    state, total = device.compute_state(ADD_TO), device.wrap("total", np.arange(9, dtype=np.float32))
+    state, total = device.compute_state(ADD_TO), device.wrap("total",
+                                                             np.arange(9, dtype=np.float32))
     for _ in range(2):
-        run_once(state, {"amount": device.wrap("amount", np.float32([5])), "total": total}, "compute")
+        run_once(state, {"amount": device.wrap("amount", np.float32([5])), "total": total},
+                 "compute")
     assert total.array.tolist() == list(range(10, 19))

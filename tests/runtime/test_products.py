@@ -14,22 +14,27 @@ onnx = pytest.importorskip("onnx")
 from onnx import TensorProto, helper, numpy_helper  # noqa: E402
 
 
-def made(sign: int = 128, zero: int = -128, last: str = "Cast", channels: int = 8, wider: int = 0) -> bytes:
+def made(sign: int = 128, zero: int = -128, last: str = "Cast", channels: int = 8,
+         wider: int = 0) -> bytes:
     """A model: the codes (1, C, h, w) of its input, and their products with 3 rows of factors."""
     factors = np.random.default_rng(0).integers(0, 128, (3, channels)).astype(np.uint8)
     factors[0, 0] += wider
-    held = {"factors": factors, "middle": np.uint8(64), "zero": np.int8(zero), "sign": np.uint8(sign),
-            "flat": np.array([channels, -1])}
+    held = {"factors": factors, "middle": np.uint8(64), "zero": np.int8(zero),
+            "sign": np.uint8(sign), "flat": np.array([channels, -1])}
     nodes = [helper.make_node("MaxPool", ["x"], ["codes"], kernel_shape=[1, 1]),
              helper.make_node("Reshape", ["codes", "flat"], ["line"]),
              helper.make_node("BitwiseXor", ["line", "sign"], ["turned"]),
-             helper.make_node(last, ["turned"], ["signed"], **({"to": TensorProto.INT8} if last == "Cast" else {})),
-             helper.make_node("MatMulInteger", ["factors", "signed", "middle", "zero"], ["products_fine"])]
+             helper.make_node(last, ["turned"], ["signed"],
+                              **({"to": TensorProto.INT8} if last == "Cast" else {})),
+             helper.make_node("MatMulInteger", ["factors", "signed", "middle", "zero"],
+                              ["products_fine"])]
     graph = helper.make_graph(
-        nodes, "graph", [helper.make_tensor_value_info("x", TensorProto.UINT8, [1, channels, 2, 3])],
+        nodes, "graph",
+        [helper.make_tensor_value_info("x", TensorProto.UINT8, [1, channels, 2, 3])],
         [helper.make_tensor_value_info("products_fine", TensorProto.INT32, [3, 6])],
         [numpy_helper.from_array(np.asarray(value), name) for name, value in held.items()])
-    content: bytes = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)]).SerializeToString()
+    content: bytes = (helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)])
+                      .SerializeToString())
     return content
 
 
@@ -44,8 +49,8 @@ def test_a_product_becomes_its_codes_and_factors() -> None:
 @pytest.mark.parametrize("change", [
     {"sign": 64}, {"zero": 0}, {"last": "Identity"}, {"channels": 6}, {"wider": 255 - 127}])
 def test_other_products_stay_as_they_are(change: dict[str, int | str]) -> None:
-    """Codes whose zero is not 0, another way to them, channels that are not whole words, and factors that two of which
-    could overflow 16 bits."""
+    """Codes whose zero is not 0, another way to them, channels that are not whole words, and
+    factors that two of which could overflow 16 bits."""
     content = made(**change)  # type: ignore[arg-type]
     assert take_products(content) == (content, {})
 
@@ -53,8 +58,10 @@ def test_other_products_stay_as_they_are(change: dict[str, int | str]) -> None:
 @pytest.mark.skipif(not has_byte_products(), reason="needs an x86-64 processor")
 @pytest.mark.parametrize("name", ["denoise_upscale.s.int8", "denoise_upscale.m.int8.guides"])
 def test_codes_times_factors_are_the_networks_own_products(name: str) -> None:
-    device, dims = Device("cpu", threads=2), {"height": 32, "width": 48, "ringed_height": 34, "ringed_width": 50}
-    whole, split = (device.pipeline_state(Library(), name, dims, codes=codes) for codes in (False, True))
+    device, dims = Device("cpu", threads=2), {"height": 32, "width": 48, "ringed_height": 34,
+                                              "ringed_width": 50}
+    whole, split = (device.pipeline_state(Library(), name, dims, codes=codes)
+                    for codes in (False, True))
     wanted, found = results(whole), results(split)
     assert split.products.keys() == {key for key in wanted if key.startswith("products_")}
     for output, (codes, factors) in split.products.items():
@@ -66,12 +73,15 @@ def results(state: PipelineState) -> dict[str, np.ndarray]:
     """What a network writes for random input."""
     random, tensors = np.random.default_rng(1), {}
     for binding in state.bindings:
-        tensors[binding.name] = state.device.heap.tensor(binding.name, state.shapes[binding.name], binding.dtype)
+        tensors[binding.name] = state.device.heap.tensor(binding.name, state.shapes[binding.name],
+                                                         binding.dtype)
         if binding.reads:
-            tensors[binding.name].upload(random.integers(0, 256, state.shapes[binding.name], np.uint8))
+            tensors[binding.name].upload(random.integers(0, 256, state.shapes[binding.name],
+                                                         np.uint8))
     commands = state.device.command_buffer("run")
     with commands.machine_learning_encoder("run") as encoder:
         encoder.dispatch_network(state, ArgumentTable(state, tensors))
     commands.commit()
     commands.wait(timeout=60)
-    return {binding.name: tensors[binding.name].download() for binding in state.bindings if binding.writes}
+    return {binding.name: tensors[binding.name].download()
+            for binding in state.bindings if binding.writes}

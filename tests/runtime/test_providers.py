@@ -14,7 +14,8 @@ from tests import toys
 
 def test_how_a_provider_is_written():
     asked = parse_provider("OpenVINO,device_type=CPU,load_config={'a': 1, 'b': 2},library=ep.so")
-    assert asked == Provider("OpenVINO", (("device_type", "CPU"), ("load_config", "{'a': 1, 'b': 2}")), "ep.so")
+    assert asked == Provider("OpenVINO",
+                             (("device_type", "CPU"), ("load_config", "{'a': 1, 'b': 2}")), "ep.so")
     assert str(asked) == "OpenVINO,device_type=CPU,load_config={'a': 1, 'b': 2},library=ep.so"
 
 
@@ -37,14 +38,17 @@ def test_the_same_bits_by_a_provider_of_that_name(provider, how, monkeypatch):
                             lambda *args: called.append(args[2].name) or make(*args))
     frame = toys.make_frame(1, (32, 24))
     plain, other = (Pipeline([DenoiseUpscale(model="s.fp32")], device)(frame)
-                    for device in (Device("cpu", threads=1), Device("auto", threads=1, provider=provider)))
+                    for device in (Device("cpu", threads=1),
+                                   Device("auto", threads=1, provider=provider)))
     assert np.array_equal(plain[Role.COLOUR], other[Role.COLOUR])
     assert set(called) == ({"CPUExecutionProvider"} if how == "plug-in" else set())
 
 
 @pytest.mark.parametrize("provider, reason", [
-    ("Nowhere", "no provider 'Nowhere' in onnxruntime .*, which has .*CPUExecutionProvider: install one that has"),
-    ("CPU,library=nowhere.so", "'nowhere.so' of a provider is neither a file nor a package that has one"),
+    ("Nowhere", "no provider 'Nowhere' in onnxruntime .*, which has .*CPUExecutionProvider: "
+     "install one that has"),
+    ("CPU,library=nowhere.so",
+     "'nowhere.so' of a provider is neither a file nor a package that has one"),
     ("CPU,library=json", "'json' of a provider is neither a file nor a package that has one"),
     (f"CPU,library={__file__}", "of a provider cannot be loaded: "),
 ])
@@ -55,19 +59,22 @@ def test_providers_that_are_not_there(provider, reason):
 
 def test_a_plug_in_without_a_device_here(monkeypatch):
     monkeypatch.setattr(session_module, "_register", lambda library: None)
-    with pytest.raises(DeviceError, match="'NPU' has no device on this machine, although 'ep.so' is loaded"):
+    with pytest.raises(DeviceError,
+                       match="'NPU' has no device on this machine, although 'ep.so' is loaded"):
         Device("cpu", provider="NPU,library=ep.so")
 
 
 def test_inputs_are_bound_before_every_run(library, monkeypatch):
-    """A provider with memory of its own gets a copy when an input is bound, and none when the network runs."""
+    """A provider with memory of its own gets a copy when an input is bound, and none when the
+    network runs."""
     device = Device("cpu", threads=1, provider="CPU")
     make, copied = session_module.ort.InferenceSession.io_binding, []
 
     def far(session):
         binding = make(session)
         bind = binding.bind_input
-        binding.bind_input = lambda *place: copied.append(float(tensors["x"].array.max())) or bind(*place)
+        binding.bind_input = (lambda *place: copied.append(float(tensors["x"].array.max()))
+                              or bind(*place))
         return binding
 
     monkeypatch.setattr(session_module.ort.InferenceSession, "io_binding", far)
@@ -96,6 +103,7 @@ def test_options_that_a_provider_refuses(library, monkeypatch):
 
 
 def test_the_command_line_names_what_is_missing(tmp_path, capsys):
-    wish = ["run", "samples/room/noisy.####.exr", "-o", str(tmp_path / "out.####.exr"), "--provider", "TensorRT,a=1"]
+    wish = ["run", "samples/room/noisy.####.exr", "-o", str(tmp_path / "out.####.exr"),
+            "--provider", "TensorRT,a=1"]
     assert main(wish) != 0
     assert "no provider 'TensorRT' in onnxruntime" in capsys.readouterr().err

@@ -15,8 +15,10 @@ class Frame:
 
     def __init__(self, bench, label="frame 1"):
         self.bench = bench
-        self.x, self.doubled, self.total = bench.tensor("x", True), bench.tensor("doubled"), bench.tensor("total")
-        self.tables = bench.double(self.x, self.doubled), bench.add(self.doubled, self.x, self.total)
+        self.x, self.doubled, self.total = (bench.tensor("x", True), bench.tensor("doubled"),
+                                            bench.tensor("total"))
+        self.tables = bench.double(self.x, self.doubled), bench.add(self.doubled, self.x,
+                                                                    self.total)
         self.commands = bench.device.command_buffer(label)
 
     def encode(self):
@@ -69,7 +71,8 @@ def test_what_cannot_be_captured_runs_one_by_one(frame, ones, monkeypatch):
 def test_search_among_its_own_commands_is_done_once(frame, monkeypatch):
     searches = []
     find = hazards.find_conflict
-    monkeypatch.setattr(hazards, "find_conflict", lambda *args: searches.append(args) or find(*args))
+    monkeypatch.setattr(hazards, "find_conflict",
+                        lambda *args: searches.append(args) or find(*args))
     for _ in range(3):
         frame.run()
     assert len(searches) == 1
@@ -93,7 +96,8 @@ def test_released_since_the_last_commit(frame):
 
 def test_content_lost_since_the_last_commit(bench, library, device):
     pick = device.pipeline_state(library, "pick")
-    index, picked, copy = device.heap.tensor("index", (1,), "int64"), *(device.heap.tensor(n, (1, 1, 1)) for n in "pc")
+    index, picked, copy = (device.heap.tensor("index", (1,), "int64"),
+                           *(device.heap.tensor(n, (1, 1, 1)) for n in "pc"))
     flat = picked.view("picked", (1,))
     index.upload([1])
     look_up, use = device.command_buffer("look up"), device.command_buffer("use")
@@ -108,12 +112,15 @@ def test_content_lost_since_the_last_commit(bench, library, device):
     assert copy.array[0, 0, 0] == 40
     index.upload([7])
     look_up.commit()
-    with pytest.raises(CommandError, match=r"^'pick' \(network 'pick'\) of 'look up' failed: .*out of data bounds"):
+    with pytest.raises(CommandError,
+                       match=r"^'pick' \(network 'pick'\) of 'look up' failed: .*out of data "
+                       r"bounds"):
         look_up.wait(10)
     with pytest.raises(HazardError) as caught:
         use.commit()
     assert (caught.value.first, caught.value.second) == ("pick", "add")
-    assert "'add' (kernel 'add') reads 'p', but 'pick' (network 'pick') of 'look up' failed: " in str(caught.value)
+    assert ("'add' (kernel 'add') reads 'p', but 'pick' (network 'pick') of 'look up' "
+            "failed: " in str(caught.value))
     assert str(caught.value).endswith(": commit that again, or upload to 'p'")
     index.upload([2])
     look_up.commit()
@@ -128,7 +135,9 @@ def test_conflict_with_what_was_committed_since(frame):
     with other.commands.machine_learning_encoder("make") as encoder:
         encoder.dispatch_network(*other.tables[0])
     other.commands.commit()
-    with pytest.raises(HazardError, match=r"'double' .* of 'frame 1' reads 'x', which 'make' .* of 'other' writes"):
+    with pytest.raises(HazardError,
+                       match=r"'double' .* of 'frame 1' reads 'x', which 'make' .* of 'other' "
+                       r"writes"):
         frame.commands.commit()
     other.commands.wait(10)
 
@@ -171,7 +180,8 @@ def test_a_failed_run_can_be_repeated(device, failing):
 def test_begin_drops_records_timings_and_tensors(frame, ones):
     frame.run()
     frame.commands.begin("frame 2")
-    assert (frame.commands.label, frame.commands.records, frame.commands.timings) == ("frame 2", [], [])
+    assert (frame.commands.label, frame.commands.records, frame.commands.timings) == ("frame 2", [],
+                                                                                      [])
     before = frame.bench.device.heap.used
     frame.tables = frame.doubled = None
     assert frame.bench.device.heap.used < before
@@ -217,7 +227,8 @@ def test_begin_in_flight_or_with_an_open_encoder_is_refused(frame):
     frame.commands.wait(10)
     frame.commands.begin()
     frame.commands.compute_encoder("late")
-    with pytest.raises(EncodingError, match="'frame 1' cannot begin again: encoder 'late' is still open: end it"):
+    with pytest.raises(EncodingError,
+                       match="'frame 1' cannot begin again: encoder 'late' is still open: end it"):
         frame.commands.begin()
 
 
@@ -263,7 +274,8 @@ def run(commands):
 
 def test_commands_that_were_recorded_before_are_searched_once(bench, ones, monkeypatch):
     frame, known, made, real = Frame(bench), Recordings(), [], hazards.Footprint
-    monkeypatch.setattr("postfx.runtime.commands.Footprint", lambda records: made.append(1) or real(records))
+    monkeypatch.setattr("postfx.runtime.commands.Footprint",
+                        lambda records: made.append(1) or real(records))
     for value in (1, 5, 7):
         frame.x.upload(value * ones)
         run(record(frame, known))

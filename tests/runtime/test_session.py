@@ -1,4 +1,5 @@
-"""Networks optimised once and kept: the same bits, never an old or a damaged file, and no file is no harm."""
+"""Networks optimised once and kept: the same bits, never an old or a damaged file, and no file is
+no harm."""
 
 from pathlib import Path
 
@@ -35,7 +36,8 @@ def content(name: str = "denoise_upscale.s") -> bytes:
 
 def results(ready: ort.InferenceSession) -> list[np.ndarray]:
     random = np.random.default_rng(0)
-    return ready.run(None, {value.name: random.random(value.shape, np.float32) for value in ready.get_inputs()})
+    return ready.run(None, {value.name: random.random(value.shape, np.float32)
+                            for value in ready.get_inputs()})
 
 
 @pytest.mark.parametrize("name", ["denoise_upscale.s", "tonemap.agx", "tonemap.auto"])
@@ -123,19 +125,24 @@ def test_model_that_would_run_elsewhere(monkeypatch):
     real = ort.InferenceSession
     monkeypatch.setattr(ort, "InferenceSession", lambda model, options, **_: real(
         model, options, providers=["CPUExecutionProvider"]))
-    with pytest.raises(ModelError, match="model 'net' cannot run on CUDAExecutionProvider: see ONNX Runtime's warning"):
-        session.Session(content(), "net", session.Placement("CUDAExecutionProvider", "cuda", 0, 1), WINDOW)
+    with pytest.raises(ModelError,
+                       match="model 'net' cannot run on CUDAExecutionProvider: see ONNX Runtime's "
+                       "warning"):
+        session.Session(content(), "net", session.Placement("CUDAExecutionProvider", "cuda", 0, 1),
+                        WINDOW)
 
 
 def test_weights_in_other_files_are_not_kept(folder, tmp_path):
     onnx = pytest.importorskip("onnx")
-    onnx.save(onnx.load(models_dir() / "denoise_upscale.s.onnx"), tmp_path / "apart.onnx", save_as_external_data=True,
-              location="apart.bin", size_threshold=4096)
+    onnx.save(onnx.load(models_dir() / "denoise_upscale.s.onnx"), tmp_path / "apart.onnx",
+              save_as_external_data=True, location="apart.bin", size_threshold=4096)
     state = Device("cpu").pipeline_state(Library(tmp_path), "apart", WINDOW)
     assert state.bindings and not folder.exists()
 
 
 def test_the_first_gpu_is_not_named() -> None:
-    """ONNX Runtime prints a warning for every session whose options name a device of a provider that is no plug-in."""
-    first, second = (providers_of(Placement("CUDAExecutionProvider", "cuda", index, 1), False) for index in (0, 1))
+    """ONNX Runtime prints a warning for every session whose options name a device of a provider
+    that is no plug-in."""
+    first, second = (providers_of(Placement("CUDAExecutionProvider", "cuda", index, 1), False)
+                     for index in (0, 1))
     assert "device_id" not in first[0][1] and second[0][1]["device_id"] == "1"

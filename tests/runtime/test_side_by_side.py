@@ -1,4 +1,5 @@
-"""Commands that no barrier orders run side by side where they leave each other threads; handlers are told the end."""
+"""Commands that no barrier orders run side by side where they leave each other threads; handlers
+are told the end."""
 
 import logging
 import statistics
@@ -22,7 +23,8 @@ class Meeting:
     """A stand-in for what a network runs: waits until `count` of them run at once."""
 
     def __init__(self, count):
-        self.barrier, self.most, self.now, self.lock = threading.Barrier(count), 0, 0, threading.Lock()
+        self.barrier, self.most, self.now, self.lock = (threading.Barrier(count), 0, 0,
+                                                        threading.Lock())
 
     def __call__(self, run):
         def met():
@@ -128,7 +130,8 @@ def test_buffers_that_nothing_orders_run_side_by_side(library, monkeypatch):
 
 
 @pytest.mark.parametrize("threads, barrier", [(2, True), (1, False)])
-def test_buffers_that_a_barrier_orders_or_there_is_no_thread_for(library, monkeypatch, threads, barrier):
+def test_buffers_that_a_barrier_orders_or_there_is_no_thread_for(library, monkeypatch, threads,
+                                                                 barrier):
     device, meeting = Device("cpu", threads=threads), Meeting(1)
     buffers, results = two_buffers(device, library, monkeypatch, meeting, barrier)
     for commands in buffers:
@@ -153,7 +156,8 @@ def test_what_comes_after_both_waits_for_both(library, monkeypatch):
     last = device.command_buffer("last")
     with last.compute_encoder("add") as encoder:
         encoder.barrier(after="machine-learning", before="compute")
-        encoder.dispatch(add, ArgumentTable(add, {"a": results[0], "b": results[1], "total": total}))
+        encoder.dispatch(add,
+                         ArgumentTable(add, {"a": results[0], "b": results[1], "total": total}))
     last.add_completed_handler(lambda _: order.append("last"))
     for commands in (*buffers, last):
         commands.commit()
@@ -175,7 +179,8 @@ class Forks(ProviderMemory):
         return self.streams[-1]
 
     def fork(self, streams, before):
-        self.ran, self.before = [], [(stream, mask) for stream, mask in zip(streams, before, strict=True)]
+        self.ran, self.before = [], [(stream, mask)
+                                     for stream, mask in zip(streams, before, strict=True)]
         return self if any(streams) else None
 
     def __enter__(self):
@@ -192,7 +197,8 @@ class Forks(ProviderMemory):
 
 
 def sum_of_two(device, library, name="double", **dims):
-    """Two networks that may run side by side, and the sum of their results; the networks' states, x and the sum."""
+    """Two networks that may run side by side, and the sum of their results; the networks' states, x
+    and the sum."""
     states = [device.pipeline_state(library, name, dims, threads=1) for _ in range(2)]
     shape = states[0].shapes["x"]
     x, total = device.heap.tensor("x", shape), device.heap.tensor("total", shape)
@@ -205,7 +211,8 @@ def sum_of_two(device, library, name="double", **dims):
             encoder.dispatch_network(state, ArgumentTable(state, {"x": x, "y": y}))
     with commands.machine_learning_encoder("sum") as encoder:
         encoder.barrier(after="machine-learning", before="machine-learning")
-        encoder.dispatch_network(pair, ArgumentTable(pair, {"a": results[0], "b": results[1], "total": total}))
+        encoder.dispatch_network(pair, ArgumentTable(pair, {"a": results[0], "b": results[1],
+                                                            "total": total}))
     return states, x, total, commands
 
 
@@ -224,7 +231,8 @@ def test_networks_get_streams_of_their_own_where_there_are_any(library, monkeypa
         x.upload(np.full((1, 4, 5), 2, np.float32))
         assert memory.before == [(1, 0), (2, 0), (0, 0b11)] and memory.ran == [0, 1, 2]
         assert [label for label, _ in commands.timings] == ["networks", "sum"]
-    with device.capture(tensors="none"):  # where each command is looked at, they run one after the other
+    # where each command is looked at, they run one after the other
+    with device.capture(tensors="none"):
         commands.commit()
         commands.wait(WAIT)
     assert memory.joined == 4 and memory.before == [(0, 0)] and np.all(total.download() == 8)
@@ -238,8 +246,9 @@ def test_networks_get_streams_of_their_own_where_there_are_any(library, monkeypa
 @pytest.mark.gpu
 @pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
 def test_networks_side_by_side_on_a_gpu(tmp_path):
-    """Two deep networks of few pixels each leave a GPU room for another one: as a graph they take less than one after
-    the other. Command by command one thread of the host launches both, which takes longer than they do."""
+    """Two deep networks of few pixels each leave a GPU room for another one: as a graph they take
+    less than one after the other. Command by command one thread of the host launches both, which
+    takes longer than they do."""
     library, ratios = toys.make_deep(tmp_path), []
     for graphs in (True, False):
         device = Device("cuda", threads=2, graphs=graphs)
@@ -260,10 +269,12 @@ def test_networks_side_by_side_on_a_gpu(tmp_path):
         for value in range(30):
             for some, times in took.items():
                 times.append(run(some))
-            assert np.allclose(total.download(), 2 * y.download(), rtol=1e-5), "both are there when they are added"
+            assert np.allclose(total.download(), 2 * y.download(),
+                               rtol=1e-5), "both are there when they are added"
             x.upload(np.full(x.shape, value, np.float32))
         one, both = (statistics.median(times[5:]) for times in took.values())
-        print(f"graphs {graphs}: one network takes {1e3 * one:.2f} ms, two and their sum {both / one:.2f} of that")
+        print(f"graphs {graphs}: one network takes {1e3 * one:.2f} ms, two and their sum "
+              f"{both / one:.2f} of that")
         ratios.append(both / one)
     assert ratios[0] < 1.8, ratios
 

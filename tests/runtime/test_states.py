@@ -23,7 +23,8 @@ def test_wrong_name(bench):
 
 def test_wrong_shape(bench, device):
     for shape in ((1, 5, 4), (4, 5), (2, 4, 5)):
-        with pytest.raises(BindingError, match=r"binding 'x': tensor 't' is .*, it must be \(1, 4, 5\)"):
+        with pytest.raises(BindingError,
+                           match=r"binding 'x': tensor 't' is .*, it must be \(1, 4, 5\)"):
             ArgumentTable(bench.network)["x"] = device.heap.tensor("t", shape)
 
 
@@ -38,7 +39,9 @@ def test_not_a_tensor(bench, ones):
 
 
 def test_other_device(bench):
-    with pytest.raises(BindingError, match="binding 'x': tensor 't' belongs to another device: make it on this one"):
+    with pytest.raises(BindingError,
+                       match="binding 'x': tensor 't' belongs to another device: make it on this "
+                       "one"):
         ArgumentTable(bench.network)["x"] = Device("cpu").heap.tensor("t", (1, 4, 5))
 
 
@@ -54,7 +57,8 @@ def test_read_only_memory_is_not_written(bench, ones):
     tensor = bench.device.wrap("ones", ones)
     table = ArgumentTable(bench.network)
     table["x"] = tensor
-    message = "binding 'y' is written, but tensor 'ones' wraps a read-only array: wrap a writable one"
+    message = ("binding 'y' is written, but tensor 'ones' wraps a read-only array: wrap a writable "
+               "one")
     with pytest.raises(BindingError, match=message):
         table["y"] = tensor
 
@@ -65,7 +69,8 @@ def test_unbound_is_named_at_dispatch(bench):
         table["y"]
     commands = bench.device.command_buffer("frame")
     with commands.machine_learning_encoder("denoise") as encoder:
-        message = r"'denoise': network 'double': nothing is bound to 'y': set table\['name'\] = tensor"
+        message = (r"'denoise': network 'double': nothing is bound to 'y': set table\['name'\] = "
+                   r"tensor")
         with pytest.raises(BindingError, match=message):
             encoder.dispatch_network(bench.network, table)
 
@@ -73,20 +78,25 @@ def test_unbound_is_named_at_dispatch(bench):
 def test_sizes_of_a_kernel_must_fit_together(bench, device):
     a, b, total = (device.heap.tensor(name, shape) for name, shape in
                    (("a", (1, 4, 5)), ("b", (1, 4, 5)), ("total", (1, 4, 6))))
-    with pytest.raises(BindingError, match=r"'add': 'a' \(1, 4, 5\) and 'total' \(1, 4, 6\) do not fit together"):
+    with pytest.raises(BindingError,
+                       match=r"'add': 'a' \(1, 4, 5\) and 'total' \(1, 4, 6\) do not fit together"):
         ArgumentTable(bench.kernel, {"a": a, "b": b, "total": total}).arguments()
     commands = bench.device.command_buffer("frame")
     with commands.compute_encoder("prepare") as encoder:
-        with pytest.raises(BindingError, match="'prepare': kernel 'add': 'a' .* do not fit together: 'channels' is 5"):
+        with pytest.raises(BindingError,
+                           match="'prepare': kernel 'add': 'a' .* do not fit together: 'channels' "
+                           "is 5"):
             encoder.dispatch(*bench.add(a, b, total))
 
 
 def test_multiples_of_a_symbol(device):
     state = device.compute_state(toys.TWICE_AS_LARGE)
     coarse = device.heap.tensor("coarse", (2, 3, 1))
-    ArgumentTable(state, {"coarse": coarse, "fine": device.heap.tensor("fine", (4, 6, 1))}).arguments()
+    ArgumentTable(state,
+                  {"coarse": coarse, "fine": device.heap.tensor("fine", (4, 6, 1))}).arguments()
     with pytest.raises(BindingError, match="'width' is 3 in the first and 4 in the second"):
-        ArgumentTable(state, {"coarse": coarse, "fine": device.heap.tensor("fine", (4, 8, 1))}).arguments()
+        ArgumentTable(state,
+                      {"coarse": coarse, "fine": device.heap.tensor("fine", (4, 8, 1))}).arguments()
     with pytest.raises(BindingError, match=r"it must be \(2\*height, 2\*width, channels\)"):
         ArgumentTable(state)["fine"] = device.heap.tensor("fine", (5, 6, 1))
 
@@ -130,7 +140,8 @@ def test_table_of_another_state(bench):
     table = ArgumentTable(bench.kernel)
     commands = bench.device.command_buffer("frame")
     with commands.machine_learning_encoder("denoise") as encoder:
-        message = "'denoise': the argument table was made for kernel 'add': make one for network 'double'"
+        message = ("'denoise': the argument table was made for kernel 'add': make one for network "
+                   "'double'")
         with pytest.raises(BindingError, match=message):
             encoder.dispatch_network(bench.network, table)
 
@@ -138,7 +149,8 @@ def test_table_of_another_state(bench):
 def test_state_of_another_stage_or_device(bench, library):
     commands = bench.device.command_buffer("frame")
     with commands.compute_encoder("prepare") as encoder:
-        message = r"'prepare' takes compute work, but network 'double' is .*: use commands.machine_learning_encoder\(\)"
+        message = (r"'prepare' takes compute work, but network 'double' is .*: use "
+                   r"commands.machine_learning_encoder\(\)")
         with pytest.raises(EncodingError, match=message):
             encoder.dispatch(bench.network, ArgumentTable(bench.network))
     other = Device("cpu").compute_state(toys.ADD)

@@ -48,7 +48,8 @@ def test_committed_until_waited_for_whatever_the_timing(steps):
     steps.commands.commit()
     assert steps.commands.is_done(10)
     read, written = steps.x.state, steps.y.state
-    assert (read.kind, read.reader, read.writer) == ("being read", ("scale", "network 'double'", "frame 7"), None)
+    assert (read.kind, read.reader, read.writer) == ("being read",
+                                                     ("scale", "network 'double'", "frame 7"), None)
     assert (written.kind, written.writer, written.reader) == ("being written", read.reader, None)
     assert written.defined and read.defined
     assert str(written) == "being written by 'scale' (network 'double') of 'frame 7'"
@@ -73,10 +74,12 @@ def test_the_last_writer_is_named(steps):
 def test_views_and_neighbours(bench):
     whole = bench.device.heap.tensor("whole", (60,))
     whole.fill(1.0)
-    first, second, third = (whole.view(name, (1, 4, 5), 20 * i) for i, name in enumerate(("1st", "2nd", "3rd")))
+    first, second, third = (whole.view(name, (1, 4, 5), 20 * i)
+                            for i, name in enumerate(("1st", "2nd", "3rd")))
     commands = record(bench, ("scale", bench.double(first, second)))
     commands.commit()
-    assert [t.state.kind for t in (first, second, third)] == ["being read", "being written", "defined"]
+    assert [t.state.kind for t in (first, second, third)] == ["being read", "being written",
+                                                              "defined"]
     assert whole.state.kind == "being written"
     commands.wait(10)
 
@@ -96,7 +99,8 @@ def test_failed_command_leaves_undefined_until_something_writes(device, failing)
     commands.commit()
     with pytest.raises(CommandError):
         commands.wait(10)
-    assert (picked.state.kind, picked.state.defined, picked.state.failed.label) == ("undefined", False, "look up")
+    assert (picked.state.kind, picked.state.defined,
+            picked.state.failed.label) == ("undefined", False, "look up")
     picked.fill(1.0)
     assert (picked.state.kind, picked.state.failed) == ("defined", None)
 
@@ -104,7 +108,8 @@ def test_failed_command_leaves_undefined_until_something_writes(device, failing)
 def test_host_must_wait_before_it_reads_or_writes(steps, ones):
     x, y = steps.x, steps.y
     steps.commands.commit()
-    message = r"the host {} while 'scale' \(network 'double'\) of 'frame 7' {} it: wait\(\) for 'frame 7' first"
+    message = (r"the host {} while 'scale' \(network 'double'\) of 'frame 7' {} it: wait\(\) for "
+               r"'frame 7' first")
     for touch, text in (
         (y.download, message.format("reads 'y'", "writes")),
         (lambda: y.array, message.format("reads 'y'", "writes")),
@@ -113,7 +118,8 @@ def test_host_must_wait_before_it_reads_or_writes(steps, ones):
     ):
         with pytest.raises(HazardError, match=text) as caught:
             touch()
-        assert (caught.value.kind, caught.value.first, caught.value.second) == ("host access", "scale", "host")
+        assert (caught.value.kind, caught.value.first, caught.value.second) == ("host access",
+                                                                                "scale", "host")
     assert np.array_equal(x.array, ones)  # both only read it
     steps.commands.wait(10)
     assert np.array_equal(y.download(), 2 * ones)
@@ -121,7 +127,8 @@ def test_host_must_wait_before_it_reads_or_writes(steps, ones):
 
 
 def test_upload_after_recording_would_change_what_was_recorded(steps, ones):
-    message = "while 'scale' .* of 'frame 7' uses it: .*, so upload to another tensor before recording"
+    message = ("while 'scale' .* of 'frame 7' uses it: .*, so upload to another tensor before "
+               "recording")
     with pytest.raises(HazardError, match=message):
         steps.x.upload(ones)
     steps.commands.discard()
@@ -130,7 +137,8 @@ def test_upload_after_recording_would_change_what_was_recorded(steps, ones):
 
 def test_upload_to_what_one_of_many_commands_uses(bench, ones):
     x, y, z = bench.tensor("x", True), bench.tensor("y"), bench.tensor("z")
-    commands = record(bench, ("scale", bench.double(x, y)), ("again", bench.double(y, z)), barrier=(BOTH, BOTH))
+    commands = record(bench, ("scale", bench.double(x, y)), ("again", bench.double(y, z)),
+                      barrier=(BOTH, BOTH))
     with pytest.raises(HazardError, match="while 'scale' .* uses it"):
         x.upload(ones)
     commands.discard()
@@ -144,7 +152,9 @@ def test_buffers_that_are_dropped_do_not_block_uploads(steps, ones):
 
 
 def test_host_reads_of_undefined_memory(bench):
-    with pytest.raises(HazardError, match="'empty' is read by the host, but no command wrote it and nothing was"):
+    with pytest.raises(HazardError,
+                       match="'empty' is read by the host, but no command wrote it and nothing "
+                       "was"):
         bench.tensor("empty").download()
 
 

@@ -1,4 +1,5 @@
-"""Threads that help with bands of rows: all is done when `work` returns, whatever happens in one of them."""
+"""Threads that help with bands of rows: all is done when `work` returns, whatever happens in one of
+them."""
 
 from __future__ import annotations
 
@@ -43,10 +44,12 @@ def count_rows(first: int, last: int, counts: np.ndarray) -> None:
 
 
 def bands_of(rows, edges: list[int], *arrays: np.ndarray) -> list[Band]:
-    return [Band(lambda first, last: rows(first, last, *arrays), *edge) for edge in zip(edges, edges[1:], strict=False)]
+    return [Band(lambda first, last: rows(first, last, *arrays), *edge)
+            for edge in zip(edges, edges[1:], strict=False)]
 
 
-@pytest.mark.parametrize(("pause", "times"), [(0, 200), (3 * SPIN_SECONDS, 20), (6e-9 * NANOSECONDS, 4)],
+@pytest.mark.parametrize(("pause", "times"),
+                         [(0, 200), (3 * SPIN_SECONDS, 20), (6e-9 * NANOSECONDS, 4)],
                          ids=["at once", "while they doze", "after they went"])
 def test_every_row_is_worked_on_once(header: Path, pause: float, times: int) -> None:
     helpers, counts, compiled_counts = Helpers(3), np.zeros(40), np.zeros(40)

@@ -64,7 +64,8 @@ def test_sharing_without_a_barrier_is_found_and_named(chain, monkeypatch):
         return Plan((0,) * len(sizes), max(sizes), max(sizes), sum(sizes), (None,) * len(sizes))
 
     monkeypatch.setattr(heap, "make_plan", all_at_the_start)
-    with pytest.raises(HazardError, match=r"'two' \(network 'double'\) writes 'second', which 'one'") as caught:
+    with pytest.raises(HazardError,
+                       match=r"'two' \(network 'double'\) writes 'second', which 'one'") as caught:
         chain.record(barrier=False).commit()
     assert caught.value.kind in ("write after write", "write after read")
 
@@ -72,7 +73,8 @@ def test_sharing_without_a_barrier_is_found_and_named(chain, monkeypatch):
 def test_two_buffers_in_flight_need_a_barrier_between_them(chain):
     chain.record(barrier=False, label="frame 1").commit()
     other = chain.record(barrier=False, label="frame 2")
-    with pytest.raises(HazardError, match="'one' .* of 'frame 2' writes 'first', which 'one' .* of 'frame 1'"):
+    with pytest.raises(HazardError,
+                       match="'one' .* of 'frame 2' writes 'first', which 'one' .* of 'frame 1'"):
         other.commit()
     last = chain.record(label="frame 3")
     last.commit()
@@ -85,7 +87,9 @@ def test_reading_what_this_buffer_did_not_write_is_an_error(chain):
     commands = chain.device.command_buffer("frame 2")
     with commands.machine_learning_encoder("late") as encoder:
         chain.double(encoder, chain.first, chain.totals[0])
-    with pytest.raises(HazardError, match="'late' .* reads transient 'first', which nothing in this command buffer"):
+    with pytest.raises(HazardError,
+                       match="'late' .* reads transient 'first', which nothing in this command "
+                       "buffer"):
         commands.commit()
 
 
@@ -95,7 +99,8 @@ def test_reading_it_before_it_is_written_is_an_error(chain):
         chain.double(encoder, chain.first, chain.totals[0])
         encoder.barrier()
         chain.double(encoder, chain.x, chain.first)
-    with pytest.raises(HazardError, match="reads transient 'first', .*: only 'early' .* writes it, later"):
+    with pytest.raises(HazardError,
+                       match="reads transient 'first', .*: only 'early' .* writes it, later"):
         commands.commit()
 
 
@@ -105,7 +110,9 @@ def test_the_host_reads_it_until_its_memory_is_taken(any_chain):
         chain.first.download()
     chain.run()
     assert np.all(chain.second.download() == 2) and chain.second.state.kind == "defined"
-    with pytest.raises(HazardError, match=r"transient 'first' .* but 'second' took .* 'frame 1': .*commands\.keep"):
+    with pytest.raises(HazardError,
+                       match=r"transient 'first' .* but 'second' took .* 'frame 1': "
+                       r".*commands\.keep"):
         chain.first.download()
     chain.record(label="frame 2").commit()
     for tensor in (chain.first, chain.second):
@@ -118,7 +125,9 @@ def test_the_host_cannot_read_it_after_the_next_frame_began(chain, library):
     chain.run()
     Chain(chain.device, library).run(label="frame 2")
     assert chain.second.state.kind == "undefined"
-    with pytest.raises(HazardError, match="transient 'second' is read by the host, but 'frame 2' was committed since"):
+    with pytest.raises(HazardError,
+                       match="transient 'second' is read by the host, but 'frame 2' was committed "
+                       "since"):
         chain.second.array.sum()
 
 
@@ -133,8 +142,10 @@ def test_what_is_kept_keeps_its_memory_to_the_end(any_chain):
 
 
 def test_the_host_does_not_write_it(chain):
-    for write in (lambda: chain.first.fill(0.0), lambda: chain.first.view("part", (3,)).upload([1, 2, 3])):
-        with pytest.raises(BindingError, match="is transient, so only commands write it: .*heap.tensor"):
+    for write in (lambda: chain.first.fill(0.0),
+                  lambda: chain.first.view("part", (3,)).upload([1, 2, 3])):
+        with pytest.raises(BindingError,
+                           match="is transient, so only commands write it: .*heap.tensor"):
             write()
 
 
@@ -161,8 +172,10 @@ def test_released_ones_are_refused(chain):
 
 def test_after_a_failed_command_the_buffer_runs_again(device, library):
     state = device.pipeline_state(library, "pick")
-    index, total = device.heap.tensor("index", (1,), "int64"), device.heap.tensor("total", (1, 1, 1))
-    picked, x = device.heap.transient("picked", (1,)), device.wrap("x", np.ones((1, 1, 1), np.float32))
+    index, total = (device.heap.tensor("index", (1,), "int64"),
+                    device.heap.tensor("total", (1, 1, 1)))
+    picked, x = device.heap.transient("picked", (1,)), device.wrap("x",
+                                                                   np.ones((1, 1, 1), np.float32))
     kernel = device.compute_state(toys.ADD)
     index.fill(7)
     commands = device.command_buffer("frame")

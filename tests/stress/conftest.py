@@ -33,7 +33,8 @@ def gpu() -> Device:
 
 @pytest.fixture(scope="session", params=PROVIDERS)
 def device(request: pytest.FixtureRequest) -> Device:
-    """Each in turn: a test runs on all of them, unless it is `on` some or takes the fixture of one."""
+    """Each in turn: a test runs on all of them, unless it is `on` some or takes the fixture of
+    one."""
     return request.getfixturevalue(request.param)
 
 

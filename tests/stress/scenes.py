@@ -1,4 +1,5 @@
-"""Pictures for the stress tests: the sample and a small scene with exact motion; pipelines of the denoiser; devices."""
+"""Pictures for the stress tests: the sample and a small scene with exact motion; pipelines of the
+denoiser; devices."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ SIZES = ((1, 1), (1, 40), (40, 1), (2, 3), (13, 17), (31, 29), (3, 257), (199, 2
 
 def pipeline(model: str, device: Device, exposure: str | float = 0.0, **options) -> Pipeline:
     """The denoiser alone, to twice the size by default; cuts are only where the test says so."""
-    return Pipeline([DenoiseUpscale(model=model, **{"scale": 2, **options})], device, exposure, cuts="none")
+    return Pipeline([DenoiseUpscale(model=model, **{"scale": 2, **options})], device, exposure,
+                    cuts="none")
 
 
 @cache
@@ -40,9 +42,11 @@ def held(model: str, device: Device, exposure: str | float = "auto") -> Pipeline
     return chain
 
 
-def colours(frames: list[Frame], model: str, device: Device, stops: float = 0.0) -> list[np.ndarray]:
-    """What a pipeline that begins with these frames makes of them. Runs of frames of one spec have one session, so that
-    they are to be compared: on a GPU two sessions may use different algorithms."""
+def colours(frames: list[Frame], model: str, device: Device,
+            stops: float = 0.0) -> list[np.ndarray]:
+    """What a pipeline that begins with these frames makes of them. Runs of frames of one spec have
+    one session, so that they are to be compared: on a GPU two sessions may use different
+    algorithms."""
     chain = held(model, device, "metadata")
     return [chain(replace(frame, exposure=stops))[Role.COLOUR] for frame in frames]
 
@@ -71,11 +75,13 @@ def way(kind: str, device: Device) -> tuple[str, Device]:
 def room() -> list[Frame]:
     """A part of the sample sequence, eight frames of 96x160."""
     cut = slice(40, 136), slice(60, 220)
-    return [replace(frame, planes={role: np.ascontiguousarray(plane[cut]) for role, plane in frame.planes.items()})
+    return [replace(frame, planes={role: np.ascontiguousarray(plane[cut])
+                                   for role, plane in frame.planes.items()})
             for frame in read_sequence(ROOM / "noisy.####.exr")]
 
 
-def sliding(number: int, speed: int, noise: float = 0.0, height: int = 32, width: int = 48) -> Frame:
+def sliding(number: int, speed: int, noise: float = 0.0, height: int = 32,
+            width: int = 48) -> Frame:
     """A smooth texture that slides right by `speed` pixels a frame and comes in again at the left.
 
     noise: variance over squared mean of the light, gamma-distributed and new in every frame.
@@ -85,7 +91,8 @@ def sliding(number: int, speed: int, noise: float = 0.0, height: int = 32, width
     frame = flat(number, 0.0, height, width)
     colour = np.roll(light * albedo, speed * number, axis=1)
     if noise:
-        colour = colour * np.random.default_rng([9, number]).gamma(1 / noise, noise, (height, width, 1))
+        colour = colour * np.random.default_rng([9, number]).gamma(1 / noise, noise,
+                                                                   (height, width, 1))
     frame.planes[Role.COLOUR] = colour.astype(np.float32)
     frame.planes[Role.DIFFUSE_ALBEDO] = np.roll(albedo, speed * number, axis=1).astype(np.float32)
     frame.planes[Role.MOTION][..., 0] = -speed

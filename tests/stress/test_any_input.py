@@ -1,4 +1,5 @@
-"""Any frame is processed or refused in a line: frames, pipelines, one picture and frames between, by Hypothesis."""
+"""Any frame is processed or refused in a line: frames, pipelines, one picture and frames between,
+by Hypothesis."""
 
 from __future__ import annotations
 
@@ -48,14 +49,17 @@ def shots(draw: st.DrawFn) -> list[Frame]:
     """One to three frames, mostly of one size."""
     size = draw(st.tuples(SIDES, SIDES))
     count = draw(st.integers(1, 3))
-    sizes = [size if draw(st.integers(0, 9)) else draw(st.tuples(SIDES, SIDES)) for _ in range(count)]
-    return [Frame(draw(planes(one)), number=number, reset=draw(st.booleans())) for number, one in enumerate(sizes)]
+    sizes = [size if draw(st.integers(0, 9)) else draw(st.tuples(SIDES, SIDES))
+             for _ in range(count)]
+    return [Frame(draw(planes(one)), number=number, reset=draw(st.booleans()))
+            for number, one in enumerate(sizes)]
 
 
 def examples(check: Callable[[list[Frame]], None], count: int) -> None:
     """Try a check with so many shots."""
     every = tuple(HealthCheck)
-    settings(max_examples=count, deadline=None, derandomize=True, suppress_health_check=every)(given(shots())(check))()
+    settings(max_examples=count, deadline=None, derandomize=True,
+             suppress_health_check=every)(given(shots())(check))()
 
 
 def in_a_line(call: Callable[[], Frame | np.ndarray | None]) -> None:
@@ -97,13 +101,15 @@ def by_frame(shot: list[Frame]) -> None:
     for frame in shot:
         assert frame == frame.copy_with() and repr(frame)
         assert Role.COLOUR in frame.spec.roles
-        wrong = {**frame.planes, Role.DEPTH: np.zeros((frame.spec.height + 1, frame.spec.width, 1), np.float32)}
+        wrong = {**frame.planes,
+                 Role.DEPTH: np.zeros((frame.spec.height + 1, frame.spec.width, 1), np.float32)}
         with pytest.raises(PostfxError):
             Frame(wrong).copy_with(check=True)
 
 
 DEVICE = Device("cpu", threads=1)
-CHECKS = {"frame": by_frame, "pipeline": by_pipeline, "denoise": by_denoise, "interpolator": by_interpolator}
+CHECKS = {"frame": by_frame, "pipeline": by_pipeline, "denoise": by_denoise,
+          "interpolator": by_interpolator}
 
 
 @pytest.mark.parametrize("name", CHECKS)
@@ -117,7 +123,8 @@ def test_frames_between_hold_light_near_the_end_of_floats() -> None:
     first = Frame({Role.COLOUR: bright, Role.ALPHA: np.zeros((3, 1, 1), np.float32)}, number=0)
     last = Frame({Role.COLOUR: 0 * bright, Role.MOTION: np.zeros((3, 1, 2), np.float32)}, number=1)
     by_interpolator([first, last])
-    wide = [Frame({role: np.tile(plane, (24, 64, 1)) for role, plane in frame.planes.items()}, number=frame.number)
+    wide = [Frame({role: np.tile(plane, (24, 64, 1)) for role, plane in frame.planes.items()},
+                  number=frame.number)
             for frame in (first, last)]
     by_interpolator(wide)
 

@@ -59,7 +59,8 @@ def both_ways(
     """Exposed colours of frames in order."""
     later = Backwards(Held(frames), device, exposure, "none", model=model)
     passes = Pipeline([DenoiseUpscale(model=model), BothWays()], device, exposure, "none")
-    return [passes(later(frame))[Role.COLOUR] * np.float32(passes.exposure_factor) for frame in frames]
+    return [passes(later(frame))[Role.COLOUR] * np.float32(passes.exposure_factor)
+            for frame in frames]
 
 
 BOTH = on(cpu=("s.fp32",))
@@ -67,7 +68,8 @@ BOTH = on(cpu=("s.fp32",))
 
 @BOTH
 def test_light_is_finite_and_in_range(model: str, device: Device) -> None:
-    """Also in frames beside hard ones, which have them in their history or ahead; half of the inputs."""
+    """Also in frames beside hard ones, which have them in their history or ahead; half of the
+    inputs."""
     for name, change in list(HARD.items())[::2]:
         hard = [change(noisy(number, 24, 32)) for number in (2, 3)]
         frames = [noisy(1, 24, 32), *hard, noisy(4, 24, 32)]

@@ -7,7 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postfx.bench.stress import BRIGHTEST_OUTPUT, HARD, LIGHT_CHANGES, Outcome, as_dict, as_text, stress, tags
+from postfx.bench.stress import (
+    BRIGHTEST_OUTPUT,
+    HARD,
+    LIGHT_CHANGES,
+    Outcome,
+    as_dict,
+    as_text,
+    stress,
+    tags,
+)
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.passes import Pass
@@ -54,9 +63,11 @@ def test_shown_light_is_within_the_display(shown: Pipeline) -> None:
         assert np.isfinite(colour).all() and colour.min() >= 0 and colour.max() <= 1, name
 
 
-@pytest.mark.parametrize(("scale", "sizes"), [(1, SIZES[3:5]), (1.5, SIZES[5:7]), (2, SIZES), (3, SIZES[::3])])
+@pytest.mark.parametrize(("scale", "sizes"),
+                         [(1, SIZES[3:5]), (1.5, SIZES[5:7]), (2, SIZES), (3, SIZES[::3])])
 def test_sizes(scale: float, sizes: tuple[tuple[int, int], ...], device: Device) -> None:
-    chain = Pipeline([*pipeline("s.fp32", device, scale=scale).passes, ToneMap(), Display(display="p3")], device)
+    chain = Pipeline([*pipeline("s.fp32", device, scale=scale).passes, ToneMap(),
+                      Display(display="p3")], device)
     for size in sizes:
         for number in (1, 2):
             colour = chain(noisy(number, *size))[Role.COLOUR]
@@ -65,7 +76,8 @@ def test_sizes(scale: float, sizes: tuple[tuple[int, int], ...], device: Device)
 
 
 def test_overlays_and_alpha(device: Device) -> None:
-    """Resampled to the output's size and composited, broken overlays cover nothing that is finite."""
+    """Resampled to the output's size and composited, broken overlays cover nothing that is
+    finite."""
     passes: list[Pass] = [*pipeline("s.fp32", device).passes, Overlay()]
     chains = Pipeline(passes, device), Pipeline([Overlay()], device)
     for bad in (np.nan, np.inf, -np.inf, -1.0, 1e-42, 65504.0, 1e10):
@@ -84,7 +96,8 @@ def test_overlays_and_alpha(device: Device) -> None:
 @on()
 def test_resets_in_turn(model: str, device: Device) -> None:
     """A frame that begins a shot is the same whatever came before it."""
-    frames = [replace(noisy(number % 3, 24, 32), number=number, reset=number % 2 == 0) for number in range(8)]
+    frames = [replace(noisy(number % 3, 24, 32), number=number, reset=number % 2 == 0)
+              for number in range(8)]
     chain = pipeline(model, device)
     fresh = [chain(frame)[Role.COLOUR] for frame in frames[4:6]]
     found = [chain(frame)[Role.COLOUR] for frame in frames]
@@ -94,7 +107,8 @@ def test_resets_in_turn(model: str, device: Device) -> None:
 
 
 def test_strength_0_keeps_hard_light(device: Device) -> None:
-    """Only resampled: exactly the light that came in, up to the largest float, where it is the same all over."""
+    """Only resampled: exactly the light that came in, up to the largest float, where it is the same
+    all over."""
     chain = pipeline("s.fp32", device, strength=0.0)
     for value in (0.0, 1e-42, 65504.0, 1e10, 1e37):
         frame = Frame({Role.COLOUR: np.full((5, 7, 3), value, np.float32)})
@@ -103,7 +117,8 @@ def test_strength_0_keeps_hard_light(device: Device) -> None:
 
 @on()
 def test_a_plane_of_strength_1_changes_no_bit(model: str, device: Device) -> None:
-    """Nothing is blended then; where one pixel of it is less, the rest of the frame is as it was."""
+    """Nothing is blended then; where one pixel of it is less, the rest of the frame is as it
+    was."""
     frames = [noisy(number, 24, 32) for number in range(4)]
     strength = [np.ones((24, 32, 1), np.float32) for _ in frames]
     strength[2][0, 0] = 0.5
@@ -113,7 +128,8 @@ def test_a_plane_of_strength_1_changes_no_bit(model: str, device: Device) -> Non
     wanted = [chain(frame)[Role.COLOUR] for frame in frames]
     chain.reset()
     found = [chain(frame)[Role.COLOUR] for frame in masked]
-    assert [np.array_equal(*pair) for pair in zip(found, wanted, strict=True)] == [True, True, False, True]
+    assert [np.array_equal(*pair) for pair in zip(found, wanted, strict=True)] == [True, True,
+                                                                                   False, True]
     np.testing.assert_array_equal(found[2][8:, 8:], wanted[2][8:, 8:])
 
 
@@ -121,7 +137,8 @@ def test_dim_light_after_bright_light_is_not_negative(device: Device) -> None:
     """Differences of logarithms of light 16 stops apart are rounded."""
     first, second, last = list(read_sequence(ROOM / "noisy.####.exr", "1-3"))
     chain = pipeline("s.fp32", device, "auto")
-    for frame in (LIGHT_CHANGES["largest half"](first), LIGHT_CHANGES["largest half"](second), last):
+    for frame in (LIGHT_CHANGES["largest half"](first), LIGHT_CHANGES["largest half"](second),
+                  last):
         assert_light(chain(frame)[Role.COLOUR], chain.exposure_factor)
 
 
@@ -136,9 +153,11 @@ def test_report_of_all_hard_inputs(model: str, device: Device) -> None:
     assert as_dict(worse)["outcomes"][-1]["highest"] is None
 
 
-@pytest.mark.parametrize(("device", "fast"), [("cpu", "int8"), pytest.param("gpu", "fp16", marks=pytest.mark.gpu)],
+@pytest.mark.parametrize(("device", "fast"),
+                         [("cpu", "int8"), pytest.param("gpu", "fp16", marks=pytest.mark.gpu)],
                          indirect=["device"])
 def test_networks_of_the_report_are_those_of_the_device(fast: str, device: Device) -> None:
     wanted = [f"{size}.{precision}" for size in "sml" for precision in ("fp32", fast)]
-    unscaled = [f"{tag}.1x" for tag in wanted if f"denoise_upscale.{tag.removesuffix('.fp32')}.1x" in NAMES]
+    unscaled = [f"{tag}.1x"
+                for tag in wanted if f"denoise_upscale.{tag.removesuffix('.fp32')}.1x" in NAMES]
     assert sorted(tags(device)) == sorted(wanted + unscaled)

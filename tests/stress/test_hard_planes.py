@@ -1,4 +1,5 @@
-"""Planes that only some frames have, broken in every way, and providers other than the compiled rows."""
+"""Planes that only some frames have, broken in every way, and providers other than the compiled
+rows."""
 
 from __future__ import annotations
 
@@ -35,7 +36,8 @@ def assert_light(chain: Pipeline, frames: list[Frame], what: object) -> None:
         assert colour.max() * chain.exposure_factor <= BRIGHTEST_OUTPUT, what
 
 
-@on(cpu=("s.fp32, portable", "s.fp16", "l.int8"), gpu=("s.fp32, portable", "s.fp16, portable", "m.fp16", "l.fp16"))
+@on(cpu=("s.fp32, portable", "s.fp16", "l.int8"),
+    gpu=("s.fp32, portable", "s.fp16, portable", "m.fp16", "l.fp16"))
 def test_other_providers_and_precisions(model: str, device: Device) -> None:
     for name, change in HARD.items():
         assert_light(held(*way(model, device)), [change(noisy(1, *SIZE)), noisy(2, *SIZE)], name)
@@ -49,7 +51,9 @@ def test_masks_of_any_values(role: Role, device: Device) -> None:
         rows = np.full((SIZE[0], 1, 1), 0.5)
         rows[::3] = value
         planes = enumerate((value, rows, 0.5), 1)
-        assert_light(chain, [with_plane(noisy(number, *SIZE), role, values) for number, values in planes], value)
+        assert_light(chain,
+                     [with_plane(noisy(number, *SIZE), role, values) for number, values in planes],
+                     value)
 
 
 @on(cpu=("s.fp32", "s.fp32, portable"), gpu=("s.fp32", "s.fp32, portable"))

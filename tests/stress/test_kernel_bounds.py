@@ -1,7 +1,8 @@
-"""Kernels in float32 against their own definitions in float64: docs/lab/stability.md shows the bounds.
+"""Kernels in float32 against their own definitions in float64: docs/lab/stability.md shows the
+bounds.
 
-Four ways to compute them: compiled rows, portable definitions by ONNX Runtime, and CUDA sources, run on the host and,
-where there is one, on a GPU.
+Four ways to compute them: compiled rows, portable definitions by ONNX Runtime, and CUDA sources,
+run on the host and, where there is one, on a GPU.
 """
 
 from __future__ import annotations
@@ -32,22 +33,24 @@ from training.denoise.export import KERNELS as DENOISE  # noqa: E402
 
 PAGE = Path(__file__).resolve().parent.parent.parent / "docs/lab/stability.md"
 ROUNDED = 2e-7
-"""Bound of kernels that do a handful of operations a value: twice the spacing of float32 below 1, 1.2e-7, at most."""
+"""Bound of kernels that do a handful of operations a value: twice the spacing of float32 below 1,
+1.2e-7, at most."""
 BOUNDS = {
     "denoise_dilate": 0.0, "denoise_spread": 0.0, "denoise_assemble": 0.0,
     "denoise_pack": 0.0, "checkerboard": 0.0,
     "denoise_scale": ROUNDED, "denoise_guides": ROUNDED, "denoise_mix": ROUNDED,
     "denoise_remodulate": ROUNDED, "denoise_remodulate_both": ROUNDED, "denoise_judge": ROUNDED,
-    "denoise_detail": ROUNDED, "denoise_restore": ROUNDED, "denoise_strength": ROUNDED, "denoise_keep": ROUNDED,
-    "denoise_open": ROUNDED, "denoise_open_fine": ROUNDED, "denoise_open_phased": ROUNDED, "overlay_over": ROUNDED,
+    "denoise_detail": ROUNDED, "denoise_restore": ROUNDED, "denoise_strength": ROUNDED,
+    "denoise_keep": ROUNDED, "denoise_open": ROUNDED, "denoise_open_fine": ROUNDED,
+    "denoise_open_phased": ROUNDED, "overlay_over": ROUNDED,
     "denoise_mirrored": ROUNDED, "denoise_open_logits": ROUNDED, "denoise_open_error": ROUNDED,
     "overlay_over_alpha": ROUNDED, "mix_partner": 5e-6, "enlarge_motion": ROUNDED,
-    "smooth": ROUNDED, "light": ROUNDED, "follow": ROUNDED, "expose": ROUNDED,
-    "apply_cube": 5e-7, "convert_primaries": 5e-7, "lowres": 5e-7, "denoise_trust": 1e-6, "denoise_accumulate": 1e-6,
+    "smooth": ROUNDED, "light": ROUNDED, "follow": ROUNDED, "expose": ROUNDED, "apply_cube": 5e-7,
+    "convert_primaries": 5e-7, "lowres": 5e-7, "denoise_trust": 1e-6, "denoise_accumulate": 1e-6,
     "encode_display": 5e-7, "denoise_pool": 1e-6, "denoise_filter": 5e-7, "denoise_resize": 5e-7,
-    "denoise_reactive": 5e-7, "denoise_history": 2e-6, "denoise_features": 5e-6, "denoise_upsample": 2e-6,
-    "denoise_upsample_guided": 2e-6, "denoise_upsample_unscaled": 2e-6, "denoise_blend_picture": 2e-6,
-    "denoise_means": 5e-7,
+    "denoise_reactive": 5e-7, "denoise_history": 2e-6, "denoise_features": 5e-6,
+    "denoise_upsample": 2e-6, "denoise_upsample_guided": 2e-6, "denoise_upsample_unscaled": 2e-6,
+    "denoise_blend_picture": 2e-6, "denoise_means": 5e-7,
     "resample": 5e-6, "slice_apply": 1e-5, "overlay_enlarge": 2e-5,
     "denoise_reflections": 2e-5, "denoise_open_products": 2e-6, "denoise_open_fine_products": 2e-6,
     "denoise_accumulate_part": 5e-6, "denoise_upsample_light": 2e-6, "denoise_balance": 5e-7,
@@ -60,7 +63,8 @@ BOUNDS = {
 LEAST_STEP = float(np.finfo(np.float32).smallest_subnormal)
 """Denormal values are rounded to multiples of this."""
 PORTABLE_HISTORY = 1e-5
-"""That of the portable kernels of `MOVED`: ONNX takes positions from -1 to 1 over the picture, which are rounded."""
+"""That of the portable kernels of `MOVED`: ONNX takes positions from -1 to 1 over the picture,
+which are rounded."""
 MOVED = "denoise_history", "denoise_gather"
 PLACES = ("host", pytest.param("GPU", marks=pytest.mark.gpu))
 Arrays = dict[str, np.ndarray]
@@ -68,11 +72,14 @@ Way = Callable[[Kernel, Arrays, denoise_cases.Case], Arrays]
 Ways = Callable[[Kernel], dict[str, Way]]
 HELD = [kernel for kernel in denoise_cases.KERNELS if kernel is not REFLECTIONS]
 """Without the one that does nothing on random planes, and has a scene of its own."""
-CASES = (denoise_cases.Case(17, 5, 34, 10), denoise_cases.Case(20, 24, 39, 48), denoise_cases.Case(33, 47, 66, 94))
+CASES = (denoise_cases.Case(17, 5, 34, 10), denoise_cases.Case(20, 24, 39, 48),
+         denoise_cases.Case(33, 47, 66, 94))
 VALUES: dict[str, Callable[[np.ndarray], np.ndarray | float]] = {
-    "0": lambda plane: 0, "denormal": lambda plane: 1e-42, "-1": lambda plane: -1, "largest half": lambda plane: 65504,
-    "1e10": lambda plane: 1e10, "+40 EV": lambda plane: plane * 2.0**40, "-40 EV": lambda plane: plane * 2.0**-40,
-    "fireflies": lambda plane: np.where(np.arange(plane.size).reshape(plane.shape) % 97, plane, 1e6),
+    "0": lambda plane: 0, "denormal": lambda plane: 1e-42, "-1": lambda plane: -1,
+    "largest half": lambda plane: 65504, "1e10": lambda plane: 1e10,
+    "+40 EV": lambda plane: plane * 2.0**40, "-40 EV": lambda plane: plane * 2.0**-40,
+    "fireflies": lambda plane: np.where(np.arange(plane.size).reshape(plane.shape) % 97, plane,
+                                        1e6),
 }
 """What a plane of the frame holds, from what it held."""
 ROW = re.compile(r"^\| (?P<bound>\S+) \| (?P<names>`\w+`(?:, `\w+`)*) \|$", re.MULTILINE)
@@ -81,7 +88,8 @@ ROW = re.compile(r"^\| (?P<bound>\S+) \| (?P<names>`\w+`(?:, `\w+`)*) \|$", re.M
 def exact(definition: type, inputs: list[np.ndarray]) -> list[np.ndarray]:
     """What a definition gives in float64 of the same numbers, also where it says float32."""
     wide = [torch.from_numpy(value).to(_wide(value)) for value in inputs]
-    as_float64 = patch.multiple(torch.Tensor, float=torch.Tensor.double), patch.object(torch, "float32", torch.float64)
+    as_float64 = (patch.multiple(torch.Tensor, float=torch.Tensor.double),
+                  patch.object(torch, "float32", torch.float64))
     with torch.no_grad(), as_float64[0], as_float64[1]:
         found = definition().double()(*wide)
     return [value.numpy() for value in (found if isinstance(found, tuple) else (found,))]
@@ -102,11 +110,12 @@ def has_cuda(kernel: Kernel) -> bool:
 
 
 def bound(kernel: Kernel, way: str) -> float:
-    return PORTABLE_HISTORY if kernel.name in MOVED and way.startswith("portable") else BOUNDS[kernel.name]
+    return (PORTABLE_HISTORY if kernel.name in MOVED and way.startswith("portable")
+            else BOUNDS[kernel.name])
 
 
-def assert_near(kernel: Kernel, way: str, found: dict[str, np.ndarray], wanted: dict[str, np.ndarray],
-                white: float = 0.0) -> None:
+def assert_near(kernel: Kernel, way: str, found: dict[str, np.ndarray],
+                wanted: dict[str, np.ndarray], white: float = 0.0) -> None:
     """Errors by the largest value of what is written, or by `white` where all of it is darker."""
     for name, value in found.items():
         assert wanted[name].dtype == (np.float64 if value.dtype == np.float32 else value.dtype)
@@ -152,7 +161,8 @@ def with_values(inputs: Arrays, name: str, values: str) -> Arrays:
     return {**inputs, name: np.broadcast_to(VALUES[values](plane), plane.shape).astype(plane.dtype)}
 
 
-@pytest.mark.parametrize("kernel", [one for one in HELD if planes_of(one)], ids=lambda kernel: kernel.name)
+@pytest.mark.parametrize("kernel", [one for one in HELD if planes_of(one)],
+                         ids=lambda kernel: kernel.name)
 def test_error_on_hard_values(ways: Ways, kernel: Kernel) -> None:
     """In one plane of the frame after the other."""
     case = CASES[1]
@@ -168,8 +178,10 @@ def test_error_on_hard_values(ways: Ways, kernel: Kernel) -> None:
 def test_error_of_reflections(ways: Ways, scene: str) -> None:
     before, now = (mirror_scene.frame(number, ball=scene != "floor") for number in (3, 4))
     height, width = now[Role.DEPTH].shape[:2]
-    part = np.s_[height // 3:height // 2, width // 3:width // 2] if scene == "ball at the edges" else np.s_[:]
-    inputs = {name: now[role][part].copy() for name, role in zip(REFLECTIONS.reads, PLANES, strict=False)}
+    part = (np.s_[height // 3:height // 2, width // 3:width // 2] if scene == "ball at the edges"
+            else np.s_[:])
+    inputs = {name: now[role][part].copy()
+              for name, role in zip(REFLECTIONS.reads, PLANES, strict=False)}
     inputs = {**inputs, "camera": params_of(before, now)}
     height, width = now[Role.DEPTH][part].shape[:2]
     (wanted,) = exact(DENOISE[REFLECTIONS], [inputs[name] for name in REFLECTIONS.reads])
@@ -178,10 +190,12 @@ def test_error_of_reflections(ways: Ways, scene: str) -> None:
         assert_near(REFLECTIONS, name, found, {"reflected": wanted})
 
 
-def assert_tone_mapper(ways: Ways, kernel: Kernel, inputs: Arrays, size: tuple[int, int], white: float = 0.0) -> None:
+def assert_tone_mapper(ways: Ways, kernel: Kernel, inputs: Arrays, size: tuple[int, int],
+                       white: float = 0.0) -> None:
     wanted = dict(zip(kernel.writes, exact(TONE[kernel], list(inputs.values())), strict=True))
     for name, way in ways(kernel).items():
-        assert_near(kernel, name, way(kernel, inputs, denoise_cases.Case(*size, *size)), wanted, white)
+        assert_near(kernel, name, way(kernel, inputs, denoise_cases.Case(*size, *size)), wanted,
+                    white)
 
 
 @pytest.mark.parametrize("kernel", TONE, ids=lambda kernel: kernel.name)
@@ -199,5 +213,6 @@ def test_the_table_has_the_bounds_that_are_asserted() -> None:
     rows = [(float(row["bound"]), re.findall(r"`(\w+)`", row["names"])) for row in
             ROW.finditer(PAGE.read_text(encoding="utf-8"))]
     assert {name: bound for bound, names in rows for name in names} == BOUNDS
-    assert re.search(rf"the portable `denoise_history`[^:]*: {PORTABLE_HISTORY:g}\b", PAGE.read_text(encoding="utf-8"))
+    assert re.search(rf"the portable `denoise_history`[^:]*: {PORTABLE_HISTORY:g}\b",
+                     PAGE.read_text(encoding="utf-8"))
     assert {kernel.name for kernel in (*HELD, REFLECTIONS, *TONE)} == set(BOUNDS)

@@ -1,4 +1,5 @@
-"""Networks of every precision against float64 references of their own arithmetic, as ONNX defines it."""
+"""Networks of every precision against float64 references of their own arithmetic, as ONNX defines
+it."""
 
 from __future__ import annotations
 
@@ -24,18 +25,20 @@ from training.denoise.fp16 import pack  # noqa: E402
 from training.export import constant_value, lower_constants  # noqa: E402
 
 BOUNDS = {"fp32": (2e-5, 5e-6), "fp16": (1e-3, 5e-4), "int8": (0.05, 5e-3), "tone": (1e-6, 1e-6)}
-"""Precision -> largest and root mean square error of an output, by those of its values. In int8 a value between two
-steps may be rounded to either, and one such moves what follows it by steps; in fp16 what comes out is rounded, and a
-CPU computes in float32."""
-WIDER = dict.fromkeys((("denoise_upscale.s.1x", "greatest"), ("denoise_upscale.l", "greatest")), (5e-5, 2e-5))
-"""Network and VALUES -> the same, where sums are largest: all features at their greatest at once, as in no frame. What
-rounding makes of them depends on the order in which a processor sums, too."""
+"""Precision -> largest and root mean square error of an output, by those of its values. In int8 a
+value between two steps may be rounded to either, and one such moves what follows it by steps; in
+fp16 what comes out is rounded, and a CPU computes in float32."""
+WIDER = dict.fromkeys((("denoise_upscale.s.1x", "greatest"), ("denoise_upscale.l", "greatest")),
+                      (5e-5, 2e-5))
+"""Network and VALUES -> the same, where sums are largest: all features at their greatest at once,
+as in no frame. What rounding makes of them depends on the order in which a processor sums, too."""
 GPU_BOUNDS = {"fp32": (5e-3, 4e-3), "fp16": (5e-3, 4e-3), "tone": (5e-4, 2e-4)}
-"""The same on a GPU, which multiplies in TensorFloat-32 where a CPU does in float32, and in halves in fp16, on random
-features; LOUDER times as much on others, which make logits large."""
+"""The same on a GPU, which multiplies in TensorFloat-32 where a CPU does in float32, and in halves
+in fp16, on random features; LOUDER times as much on others, which make logits large."""
 LOUDER = 4
 DENOISERS = sorted(path.stem for path in models_dir().glob("denoise_upscale.*.onnx"))
-SOME = tuple(f"denoise_upscale.{tag}" for tag in ("s", "m.guides", "l", "m.fp16.guides", "s.int8", "m.int8.guides"))
+SOME = tuple(f"denoise_upscale.{tag}"
+             for tag in ("s", "m.guides", "l", "m.fp16.guides", "s.int8", "m.int8.guides"))
 """Those of each precision, small and large, with guides and without; -m soak runs all."""
 TONE_MAPPERS = ("tonemap.auto", "tonemap.local")
 SIZE = (16, 32)
@@ -44,11 +47,12 @@ LOUD, FAST = np.log1p(1e4), np.log1p(1.4e5) / 4
 """What the most light that is kept and the longest motion come to."""
 SEEN = [*6 * [(0, 2)], *3 * [(-1, 1)], (0, 1), (0, 1)]
 """Least and greatest of both albedos, normal, roughness and depth, as a network reads them."""
-FEATURES = np.array([*9 * [(0, LOUD)], *SEEN, (-1, 1), (0, 1), (0, 1), *2 * [(-0.5, 0.5)], (0, FAST), (0, 1),
-                     *8 * [(-1, 1)]])
+FEATURES = np.array([*9 * [(0, LOUD)], *SEEN, (-1, 1), (0, 1), (0, 1), *2 * [(-0.5, 0.5)],
+                     (0, FAST), (0, 1), *8 * [(-1, 1)]])
 RANGES = {"features": FEATURES, "first_features": FEATURES[:32], "last_features": FEATURES[32:],
           "guides": np.array(4 * SEEN), "lowres": np.array(3 * [(0, 1)])}
-"""Input -> least and greatest of each of its channels: what the kernels make of a frame, whatever that holds."""
+"""Input -> least and greatest of each of its channels: what the kernels make of a frame, whatever
+that holds."""
 VALUES = ("random", "denormal", "greatest", "fireflies")
 ROW = re.compile(r"^\| networks: (?P<kind>\w+)[^|]*\| (?P<most>\S+), (?P<rms>\S+) ", re.MULTILINE)
 
@@ -70,17 +74,19 @@ def widened(model: onnx.ModelProto) -> onnx.ModelProto:
 
 def _widen(tensor: onnx.TensorProto) -> None:
     if tensor.data_type in NARROW:
-        tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor).astype(np.float64), tensor.name))
+        tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor).astype(np.float64),
+                                                tensor.name))
 
 
 def arguments(model: onnx.ModelProto, values: str) -> dict[str, np.ndarray]:
-    """Inputs of a network that hold the VALUES of that name; packed for one that reads halves, stored for one that
-    reads 8 bits."""
+    """Inputs of a network that hold the VALUES of that name; packed for one that reads halves,
+    stored for one that reads 8 bits."""
     random, found = np.random.default_rng(0), {}
     for value in model.graph.input:
         ranges = RANGES[value.name.removeprefix(PACKED).removeprefix(STORED)]
         size = (256, 256) if value.name == "lowres" else SIZE
-        planes = filled(values, random, ranges[:, :1, None], ranges[:, 1:, None], (1, len(ranges), *size))
+        planes = filled(values, random, ranges[:, :1, None], ranges[:, 1:, None],
+                        (1, len(ranges), *size))
         if value.name.startswith(STORED):
             planes = stored(model, value, planes)
         found[value.name] = pack(planes) if value.name.startswith(PACKED) else planes
@@ -99,7 +105,8 @@ def stored(model: onnx.ModelProto, value: onnx.ValueInfoProto, planes: np.ndarra
 
 def filled(values: str, random: np.random.Generator, least: np.ndarray, most: np.ndarray,
            shape: tuple[int, ...]) -> np.ndarray:
-    """Planes of ``shape`` that hold the VALUES of that name, each channel between its ``least`` and its ``most``."""
+    """Planes of ``shape`` that hold the VALUES of that name, each channel between its ``least`` and
+    its ``most``."""
     usual = random.uniform(-0.5, 1.5, shape).clip(least, most)
     planes = {"random": usual, "denormal": 1e-42, "greatest": most,
               "fireflies": np.where(random.random(shape) < 1 / 35, most, usual)}[values]
@@ -107,26 +114,31 @@ def filled(values: str, random: np.random.Generator, least: np.ndarray, most: np
 
 
 def kind(name: str) -> str:
-    return "tone" if name in TONE_MAPPERS else next((end for end in ("fp16", "int8") if end in name), "fp32")
+    return ("tone" if name in TONE_MAPPERS
+            else next((end for end in ("fp16", "int8") if end in name), "fp32"))
 
 
 @pytest.mark.parametrize("name", [
     pytest.param(name, marks=[] if name in (*SOME, *TONE_MAPPERS) else pytest.mark.soak)
     for name in (*DENOISERS, *TONE_MAPPERS)])
 def test_error_of_networks(name: str) -> None:
-    check(name, {values: WIDER.get((name, values), BOUNDS[kind(name)]) for values in VALUES}, "CPUExecutionProvider")
+    check(name, {values: WIDER.get((name, values), BOUNDS[kind(name)]) for values in VALUES},
+          "CPUExecutionProvider")
 
 
 @pytest.mark.gpu
-@pytest.mark.parametrize("name", [name for name in (*DENOISERS, *TONE_MAPPERS) if kind(name) in GPU_BOUNDS])
+@pytest.mark.parametrize("name",
+                         [name for name in (*DENOISERS, *TONE_MAPPERS) if kind(name) in GPU_BOUNDS])
 def test_error_of_networks_on_a_gpu(name: str, gpu: Device) -> None:
     most, mean = GPU_BOUNDS[kind(name)]
     louder = {values: 1 if values == "random" else LOUDER for values in VALUES}
-    check(name, {values: (more * most, more * mean) for values, more in louder.items()}, gpu.placement.provider)
+    check(name, {values: (more * most, more * mean) for values, more in louder.items()},
+          gpu.placement.provider)
 
 
 def check(name: str, bounds: dict[str, tuple[float, float]], provider: str) -> None:
-    """Hold what a provider makes of a network's inputs to largest and root mean square errors, by VALUES."""
+    """Hold what a provider makes of a network's inputs to largest and root mean square errors, by
+    VALUES."""
     model = lower_constants(onnx.load(models_dir() / f"{name}.onnx"))
     session = onnxruntime.InferenceSession(model.SerializeToString(), providers=[provider])
     inputs = {values: arguments(model, values) for values in bounds}
@@ -135,15 +147,19 @@ def check(name: str, bounds: dict[str, tuple[float, float]], provider: str) -> N
     for values, (most, mean) in bounds.items():
         reads = inputs[values]
         found = session.run(outputs, reads)
-        wide = {key: value if value.dtype == np.uint8 else value.astype(np.float64) for key, value in reads.items()}
+        wide = {key: value if value.dtype == np.uint8 else value.astype(np.float64)
+                for key, value in reads.items()}
         with np.errstate(invalid="ignore"):  # beyond int32, which int8 clips right after
             exact = reference.run(outputs, wide)
-        for output, value, wanted in zip(outputs, scaled(outputs, found), scaled(outputs, exact), strict=True):
+        for output, value, wanted in zip(outputs, scaled(outputs, found), scaled(outputs, exact),
+                                         strict=True):
             assert wanted.dtype == np.float64 and np.isfinite(value).all(), values
             error = np.abs(value - wanted)
-            largest, typical = error.max() / np.abs(wanted).max(), np.sqrt(np.mean(error**2) / np.mean(wanted**2))
+            largest, typical = (error.max() / np.abs(wanted).max(),
+                                np.sqrt(np.mean(error**2) / np.mean(wanted**2)))
             print(f"{provider} {name}, {values}: {largest:.2g}, {typical:.2g} of {output}")
-            assert largest <= most and typical <= mean, f"{values}: {output} {largest:.2g}, {typical:.2g}"
+            assert largest <= most and typical <= mean, (f"{values}: {output} {largest:.2g}, "
+                                                         f"{typical:.2g}")
 
 
 def scaled(outputs: list[str], values: list[np.ndarray]) -> list[np.ndarray]:
@@ -162,7 +178,7 @@ def test_the_table_has_the_bounds_that_are_asserted() -> None:
 
 @pytest.mark.parametrize("name", [*DENOISERS, *TONE_MAPPERS])
 def test_a_gpu_can_replay_a_network(name: str) -> None:
-    """GatherND copies what the call holds in host memory, and the others may wait for the GPU: none of it may be
-    in a graph that is captured once and replayed."""
+    """GatherND copies what the call holds in host memory, and the others may wait for the GPU: none
+    of it may be in a graph that is captured once and replayed."""
     found = {node.op_type for node in onnx.load(models_dir() / f"{name}.onnx").graph.node}
     assert not found & {"GatherND", "ScatterND", "NonZero", "If", "Loop", "Scan"}

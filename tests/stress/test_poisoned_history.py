@@ -1,4 +1,5 @@
-"""A broken history is forgotten within two frames: a NaN in it would otherwise stay to the end of a shot."""
+"""A broken history is forgotten within two frames: a NaN in it would otherwise stay to the end of a
+shot."""
 
 from __future__ import annotations
 
@@ -41,7 +42,8 @@ def poisoned(chain: Pipeline, frames: list[Frame], value: float) -> Pipeline:
 
 
 @pytest.mark.parametrize("value", [
-    pytest.param(value, marks=pytest.mark.soak if value == -np.inf else []) for value in BROKEN], ids=str)
+    pytest.param(value, marks=pytest.mark.soak if value == -np.inf else []) for value in BROKEN],
+                         ids=str)
 @on(cpu=("s.fp32", "m.int8", "s.fp32, portable"), gpu=("s.fp32", "m.fp16", "s.fp32, portable"))
 def test_all_of_the_history(
     model: str, value: float, rooms: list[Frame], device: Device, unbroken: Callable
@@ -58,19 +60,22 @@ def test_all_of_the_history(
 
 @pytest.mark.parametrize("value", BROKEN, ids=str)
 @pytest.mark.parametrize("tag", ["local", "auto"])
-def test_what_the_tone_mapper_holds(tag: str, value: float, rooms: list[Frame], device: Device) -> None:
+def test_what_the_tone_mapper_holds(tag: str, value: float, rooms: list[Frame],
+                                    device: Device) -> None:
     """As if there was none before, at once."""
     chain = Pipeline([ToneMap(look=tag)], device, 0.0, cuts="none")
-    frames = [Frame({Role.COLOUR: frame[Role.COLOUR]}, number) for number, frame in enumerate(rooms[:3])]
+    frames = [Frame({Role.COLOUR: frame[Role.COLOUR]}, number)
+              for number, frame in enumerate(rooms[:3])]
     fresh = chain(frames[2])[Role.COLOUR]
     chain.reset()
     poisoned(chain, frames[:2], value)
     np.testing.assert_array_equal(chain(frames[2])[Role.COLOUR], fresh)
 
 
-def by_all(kernel: Kernel, inputs: dict[str, np.ndarray], device: Device) -> list[dict[str, np.ndarray]]:
-    """What the device's own way (compiled rows, or the CUDA source on a GPU), the portable definition there and, with a
-    compiler, the CUDA source on the host write."""
+def by_all(kernel: Kernel, inputs: dict[str, np.ndarray],
+           device: Device) -> list[dict[str, np.ndarray]]:
+    """What the device's own way (compiled rows, or the CUDA source on a GPU), the portable
+    definition there and, with a compiler, the CUDA source on the host write."""
     found = [denoise_cases.run(kernel, place, inputs, CASE) for place in (device, portable(device))]
     if host_cuda.COMPILER is not None:
         shapes = {written: denoise_cases.shape(kernel, written, CASE) for written in kernel.writes}
@@ -84,13 +89,15 @@ def spoiled(kernel: Kernel, name: str, channels: int | None = None) -> dict[str,
     flat = inputs[name][..., :channels].reshape(-1).copy()
     flat[::31] = np.resize(BROKEN, flat[::31].size)
     inputs[name][..., :channels] = flat.reshape(inputs[name][..., :channels].shape)
-    if name == "past":  # where it is not known, it counts nothing, and what is left of 3e38 is a matter of rounding
+    # where it is not known, it counts nothing, and what is left of 3e38 is a matter of rounding
+    if name == "past":
         inputs[name][..., 3] = np.abs(inputs[name][..., 3]) + 0.1
     return inputs
 
 
-@pytest.mark.parametrize(("kernel", "name"), [(ACCUMULATE, "past"), (ACCUMULATE, "fine"), (UPSAMPLE, "warped"),
-                                              (UPSAMPLE_GUIDED, "warped")], ids=lambda one: getattr(one, "name", one))
+@pytest.mark.parametrize(("kernel", "name"), [(ACCUMULATE, "past"), (ACCUMULATE, "fine"),
+                                              (UPSAMPLE, "warped"), (UPSAMPLE_GUIDED, "warped")],
+                         ids=lambda one: getattr(one, "name", one))
 def test_all_definitions_forget_alike(kernel: Kernel, name: str, device: Device) -> None:
     wanted, *others = by_all(kernel, spoiled(kernel, name, 3 if name == "past" else None), device)
     assert all(np.isfinite(value).all() for value in wanted.values())

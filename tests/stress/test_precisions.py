@@ -1,4 +1,5 @@
-"""Networks in fp16 and int8 are as good as in float32, on sequences that other software rendered."""
+"""Networks in fp16 and int8 are as good as in float32, on sequences that other software
+rendered."""
 
 from __future__ import annotations
 
@@ -27,21 +28,26 @@ LOST = 0.1
 
 @cache
 def quality(folder: Path, model: str, kind: str) -> float:
-    """Mean PSNR in dB of the frames of a folder, exposed as metered; at 1x against the mean of 2x2 reference pixels."""
+    """Mean PSNR in dB of the frames of a folder, exposed as metered; at 1x against the mean of 2x2
+    reference pixels."""
     guides = str(folder / "guides.####.exr") if kind == "with guides" else None
-    material = Material(Sources(str(folder / "noisy.####.exr"), str(folder / "reference.####.exr"), guides))
-    chain, found = pipeline(model, Device("cpu"), "auto", scale=1 if kind == "at 1x" else material.scale), []
+    material = Material(Sources(str(folder / "noisy.####.exr"), str(folder / "reference.####.exr"),
+                                guides))
+    chain, found = pipeline(model, Device("cpu"), "auto",
+                            scale=1 if kind == "at 1x" else material.scale), []
     for frame in islice(material.noisy, FRAMES):
         colour, reference = chain(frame)[Role.COLOUR], material.reference(frame.number)[Role.COLOUR]
         if kind == "at 1x":
             reference = reference.reshape(colour.shape[0], 2, colour.shape[1], 2, 3).mean((1, 3))
-        found.append(psnr(*(to_codes(light, chain.exposure_factor) for light in (colour, reference))))
+        found.append(psnr(*(to_codes(light, chain.exposure_factor)
+                            for light in (colour, reference))))
     return float(np.mean(found))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("precision", "size", "name"), [
-    pytest.param(precision, size, name, marks=pytest.mark.soak if precision == "fp16" and size != "s" else [])
+    pytest.param(precision, size, name,
+                 marks=pytest.mark.soak if precision == "fp16" and size != "s" else [])
     for size, name in ON for precision in ("fp16", "int8")])
 def test_as_good_as_in_float32(name: str, size: str, precision: str, shared_dir: Path) -> None:
     """Every network that there is, each on a sequence; the garage has no guides."""

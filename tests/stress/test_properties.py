@@ -32,19 +32,21 @@ TURNS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], Callable[[float, floa
 }
 """Name -> what it does with a picture, and with a vector of the image."""
 BY_PIXEL = {
-    "tonemap": ToneMap, "view": View, "view for HDR": lambda: View(view="reinhard", display="pq"), "display": Display,
-    "display for HDR": lambda: Display(display="hlg"), "overlay": Overlay,
+    "tonemap": ToneMap, "view": View, "view for HDR": lambda: View(view="reinhard", display="pq"),
+    "display": Display, "display for HDR": lambda: Display(display="hlg"), "overlay": Overlay,
 }
 """Passes that look at a pixel alone."""
 RESAMPLED = 2e-6
 """Error of a mirrored resampling by the largest value: weights are rounded elsewhere."""
 WHOLE = 1e-3
-"""Pixels around a row or column of the image within which rounding may tell on which side of it a position lies."""
+"""Pixels around a row or column of the image within which rounding may tell on which side of it a
+position lies."""
 TONE = 0.06, 0.006
-"""Largest and mean difference, in code values, between what a tone mapper with a network makes of a turned picture and
-what it makes of the picture, turned."""
+"""Largest and mean difference, in code values, between what a tone mapper with a network makes of a
+turned picture and what it makes of the picture, turned."""
 PREROLL = {0: 30.0, 1: 33.0, 2: 35.0, 4: 41.0}
-"""Frames that run before a piece of a sequence -> least decibels between it and the unbroken run."""
+"""Frames that run before a piece of a sequence -> least decibels between it and the unbroken
+run."""
 
 
 def turned(frame: Frame, name: str) -> Frame:
@@ -57,7 +59,8 @@ def turned(frame: Frame, name: str) -> Frame:
 
 
 def brighter(frame: Frame, factor: float) -> Frame:
-    return replace(frame, planes={**frame.planes, Role.COLOUR: frame[Role.COLOUR] * np.float32(factor)})
+    return replace(frame,
+                   planes={**frame.planes, Role.COLOUR: frame[Role.COLOUR] * np.float32(factor)})
 
 
 def light(seed: int, height: int, width: int) -> Frame:
@@ -85,8 +88,10 @@ def test_what_works_by_pixel_turns_with_the_picture_to_the_bit(by_pixel, seed, h
 def test_exposing_is_multiplying(device, seed, stops, by):
     """To the bit, for whole stops."""
     frame = light(seed, 7, 9)
-    exposed, plain = (Pipeline([BY_PIXEL[by]()], device, exposure=ev, cuts="none") for ev in (float(stops), 0.0))
-    np.testing.assert_array_equal(exposed(frame)[Role.COLOUR], plain(brighter(frame, 2.0**stops))[Role.COLOUR])
+    exposed, plain = (Pipeline([BY_PIXEL[by]()], device, exposure=ev, cuts="none")
+                      for ev in (float(stops), 0.0))
+    np.testing.assert_array_equal(exposed(frame)[Role.COLOUR],
+                                  plain(brighter(frame, 2.0**stops))[Role.COLOUR])
 
 
 @EXAMPLES
@@ -99,9 +104,12 @@ def test_resampling_turns_with_the_picture(seed, height, width, out, jitter, nam
     turned_out = out[::-1] if "90" in name else out
     found = resample(picture(image), *turned_out, vector(*jitter))
     wanted = picture(resample(image, *out, jitter))
-    whole = [np.abs(at - np.rint(at)) < WHOLE for at in map(positions, (height, width), out, jitter[::-1])]
-    same = picture((whole[0][:, None] == whole[1])[..., None])  # else the sides of a whole row or column are not alike
-    np.testing.assert_allclose(found * same, wanted * same, rtol=0, atol=RESAMPLED * max(out) * image.max())
+    whole = [np.abs(at - np.rint(at)) < WHOLE
+             for at in map(positions, (height, width), out, jitter[::-1])]
+    # else the sides of a whole row or column are not alike
+    same = picture((whole[0][:, None] == whole[1])[..., None])
+    np.testing.assert_allclose(found * same, wanted * same, rtol=0,
+                               atol=RESAMPLED * max(out) * image.max())
     assert wanted.min() >= image.min() and wanted.max() <= image.max()
 
 
@@ -118,7 +126,8 @@ def test_tone_mapping_with_a_network_nearly_turns_with_the_picture(
 
 @pytest.mark.parametrize("name", TURNS)
 @on()
-def test_denoising_nearly_turns_with_the_picture(model: str, name: str, rooms: list[Frame], device: Device) -> None:
+def test_denoising_nearly_turns_with_the_picture(model: str, name: str, rooms: list[Frame],
+                                                 device: Device) -> None:
     picture, wanted = TURNS[name][0], colours(rooms[:4], model, device)
     found = colours([turned(frame, name) for frame in rooms[:4]], model, device)
     for one, other in zip(found, wanted, strict=True):
@@ -134,7 +143,8 @@ def test_denoising_nearly_turns_with_the_picture(model: str, name: str, rooms: l
 def test_denoising_scales_with_light_to_the_bit(rooms, device, model, stops):
     """For whole stops, within a range of exposed light where nothing is too small for float32."""
     wanted = colours(rooms[:3], model, device)
-    found = colours([brighter(frame, 2.0**stops) for frame in rooms[:3]], model, device, float(-stops))
+    found = colours([brighter(frame, 2.0**stops) for frame in rooms[:3]], model, device,
+                    float(-stops))
     for one, other in zip(found, wanted, strict=True):
         np.testing.assert_array_equal(one, other * np.float32(2.0**stops))
 

@@ -1,4 +1,5 @@
-"""Tiles of one pixel: masks that leave one, frames whose last tile is one, and pictures made of them."""
+"""Tiles of one pixel: masks that leave one, frames whose last tile is one, and pictures made of
+them."""
 
 from __future__ import annotations
 
@@ -42,7 +43,8 @@ def test_a_mask_of_one_pixel(place: str, model: str, device: Device) -> None:
     mask[PIXELS[place]] = 1
     frame = noisy(1, *SIZE)
     masked = with_strength(frame, mask)
-    (whole,), (found,), (plain,) = (colours([one], model, device) for one in (frame, masked, with_strength(frame, 0)))
+    (whole,), (found,), (plain,) = (colours([one], model, device)
+                                    for one in (frame, masked, with_strength(frame, 0)))
     wanted, near = blended64(masked, whole), bounds(device, model).near
     assert np.abs(shown(wanted) - shown(plain)).max() > 10 * near
     error = np.abs(shown(found) - shown(wanted)).max()
@@ -66,12 +68,14 @@ def test_rows_below_a_mask(model: str, device: Device) -> None:
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 300), (300, 1), (17, 17)], ids=str)
 @pytest.mark.parametrize("strength", [0.0, 0.5, 1.0])
-def test_small_frames_with_masks_and_within_a_budget(size: tuple[int, int], strength: float, cpu: Device) -> None:
+def test_small_frames_with_masks_and_within_a_budget(size: tuple[int, int], strength: float,
+                                                     cpu: Device) -> None:
     frames = [with_strength(noisy(number, *size), strength) for number in (1, 2)]
     for frame in frames:
         frame[Role.STRENGTH][0, 0] = 1
     tight = Device("cpu", threads=2, memory="560M")
-    for found, wanted in zip(colours(frames, "s.fp32", tight), colours(frames, "s.fp32", cpu), strict=True):
+    for found, wanted in zip(colours(frames, "s.fp32", tight), colours(frames, "s.fp32", cpu),
+                             strict=True):
         assert np.isfinite(found).all()
         np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-6)
 
@@ -80,9 +84,11 @@ def test_small_frames_with_masks_and_within_a_budget(size: tuple[int, int], stre
 def test_a_picture_of_tiles_of_one_pixel(way: str, cpu: Device) -> None:
     height, width = 3, 5
     wanted = np.random.default_rng(1).random((height, width, 4), np.float32)
-    boxes = [(y, x, y, x, y + 1, x + 1, y, x, y + 1, x + 1) for y in range(height) for x in range(width)]
+    boxes = [(y, x, y, x, y + 1, x + 1, y, x, y + 1, x + 1) for y in range(height)
+             for x in range(width)]
     inputs = {"tiles": wanted.reshape(-1, 1, 1, 4).copy(), "places": np.float32(boxes),
-              "frame_rows": np.arange(height, dtype=np.float32), "frame_columns": np.arange(width, dtype=np.float32)}
+              "frame_rows": np.arange(height, dtype=np.float32),
+              "frame_columns": np.arange(width, dtype=np.float32)}
     found = np.full_like(wanted, np.nan)
     if way == "compiled":
         ASSEMBLE.rows(0, height, *inputs.values(), found)

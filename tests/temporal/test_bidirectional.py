@@ -1,4 +1,5 @@
-"""Frames with what the frames after them make of them: which are run, in what order, and what comes out."""
+"""Frames with what the frames after them make of them: which are run, in what order, and what comes
+out."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ SIZE = 32, 48
 
 @pytest.fixture
 def noisy(write_exr: Callable[..., Path], tmp_path: Path) -> Callable[..., Sequence]:
-    """Writes frames of one grey wall at rest, each with noise of its own, and gives them as a sequence."""
+    """Writes frames of one grey wall at rest, each with noise of its own, and gives them as a
+    sequence."""
 
     def write(count: int, cut: int = 0, level: float = 0.5) -> Sequence:
         rng = np.random.default_rng(count)
@@ -31,14 +33,17 @@ def noisy(write_exr: Callable[..., Path], tmp_path: Path) -> Callable[..., Seque
             light = level if not cut or number < cut else 8 * level
             planes = {name: light * rng.exponential(size=SIZE) for name in "RGB"}
             planes |= {f"albedo.{name}": np.full(SIZE, 0.5) for name in "RGB"}
-            planes |= {"depth.Z": np.full(SIZE, 3.0), "motion.X": np.zeros(SIZE), "motion.Y": np.zeros(SIZE)}
-            write_exr(f"in/shot.{number:04d}.exr", planes, **({"postfx__reset": 1} if number == cut else {}))
+            planes |= {"depth.Z": np.full(SIZE, 3.0), "motion.X": np.zeros(SIZE),
+                       "motion.Y": np.zeros(SIZE)}
+            write_exr(f"in/shot.{number:04d}.exr", planes,
+                      **({"postfx__reset": 1} if number == cut else {}))
         return Sequence(tmp_path / "in/shot.####.exr")
 
     return write
 
 
-def results(sequence: Sequence, device: Device, both: bool = True, exposure: str | float = 0.0) -> dict:
+def results(sequence: Sequence, device: Device, both: bool = True,
+            exposure: str | float = 0.0) -> dict:
     """Colour by frame number."""
     backwards = Backwards(sequence, device, exposure, model="s") if both else lambda frame: frame
     passes = Pipeline([DenoiseUpscale(model="s"), BothWays()], device, exposure)
@@ -58,7 +63,8 @@ def test_first_frames_profit_from_those_after_them(noisy, device):
 
 
 def test_the_last_frame_has_nothing_after_it(noisy, device):
-    """Its run in reverse order begins with it: a first frame, which counts for a ninth beside eight."""
+    """Its run in reverse order begins with it: a first frame, which counts for a ninth beside
+    eight."""
     sequence = noisy(8)
     later = Backwards(sequence, device, 0.0, model="s")
     planes = [later(frame).guides[Role.LATER] for frame in sequence]
@@ -69,7 +75,8 @@ def test_the_last_frame_has_nothing_after_it(noisy, device):
 @pytest.mark.parametrize("level", [1e-7, 1e7])
 def test_light_of_any_unit_is_kept(noisy, device, level):
     """Beyond what half precision holds: results are kept exposed."""
-    causal, both = (results(noisy(6, level=level), device, way, exposure="auto") for way in (False, True))
+    causal, both = (results(noisy(6, level=level), device, way, exposure="auto")
+                    for way in (False, True))
     assert abs(both[1].mean() / causal[6].mean() - 1) < 0.05
 
 
@@ -87,14 +94,18 @@ def test_a_frame_does_not_depend_on_which_are_asked_for(noisy, device, monkeypat
     for number in (2, 5, 8):
         fresh = Backwards(sequence, device, 0.0, model="s")
         sequence.rewind()
-        np.testing.assert_array_equal(fresh(sequence.read(number)).guides[Role.LATER], whole[number])
+        np.testing.assert_array_equal(fresh(sequence.read(number)).guides[Role.LATER],
+                                      whole[number])
 
 
 def test_frames_after_those_that_are_asked_for_count_too(noisy, device):
     whole, part = noisy(8), read_sequence(noisy(8).pattern.path(1).parent / "shot.####.exr", "3-4")
-    wanted, found = (Backwards(sequence, device, 0.0, model="s")(sequence.read(4)) for sequence in (whole, part))
-    np.testing.assert_array_equal(found.guides[Role.LATER][..., :3] != 0, wanted.guides[Role.LATER][..., :3] != 0)
-    assert np.allclose(found.guides[Role.LATER][..., 3], 5 / 7, atol=1e-6)  # 5 frames, and 2 that were asked for
+    wanted, found = (Backwards(sequence, device, 0.0, model="s")(sequence.read(4))
+                     for sequence in (whole, part))
+    np.testing.assert_array_equal(found.guides[Role.LATER][..., :3] != 0,
+                                  wanted.guides[Role.LATER][..., :3] != 0)
+    # 5 frames, and 2 that were asked for
+    assert np.allclose(found.guides[Role.LATER][..., 3], 5 / 7, atol=1e-6)
     assert part.numbers == (3, 4)
 
 
@@ -104,7 +115,8 @@ def test_parts_are_run_from_behind_with_a_run_up(noisy, device, monkeypatch):
     sequence, order = noisy(7), []
     backwards = Backwards(sequence, device, 0.0, model="s")
     read = Backwards._read
-    monkeypatch.setattr(Backwards, "_read", lambda self, index: order.append(index + 1) or read(self, index))
+    monkeypatch.setattr(Backwards, "_read",
+                        lambda self, index: order.append(index + 1) or read(self, index))
     for frame in sequence:
         assert (backwards.part(frame.number) is not None) == (frame.number in (1, 4, 7))
         backwards(frame)
@@ -142,7 +154,8 @@ def test_a_frame_that_cannot_be_read_leaves_the_others_as_they_are(noisy, device
     sequence = noisy(5)
     (tmp_path / "in/shot.0003.exr").write_bytes(b"no picture")
     backwards = Backwards(sequence, device, 0.0, model="s")
-    weights = [float(backwards(sequence.read(number)).guides[Role.LATER][0, 0, 3]) for number in (1, 2, 4, 5)]
+    weights = [float(backwards(sequence.read(number)).guides[Role.LATER][0, 0, 3])
+               for number in (1, 2, 4, 5)]
     np.testing.assert_allclose(weights, [2 / 3, 1 / 3, 2 / 3, 1 / 3], atol=1e-6)
 
 

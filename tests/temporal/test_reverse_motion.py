@@ -6,24 +6,34 @@ import numpy as np
 import pytest
 
 from postfx.frame import Frame, Role
-from postfx.temporal.reverse_motion import LONGEST_HISTORY_FRAMES, LOST, HistoryLength, motion_to_next, reverse_motion
+from postfx.temporal.reverse_motion import (
+    LONGEST_HISTORY_FRAMES,
+    LOST,
+    HistoryLength,
+    motion_to_next,
+    reverse_motion,
+)
 
 HEIGHT, WIDTH = 20, 30
 
 
-def moving(motion: tuple[float, float], depth: float = 4.0, size: tuple[int, int] = (HEIGHT, WIDTH), **kept) -> Frame:
+def moving(motion: tuple[float, float], depth: float = 4.0, size: tuple[int, int] = (HEIGHT, WIDTH),
+           **kept) -> Frame:
     """A wall that moves by `motion` (towards where it was) all over the picture."""
     planes = {Role.COLOUR: np.ones((*size, 3)), Role.DEPTH: np.full((*size, 1), depth),
               Role.MOTION: np.broadcast_to(np.float64(motion), (*size, 2))}
-    return Frame({role: np.ascontiguousarray(plane, np.float32) for role, plane in planes.items()}, **kept)
+    return Frame({role: np.ascontiguousarray(plane, np.float32) for role, plane in planes.items()},
+                 **kept)
 
 
 @pytest.mark.parametrize("motion", [(0, 0), (3, -2), (-1.25, 4.5), (0.4, 0.4)])
 def test_a_moving_wall_comes_from_where_it_goes(motion):
     found = motion_to_next(moving((0, 0)), moving(motion))
     y, x = np.indices((HEIGHT, WIDTH))
-    shown = (0 <= x - motion[0]) & (x - motion[0] <= WIDTH - 1) & (0 <= y - motion[1]) & (y - motion[1] <= HEIGHT - 1)
-    np.testing.assert_array_equal(found[shown], np.broadcast_to(-np.float32(motion), (shown.sum(), 2)))
+    shown = ((0 <= x - motion[0]) & (x - motion[0] <= WIDTH - 1) & (0 <= y - motion[1])
+             & (y - motion[1] <= HEIGHT - 1))
+    np.testing.assert_array_equal(found[shown],
+                                  np.broadcast_to(-np.float32(motion), (shown.sum(), 2)))
 
 
 def test_what_the_next_frame_does_not_show_leads_out_of_the_picture():
@@ -33,7 +43,8 @@ def test_what_the_next_frame_does_not_show_leads_out_of_the_picture():
 
 
 def test_the_nearer_of_two_surfaces_counts():
-    """A thing moves 6 pixels to the right over a wall at rest: where it was, it is what comes from there."""
+    """A thing moves 6 pixels to the right over a wall at rest: where it was, it is what comes from
+    there."""
     frame, after = moving((0, 0)), moving((0, 0))
     frame[Role.DEPTH][5:10, 4:10], after[Role.DEPTH][5:10, 10:16] = 1, 1
     after[Role.MOTION][5:10, 10:16] = -6, 0
@@ -52,7 +63,8 @@ def test_the_nearer_of_two_surfaces_counts_whichever_comes_first():
 
 
 def test_stretching_leaves_no_cracks():
-    """A camera that comes nearer by 4 % a frame: pixels of the next frame come from closer together than they lie."""
+    """A camera that comes nearer by 4 % a frame: pixels of the next frame come from closer together
+    than they lie."""
     after = moving((0, 0))
     y, x = np.indices((HEIGHT, WIDTH), np.float32)
     after[Role.MOTION][..., 0], after[Role.MOTION][..., 1] = (x - 15) * 0.04, (y - 10) * 0.04
@@ -79,8 +91,10 @@ def test_a_cut_and_the_end_begin_anew():
     frame, after = moving((1, 1), number=3), moving((1, 1), number=4)
     assert reverse_motion(frame, None).reset
     assert reverse_motion(frame, moving((1, 1), reset=True)).reset
-    assert not reverse_motion(moving((1, 1), reset=True), after).reset  # its own cut lies at its other side
-    assert reverse_motion(frame, Frame({Role.COLOUR: np.ones((HEIGHT, WIDTH, 3), np.float32)})).reset
+    # its own cut lies at its other side
+    assert not reverse_motion(moving((1, 1), reset=True), after).reset
+    assert reverse_motion(frame,
+                          Frame({Role.COLOUR: np.ones((HEIGHT, WIDTH, 3), np.float32)})).reset
 
 
 def test_without_depth_motion_is_turned_all_the_same():
@@ -99,7 +113,8 @@ def test_frames_in_sight_are_counted_up_to_a_limit():
 
 def test_what_comes_into_the_picture_counts_from_one():
     lengths = HistoryLength()
-    counts = [lengths(moving((3, 0))) for _ in range(4)]  # the wall moves to the left, new wall comes in at the right
+    # the wall moves to the left, new wall comes in at the right
+    counts = [lengths(moving((3, 0))) for _ in range(4)]
     assert (counts[3][0] == np.repeat([4, 3, 2, 1], [WIDTH - 9, 3, 3, 3])).all()
 
 

@@ -22,19 +22,22 @@ SIZE = 32, 48
 
 @pytest.fixture
 def noisy(write_exr: Callable[..., Path], tmp_path: Path) -> Callable[..., Sequence]:
-    """Writes frames of a grey wall, each with noise of its own, that moves by a pixel a frame, and gives them as a
-    sequence."""
+    """Writes frames of a grey wall, each with noise of its own, that moves by a pixel a frame, and
+    gives them as a sequence."""
 
-    def write(count: int = 8, cut: int = 0, motion: float | None = -1.0, without: int = 0, **options) -> Sequence:
+    def write(count: int = 8, cut: int = 0, motion: float | None = -1.0, without: int = 0,
+              **options) -> Sequence:
         rng = np.random.default_rng(count)
         for number in range(1, count + 1):
             light = 0.1 if cut and number >= cut else 0.5
             planes = {name: light * rng.exponential(size=SIZE) for name in "RGB"}
-            planes |= {f"albedo.{name}": np.full(SIZE, 0.5) for name in "RGB"} | {"depth.Z": np.full(SIZE, 3.0)}
+            planes |= ({f"albedo.{name}": np.full(SIZE, 0.5) for name in "RGB"}
+                       | {"depth.Z": np.full(SIZE, 3.0)})
             if motion is not None:
                 planes |= {"motion.X": np.full(SIZE, motion), "motion.Y": np.zeros(SIZE)}
             if number != without:
-                write_exr(f"in/shot.{number:04d}.exr", planes, **({"postfx__reset": 1} if number == cut else {}))
+                write_exr(f"in/shot.{number:04d}.exr", planes,
+                          **({"postfx__reset": 1} if number == cut else {}))
         return read_sequence(tmp_path / "in/shot.####.exr", **options)
 
     return write
@@ -51,7 +54,8 @@ def numbers(sequence: Sequence, frame: Frame | None = None, **options) -> list[i
     return [frame.number for frame in seen(sequence, frame, **options)[0]]
 
 
-def results(sequence: Sequence, device: Device, run_up: bool = True, *others, **options) -> dict[int, np.ndarray]:
+def results(sequence: Sequence, device: Device, run_up: bool = True, *others,
+            **options) -> dict[int, np.ndarray]:
     """Colour by frame number."""
     passes = Pipeline([DenoiseUpscale(model="s", **options), *others], device, 0.0,
                       run_up=RunUp(sequence) if run_up else None)
@@ -134,7 +138,8 @@ def test_nor_does_what_is_beyond_a_frame_that_lacks_pixels(noisy, tmp_path, brok
     sequence, path = noisy(), tmp_path / f"in/shot.{broken:04d}.exr"
     path.write_bytes(path.read_bytes()[:-2000])
     found, first = seen(sequence)
-    assert [frame.number for frame in found] == [number for number in range(8, 1, -1) if number != broken]
+    assert [frame.number for frame in found] == [number
+                                                 for number in range(8, 1, -1) if number != broken]
     assert first.reset == (broken == 2)
     assert found[-1].reset == (broken == 3)
 
@@ -159,7 +164,8 @@ def test_history_beyond_a_frame_that_cannot_be_read_is_dropped(noisy, device, tm
 
 def test_frames_of_another_size_do_not_count(noisy, write_exr):
     sequence = noisy()
-    write_exr("in/shot.0003.exr", {name: np.ones((20, 30)) for name in (*"RGB", "depth.Z", "motion.X", "motion.Y")})
+    write_exr("in/shot.0003.exr",
+              {name: np.ones((20, 30)) for name in (*"RGB", "depth.Z", "motion.X", "motion.Y")})
     assert numbers(sequence) == [8, 7, 6, 5, 4, 2]
 
 
@@ -185,7 +191,8 @@ def test_frames_are_prepared_like_those_in_order(noisy):
 def test_only_planes_that_are_used_are_read(noisy):
     sequence = noisy()
     first = sequence.read(1, [Role.COLOUR, Role.MOTION])
-    assert all(set(frame.planes) == {Role.COLOUR, Role.MOTION} for frame in seen(sequence, first)[0])
+    assert all(set(frame.planes) == {Role.COLOUR, Role.MOTION}
+               for frame in seen(sequence, first)[0])
 
 
 @pytest.mark.parametrize("options", [{"strength": 0.0}, {}])
@@ -208,12 +215,15 @@ def test_a_pipeline_runs_up_once_a_shot(noisy, device):
 
 
 def test_what_comes_out_is_the_frame_itself(noisy, device):
-    """Its reset, its exposure and what was left out are those of the frame, not of those that were run before it."""
+    """Its reset, its exposure and what was left out are those of the frame, not of those that were
+    run before it."""
     sequence = noisy(cut=1)
-    plain, passes = (Pipeline([DenoiseUpscale(model="s")], device, run_up=run) for run in (None, RunUp(sequence)))
+    plain, passes = (Pipeline([DenoiseUpscale(model="s")], device, run_up=run)
+                     for run in (None, RunUp(sequence)))
     for frame in sequence:
         expected, found = plain(frame), passes(frame)
-        assert (found.number, found.reset, found.spec) == (expected.number, expected.reset, expected.spec)
+        assert (found.number, found.reset, found.spec) == (expected.number, expected.reset,
+                                                           expected.spec)
         assert passes.exposure == plain.exposure
     assert [item.what for item in plain.savings()] == ["history for 1 frame in denoise_upscale"]
     assert passes.savings() == []
@@ -231,7 +241,8 @@ def test_passes_behind_the_denoiser_do_not_run_ahead(noisy, device):
 
 def test_a_recalled_history_needs_none(noisy, device):
     sequence = noisy()
-    one, two = (Pipeline([DenoiseUpscale(model="s")], device, 0.0, run_up=RunUp(sequence)) for _ in range(2))
+    one, two = (Pipeline([DenoiseUpscale(model="s")], device, 0.0, run_up=RunUp(sequence))
+                for _ in range(2))
     frames = list(sequence)
     expected = [one(frame)[Role.COLOUR] for frame in frames[:3]][2]
     one.reset()

@@ -21,7 +21,8 @@ def one_seed() -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def one_thread() -> Iterator[None]:
-    """Networks this small lose more time to waiting threads than they gain: 26 s against 2 s for a few steps."""
+    """Networks this small lose more time to waiting threads than they gain: 26 s against 2 s for a
+    few steps."""
     try:
         import torch
     except ImportError:

@@ -1,4 +1,5 @@
-"""Mitsuba for tests: they are skipped where it is missing, or finds no LLVM that its variant llvm_ad_rgb can use."""
+"""Mitsuba for tests: they are skipped where it is missing, or finds no LLVM that its variant
+llvm_ad_rgb can use."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ import pytest
 def require_llvm() -> Any:
     """The module mitsuba, with an LLVM for it and for the processes that a test starts."""
     mitsuba = pytest.importorskip("mitsuba", reason="mitsuba is not installed (extra 'train')")
-    found = [*Path("/usr/lib").glob("*/libLLVM*19*"), *Path("/usr/lib/llvm-19/lib").glob("libLLVM*.so*")]
+    found = [*Path("/usr/lib").glob("*/libLLVM*19*"),
+             *Path("/usr/lib/llvm-19/lib").glob("libLLVM*.so*")]
     if found:
         os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(found[0]))
     if "DRJIT_LIBLLVM_PATH" not in os.environ:

@@ -20,11 +20,13 @@ RESIDUAL = ResidualConfig((8, 8, 8, 8, 8), (1, 1, 1, 1, 1), (1, 1, 1, 1))
 """From the render size on: reads planes that follow mirrors and glass, and predicts its error."""
 
 
-def small_model(guides: bool = False, config: TrunkConfig | ResidualConfig = SMALL) -> DenoiseUpscale:
+def small_model(guides: bool = False,
+                config: TrunkConfig | ResidualConfig = SMALL) -> DenoiseUpscale:
     """A network whose weights make all its outputs vary."""
     torch.manual_seed(0)
     residual = isinstance(config, ResidualConfig)
-    model = DenoiseUpscale(trunk=ResidualTrunk(config) if residual else Trunk(replace(config, guides=guides)))
+    model = DenoiseUpscale(trunk=ResidualTrunk(config) if residual
+                                 else Trunk(replace(config, guides=guides)))
     with torch.no_grad():
         for parameter in model.parameters():
             parameter += torch.randn_like(parameter) * 0.05

@@ -1,4 +1,5 @@
-"""The U-Net of ambient occlusion: what it reads, its ONNX form beside the kernels, and that it learns."""
+"""The U-Net of ambient occlusion: what it reads, its ONNX form beside the kernels, and that it
+learns."""
 
 from __future__ import annotations
 
@@ -28,15 +29,17 @@ from training.occlusion import (
 
 
 def make_view(seed: int) -> dict[str, np.ndarray]:
-    """A ball on a plane that faces the camera, and an empty corner; "visibility" is what the normal tells."""
+    """A ball on a plane that faces the camera, and an empty corner; "visibility" is what the normal
+    tells."""
     random = np.random.default_rng(seed)
     x, y = np.meshgrid(np.linspace(-1, 1, 48) - random.uniform(-0.3, 0.3), np.linspace(1, -1, 32))
     high = np.sqrt(np.maximum(0.25 - x**2 - y**2, 0))
     normal = np.where(high[..., None] > 0, np.stack([x, y, high], -1) / 0.5, [0, 0, 1.0])
     depth = np.where((x < -0.9) & (y > 0.8), 2 * FAR, 3 - high)
-    return {"normal": normal.astype(np.float16), "depth": depth.astype(np.float32), "tangent": np.float32(0.4),
-            "visible": np.tile(0.5 + 0.5 * normal[..., 0] * normal[..., 2], (3, 1, 1)).astype(np.float16),
-            "radii": np.float32([0.1, 0.2, 0.4])}
+    return {"normal": normal.astype(np.float16), "depth": depth.astype(np.float32),
+            "tangent": np.float32(0.4),
+            "visible": np.tile(0.5 + 0.5 * normal[..., 0] * normal[..., 2], (3, 1, 1))
+                       .astype(np.float16), "radii": np.float32([0.1, 0.2, 0.4])}
 
 
 def given(device: Device, view: dict[str, np.ndarray], k: int) -> list[np.ndarray]:
@@ -59,7 +62,8 @@ def test_the_onnx_form_reads_what_the_kernels_make(tmp_path: Path) -> None:
         wanted = network(planes(arrays))[0, 0].clamp(0, 1).numpy()
     export_network(network, tmp_path / "occlusion.onnx")
     state = device.pipeline_state(Library(tmp_path), "occlusion", {"height": 32, "width": 48})
-    bound = {name: device.wrap(name, np.ascontiguousarray(array)) for name, array in zip(READS, arrays, strict=True)}
+    bound = {name: device.wrap(name, np.ascontiguousarray(array))
+             for name, array in zip(READS, arrays, strict=True)}
     visible = device.heap.tensor("visible", (32, 48))
     commands = device.command_buffer("frame")
     with commands.machine_learning_encoder("network") as encoder:
@@ -67,7 +71,8 @@ def test_the_onnx_form_reads_what_the_kernels_make(tmp_path: Path) -> None:
     commands.commit()
     commands.wait()
     there = view["depth"] < FAR
-    np.testing.assert_allclose(visible.array[there], wanted[there], atol=2e-3)  # its weights are in half precision
+    # its weights are in half precision
+    np.testing.assert_allclose(visible.array[there], wanted[there], atol=2e-3)
     assert not there.all() and (visible.array[~there] == 1).all() and wanted[there].std() > 0.01
 
 
@@ -76,7 +81,8 @@ def test_mirrored_planes_are_those_of_the_mirrored_view() -> None:
     arrays = given(device, view, 2)
     made, truth = planes(arrays), torch.rand(1, 1, 32, 48)
     for how, axis, part in ((1, 1, 0), (2, 0, 1)):
-        other = [np.ascontiguousarray(array if array.ndim == 1 else np.flip(array, axis)) for array in arrays]
+        other = [np.ascontiguousarray(array if array.ndim == 1 else np.flip(array, axis))
+                 for array in arrays]
         other[0][..., part] *= -1
         found, turned = mirrored(made, truth, how)
         torch.testing.assert_close(found, planes(other))

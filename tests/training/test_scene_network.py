@@ -39,8 +39,8 @@ SAMPLES = Path(__file__).parents[2] / "samples"
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two views to learn from, and one that is held out."""
     folder = tmp_path_factory.mktemp("views")
-    make_sample.main(["views", str(folder), "--width", "48", "--height", "32", "--views", "2", "--spp", "4",
-                      "--held-out", "1", "--held-spp", "64", "--stack", "16"])
+    make_sample.main(["views", str(folder), "--width", "48", "--height", "32", "--views", "2",
+                      "--spp", "4", "--held-out", "1", "--held-spp", "64", "--stack", "16"])
     return folder
 
 
@@ -52,7 +52,8 @@ def views(rendered: Path) -> Views:
 def test_more_samples_are_nearer_to_the_reference(rendered: Path) -> None:
     view = dict(np.load(rendered / "held.0000.npz"))
     truth = (view["reference_a"] + view["reference_b"]) / 2
-    errors = [np.mean((np.tanh(mean.astype(float)) - np.tanh(truth)) ** 2) for mean in view["means"]]
+    errors = [np.mean((np.tanh(mean.astype(float)) - np.tanh(truth)) ** 2)
+              for mean in view["means"]]
     assert view["counts"][0] == 1 and view["counts"][-1] == 16 and errors[-1] < errors[0] / 4
     assert len({one.tobytes() for one in view["colour"]}) == len(view["colour"])
 
@@ -61,30 +62,33 @@ def test_places_lie_in_the_room_and_motion_leads_back_to_them(views: Views) -> N
     """To the plane of the surface, as pixels of two frames are not at the same points of it."""
     network = SceneNetwork("temporal", *views.box())
     np.testing.assert_allclose(network.high - network.low, [5.2, 2.8, 6.0], atol=1.5)
-    frames = views.crops(torch.tensor([[k, 0, 0, 0] for k in range(views.count)]), (views.height, views.width),
-                         views.frames)
+    frames = views.crops(torch.tensor([[k, 0, 0, 0] for k in range(views.count)]),
+                         (views.height, views.width), views.frames)
     states = []
     for frame in frames[-2:]:
         place = network.features(frame, frame["ray"])[1]
         assert (place.abs() < 1.1).float().mean() > 0.95
         states.append(torch.cat([place, place, torch.ones_like(place[:, :1])], 1))
     now = frames[-1]
-    followed, wrong = (network.same_surface(warp(states[0], motion), states[1][:, 3:6], now).float().mean()
-                       for motion in (now["motion"], now["motion"] + 8))
+    followed, wrong = (network.same_surface(warp(states[0], motion), states[1][:, 3:6], now).float()
+                       .mean() for motion in (now["motion"], now["motion"] + 8))
     assert followed > 0.75 > wrong + 0.15
 
 
 def test_noise_does_not_darken_the_targets() -> None:
-    """The codes of noisy means are too dark by a hundredth, those of two halves by a fifth of that at most."""
+    """The codes of noisy means are too dark by a hundredth, those of two halves by a fifth of that
+    at most."""
     random, light = torch.distributions.Gamma(3.0, 6.0), torch.tensor(0.5)
     torch.manual_seed(0)
     halves = random.sample((200_000,)), random.sample((200_000,))
-    plain, found = (float(codes.mean() - to_codes(light)) for codes in (to_codes(sum(halves) / 2), codes_of(*halves)))
+    plain, found = (float(codes.mean() - to_codes(light))
+                    for codes in (to_codes(sum(halves) / 2), codes_of(*halves)))
     assert plain < -0.01 and abs(found) < -plain / 5
 
 
 def test_history_is_of_no_use_where_there_is_none(views: Views) -> None:
-    """The temporal network begins as the other one, and without a state it does what that one does."""
+    """The temporal network begins as the other one, and without a state it does what that one
+    does."""
     torch.manual_seed(0)
     shading, box = SceneNetwork("shading", *views.box()), views.box()
     temporal = begun_with(SceneNetwork("temporal", *box), shading)
@@ -105,7 +109,8 @@ def test_history_is_of_no_use_where_there_is_none(views: Views) -> None:
 
 
 def test_pictures_are_averaged_within_what_their_neighbours_show(views: Views) -> None:
-    """Not without a history, nor while it learns. Codes and light are the other way round of each other."""
+    """Not without a history, nor while it learns. Codes and light are the other way round of each
+    other."""
     network, kept = SceneNetwork("temporal", *views.box()).eval(), scene_network.KEPT
     light = torch.tensor([0.0, 1e-3, 0.3, 2.0, 60.0])
     torch.testing.assert_close(to_light(to_codes(light)), light, rtol=2e-3, atol=1e-6)
@@ -131,7 +136,8 @@ def test_the_nearest_neighbour_s_motion_counts() -> None:
 
 
 @pytest.mark.parametrize("kind", ["shading", "amplifier"])
-def test_light_is_bounded_by_what_was_learnt_and_lamps_have_the_colour_given(kind: str, views: Views) -> None:
+def test_light_is_bounded_by_what_was_learnt_and_lamps_have_the_colour_given(kind: str,
+                                                                             views: Views) -> None:
     """However sure a network is that a pixel is white."""
     network = SceneNetwork(kind, *views.box(), views.most)
     with torch.no_grad():
@@ -150,9 +156,11 @@ def test_a_network_is_trained_and_runs_in_a_command_buffer(rendered: Path, tmp_p
     """`amplifier` goes on from its own weights, and is measured against the stack."""
     pytest.importorskip("matplotlib")
     pytest.importorskip("flip_evaluator")
-    command = [str(rendered), str(tmp_path), "--kinds", "amplifier", "--steps", "12", "--batch", "2", "--crop", "24"]
+    command = [str(rendered), str(tmp_path), "--kinds", "amplifier", "--steps", "12", "--batch",
+               "2", "--crop", "24"]
     main([*command, "--report", "1"])
-    told = run_sample(str(tmp_path / "a.png"), "--models", str(tmp_path), "--views", str(rendered), "--runs", "1")
+    told = run_sample(str(tmp_path / "a.png"), "--models", str(tmp_path), "--views", str(rendered),
+                      "--runs", "1")
     ((name, found),) = re.findall(r"(?m)^(.{22}) +([\d.]+) dB, without", told)
     assert name.strip() == "amplifier" and float(found) > 8
     worth = float(re.search(r"equivalent samples: ([\d.]+)", told)[1])
@@ -163,8 +171,8 @@ def test_the_room_s_amplifier_is_worth_more_than_the_stack(tmp_path: Path) -> No
     """At half the size that it has learnt from."""
     pytest.importorskip("matplotlib")
     pytest.importorskip("flip_evaluator")
-    make_sample.main(["views", str(tmp_path), "--width", "128", "--height", "72", "--views", "0", "--held-out", "1",
-                      "--held-spp", "96", "--stack", "16"])
+    make_sample.main(["views", str(tmp_path), "--width", "128", "--height", "72", "--views", "0",
+                      "--held-out", "1", "--held-spp", "96", "--stack", "16"])
     told = run_sample(str(tmp_path / "a.png"), "--views", str(tmp_path), "--runs", "1")
     assert float(re.search(r"equivalent samples: ([\d.]+)", told)[1]) > 16
 

@@ -39,14 +39,19 @@ tell({ status: status.textContent, planes: document.getElementById("planes").inn
        loaded: performance.getEntriesByType("resource").map((one) => one.name) });
 """
 READ = """
-const { readFrame } = await import("/page.js"), { meter, showsVolume } = await import("/frame.js"), found = {};
+const { readFrame } = await import("/page.js");
+const { meter, showsVolume } = await import("/frame.js");
+const found = {};
 for (const name of NAMES) {
   try {
     const frame = readFrame(await (await fetch(`/${name}`)).arrayBuffer());
-    const coded = (plane) => btoa(Array.from(new Uint8Array(plane.buffer), (b) => String.fromCharCode(b)).join(""));
-    found[name] = { ...frame, stops: meter(frame.planes.colour, frame.width, frame.height),
-                    volume: frame.planes.depth && showsVolume(frame.planes.depth, frame.width, frame.height),
-                    planes: Object.fromEntries(Object.entries(frame.planes).map(([key, one]) => [key, coded(one)])) };
+    const coded = (plane) => btoa(
+      Array.from(new Uint8Array(plane.buffer), (b) => String.fromCharCode(b)).join(""));
+    const { colour, depth } = frame.planes;
+    found[name] = { ...frame, stops: meter(colour, frame.width, frame.height),
+                    volume: depth && showsVolume(depth, frame.width, frame.height),
+                    planes: Object.fromEntries(
+                      Object.entries(frame.planes).map(([key, one]) => [key, coded(one)])) };
   } catch (error) {
     found[name] = { error: error.message };
   }
@@ -74,34 +79,40 @@ def test_the_models_compute_what_the_pass_does(tmp_path):
     export = load_export()
     export.main(tmp_path)
     whole = frame_of(SAMPLE)
-    part = replace(whole, planes={role: np.ascontiguousarray(plane[:51, :77]) for role, plane in whole.planes.items()})
+    part = replace(whole, planes={role: np.ascontiguousarray(plane[:51, :77])
+                                  for role, plane in whole.planes.items()})
     for frame, scale, tag in ((part, 2, "s"), (part, 1, "s"), (whole, 2, "m"), (part, 1, "m")):
         wanted = postfx.Pipeline([postfx.DenoiseUpscale(scale=scale, model=f"{tag}.fp32")])(frame)
         exposure = np.float32(2 ** measure(frame[Role.COLOUR]))
         feeds = {name: frame[Role(name)] for name in export.PLANES}
         feeds["params"] = np.float32([exposure, *frame.jitter, 1])
-        session = ort.InferenceSession(tmp_path / f"denoise.{tag}.{scale}x.onnx", providers=["CPUExecutionProvider"])
+        session = ort.InferenceSession(tmp_path / f"denoise.{tag}.{scale}x.onnx",
+                                       providers=["CPUExecutionProvider"])
         (clean,) = session.run(None, feeds)
         np.testing.assert_allclose(np.log1p(clean), np.log1p(wanted[Role.COLOUR]), atol=3e-3)
         if frame is whole:
             continue
         shown = postfx.Pipeline([postfx.ToneMap()], exposure=float(np.log2(exposure)))(
             replace(frame, planes={Role.COLOUR: clean}))
-        look = ort.InferenceSession(tmp_path / "look.aces2.onnx", providers=["CPUExecutionProvider"])
+        look = ort.InferenceSession(tmp_path / "look.aces2.onnx",
+                                    providers=["CPUExecutionProvider"])
         (codes,) = look.run(None, {"colour": clean, "exposure": exposure[None]})
         np.testing.assert_allclose(codes, shown[Role.COLOUR], atol=2e-4)
 
 
 class Server(http.server.SimpleHTTPRequestHandler):
-    """The page as a plain static server gives it, with a script at its end, further files, and a place for answers."""
+    """The page as a plain static server gives it, with a script at its end, further files, and a
+    place for answers."""
 
-    def __init__(self, *rest, script: str, files: dict[str, Path], told: Callable[[bytes], None]) -> None:
+    def __init__(self, *rest, script: str, files: dict[str, Path],
+                 told: Callable[[bytes], None]) -> None:
         self._script, self._files, self._told = script, files, told
         super().__init__(*rest, directory=str(PAGE))
 
     def do_GET(self) -> None:
         if self.path.split("?")[0] == "/":
-            text = (PAGE / "index.html").read_text("utf-8") + f'<script type="module">{self._script}</script>'
+            text = ((PAGE / "index.html").read_text("utf-8") + '<script '
+                    f'type="module">{self._script}</script>')
             self._give(text.encode(), "text/html")
         elif self.path[1:] in self._files:
             self._give(self._files[self.path[1:]].read_bytes(), "application/octet-stream")
@@ -124,7 +135,8 @@ class Server(http.server.SimpleHTTPRequestHandler):
 
 
 def in_chromium(script: str, files: dict[str, Path], folder: Path, gpu: bool = False) -> dict:
-    """What a script tells that runs on the page; with `gpu` by WebGPU, on a GPU that the CPU imitates."""
+    """What a script tells that runs on the page; with `gpu` by WebGPU, on a GPU that the CPU
+    imitates."""
     if CHROMIUM is None or not PAGE.is_dir():
         pytest.skip("needs chromium, and the page: make page")
     heard, done = [], threading.Event()
@@ -133,14 +145,17 @@ def in_chromium(script: str, files: dict[str, Path], folder: Path, gpu: bool = F
         heard.append(json.loads(body))
         done.set()
 
-    begin = 'const tell = (found) => fetch("/told", { method: "POST", body: JSON.stringify(found) });'
-    script = f"{begin} try {{ {script} }} catch (error) {{ tell({{ error: String(error.stack) }}); }}"
+    begin = ('const tell = (found) => fetch("/told", { method: "POST", body: JSON.stringify(found) '
+             '});')
+    script = (f"{begin} try {{ {script} }} catch (error) {{ tell({{ error: String(error.stack) "
+              "}); }")
     handler = partial(Server, script=script, files=files, told=told)
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as one:
         threading.Thread(target=one.serve_forever, daemon=True).start()
-        flags = ["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader"] if gpu else ["--disable-gpu"]
-        command = [CHROMIUM, "--headless", "--no-sandbox", *flags, f"--user-data-dir={folder / 'chromium'}",
-                   "--remote-debugging-port=0",
+        flags = (["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader"] if gpu
+                 else ["--disable-gpu"])
+        command = [CHROMIUM, "--headless", "--no-sandbox", *flags,
+                   f"--user-data-dir={folder / 'chromium'}", "--remote-debugging-port=0",
                    f"http://127.0.0.1:{one.server_address[1]}/{'?on=webgpu' if gpu else ''}"]
         browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
@@ -157,7 +172,8 @@ def test_a_dropped_file_is_denoised_and_shown(network, tmp_path):
     told = in_chromium(DROP.replace("NETWORK", network), {"given.exr": SAMPLE}, tmp_path)
     assert "320x180 to 320x180" in told["status"] and told["picture"] == [320, 180], told
     assert "motion.X, motion.Y" in told["planes"] and "not there" not in told["planes"]
-    assert all(name.startswith("http://127.0.0.1:") for name in told["loaded"])  # nothing comes from elsewhere
+    # nothing comes from elsewhere
+    assert all(name.startswith("http://127.0.0.1:") for name in told["loaded"])
     assert_it_is_the_passes_picture(told["png"], network, tmp_path)
 
 
@@ -170,7 +186,8 @@ def test_webgpu_shows_the_same(tmp_path):
 
 
 def assert_it_is_the_passes_picture(png: str, network: str, folder: Path) -> None:
-    """The page's picture is the one that the passes make, but for the rounding to 8 bits and of the last bits."""
+    """The page's picture is the one that the passes make, but for the rounding to 8 bits and of the
+    last bits."""
     image = pytest.importorskip("PIL.Image")
     (folder / "picture.png").write_bytes(b64decode(png))
     passes = [postfx.DenoiseUpscale(model=f"{network}.fp32"), postfx.ToneMap()]
@@ -181,12 +198,14 @@ def assert_it_is_the_passes_picture(png: str, network: str, folder: Path) -> Non
 
 
 def test_files_of_all_kinds_are_read_as_by_postfx(tmp_path):
-    """Compressions, parts, types and orders of channels; what cannot be read says so in one line."""
+    """Compressions, parts, types and orders of channels; what cannot be read says so in one
+    line."""
     oiio = pytest.importorskip("OpenImageIO")
     kinds = {}
     small = oiio.ImageBufAlgo.cut(oiio.ImageBuf(str(SAMPLE)), oiio.ROI(0, 70, 0, 45))
     plain = ("none", "rle", "zips", "zip", "piz", "pxr24", "b44", "dwaa", "htj2k32", "lj2k", "zstd")
-    for compression, kind in (*((name, "") for name in plain), ("piz", "float"), ("piz", "half"), ("zip", "float")):
+    for compression, kind in (*((name, "") for name in plain), ("piz", "float"), ("piz", "half"),
+                              ("zip", "float")):
         path = kinds[f"{compression}{kind}.exr"] = tmp_path / f"{compression}{kind}.exr"
         small.specmod().attribute("compression", compression)
         small.copy().write(str(path), kind)
@@ -203,8 +222,9 @@ def test_files_of_all_kinds_are_read_as_by_postfx(tmp_path):
     text = kinds["text.exr"] = tmp_path / "text.exr"
     text.write_text("no picture")
     told = in_chromium(READ.replace("NAMES", json.dumps([*kinds])), kinds, tmp_path)
-    refused = {"text.exr": "not an OpenEXR file", "cut.exr": "cut short", "piz.exr": "half and float channels",
-               "dwaa.exr": "DWAA cannot be read here: save the file as ZIP", "htj2k32.exr": "HTJ2K cannot be read",
+    refused = {"text.exr": "not an OpenEXR file", "cut.exr": "cut short",
+               "piz.exr": "half and float channels", "dwaa.exr": "DWAA cannot be read here: save "
+               "the file as ZIP", "htj2k32.exr": "HTJ2K cannot be read",
                "lj2k.exr": "LJ2K cannot be read", "zstd.exr": "ZSTD cannot be read"}
     assert [name for name, why in refused.items() if why not in told[name]["error"]] == []
     for name in (name for name in kinds if name not in refused):
@@ -212,16 +232,19 @@ def test_files_of_all_kinds_are_read_as_by_postfx(tmp_path):
         assert (found.get("error"), found["width"], found["height"]) == (None, 70, 45), name
         assert abs(found["stops"] - measure(wanted[Role.COLOUR])) < 1e-3
         assert found["volume"] == shows_volume(wanted[Role.DEPTH]) == (name == "fog.exr")
-        for role in ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion"):
+        for role in ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth",
+                     "motion"):
             plane = np.frombuffer(b64decode(found["planes"][role]), np.float32).reshape(45, 70, -1)
             np.testing.assert_array_equal(plane, wanted[Role(role)], err_msg=f"{name}, {role}")
 
 
 def test_files_of_blender_are_read_as_by_postfx(tmp_path, shared_dir):
     """A part a pass, and all passes in one part."""
-    kinds = {path.name: path for path in (shared_dir / "sequences/garage").glob("*.0001.exr") if "ref" not in path.name}
+    kinds = {path.name: path for path in (shared_dir / "sequences/garage").glob("*.0001.exr")
+             if "ref" not in path.name}
     assert len(kinds) == 2
-    for name, found in in_chromium(READ.replace("NAMES", json.dumps([*kinds])), kinds, tmp_path).items():
+    for name, found in in_chromium(READ.replace("NAMES", json.dumps([*kinds])), kinds,
+                                   tmp_path).items():
         wanted = frame_of(kinds[name])
         assert len(found["planes"]) == 6
         for role, coded in found["planes"].items():
@@ -232,12 +255,14 @@ def test_files_of_blender_are_read_as_by_postfx(tmp_path, shared_dir):
 def write_parts(frame: Frame, path: Path) -> None:
     """Planes as parts of a file, one a plane, as Blender 5 writes them."""
     openexr = pytest.importorskip("OpenEXR")
-    layers = {"rgba": ("colour", "RGB"), "albedo": ("diffuse_albedo", "RGB"), "depth": ("depth", "Z"),
+    layers = {"rgba": ("colour", "RGB"), "albedo": ("diffuse_albedo", "RGB"),
+              "depth": ("depth", "Z"),
               "specular_albedo": ("specular_albedo", "RGB"), "normal": ("normal", "XYZ"),
               "roughness": ("roughness", "Y"), "motion": ("motion", "XY")}
     parts = []
     for layer, (role, letters) in layers.items():
-        planes = {letter if layer == "rgba" else f"{layer}.{letter}": np.ascontiguousarray(frame[Role(role)][..., i])
+        planes = {letter if layer == "rgba"
+                  else f"{layer}.{letter}": np.ascontiguousarray(frame[Role(role)][..., i])
                   for i, letter in enumerate(letters)}
         parts.append(openexr.Part({"compression": openexr.ZIP_COMPRESSION}, planes, name=layer))
     openexr.File(parts).write(str(path))

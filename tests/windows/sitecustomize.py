@@ -3,9 +3,10 @@
     PYTHONPATH=tests/windows python -m pytest tests/files tests/io tests/cli
     PYTHONPATH=tests/windows python -m postfx run ...
 
-What Windows does not have is missing from os, mmap and signal, as seen from postfx, and so are modules of POSIX alone.
-`os.name` says nt, glob puts backslashes between folders, and a file that this process has open or mapped can be neither
-removed nor replaced. Other packages keep the real modules: their Windows builds are theirs to test.
+What Windows does not have is missing from os, mmap and signal, as seen from postfx, and so are
+modules of POSIX alone. `os.name` says nt, glob puts backslashes between folders, and a file that
+this process has open or mapped can be neither removed nor replaced. Other packages keep the real
+modules: their Windows builds are theirs to test.
 """
 
 from __future__ import annotations
@@ -22,11 +23,13 @@ from collections.abc import Callable
 from typing import Any
 
 MISSING = {
-    "os": {"getuid", "geteuid", "getgid", "sysconf", "O_DIRECTORY", "O_NOFOLLOW", "kill", "memfd_create", "fork",
-           "sched_getaffinity", "sched_setaffinity", "statvfs", "uname", "mkfifo", "killpg", "getpgid", "setsid",
-           "pipe2", "nice", "register_at_fork", "posix_fadvise", "fchmod", "chown", "pread", "readv"},
+    "os": {"getuid", "geteuid", "getgid", "sysconf", "O_DIRECTORY", "O_NOFOLLOW", "kill",
+           "memfd_create", "fork", "sched_getaffinity", "sched_setaffinity", "statvfs", "uname",
+           "mkfifo", "killpg", "getpgid", "setsid", "pipe2", "nice", "register_at_fork",
+           "posix_fadvise", "fchmod", "chown", "pread", "readv"},
     "mmap": {"MADV_DONTNEED", "MADV_WILLNEED", "MAP_SHARED", "MAP_PRIVATE", "PROT_READ"},
-    "signal": {"SIGKILL", "SIGHUP", "SIGUSR1", "SIGALRM", "SIGCHLD", "alarm", "pthread_sigmask", "sigwait"},
+    "signal": {"SIGKILL", "SIGHUP", "SIGUSR1", "SIGALRM", "SIGCHLD", "alarm", "pthread_sigmask",
+               "sigwait"},
 }
 ABSENT = {"resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog"}
 FOLDERS = ("/proc", "/sys", "/dev")
@@ -49,7 +52,8 @@ def _refuse_open(work: Callable[..., Any], *places: int) -> Callable[..., Any]:
     def refusing(*arguments: Any, **named: Any) -> Any:
         for place in places:
             if _is_open(arguments[place]):
-                raise Refused(13, "The process cannot access the file because it is being used", str(arguments[place]))
+                raise Refused(13, "The process cannot access the file because it is being used",
+                              str(arguments[place]))
         return work(*arguments, **named)
 
     return refusing
@@ -67,14 +71,16 @@ def _without_folders(work: Callable[..., Any]) -> Callable[..., Any]:
 class Proxy(types.ModuleType):
     """A module without some of its names, and with others in their place."""
 
-    def __init__(self, module: types.ModuleType, missing: set[str], instead: dict[str, Any]) -> None:
+    def __init__(self, module: types.ModuleType, missing: set[str],
+                 instead: dict[str, Any]) -> None:
         super().__init__(module.__name__)
         self._module, self._missing = module, missing
         vars(self).update(instead)
 
     def __getattr__(self, name: str) -> Any:
         if name in self._missing:
-            raise AttributeError(f"module '{self._module.__name__}' has no attribute '{name}' on Windows")
+            raise AttributeError(f"module '{self._module.__name__}' has no attribute '{name}' on "
+                                 "Windows")
         return getattr(self._module, name)
 
 
@@ -103,14 +109,15 @@ class _WindowsPath(type(pathlib.Path())):  # type: ignore[misc]
 
 
 def _backslashed(pattern: str, **named: Any) -> list[str]:
-    return [os.path.dirname(name).replace("/", "\\") + "\\" * bool(os.path.dirname(name)) + os.path.basename(name)
-            for name in glob.glob(pattern.replace("\\", "/"), **named)]
+    return [os.path.dirname(name).replace("/", "\\") + "\\" * bool(os.path.dirname(name))
+            + os.path.basename(name) for name in glob.glob(pattern.replace("\\", "/"), **named)]
 
 
 PROXIES = {
     "os": Proxy(os, MISSING["os"], {
         "name": "nt", "unlink": _refuse_open(os.unlink, 0),
-        "replace": _refuse_open(lambda *given, **named: os.replace(*given, **named), 0, 1),  # looked up, for tests
+        # looked up, for tests
+        "replace": _refuse_open(lambda *given, **named: os.replace(*given, **named), 0, 1),
         "readlink": _without_folders(os.readlink), "scandir": os.scandir}),
     "mmap": Proxy(mmap, MISSING["mmap"], {"mmap": _Map}),
     "signal": Proxy(signal, MISSING["signal"], {}),
@@ -119,7 +126,8 @@ PROXIES = {
 }
 
 
-def _import(name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0) -> Any:
+def _import(name: str, globals: Any = None, locals: Any = None, fromlist: Any = (),
+            level: int = 0) -> Any:
     if name in ABSENT:
         raise ModuleNotFoundError(f"No module named '{name}' on Windows", name=name)
     if level == 0 and name in PROXIES:

@@ -39,21 +39,25 @@ Arrays = dict[str, np.ndarray]
 
 
 def render_of_half(arrays: Arrays) -> str | None:
-    """Name of the render that is half of a clip's reference, as 'v2'; None if there is none of the reference's size."""
-    named = (name.removesuffix("_half") for name in arrays if name.startswith("v") and name.endswith("_half"))
+    """Name of the render that is half of a clip's reference, as 'v2'; None if there is none of the
+    reference's size."""
+    named = (name.removesuffix("_half")
+             for name in arrays if name.startswith("v") and name.endswith("_half"))
     fitting = (name for name in named if arrays[f"{name}_half"]
                and arrays[f"{name}_colour"].shape == arrays["reference"].shape)
     return next(fitting, None) if "half" in arrays else None
 
 
 def aids(arrays: Arrays, variant: str, frame: int) -> Arrays:
-    """Albedo and normal (h, w, 3) of a frame, as Blender gives them to its denoiser where the clip has those."""
+    """Albedo and normal (h, w, 3) of a frame, as Blender gives them to its denoiser where the clip
+    has those."""
     def plane(name: str) -> np.ndarray:
         return arrays[f"{variant}_{name}"][frame].astype(np.float32)
 
     if f"{variant}_denoising_albedo" in arrays and plane("denoising_albedo").any():
         return {"albedo": plane("denoising_albedo"), "normal": plane("denoising_normal")}
-    return {"albedo": np.clip(plane("diffuse_albedo") + plane("specular_albedo"), 0, 1), "normal": plane("normal")}
+    return {"albedo": np.clip(plane("diffuse_albedo") + plane("specular_albedo"), 0, 1),
+            "normal": plane("normal")}
 
 
 def clean(denoise: OpenImageDenoise, arrays: Arrays, variant: str) -> np.ndarray:
@@ -82,12 +86,15 @@ def clean_file(denoise: OpenImageDenoise, path: Path, folder: Path) -> bool:
 
 
 def options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("raw", type=Path, help="folder of clip.NNNNN.npz as rendered")
     parser.add_argument("clean", type=Path, help="folder that gets the cleaned clips")
-    parser.add_argument("--watch", type=float, default=0.0, metavar="MINUTES", help="wait for new clips so long")
+    parser.add_argument("--watch", type=float, default=0.0, metavar="MINUTES",
+                        help="wait for new clips so long")
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
-    parser.add_argument("--threads", type=int, default=THREADS, help="of the CPU (default: %(default)s)")
+    parser.add_argument("--threads", type=int, default=THREADS,
+                        help="of the CPU (default: %(default)s)")
     return parser
 
 

@@ -17,8 +17,9 @@ from training.datagen.scenes.motion import Camera, CameraPath, Cut
 from training.datagen.scenes.procedural import FINE, draft
 from training.datagen.tracing import Film, Tracer
 
-# Samples within a pixel ---------------------------------------------------------------------------------------------
-# Sample positions in a pixel: jitter sequences, pixel filters, and the random styles of a clip's noisy variants.
+# Samples within a pixel ---------------------------------------------------------------------------
+# Sample positions in a pixel: jitter sequences, pixel filters, and the random styles of a clip's
+# noisy variants.
 
 TABLE = 1024
 FILTERS = ("box", "blackman-harris")
@@ -35,7 +36,8 @@ def radical_inverse(index: int, base: int) -> float:
 
 
 def filter_table(name: str) -> np.ndarray:
-    """Inverse cumulative distribution (TABLE,) of a pixel filter: uniform random number -> offset from the corner.
+    """Inverse cumulative distribution (TABLE,) of a pixel filter: uniform random number -> offset
+    from the corner.
 
     box: 0..1. blackman-harris: width 1.5 pixels about the centre, as Cycles' default pixel filter.
     """
@@ -52,8 +54,8 @@ def filter_table(name: str) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Style:
-    """Sampling of a noisy variant: `kind` realtime, box or blackman-harris, `spp`, and the jitter of each frame (T,
-    2)."""
+    """Sampling of a noisy variant: `kind` realtime, box or blackman-harris, `spp`, and the jitter
+    of each frame (T, 2)."""
 
     kind: str
     spp: int
@@ -62,14 +64,16 @@ class Style:
     def offsets(self, frame: int, pixels: int, rng: np.random.Generator) -> np.ndarray:
         """Sample positions (pixels, spp, 2) in units of a pixel from its upper left corner."""
         if self.kind == "realtime":
-            return np.broadcast_to(0.5 + self.jitter[frame], (pixels, self.spp, 2)).astype(np.float32)
+            return np.broadcast_to(0.5 + self.jitter[frame],
+                                   (pixels, self.spp, 2)).astype(np.float32)
         drawn = rng.random((pixels, self.spp, 2), np.float32)
         table = filter_table(self.kind)
         return np.interp(drawn, np.linspace(0, 1, TABLE), table).astype(np.float32)
 
 
 def draw_jitter(frames: int, rng: np.random.Generator) -> np.ndarray:
-    """Jitter (frames, 2) in -0.5..0.5: mostly Halton 2,3 from a random start, else random or none."""
+    """Jitter (frames, 2) in -0.5..0.5: mostly Halton 2,3 from a random start, else random or
+    none."""
     pick = rng.random()
     if pick < 0.1:
         return np.zeros((frames, 2), np.float32)
@@ -81,7 +85,8 @@ def draw_jitter(frames: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def draw_guide_style(frames: int, pixel_filter: str, rng: np.random.Generator) -> Style:
-    """Sampling of a clip's guides: spread like an offline frame, or at one position, jittered or at the centre."""
+    """Sampling of a clip's guides: spread like an offline frame, or at one position, jittered or at
+    the centre."""
     still = np.zeros((frames, 2), np.float32)
     if rng.random() < 0.4:
         return Style(pixel_filter, 4, still)
@@ -100,7 +105,8 @@ def draw_spp(rng: np.random.Generator, most: int | None = None) -> int:
 
 def draw_styles(count: int, frames: int, pixel_filter: str, rng: np.random.Generator,
                 most_spp: int | None = None) -> list[Style]:
-    """Styles of a clip's variants: all share the reference's filter; real-time ones occur with the box filter only."""
+    """Styles of a clip's variants: all share the reference's filter; real-time ones occur with the
+    box filter only."""
     styles = []
     for _ in range(count):
         spp = draw_spp(rng, most_spp)
@@ -111,17 +117,20 @@ def draw_styles(count: int, frames: int, pixel_filter: str, rng: np.random.Gener
     return styles
 
 
-def draw_fine_styles(count: int, frames: int, pixel_filter: str, rng: np.random.Generator) -> tuple[list[Style], str]:
-    """Styles of a clip of sub-pixel detail: few samples, spread over the pixel, one render of 64 that shows the true
-    planes; and of which samples depth and motion are (`Tracer.planes`)."""
+def draw_fine_styles(count: int, frames: int, pixel_filter: str,
+                     rng: np.random.Generator) -> tuple[list[Style], str]:
+    """Styles of a clip of sub-pixel detail: few samples, spread over the pixel, one render of 64
+    that shows the true planes; and of which samples depth and motion are (`Tracer.planes`)."""
     few = rng.choice([2, 3, 4, 6, 8, 16], count - 1, p=[0.1, 0.15, 0.4, 0.15, 0.15, 0.05])
     still = np.zeros((frames, 2), np.float32)
-    return [Style(pixel_filter, int(spp), still) for spp in (*few, 64)], str(rng.choice(["", "all", "hits"]))
+    return ([Style(pixel_filter, int(spp), still) for spp in (*few, 64)],
+            str(rng.choice(["", "all", "hits"])))
 
 
-# A clip -------------------------------------------------------------------------------------------------------------
+# A clip -------------------------------------------------------------------------------------------
 
-REPLACED = 4  # mirrors and faces of glass that the planes see through, in clips with primary surface replacement
+# mirrors and faces of glass that the planes see through, in clips with primary surface replacement
+REPLACED = 4
 AVERAGED = ("diffuse_albedo", "specular_albedo", "normal", "roughness")
 
 
@@ -129,9 +138,10 @@ AVERAGED = ("diffuse_albedo", "specular_albedo", "normal", "roughness")
 class ClipOptions:
     """Sizes and counts; `scales` and `scale_chances` say how often each upscaling factor is drawn.
 
-    References take the samples that are needed for an error of about `reference_error` after x/(1+x), between half and
-    four times `reference_spp`. With `even_spp`, noisy renders have 1 to that many samples a pixel, evenly in stops.
-    `families` are the kinds of procedural scenes (default: drawn).
+    References take the samples that are needed for an error of about `reference_error` after
+    x/(1+x), between half and four times `reference_spp`. With `even_spp`, noisy renders have 1 to
+    that many samples a pixel, evenly in stops. `families` are the kinds of procedural scenes
+    (default: drawn).
     """
 
     width: int = 128
@@ -150,7 +160,8 @@ class ClipOptions:
 
 def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealScenes, seed: int,
               index: int) -> tuple[np.ndarray, list[dict], dict]:
-    """Reference (T, H, W, 3), variants and facts for `save_clip`; the same seed and index give the same clip."""
+    """Reference (T, H, W, 3), variants and facts for `save_clip`; the same seed and index give the
+    same clip."""
     rng = np.random.default_rng([seed, index])
     drafted, built, path, gain, look = _scene(tracer, options, maps, real, rng)
     description = drafted.description
@@ -161,8 +172,10 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
     if fine:
         styles, positions = draw_fine_styles(options.variants, options.frames, pixel_filter, rng)
     else:
-        styles, positions = draw_styles(options.variants, options.frames, pixel_filter, rng, options.even_spp), ""
-    size, output = (options.width, options.height), (round(options.width * scale), round(options.height * scale))
+        styles, positions = draw_styles(options.variants, options.frames, pixel_filter, rng,
+                                        options.even_spp), ""
+    size, output = (options.width, options.height), (round(options.width * scale),
+                                                     round(options.height * scale))
     wanted = look.samples_for(options.reference_error, gain)
     spp = int(np.clip(wanted, options.reference_spp / 2, 4 * options.reference_spp)) // 16 * 16 or 1
     steps = REPLACED if rng.random() < 0.5 and not fine else 0
@@ -171,15 +184,17 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
     for frame in range(options.frames):
         built.move(frame, frame - 1)
         camera, previous = path.at(frame), path.at(frame - 1)
-        references.append(gain * tracer.reference(built.scene, camera, output, table, spp, _seed(rng)))
-        guides.append(guide_frame(tracer, built, (camera, previous), output, guide_style, frame, rng, steps))
+        references.append(gain * tracer.reference(built.scene, camera, output, table, spp,
+                                                  _seed(rng)))
+        guides.append(guide_frame(tracer, built, (camera, previous), output, guide_style, frame,
+                                  rng, steps))
         for style, frames in zip(styles, variants, strict=True):
-            frames.append(noisy_frame(tracer, built, (camera, previous), size, style, frame, gain, rng, steps,
-                                      positions))
+            frames.append(noisy_frame(tracer, built, (camera, previous), size, style, frame, gain,
+                                      rng, steps, positions))
     meta = {
         "filter": pixel_filter, "gain": gain, "reference_spp": spp, "wanted_spp": wanted,
-        "fov": [path.at(f).fov for f in range(options.frames)], **_path_facts(path), "movers": len(description.movers),
-        "replaced": steps, "options": asdict(options),
+        "fov": [path.at(f).fov for f in range(options.frames)], **_path_facts(path),
+        "movers": len(description.movers), "replaced": steps, "options": asdict(options),
         "to_world": [path.at(f).to_world.tolist() for f in range(options.frames)],
     }
     stacked_guides = {name: np.stack([frame[name] for frame in guides]) for name in GUIDES}
@@ -191,47 +206,57 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
     return np.stack(references), stacked, facts
 
 
-def noisy_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int], style: Style,
+def noisy_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera],
+                size: tuple[int, int], style: Style,
                 frame: int, gain: float, rng: np.random.Generator, steps: int = 0,
                 positions: str = "") -> dict[str, np.ndarray]:
-    """Colour and planes (H, W, C) of one noisy frame; `cameras` are this frame's and the previous one's.
+    """Colour and planes (H, W, C) of one noisy frame; `cameras` are this frame's and the previous
+    one's.
 
-    Offline styles average the planes over the samples like renderers. Depth, and motion with the box filter, come from
-    the first sample: an average across an edge would belong to neither side.
+    Offline styles average the planes over the samples like renderers. Depth, and motion with the
+    box filter, come from the first sample: an average across an edge would belong to neither side.
     """
-    film = film_of(size, style.offsets(frame, size[0] * size[1], rng), _lens(cameras[0], size, style.spp, rng))
+    film = film_of(size, style.offsets(frame, size[0] * size[1], rng),
+                   _lens(cameras[0], size, style.spp, rng))
     colour = tracer.noisy(built.scene, cameras[0], size[0] / size[1], film, style.spp, _seed(rng))
     result = {"colour": gain * colour.reshape(size[1], size[0], 3)}
     return result | plane_images(tracer, built, cameras, size, style, film, steps, positions)
 
 
-def guide_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int], style: Style,
+def guide_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera],
+                size: tuple[int, int], style: Style,
                 frame: int, rng: np.random.Generator, steps: int = 0) -> dict[str, np.ndarray]:
     """Planes (H, W, C) at output size, without motion."""
-    film = film_of(size, style.offsets(frame, size[0] * size[1], rng), _lens(cameras[0], size, style.spp, rng))
+    film = film_of(size, style.offsets(frame, size[0] * size[1], rng),
+                   _lens(cameras[0], size, style.spp, rng))
     planes = plane_images(tracer, built, cameras, size, style, film, steps)
     return {name: planes[name] for name in GUIDES}
 
 
-def plane_images(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int],
-                 style: Style, film: Film, steps: int = 0, positions: str = "") -> dict[str, np.ndarray]:
-    """Planes (H, W, C) of samples in this `style`. Real-time samples share one position: one of them is enough."""
+def plane_images(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera],
+                 size: tuple[int, int], style: Style, film: Film, steps: int = 0,
+                 positions: str = "") -> dict[str, np.ndarray]:
+    """Planes (H, W, C) of samples in this `style`. Real-time samples share one position: one of
+    them is enough."""
     spp = style.spp
     if style.kind == "realtime" and spp > 1:
         film, spp = film.first(spp), 1
     mean = (*AVERAGED, "motion") if style.kind == "blackman-harris" else AVERAGED
     planes = tracer.planes(built, *cameras, size, film, spp, mean, steps, positions)
-    return {name: values.reshape(size[1], size[0], *values.shape[1:]) for name, values in planes.items()}
+    return {name: values.reshape(size[1], size[0], *values.shape[1:])
+            for name, values in planes.items()}
 
 
 def film_of(size: tuple[int, int], offsets: np.ndarray, lens: mi.Point2f | None = None) -> Film:
-    """Samples at `offsets` (pixels, spp, 2) from the corners of the pixels of an image of `size`."""
+    """Samples at `offsets` (pixels, spp, 2) from the corners of the pixels of an image of
+    `size`."""
     y, x = np.divmod(np.arange(size[0] * size[1], dtype=np.float32), size[0])
     u, v = (x[:, None] + offsets[..., 0]) / size[0], (y[:, None] + offsets[..., 1]) / size[1]
     return Film(mi.Float(u.ravel()), mi.Float(v.ravel()), lens)
 
 
-def _lens(camera: Camera, size: tuple[int, int], spp: int, rng: np.random.Generator) -> mi.Point2f | None:
+def _lens(camera: Camera, size: tuple[int, int], spp: int,
+          rng: np.random.Generator) -> mi.Point2f | None:
     """Random places on the camera's lens for all samples, if it has one."""
     if not camera.aperture:
         return None
@@ -248,21 +273,23 @@ def _scene(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealS
         built = BuiltScene(drafted.description)
         built.move(3.5, 2.5)
         chosen = choose_path(tracer, built, drafted.view, rng, options.width, drafted.near)
-        if chosen and _affordable(chosen[2].samples_for(options.reference_error, chosen[1]), options, rng):
+        if chosen and _affordable(chosen[2].samples_for(options.reference_error, chosen[1]),
+                                  options, rng):
             return drafted, built, *chosen
         del built
         gc.collect()
 
 
-def other_path(tracer: Tracer, built: BuiltScene, drafted: Draft, rng: np.random.Generator, width: int,
-               gain: float) -> tuple[CameraPath, Probe] | None:
-    """Another view of the same scene to cut to, with its probe; None if no view is usable at this gain."""
+def other_path(tracer: Tracer, built: BuiltScene, drafted: Draft, rng: np.random.Generator,
+               width: int, gain: float) -> tuple[CameraPath, Probe] | None:
+    """Another view of the same scene to cut to, with its probe; None if no view is usable at this
+    gain."""
     found = choose_path(tracer, built, drafted.view, rng, width, drafted.near)
     return (found[0], found[2]) if found and 0.02 < gain * found[2].level() < 2 else None
 
 
-def _cut(tracer: Tracer, options: ClipOptions, drafted: Draft, built: BuiltScene, path: CameraPath, gain: float,
-         rng: np.random.Generator) -> tuple[CameraPath | Cut, np.ndarray]:
+def _cut(tracer: Tracer, options: ClipOptions, drafted: Draft, built: BuiltScene, path: CameraPath,
+         gain: float, rng: np.random.Generator) -> tuple[CameraPath | Cut, np.ndarray]:
     """Let a few clips cut to another view. Also returns where the history starts, (T,) uint8."""
     reset = first_only(options.frames)
     if rng.random() >= options.cut_share or options.frames < 2:

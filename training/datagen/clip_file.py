@@ -1,29 +1,32 @@
 """Training clips: one uncompressed .npz a clip.
 
-Keys: `reference` (T, H, W, 3) float16 linear Rec.709; for each noisy variant v = 0..V-1 at (h, w) = (H, W) / scale:
-`v{v}_colour` (T, h, w, 3) float16 clamped to 65504; `v{v}_diffuse_albedo`, `v{v}_specular_albedo`, `v{v}_normal`
-(T, h, w, 3) float16, world space, facing the viewer, zero at misses; `v{v}_roughness` (T, h, w) float16;
-`v{v}_depth` (T, h, w) float32 along the view axis, misses 1e10; `v{v}_motion` (T, h, w, 2) float32, previous minus
-current position in noisy pixels, x right, y down, without jitter; `v{v}_denoising_albedo`, `v{v}_denoising_normal` (T,
-h, w, 3) float16, optional: Blender's planes of that name, which follow mirrors and glass; `v{v}_jitter` (T, 2) float32,
-sample position minus 0.5, x right, y down; `v{v}_spp` int; `v{v}_style` 'realtime', 'box' or 'blackman-harris'.
-`half` (T, H, W, 3) is optional: one half of the reference's samples. Noisy renders with `v{v}_half` true were made from
-the other half, and are compared with this one. The planes of one with `v{v}_exact` true are the truth for all renders.
-Guides, the first-hit planes at output size: `guide_diffuse_albedo`, `guide_specular_albedo`, `guide_normal`
-(T, H, W, 3), `guide_roughness` (T, H, W), `guide_depth` (T, H, W), all float16; depth is the base-2 logarithm of the
-depth within 1e-4..1e10, so that it fits. `guide_jitter` (T, 2) float32 in output pixels: position of the one sample in
-the pixel, minus 0.5, or 0 if the planes average samples spread over the pixel (depth is the first sample's).
-`reset` (T,) uint8: 1 where history starts, at the first frame and after a cut (there motion has no meaning); files
-without it have no cuts.
-Also `scale` float, `seed` int, `scene` str, `meta` str (JSON: cameras, field of view, filter, gain, samples).
+Keys: `reference` (T, H, W, 3) float16 linear Rec.709; for each noisy variant v = 0..V-1 at (h, w) =
+(H, W) / scale: `v{v}_colour` (T, h, w, 3) float16 clamped to 65504; `v{v}_diffuse_albedo`,
+`v{v}_specular_albedo`, `v{v}_normal` (T, h, w, 3) float16, world space, facing the viewer, zero at
+misses; `v{v}_roughness` (T, h, w) float16; `v{v}_depth` (T, h, w) float32 along the view axis,
+misses 1e10; `v{v}_motion` (T, h, w, 2) float32, previous minus current position in noisy pixels, x
+right, y down, without jitter; `v{v}_denoising_albedo`, `v{v}_denoising_normal` (T, h, w, 3)
+float16, optional: Blender's planes of that name, which follow mirrors and glass; `v{v}_jitter`
+(T, 2) float32, sample position minus 0.5, x right, y down; `v{v}_spp` int; `v{v}_style` 'realtime',
+'box' or 'blackman-harris'. `half` (T, H, W, 3) is optional: one half of the reference's samples.
+Noisy renders with `v{v}_half` true were made from the other half, and are compared with this one.
+The planes of one with `v{v}_exact` true are the truth for all renders. Guides, the first-hit planes
+at output size: `guide_diffuse_albedo`, `guide_specular_albedo`, `guide_normal` (T, H, W, 3),
+`guide_roughness` (T, H, W), `guide_depth` (T, H, W), all float16; depth is the base-2 logarithm of
+the depth within 1e-4..1e10, so that it fits. `guide_jitter` (T, 2) float32 in output pixels:
+position of the one sample in the pixel, minus 0.5, or 0 if the planes average samples spread over
+the pixel (depth is the first sample's). `reset` (T,) uint8: 1 where history starts, at the first
+frame and after a cut (there motion has no meaning); files without it have no cuts.
+Also `scale` float, `seed` int, `scene` str, `meta` str (JSON: cameras, field of view, filter, gain,
+samples).
 
     python -m training.datagen.clip_file sheet FOLDER OUT.png [--rows 12] [--frame 4] [--skip 0]
     python -m training.datagen.clip_file exr CLIP.npz OUT_FOLDER [--variant 0]
 
-sheet: many clips in one picture, one row a clip: noisy | diffuse albedo | specular albedo | normal | motion |
-reference.
-exr: one clip as noisy.0001.exr ..., reference.0001.exr ... and, if the clip has guides, guides.0001.exr ... at output
-size; with the generic plane names, half float, ZIP.
+sheet: many clips in one picture, one row a clip: noisy | diffuse albedo | specular albedo |
+normal | motion | reference.
+exr: one clip as noisy.0001.exr ..., reference.0001.exr ... and, if the clip has guides,
+guides.0001.exr ... at output size; with the generic plane names, half float, ZIP.
 """
 
 from __future__ import annotations
@@ -72,13 +75,15 @@ def half_depth(depth: np.ndarray) -> np.ndarray:
 def guide_depth(stored: np.ndarray) -> np.ndarray:
     """Depth float32, the inverse of `half_depth`; misses become 1e10 again."""
     depth = np.exp2(stored.astype(np.float32))
-    return np.where(stored >= half_depth(np.float32(DEPTH_RANGE[1])), np.float32(DEPTH_RANGE[1]), depth)
+    return np.where(stored >= half_depth(np.float32(DEPTH_RANGE[1])), np.float32(DEPTH_RANGE[1]),
+                    depth)
 
 
 def exposure_of(colour: np.ndarray, key: float = 0.18, block: int = 4) -> float:
     """Multiplier that brings the geometric mean luminance of frames (T, H, W, 3) to `key`.
 
-    Luminance is averaged over `block` x `block` pixels first: the logarithm of noisy pixels is too low.
+    Luminance is averaged over `block` x `block` pixels first: the logarithm of noisy pixels is too
+    low.
     """
     luminance = colour.astype(np.float64) @ LUMINANCE
     frames, height, width = luminance.shape
@@ -90,8 +95,8 @@ def exposure_of(colour: np.ndarray, key: float = 0.18, block: int = 4) -> float:
 def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: dict) -> None:
     """Write a clip atomically.
 
-    `variants` hold the planes by name plus jitter, spp and style; `facts` hold scale, seed, scene, meta and perhaps
-    guides by name plus jitter.
+    `variants` hold the planes by name plus jitter, spp and style; `facts` hold scale, seed, scene,
+    meta and perhaps guides by name plus jitter.
     """
     arrays = {"reference": to_half(reference)}
     if "half" in facts:
@@ -101,7 +106,8 @@ def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: di
     for index, variant in enumerate(variants):
         for name, dtype in PLANES.items():
             values = variant[name]
-            arrays[f"v{index}_{name}"] = to_half(values) if dtype is np.float16 else values.astype(dtype)
+            arrays[f"v{index}_{name}"] = (to_half(values) if dtype is np.float16
+                                          else values.astype(dtype))
         for name in MIRRORED:
             if name in variant:
                 arrays[f"v{index}_{name}"] = to_half(variant[name])
@@ -123,11 +129,13 @@ def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: di
 
 def _guide_arrays(guides: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     arrays = {f"guide_{name}": to_half(guides[name]) for name in GUIDES if name != "depth"}
-    return arrays | {"guide_depth": half_depth(guides["depth"]), "guide_jitter": guides["jitter"].astype(np.float32)}
+    return arrays | {"guide_depth": half_depth(guides["depth"]),
+                     "guide_jitter": guides["jitter"].astype(np.float32)}
 
 
 def load_clip(path: Path) -> dict:
-    """All of a clip: arrays by key, scalars as Python values, `meta` decoded, `variants` the number of variants."""
+    """All of a clip: arrays by key, scalars as Python values, `meta` decoded, `variants` the number
+    of variants."""
     with np.load(path) as file:
         clip = {key: file[key] if file[key].ndim else file[key].item() for key in file.files}
     clip["meta"] = json.loads(clip["meta"])
@@ -136,7 +144,7 @@ def load_clip(path: Path) -> dict:
     return clip
 
 
-# An EXR sequence ----------------------------------------------------------------------------------------------------
+# An EXR sequence ----------------------------------------------------------------------------------
 
 CHANNELS = {
     "colour": ("R", "G", "B"),
@@ -151,12 +159,15 @@ FULL = ("depth",)  # misses are 1e10, beyond half float
 
 
 def write_exr(path: Path, planes: dict[str, np.ndarray], header: dict) -> None:
-    """Write planes (H, W) or (H, W, C), named as in CHANNELS, atomically; header values: number, (2,) or (4, 4)."""
+    """Write planes (H, W) or (H, W, C), named as in CHANNELS, atomically; header values: number,
+    (2,) or (4, 4)."""
     import OpenImageIO as oiio
 
     names = [channel for plane in planes for channel in CHANNELS[plane]]
-    formats = [oiio.FLOAT if plane in FULL else oiio.HALF for plane in planes for _ in CHANNELS[plane]]
-    pixels = np.concatenate([values.reshape(*values.shape[:2], -1) for values in planes.values()], -1)
+    formats = [oiio.FLOAT if plane in FULL else oiio.HALF for plane in planes
+               for _ in CHANNELS[plane]]
+    pixels = np.concatenate([values.reshape(*values.shape[:2], -1) for values in planes.values()],
+                            -1)
     pixels = pixels.astype(np.float32)
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], len(names), oiio.HALF)
     spec.channelnames, spec.channelformats = names, formats
@@ -182,11 +193,14 @@ def _set(spec: oiio.ImageSpec, name: str, value: float | int | np.ndarray) -> No
         spec.attribute(name, value)
 
 
-def frame_header(to_world: np.ndarray, fov: float, jitter: np.ndarray, spp: int, exposure: float, reset: bool) -> dict:
-    """Headers of a noisy frame; worldToCamera is for row vectors: the camera looks along +Z, +X is left."""
+def frame_header(to_world: np.ndarray, fov: float, jitter: np.ndarray, spp: int, exposure: float,
+                 reset: bool) -> dict:
+    """Headers of a noisy frame; worldToCamera is for row vectors: the camera looks along +Z, +X is
+    left."""
     return {
-        "postfx:jitter": np.asarray(jitter, float), "postfx:exposure": exposure, "postfx:spp": int(spp),
-        "postfx:reset": int(reset), "postfx:fovX": float(fov), "worldToCamera": np.linalg.inv(to_world).T,
+        "postfx:jitter": np.asarray(jitter, float), "postfx:exposure": exposure,
+        "postfx:spp": int(spp), "postfx:reset": int(reset), "postfx:fovX": float(fov),
+        "worldToCamera": np.linalg.inv(to_world).T,
     }
 
 
@@ -211,13 +225,14 @@ def export_exr(args: argparse.Namespace, parser: argparse.ArgumentParser) -> Non
         header = frame_header(pose, fov, jitter, clip[v + "spp"], exposure, bool(reset))
         write_exr(args.out / f"noisy.{t + 1:04d}.exr", planes, header)
         facts = {"postfx:exposure": exposure, "postfx:spp": meta["reference_spp"]}
-        write_exr(args.out / f"reference.{t + 1:04d}.exr", {"colour": to_half(reference).astype(np.float32)}, facts)
+        write_exr(args.out / f"reference.{t + 1:04d}.exr",
+                  {"colour": to_half(reference).astype(np.float32)}, facts)
         if "guide_jitter" in clip:
             header = {"postfx:jitter": clip["guide_jitter"][t].astype(float)}
             write_exr(args.out / f"guides.{t + 1:04d}.exr", guide_planes(clip, t), header)
 
 
-# A picture of many clips --------------------------------------------------------------------------------------------
+# A picture of many clips --------------------------------------------------------------------------
 
 def row(clip: dict, frame: int, size: int) -> np.ndarray:
     """One clip's frame, or its last one, as (size, 6 size, 3) uint8."""
@@ -233,7 +248,8 @@ def row(clip: dict, frame: int, size: int) -> np.ndarray:
     motion = clip["v0_motion"][frame] / 20 + 0.5
     panels.append(np.concatenate([motion, np.full_like(motion[..., :1], 0.5)], -1))
     panels.append(to_codes(clip["reference"][frame].astype(np.float32), 1.0))
-    images = [Image.fromarray((np.clip(p, 0, 1) * 255).astype(np.uint8)).resize((size, size), 0) for p in panels]
+    images = [Image.fromarray((np.clip(p, 0, 1) * 255).astype(np.uint8)).resize((size, size), 0)
+              for p in panels]
     return np.concatenate([np.asarray(i) for i in images], 1)
 
 
@@ -252,20 +268,24 @@ def draw_sheet(args: argparse.Namespace, parser: argparse.ArgumentParser) -> Non
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     sheet = commands.add_parser("sheet", help="a picture of many clips")
     sheet.add_argument("folder", type=Path)
     sheet.add_argument("out", type=Path, help="picture to write")
     sheet.add_argument("--rows", type=int, default=12, help="clips to show (default: %(default)s)")
-    sheet.add_argument("--frame", type=int, default=4, help="which frame of each (default: %(default)s)")
+    sheet.add_argument("--frame", type=int, default=4,
+                       help="which frame of each (default: %(default)s)")
     sheet.add_argument("--skip", type=int, default=0, help="clips to leave out first")
-    sheet.add_argument("--size", type=int, default=128, help="pixels of a panel (default: %(default)s)")
+    sheet.add_argument("--size", type=int, default=128,
+                       help="pixels of a panel (default: %(default)s)")
     sheet.set_defaults(act=draw_sheet)
     exr = commands.add_parser("exr", help="a clip as an EXR sequence")
     exr.add_argument("clip", type=Path)
     exr.add_argument("out", type=Path, help="folder to write to")
-    exr.add_argument("--variant", type=int, default=0, help="which noisy render (default: %(default)s)")
+    exr.add_argument("--variant", type=int, default=0,
+                     help="which noisy render (default: %(default)s)")
     exr.set_defaults(act=export_exr)
     args = parser.parse_args()
     args.act(args, commands.choices[args.command])

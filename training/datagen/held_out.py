@@ -17,19 +17,23 @@ from training.datagen.scenes.motion import CameraPath, Cut
 from training.datagen.scenes.procedural import draft
 from training.datagen.tracing import Film, Tracer
 
-# Traits of a view ---------------------------------------------------------------------------------------------------
-# Traits that a held-out view can be asked to show, and tests for them. Import after Mitsuba's variant is set.
+# Traits of a view ---------------------------------------------------------------------------------
+# Traits that a held-out view can be asked to show, and tests for them. Import after Mitsuba's
+# variant is set.
 
 Planes = dict[str, np.ndarray]
-GRID, UNIT = 64, 256  # points a side that are examined, and the width of an image in whose pixels motion is counted
+# points a side that are examined, and the width of an image in whose pixels motion is counted
+GRID, UNIT = 64, 256
 SHARE = 0.03  # a trait takes at least this part of the view
-EDGES, DARK = 0.15, 0.2  # a view that shows enough has at least this part of edges, and at most this part of darkness
+# a view that shows enough has at least this part of edges, and at most this part of darkness
+EDGES, DARK = 0.15, 0.2
 FLICKER = 1.15  # least quotient of brightest and darkest frame
 
 
 @dataclass(frozen=True)
 class Trait:
-    """`has`: whether a scene may show the trait; `shows`: which of the first hits (N, C planes) do."""
+    """`has`: whether a scene may show the trait; `shows`: which of the first hits (N, C planes)
+    do."""
 
     has: Callable[[Description], bool]
     shows: Callable[[Planes], np.ndarray] | None = None
@@ -46,7 +50,8 @@ def _metal(planes: Planes) -> np.ndarray:
 
 def _glass(planes: Planes) -> np.ndarray:
     clear = (planes["diffuse_albedo"].max(-1) == 0) & (planes["roughness"] == 0)
-    return clear & (planes["specular_albedo"].min(-1) > 0) & (planes["specular_albedo"].max(-1) < 0.3)
+    return clear & (planes["specular_albedo"].min(-1) > 0) & (planes["specular_albedo"].max(-1)
+                                                              < 0.3)
 
 
 def _is_of(*kinds: str) -> Callable[[Description], bool]:
@@ -67,8 +72,10 @@ def shows_enough(look: Probe) -> bool:
     return look.edges() >= EDGES and (look.luminance < 0.003 * look.luminance.mean()).mean() <= DARK
 
 
-def shows(tracer: Tracer, built: BuiltScene, path: CameraPath, trait: str, frames: int, seed: int) -> bool:
-    """Whether a view shows a trait: in its middle frame or, for a flickering light, by the frames' brightness."""
+def shows(tracer: Tracer, built: BuiltScene, path: CameraPath, trait: str, frames: int,
+          seed: int) -> bool:
+    """Whether a view shows a trait: in its middle frame or, for a flickering light, by the frames'
+    brightness."""
     middle = frames // 2
     if trait == "flicker":
         return _flickers(tracer, built, path, frames, seed)
@@ -90,7 +97,7 @@ def _flickers(tracer: Tracer, built: BuiltScene, path: CameraPath, frames: int, 
     return levels[1] > FLICKER * levels[0]
 
 
-# Held-out views -----------------------------------------------------------------------------------------------------
+# Held-out views -----------------------------------------------------------------------------------
 
 FIRST_SEED = 9000
 """Clips for training are drawn with seeds below 1000; from here on everything is for validation."""
@@ -111,7 +118,8 @@ class Kind:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """A scene, its camera path, a gain that gives its frames a sensible brightness, and how noisy it is.
+    """A scene, its camera path, a gain that gives its frames a sensible brightness, and how noisy
+    it is.
 
     `samples` a pixel bring a reference to the requested error.
     """
@@ -128,9 +136,9 @@ def held_out_view(tracer: Tracer, seed: int, width: int, error: float, most_samp
                   kind: Kind | None = None) -> HeldOut:
     """The view of a seed; the same for the same arguments.
 
-    Skips views whose references would need more than `most_samples` samples a pixel for a root mean square error of
-    `error` after x/(1+x). `width` of the noisy frames sets the speed of the camera. Raises ValueError for a
-    seed that training may use.
+    Skips views whose references would need more than `most_samples` samples a pixel for a root mean
+    square error of `error` after x/(1+x). `width` of the noisy frames sets the speed of the camera.
+    Raises ValueError for a seed that training may use.
     """
     if seed < FIRST_SEED:
         raise ValueError(f"seed {seed} may be a training clip's: take one from {FIRST_SEED} on")
@@ -158,12 +166,14 @@ def _view(tracer: Tracer, drafted: Draft, rng: np.random.Generator, width: int, 
     if chosen is None or not shows_enough(chosen[2]):
         return None
     path, gain, look = chosen
-    if kind.trait and not shows(tracer, built, path, kind.trait, kind.frames, int(rng.integers(1 << 31))):
+    if kind.trait and not shows(tracer, built, path, kind.trait, kind.frames,
+                                int(rng.integers(1 << 31))):
         return None
     samples = look.samples_for(error, gain)
     if kind.cut is not None:
         other = other_path(tracer, built, drafted, rng, width, gain)
         if other is None or not shows_enough(other[1]):
             return None
-        path, samples = Cut(path, other[0], kind.cut), max(samples, other[1].samples_for(error, gain))
+        path, samples = Cut(path, other[0], kind.cut), max(samples,
+                                                           other[1].samples_for(error, gain))
     return HeldOut(drafted.description.name, built, path, gain, samples, rng)

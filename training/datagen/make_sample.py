@@ -1,19 +1,22 @@
-"""Render the room of samples/room: its sequence with references, or views from all over it for networks of one scene.
+"""Render the room of samples/room: its sequence with references, or views from all over it for
+networks of one scene.
 
-python -m training.datagen.make_sample frames OUT_FOLDER [--reference 1-8 [--reference-spp 192]] [--spp 4] [--orbit 2]
+python -m training.datagen.make_sample frames OUT_FOLDER [--reference 1-8 [--reference-spp 192]] \\
+    [--spp 4] [--orbit 2]
 python -m training.datagen.make_sample views OUT_FOLDER [--views 1500] [--held-out 8] [--part 0/4]
     both [--variant llvm_ad_rgb | cuda_ad_rgb] [--width 320] [--height 180]
 
-Real-time style: every sample of a frame goes through one jittered position (Halton 2,3), so planes are point samples.
-References spread their samples over the pixel (box filter). Those of `frames` have twice the size and the noisy frames'
-exposure.
+Real-time style: every sample of a frame goes through one jittered position (Halton 2,3), so planes
+are point samples. References spread their samples over the pixel (box filter). Those of `frames`
+have twice the size and the noisy frames' exposure.
 
-`views` writes view.NNNN.npz to learn from and held.NNNN.npz to measure on, one a camera, each of FRAMES moments while
-the camera and the wheel move: planes (FRAMES, H, W, C) of one sample a pixel, and `camera` (FRAMES, 16), see
-`camera_vector`. Of the last moment there are `colour` (COLOURS, H, W, 3), independent renders of one sample a pixel,
-and `reference_a`, `reference_b` (H, W, 3), the halves of a reference. Held-out ones have more samples, planes and
-camera through PASSES further positions in the pixel as `pass_` and their names, and some of them have `means`
-(P, H, W, 3) of the first `counts` (P,) of a stack of independent one-sample images. Existing files are kept, and
+`views` writes view.NNNN.npz to learn from and held.NNNN.npz to measure on, one a camera, each of
+FRAMES moments while the camera and the wheel move: planes (FRAMES, H, W, C) of one sample a pixel,
+and `camera` (FRAMES, 16), see `camera_vector`. Of the last moment there are `colour` (COLOURS, H,
+W, 3), independent renders of one sample a pixel, and `reference_a`, `reference_b` (H, W, 3), the
+halves of a reference. Held-out ones have more samples, planes and camera through PASSES further
+positions in the pixel as `pass_` and their names, and some of them have `means` (P, H, W, 3) of the
+first `counts` (P,) of a stack of independent one-sample images. Existing files are kept, and
 several processes can share the work.
 """
 
@@ -36,7 +39,8 @@ if TYPE_CHECKING:
     from training.datagen.scenes.motion import Camera
     from training.datagen.tracing import Tracer
 
-PACKED = "dwab:80"  # lossy, 47 dB PSNR: an error far below the noise; zip takes 2.7 times as much space
+# lossy, 47 dB PSNR: an error far below the noise; zip takes 2.7 times as much space
+PACKED = "dwab:80"
 FRAMES, COLOURS, PASSES = 4, 8, 4
 HELD_OUT = 100_000  # seed of the first held-out view
 FOV = 66.0
@@ -45,24 +49,32 @@ CLOSEST = 0.4  # metres: views of which more than 4 % are closer are drawn anew
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
     frames = commands.add_parser("frames", help="the sequence of samples/room")
     frames.add_argument("--spp", type=int, default=4)
     frames.add_argument("--frames", type=int, default=8)
-    frames.add_argument("--reference", type=FrameSet, default=(), metavar="FRAMES", help="such as 1-8 or 1,7,8")
+    frames.add_argument("--reference", type=FrameSet, default=(), metavar="FRAMES",
+                        help="such as 1-8 or 1,7,8")
     frames.add_argument("--reference-spp", type=int, default=192)
-    frames.add_argument("--times", type=int, default=2, help="size of the references over that of the frames")
-    frames.add_argument("--orbit", type=float, default=0.0, help="degrees a frame around the table; nothing else moves")
-    frames.add_argument("--first", type=float, default=-40.0, help="angle of the orbit's first frame")
+    frames.add_argument("--times", type=int, default=2,
+                        help="size of the references over that of the frames")
+    frames.add_argument("--orbit", type=float, default=0.0,
+                        help="degrees a frame around the table; nothing else moves")
+    frames.add_argument("--first", type=float, default=-40.0,
+                        help="angle of the orbit's first frame")
     views = commands.add_parser("views", help="views from all over the room")
     views.add_argument("--views", type=int, default=1500, help="to learn from")
     views.add_argument("--spp", type=int, default=48, help="samples a pixel of their references")
     views.add_argument("--held-out", type=int, default=8)
     views.add_argument("--held-spp", type=int, default=2048)
-    views.add_argument("--stacks", type=int, default=4, help="held-out views with a stack of one-sample images")
-    views.add_argument("--stack", type=int, default=1024, help=f"images of a stack, a multiple of {TOGETHER}")
-    views.add_argument("--part", default="0/1", help="this process's part of the views, such as 0/4")
+    views.add_argument("--stacks", type=int, default=4,
+                       help="held-out views with a stack of one-sample images")
+    views.add_argument("--stack", type=int, default=1024,
+                       help=f"images of a stack, a multiple of {TOGETHER}")
+    views.add_argument("--part", default="0/1",
+                       help="this process's part of the views, such as 0/4")
     views.add_argument("--seconds", type=float, default=1e9, help="begin no view after this time")
     for command, size, act in ((frames, (320, 180), make_frames), (views, (256, 144), make_views)):
         command.add_argument("out", type=Path)
@@ -96,24 +108,31 @@ def make_frames(args: argparse.Namespace) -> None:
     size, frames = (args.width, args.height), []
     for t in range(args.frames):
         built.move(*moments(t))
-        frames.append(noisy_frame(tracer, built, (camera_at(t), camera_at(t - 1)), size, style, t, 1.0, rng))
+        frames.append(noisy_frame(tracer, built, (camera_at(t), camera_at(t - 1)), size, style, t,
+                                  1.0, rng))
     exposure = exposure_of(np.stack([frame["colour"] for frame in frames]))
     for t, frame in enumerate(frames):
         camera = camera_at(t)
-        header = frame_header(camera.to_world, camera.fov, style.jitter[t], args.spp, exposure, t == 0)
-        write_exr(args.out / f"noisy.{t + 1:04d}.exr", {name: frame[name] for name in CHANNELS}, header)
+        header = frame_header(camera.to_world, camera.fov, style.jitter[t], args.spp, exposure,
+                              t == 0)
+        write_exr(args.out / f"noisy.{t + 1:04d}.exr", {name: frame[name] for name in CHANNELS},
+                  header)
     large = args.times * args.width, args.times * args.height
     table, half = filter_table("box"), (args.reference_spp + 1) // 2
     facts = {"postfx:exposure": exposure, "postfx:spp": 2 * half, "compression": PACKED}
     for t in (number - 1 for number in args.reference):
         built.move(*moments(t))
         halves = of_halves(
-            lambda k, t=t: tracer.reference(built.scene, camera_at(t), large, table, half, 2 * t + k), exposure)
-        write_exr(args.out / f"reference.{t + 1:04d}.exr", {"colour": (halves[0] + halves[1]) / 2}, facts)
+            lambda k, t=t: tracer.reference(built.scene, camera_at(t), large, table, half,
+                                            2 * t + k), exposure)
+        write_exr(args.out / f"reference.{t + 1:04d}.exr", {"colour": (halves[0] + halves[1]) / 2},
+                  facts)
 
 
-def of_halves(render: Callable[[int], np.ndarray], exposure: float) -> tuple[np.ndarray, np.ndarray]:
-    """The independent renders 0 and 1, (H, W, 3). Prints the noise of their mean, half their difference, as PSNR."""
+def of_halves(render: Callable[[int], np.ndarray],
+              exposure: float) -> tuple[np.ndarray, np.ndarray]:
+    """The independent renders 0 and 1, (H, W, 3). Prints the noise of their mean, half their
+    difference, as PSNR."""
     first, second = render(0), render(1)
     noise = psnr(to_codes(first, exposure), to_codes(second, exposure)) + 20 * np.log10(2)
     print(f"reference with noise of {noise:.1f} dB PSNR", flush=True)
@@ -128,13 +147,15 @@ def make_views(args: argparse.Namespace) -> None:
 
     tracer, built, began = Tracer(), BuiltScene(sample_room()), time.monotonic()
     part, parts = (int(word) for word in args.part.split("/"))
-    every = [(f"held.{k:04d}.npz", HELD_OUT + k, args.held_spp, args.stack if k < args.stacks else 0)
+    every = [(f"held.{k:04d}.npz", HELD_OUT + k, args.held_spp,
+              args.stack if k < args.stacks else 0)
              for k in range(args.held_out)]
     every += [(f"view.{k:04d}.npz", k, args.spp, 0) for k in range(args.views)]
     for name, seed, spp, stack in every[part::parts]:
         path = args.out / name
         if not path.exists() and time.monotonic() - began < args.seconds:
-            found = make_view(tracer, built, (args.width, args.height), seed, spp, stack, PASSES * (seed >= HELD_OUT))
+            found = make_view(tracer, built, (args.width, args.height), seed, spp, stack,
+                              PASSES * (seed >= HELD_OUT))
             np.savez(path.with_suffix(".partial.npz"), **found)
             path.with_suffix(".partial.npz").replace(path)
             print(f"{path.name}: {time.monotonic() - began:.0f} s", flush=True)
@@ -154,19 +175,22 @@ def make_view(tracer: Tracer, built: BuiltScene, size: tuple[int, int], seed: in
         pose, step = draw_pose(rng)
         cameras = [Camera(look_at(*(pose + k * step)), FOV) for k in range(-1, FRAMES)]
         start, now, frames = int(rng.integers(64)), float(rng.uniform(0, 8)), []
-        jitter = [[radical_inverse(start + k, 2), radical_inverse(start + k, 3)] for k in range(FRAMES + passes)]
+        jitter = [[radical_inverse(start + k, 2), radical_inverse(start + k, 3)]
+                  for k in range(FRAMES + passes)]
         style = Style("realtime", 1, np.array(jitter, np.float32) - 0.5)
         for k in range(FRAMES):
             built.move(now + k, now + k - 1)
             film = film_of(size, style.offsets(k, pixels, rng))
-            frames.append(plane_images(tracer, built, (cameras[k + 1], cameras[k]), size, style, film))
+            frames.append(plane_images(tracer, built, (cameras[k + 1], cameras[k]), size, style,
+                                       film))
 
     def planes(k: int) -> dict[str, np.ndarray]:
         """Those of the last moment, through jitter `k`."""
         film = film_of(size, style.offsets(k, pixels, rng))
         found = plane_images(tracer, built, (cameras[-1], cameras[-2]), size, style, film)
         found = {name: image.reshape(height, width, -1) for name, image in found.items()}
-        return found | {"camera": camera_vector(cameras[-1].to_world, FOV, width / height, style.jitter[k])}
+        return found | {"camera": camera_vector(cameras[-1].to_world, FOV, width / height,
+                                                style.jitter[k])}
 
     def singles(count: int, offsets: np.ndarray) -> np.ndarray:
         """Independent one-sample images (count, H, W, 3)."""
@@ -174,34 +198,42 @@ def make_view(tracer: Tracer, built: BuiltScene, size: tuple[int, int], seed: in
         light = tracer.noisy(built.scene, cameras[-1], width / height, film, 1, seed)
         return np.moveaxis(light.reshape(height, width, count, 3), 2, 0)
 
-    made = {name: to_half(np.stack([frame[name].reshape(height, width, -1) for frame in frames])) for name in frames[0]}
+    made = {name: to_half(np.stack([frame[name].reshape(height, width, -1) for frame in frames]))
+            for name in frames[0]}
     made["depth"] = np.stack([frame["depth"].reshape(height, width, 1) for frame in frames])
     made["camera"] = np.stack([camera_vector(camera.to_world, FOV, width / height, style.jitter[k])
                                for k, camera in enumerate(cameras[1:])])
-    made["colour"] = to_half(singles(COLOURS, np.tile(0.5 + style.jitter[-1], (pixels, COLOURS, 1)).astype(np.float32)))
+    made["colour"] = to_half(singles(COLOURS, np.tile(0.5 + style.jitter[-1], (pixels, COLOURS, 1))
+                                     .astype(np.float32)))
     made["reference_a"], made["reference_b"] = of_halves(
-        lambda _: tracer.reference(built.scene, cameras[-1], size, table, spp // 2, int(rng.integers(1 << 31))), 1.0)
+        lambda _: tracer.reference(built.scene, cameras[-1], size, table, spp // 2,
+                                   int(rng.integers(1 << 31))), 1.0)
     counts, means, total = prefix_counts(stack) if stack else [], [], np.zeros((height, width, 3))
     for first in range(0, stack, TOGETHER):
-        for n, image in enumerate(singles(TOGETHER, rng.random((pixels, TOGETHER, 2), np.float32)), first + 1):
+        for n, image in enumerate(singles(TOGETHER, rng.random((pixels, TOGETHER, 2), np.float32)),
+                                  first + 1):
             total += image
             means += [total / n] if n in counts else []
     further = [planes(FRAMES + k) for k in range(passes)]
-    made |= {f"pass_{name}": np.float32([one[name] for one in further]) for name in (further[0] if further else ())}
+    made |= {f"pass_{name}": np.float32([one[name] for one in further])
+             for name in (further[0] if further else ())}
     return made | ({"counts": np.array(counts), "means": np.float32(means)} if stack else {})
 
 
 def draw_pose(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Eye and target of a camera in the room, and how both move in a frame; each (2, 3)."""
-    eye, target = rng.uniform((-2.3, 0.5, -2.2), (2.3, 2.3, 2.8)), rng.uniform((-2.0, 0.1, -2.9), (2.0, 1.9, 2.0))
+    eye, target = (rng.uniform((-2.3, 0.5, -2.2), (2.3, 2.3, 2.8)),
+                   rng.uniform((-2.0, 0.1, -2.9), (2.0, 1.9, 2.0)))
     while np.linalg.norm(target - eye) < 1.2:
         target = rng.uniform((-2.0, 0.1, -2.9), (2.0, 1.9, 2.0))
     return np.stack([eye, target]), rng.normal(0, (0.02, 0.008, 0.02), (2, 3))
 
 
-def camera_vector(to_world: np.ndarray, fov: float, aspect: float, jitter: np.ndarray) -> np.ndarray:
-    """A camera as networks of one scene read it, (16,): its axes to the left, up and forwards and its place in the
-    world, the tangents of half the field of view across and down, and the jitter in pixels."""
+def camera_vector(to_world: np.ndarray, fov: float, aspect: float,
+                  jitter: np.ndarray) -> np.ndarray:
+    """A camera as networks of one scene read it, (16,): its axes to the left, up and forwards and
+    its place in the world, the tangents of half the field of view across and down, and the jitter
+    in pixels."""
     tangent = np.tan(np.radians(fov) / 2)
     return np.float32([*to_world[:3, :4].T.ravel(), tangent, tangent / aspect, *jitter])
 

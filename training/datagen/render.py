@@ -2,9 +2,10 @@
 
     python -m training.datagen.render --out DIR --clips N --gpus 0,1,2,3 ...
 
-Existing clips are kept, so the same command continues an earlier one. A worker that dies or hangs is restarted; its
-clip goes into DIR/failed.txt and is skipped from then on (delete the file to try again). DIR/worker.K.log has the
-messages of worker K. SIGTERM and Ctrl-C end the job at once and leave no broken files.
+Existing clips are kept, so the same command continues an earlier one. A worker that dies or hangs
+is restarted; its clip goes into DIR/failed.txt and is skipped from then on (delete the file to try
+again). DIR/worker.K.log has the messages of worker K. SIGTERM and Ctrl-C end the job at once and
+leave no broken files.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ class Worker:
 
 
 def options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     add_farm(parser)
     parser.set_defaults(handed=add_options(parser))
     return parser
@@ -56,26 +58,33 @@ def arguments(argv: list[str] | None = None) -> tuple[argparse.Namespace, list[s
 def add_farm(parser: argparse.ArgumentParser) -> None:
     """Add the options of a Farm."""
     parser.add_argument("--out", type=Path, required=True, help="folder for clip.NNNNN.npz")
-    parser.add_argument("--clips", type=int, required=True, help="clips of the whole job, existing ones included")
+    parser.add_argument("--clips", type=int, required=True,
+                        help="clips of the whole job, existing ones included")
     parser.add_argument("--gpus", default="0", help="numbers of the GPUs, comma-separated")
     parser.add_argument("--processes-per-gpu", type=int, default=8)
     parser.add_argument("--minutes", type=float, default=1e9, help="start no clip after this time")
-    parser.add_argument("--clip-minutes", type=float, default=5, help="a clip that takes longer is given up")
-    parser.add_argument("--report", type=float, default=10, help="seconds between two lines of progress")
+    parser.add_argument("--clip-minutes", type=float, default=5,
+                        help="a clip that takes longer is given up")
+    parser.add_argument("--report", type=float, default=10,
+                        help="seconds between two lines of progress")
 
 
-def worker_command(module: str, args: argparse.Namespace, handed: list[str], *words: str) -> list[str]:
-    """Command line of a worker: a module, its command if it has several, and the options to hand on, by name."""
+def worker_command(module: str, args: argparse.Namespace, handed: list[str],
+                   *words: str) -> list[str]:
+    """Command line of a worker: a module, its command if it has several, and the options to hand
+    on, by name."""
     values = {name: getattr(args, name) for name in handed}
-    options = [f"--{name.replace('_', '-')}={value}" for name, value in values.items() if value is not None]
-    return [sys.executable, "-m", module, *words, "--listen", f"--out={args.out}", f"--clips={args.clips}", *options]
+    options = [f"--{name.replace('_', '-')}={value}"
+               for name, value in values.items() if value is not None]
+    return [sys.executable, "-m", module, *words, "--listen", f"--out={args.out}",
+            f"--clips={args.clips}", *options]
 
 
 class Farm:
     """Hands clip numbers to the workers and counts their answers.
 
-    `command` starts a worker: it reads clip numbers from standard input and answers on standard output, {"ready": true}
-    once and {"clip": number, "samples": count} for each.
+    `command` starts a worker: it reads clip numbers from standard input and answers on standard
+    output, {"ready": true} once and {"clip": number, "samples": count} for each.
     """
 
     def __init__(self, args: argparse.Namespace, command: list[str]) -> None:
@@ -97,7 +106,8 @@ class Farm:
         self._events.put((None, None, ""))
 
     def run(self) -> bool:
-        """Work until all clips are made, the time is up or `stop` is called. False if workers kept failing."""
+        """Work until all clips are made, the time is up or `stop` is called. False if workers kept
+        failing."""
         for worker in self._workers:
             self._start(worker)
         reported = time.monotonic()
@@ -124,7 +134,8 @@ class Farm:
         environment = os.environ | {"CUDA_VISIBLE_DEVICES": worker.gpu}
         environment.setdefault("OMP_NUM_THREADS", "2")
         with open(self._args.out / f"worker.{worker.number}.log", "a") as log:
-            worker.process = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
+            worker.process = subprocess.Popen(self._command, stdin=subprocess.PIPE,
+                                              stdout=subprocess.PIPE, stderr=log,
                                               text=True, env=environment)
         threading.Thread(target=self._listen, args=(worker, worker.process), daemon=True).start()
         self._next(worker)
@@ -162,9 +173,11 @@ class Farm:
             self._next(worker)
 
     def _died(self, worker: Worker) -> None:
-        """Restart a worker. The clip that it died of is skipped; one that it never began goes back to the queue."""
+        """Restart a worker. The clip that it died of is skipped; one that it never began goes back
+        to the queue."""
         self._sweep(worker.process.pid)
-        clip, reason = worker.clip, f"exit status {worker.process.returncode}, see worker.{worker.number}.log"
+        clip, reason = (worker.clip,
+                        f"exit status {worker.process.returncode}, see worker.{worker.number}.log")
         if clip is not None:
             worker.deaths += 1
             print(f"worker {worker.number} ended at clip {clip}: {reason}", flush=True)
@@ -178,11 +191,13 @@ class Farm:
 
     def _end_hanging(self) -> None:
         for worker in self._workers:
-            if worker.clip is not None and time.monotonic() - worker.since > 60 * self._args.clip_minutes:
+            if (worker.clip is not None
+                and time.monotonic() - worker.since > 60 * self._args.clip_minutes):
                 worker.process.kill()
 
     def _kill(self) -> None:
-        running = [worker.process for worker in self._workers if worker.process and worker.process.poll() is None]
+        running = [worker.process
+                   for worker in self._workers if worker.process and worker.process.poll() is None]
         for process in running:
             process.kill()
         for process in running:
@@ -209,15 +224,17 @@ class Farm:
         busy = sum(worker.clip is not None for worker in self._workers)
         left = (len(self._todo) + busy) / rate / 60 if self.made else self._args.minutes
         left = f"{min(left, max(self._args.minutes - seconds / 60, 0)):.1f}" if left < 1e6 else "?"
-        return (f"{done}/{self._args.clips} clips, {rate:.2f} clips/s, {self.samples / seconds / 1e6:.1f} M samples/s, "
-                f"{left} min left, {self.lost} failed")
+        return (f"{done}/{self._args.clips} clips, {rate:.2f} clips/s, "
+                f"{self.samples / seconds / 1e6:.1f} M samples/s, {left} min left, {self.lost} "
+                "failed")
 
     def summary(self) -> str:
         seconds = time.monotonic() - self._began
         size = sum(path.stat().st_size for path in self._args.out.glob("clip.*.npz"))
-        return (f"made {self.made} clips in {seconds / 60:.1f} min: {self.made / seconds:.2f} clips/s, "
-                f"{self.samples / seconds / 1e6:.1f} M samples/s, {self.lost} failed; "
-                f"{self.there + self.made} of {self._args.clips} are in {self._args.out}, {size / 2**30:.2f} GiB")
+        return (f"made {self.made} clips in {seconds / 60:.1f} min: {self.made / seconds:.2f} "
+                f"clips/s, {self.samples / seconds / 1e6:.1f} M samples/s, {self.lost} failed; "
+                f"{self.there + self.made} of {self._args.clips} are in {self._args.out}, "
+                f"{size / 2**30:.2f} GiB")
 
 
 def run(args: argparse.Namespace, command: list[str]) -> int:

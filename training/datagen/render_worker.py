@@ -2,9 +2,9 @@
 
     python -m training.datagen.render_worker --out DIR --clips N [--start K --stride M] ...
 
-Clip n depends only on --seed and n, and existing files are skipped, so any number of processes can share the work:
-give all the same --clips and --stride, and each its own --start. `training.datagen.render` does that for all GPUs of a
-machine.
+Clip n depends only on --seed and n, and existing files are skipped, so any number of processes can
+share the work: give all the same --clips and --stride, and each its own --start.
+`training.datagen.render` does that for all GPUs of a machine.
 """
 
 from __future__ import annotations
@@ -24,28 +24,35 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
     before = {action.dest for action in parser._actions}
     parser.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant")
     parser.add_argument("--real", type=Path, help="folder of converted scenes and environments/")
-    parser.add_argument("--real-share", type=float, default=0.25, help="part of the clips from real scenes")
+    parser.add_argument("--real-share", type=float, default=0.25,
+                        help="part of the clips from real scenes")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--width", type=int, default=128, help="noisy width")
     parser.add_argument("--height", type=int, default=128, help="noisy height")
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--variants", type=int, default=3, help="noisy renders of the same frames")
-    parser.add_argument("--reference-spp", type=int, default=128, help="takes half to four times as many, by noise")
-    parser.add_argument("--reference-error", type=float, default=0.015, help="wanted error after x/(1+x)")
-    parser.add_argument("--even-spp", type=int, metavar="N", help="samples a pixel of noisy renders are drawn evenly in"
-                        " stops from 1 to N (default: mostly 1 to 8)")
+    parser.add_argument("--reference-spp", type=int, default=128,
+                        help="takes half to four times as many, by noise")
+    parser.add_argument("--reference-error", type=float, default=0.015,
+                        help="wanted error after x/(1+x)")
+    parser.add_argument("--even-spp", type=int, metavar="N",
+                        help="samples a pixel of noisy renders are drawn evenly in stops from 1 to "
+                        "N (default: mostly 1 to 8)")
     parser.add_argument("--scale", type=float, help="one scale for all clips (default: drawn)")
-    parser.add_argument("--families", metavar="A,B", help="kinds of procedural scenes with detail finer than a pixel:"
-                        " fur, sunlit (default: other kinds, drawn)")
-    parser.add_argument("--blender", type=Path, help="render with Cycles: a Python that has Blender's module bpy")
-    parser.add_argument("--half-samples", type=int, default=256, help="Cycles: samples a render pixel in each half of a"
-                        " reference")
+    parser.add_argument("--families", metavar="A,B",
+                        help="kinds of procedural scenes with detail finer than a pixel: fur, "
+                        "sunlit (default: other kinds, drawn)")
+    parser.add_argument("--blender", type=Path,
+                        help="render with Cycles: a Python that has Blender's module bpy")
+    parser.add_argument("--half-samples", type=int, default=256,
+                        help="Cycles: samples a render pixel in each half of a reference")
     parser.add_argument("--kind", help="Cycles: one kind of scene for all clips (default: drawn)")
     return [action.dest for action in parser._actions if action.dest not in before]
 
 
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     add_share(parser)
     add_options(parser)
     return parser.parse_args(argv)
@@ -56,9 +63,11 @@ def add_share(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder for clip.NNNNN.npz")
     parser.add_argument("--clips", type=int, required=True, help="clips of the whole job")
     parser.add_argument("--start", type=int, default=0, help="first clip of this process")
-    parser.add_argument("--stride", type=int, default=1, help="step between the clips of this process")
+    parser.add_argument("--stride", type=int, default=1,
+                        help="step between the clips of this process")
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after this time")
-    parser.add_argument("--listen", action="store_true", help="take clip numbers from standard input, one a line")
+    parser.add_argument("--listen", action="store_true",
+                        help="take clip numbers from standard input, one a line")
 
 
 def clip_path(folder: Path, index: int) -> Path:
@@ -78,7 +87,8 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
     from training.datagen.variant import use_variant
 
     use_variant(args.variant)
-    from training.datagen.clip import (  # these import Mitsuba types, so only after the variant is set
+    # these import Mitsuba types, so only after the variant is set
+    from training.datagen.clip import (
         ClipOptions,
         make_clip,
     )
@@ -104,7 +114,8 @@ def cycles_maker(args: argparse.Namespace) -> Callable[[int], tuple]:
     from training.datagen.cycles.clips import Blender, CyclesOptions, make_clip
 
     fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}
-    options = CyclesOptions(args.width, args.height, args.frames, args.even_spp or CyclesOptions.most_spp,
+    options = CyclesOptions(args.width, args.height, args.frames,
+                            args.even_spp or CyclesOptions.most_spp,
                             args.half_samples, args.variants, kind=args.kind, **fixed)
     blender = Blender(args.blender, args.real)
     return lambda index: make_clip(blender, options, args.seed, index)
@@ -124,7 +135,8 @@ def numbers(args: argparse.Namespace) -> Iterator[int]:
 
 
 def work(args: argparse.Namespace, make: Callable[[int], tuple[str, int]]) -> int:
-    """Make the clips of this process. `make` writes one and returns its description and its count of camera samples."""
+    """Make the clips of this process. `make` writes one and returns its description and its count
+    of camera samples."""
     args.out.mkdir(parents=True, exist_ok=True)
     if args.listen:
         print(json.dumps({"ready": True}), flush=True)

@@ -12,7 +12,7 @@ from training.datagen.scenes.build import FOLLOW, ROW, BuiltScene, Motions, anch
 from training.datagen.scenes.materials import palette
 from training.datagen.scenes.motion import Camera
 
-# Paths of light -----------------------------------------------------------------------------------------------------
+# Paths of light -----------------------------------------------------------------------------------
 # Primary surface replacement: through mirrors and glass to the surface seen in them.
 
 FLAT = 1e-3  # a mirror whose normal changes less than this along the texture coordinates is flat
@@ -20,7 +20,8 @@ FLAT = 1e-3  # a mirror whose normal changes less than this along the texture co
 
 @dataclass
 class Image:
-    """An affine map of world space, rows (3) and offset: from an object to its image in a flat mirror."""
+    """An affine map of world space, rows (3) and offset: from an object to its image in a flat
+    mirror."""
 
     x: mi.Vector3f
     y: mi.Vector3f
@@ -44,11 +45,13 @@ class Image:
 
 @dataclass
 class Path:
-    """A camera ray after mirrors and glass: the ray to the replaced surface, and how that surface appears.
+    """A camera ray after mirrors and glass: the ray to the replaced surface, and how that surface
+    appears.
 
-    `tint` is the reflectance so far, `length` the way to the ray's origin, `now` and `before` the images in this frame
-    and in the previous one. No affine map describes the image in a bent mirror: where `curved` is set, motion comes
-    from `surface`, the previous position of the first hit.
+    `tint` is the reflectance so far, `length` the way to the ray's origin, `now` and `before` the
+    images in this frame and in the previous one. No affine map describes the image in a bent
+    mirror: where `curved` is set, motion comes from `surface`, the previous position of the first
+    hit.
     """
 
     origin: mi.Point3f
@@ -63,14 +66,18 @@ class Path:
     active: mi.Bool
 
 
-def follow(scene: mi.Scene, ray: mi.RayDifferential3f, properties: mi.Float, motions: Motions, steps: int) -> Path:
-    """Follow rays through at most `steps` mirrors and faces of glass; 0 leaves them as they are, in the same kernel."""
+def follow(scene: mi.Scene, ray: mi.RayDifferential3f, properties: mi.Float, motions: Motions,
+           steps: int) -> Path:
+    """Follow rays through at most `steps` mirrors and faces of glass; 0 leaves them as they are, in
+    the same kernel."""
     count = dr.width(ray.d)
     steps_left = dr.full(mi.UInt32, 0, count) + dr.opaque(mi.UInt32, steps)
-    start = Path(mi.Point3f(ray.o) + dr.zeros(mi.Point3f, count), mi.Vector3f(ray.d), dr.ones(mi.Color3f, count),
-                 dr.zeros(mi.Float, count), _identity(count), _identity(count), dr.full(mi.Bool, False, count),
+    start = Path(mi.Point3f(ray.o) + dr.zeros(mi.Point3f, count), mi.Vector3f(ray.d),
+                 dr.ones(mi.Color3f, count), dr.zeros(mi.Float, count), _identity(count),
+                 _identity(count), dr.full(mi.Bool, False, count),
                  dr.zeros(mi.Point3f, count), steps_left, steps_left > 0)
-    return dr.while_loop((start,), lambda path: path.active, lambda path: (_step(scene, path, properties, motions),),
+    return dr.while_loop((start,), lambda path: path.active,
+                         lambda path: (_step(scene, path, properties, motions),),
                          labels=("path",))[0]
 
 
@@ -92,31 +99,32 @@ def _step(scene: mi.Scene, path: Path, properties: mi.Float, motions: Motions) -
     onward = si.spawn_ray(si.to_world(local))
     mirror, normal = on & ~through, si.sh_frame.n
     bent = on & (dr.norm(si.dn_du) + dr.norm(si.dn_dv) > FLAT)
-    moved, turned = motions.point(row, found, si.p), dr.normalize(motions.vector(row, mi.Vector3f(normal)))
+    moved, turned = (motions.point(row, found, si.p),
+                     dr.normalize(motions.vector(row, mi.Vector3f(normal))))
     first = on & (path.length == 0)
     steps = dr.select(on, path.steps - 1, path.steps)
     return Path(
         dr.select(on, onward.o, path.origin), dr.select(on, onward.d, path.direction),
         dr.select(on, path.tint * tint, path.tint), path.length + dr.select(on, si.t, 0),
-        path.now.mirror(si.p, normal, mirror), path.before.mirror(moved, turned, mirror), path.curved | bent,
-        dr.select(first, moved, path.surface), steps, on & (steps > 0))
+        path.now.mirror(si.p, normal, mirror), path.before.mirror(moved, turned, mirror),
+        path.curved | bent, dr.select(first, moved, path.surface), steps, on & (steps > 0))
 
 
 def _identity(count: int) -> Image:
     one, zero = dr.ones(mi.Float, count), dr.zeros(mi.Float, count)
-    return Image(mi.Vector3f(one, zero, zero), mi.Vector3f(zero, one, zero), mi.Vector3f(zero, zero, one),
-                 dr.zeros(mi.Vector3f, count))
+    return Image(mi.Vector3f(one, zero, zero), mi.Vector3f(zero, one, zero),
+                 mi.Vector3f(zero, zero, one), dr.zeros(mi.Vector3f, count))
 
 
-# The tracer ---------------------------------------------------------------------------------------------------------
+# The tracer ---------------------------------------------------------------------------------------
 
 MISS_DEPTH = 1e10
 
 
 @dataclass(frozen=True)
 class Film:
-    """Sample positions as fractions of the image, (N,) each: u to the right, v down; and on a lens, as two uniform
-    random numbers (None: its centre)."""
+    """Sample positions as fractions of the image, (N,) each: u to the right, v down; and on a lens,
+    as two uniform random numbers (None: its centre)."""
 
     u: mi.Float
     v: mi.Float
@@ -128,13 +136,15 @@ class Film:
 
 
 class Tracer:
-    """Holds the integrator and everything that keeps kernels the same between scenes; one a process."""
+    """Holds the integrator and everything that keeps kernels the same between scenes; one a
+    process."""
 
     def __init__(self, depth: int = 6) -> None:
         self._integrator = mi.load_dict({"type": "path", "max_depth": depth})
         self._keep = [*palette(), *anchors()]
 
-    def radiance(self, scene: mi.Scene, camera: Camera, aspect: float, film: Film, seed: int) -> mi.Color3f:
+    def radiance(self, scene: mi.Scene, camera: Camera, aspect: float, film: Film,
+                 seed: int) -> mi.Color3f:
         """Radiance (N samples) of independent light paths; `aspect` is width / height."""
         count = dr.width(film.u)
         sampler = mi.load_dict({"type": "independent"})
@@ -143,35 +153,41 @@ class Tracer:
         colour, _, _ = self._integrator.sample(scene, sampler, ray)
         return mi.Color3f(dr.select(dr.isfinite(colour), colour, 0))
 
-    def noisy(self, scene: mi.Scene, camera: Camera, aspect: float, film: Film, spp: int, seed: int) -> np.ndarray:
+    def noisy(self, scene: mi.Scene, camera: Camera, aspect: float, film: Film, spp: int,
+              seed: int) -> np.ndarray:
         """Radiance (N, 3) float32: the mean of every `spp` consecutive samples of the film."""
         return _rows(_pixels(self.radiance(scene, camera, aspect, film, seed), spp, True))
 
-    def reference(self, scene: mi.Scene, camera: Camera, size: tuple[int, int], table: np.ndarray, spp: int,
-                  seed: int, batch: int = 1 << 25) -> np.ndarray:
-        """(H, W, 3) float32 mean of `spp` samples a pixel, spread by the filter's inverse distribution `table`."""
+    def reference(self, scene: mi.Scene, camera: Camera, size: tuple[int, int], table: np.ndarray,
+                  spp: int, seed: int, batch: int = 1 << 25) -> np.ndarray:
+        """(H, W, 3) float32 mean of `spp` samples a pixel, spread by the filter's inverse
+        distribution `table`."""
         width, height = size
         total, left = np.zeros((height, width, 3), np.float32), spp
         while left:
             now = min(left, max(1, batch // (width * height)))
             film = _spread(width, height, now, table, seed + 7919 * left, bool(camera.aperture))
             colour = self.radiance(scene, camera, width / height, film, seed + 104729 * left)
-            sums = [dr.block_sum(channel, now).numpy() for channel in (colour.x, colour.y, colour.z)]
+            sums = [dr.block_sum(channel, now).numpy()
+                    for channel in (colour.x, colour.y, colour.z)]
             total += np.stack(sums, -1).reshape(height, width, 3)
             left -= now
         return total / spp
 
-    def planes(self, built: BuiltScene, camera: Camera, previous: Camera, size: tuple[int, int], film: Film,
-               spp: int = 1, mean: tuple[str, ...] = (), steps: int = 0, positions: str = "") -> dict[str, np.ndarray]:
+    def planes(self, built: BuiltScene, camera: Camera, previous: Camera, size: tuple[int, int],
+               film: Film, spp: int = 1, mean: tuple[str, ...] = (), steps: int = 0,
+               positions: str = "") -> dict[str, np.ndarray]:
         """First-hit planes, (N,) or (N, C) float32; motion in pixels of an image of `size`.
 
-        Every `spp` consecutive samples of the film make one of the N rows: the mean in the planes named by `mean`, in
-        the others the first. With `steps`, rays go on through at most that many mirrors and faces of glass, and the
-        planes show the surface behind them: its albedos times the reflectance on the way, its normal as mirrored, the
-        length of the whole way as depth along the first ray, the motion of its mirrored image.
+        Every `spp` consecutive samples of the film make one of the N rows: the mean in the planes
+        named by `mean`, in the others the first. With `steps`, rays go on through at most that many
+        mirrors and faces of glass, and the planes show the surface behind them: its albedos times
+        the reflectance on the way, its normal as mirrored, the length of the whole way as depth
+        along the first ray, the motion of its mirrored image.
 
-        Renderers that write positions average them: with `positions` "all" or "hits", depth and motion are those of
-        the mean position of all samples, where misses count as 0, or of those that hit.
+        Renderers that write positions average them: with `positions` "all" or "hits", depth and
+        motion are those of the mean position of all samples, where misses count as 0, or of those
+        that hit.
         """
         width, height = size
         first = _rays(camera, width / height, film)
@@ -204,15 +220,17 @@ class Tracer:
         dr.eval(values)
         found = {name: _rows(_pixels(value, spp, name in mean)) for name, value in values.items()}
         if positions:
-            places = [_rows(_pixels(dr.select(hit, value, 0), spp, True)) for value in (place, then)]
+            places = [_rows(_pixels(dr.select(hit, value, 0), spp, True))
+                      for value in (place, then)]
             cover = _rows(_pixels(dr.select(hit, mi.Float(1), mi.Float(0)), spp, True))
             found |= _mean_position(places, cover, (camera, previous), size, positions == "hits")
         return found
 
 
-def _mean_position(places: list[np.ndarray], cover: np.ndarray, cameras: tuple[Camera, Camera], size: tuple[int, int],
-                   hits: bool) -> dict[str, np.ndarray]:
-    """Depth (N,) and motion (N, 2) of mean positions (N, 3), now and before, of pixels of which a share `cover` hit."""
+def _mean_position(places: list[np.ndarray], cover: np.ndarray, cameras: tuple[Camera, Camera],
+                   size: tuple[int, int], hits: bool) -> dict[str, np.ndarray]:
+    """Depth (N,) and motion (N, 2) of mean positions (N, 3), now and before, of pixels of which a
+    share `cover` hit."""
     share = np.maximum(cover, 1e-6)[:, None] if hits else 1.0
     now, then = (place / share for place in places)
     depth = (now - cameras[0].to_world[:3, 3]) @ cameras[0].to_world[:3, 2]
@@ -223,7 +241,8 @@ def _mean_position(places: list[np.ndarray], cover: np.ndarray, cameras: tuple[C
 
 
 def environment_brdf(f0: mi.Color3f, roughness: mi.Float, cosine: mi.Float) -> mi.Color3f:
-    """Specular reflectance under uniform light (Karis 2014, "Physically based shading on mobile"), noise-free."""
+    """Specular reflectance under uniform light (Karis 2014, "Physically based shading on mobile"),
+    noise-free."""
     x, y = 1 - roughness, 0.0425 - 0.0275 * roughness
     z, w = 1.04 - 0.572 * roughness, -0.04 + 0.022 * roughness
     a = dr.minimum(x * x, dr.exp2(-9.28 * cosine)) * x + y
@@ -266,8 +285,10 @@ def _rays(camera: Camera, aspect: float, film: Film) -> mi.RayDifferential3f:
     return mi.RayDifferential3f(mi.Point3f(origin), dr.normalize(direction))
 
 
-def _spread(width: int, height: int, spp: int, table: np.ndarray, seed: int, lens: bool = False) -> Film:
-    """`spp` consecutive samples for each pixel, in row order, drawn from the filter's table; `lens`: all over it."""
+def _spread(width: int, height: int, spp: int, table: np.ndarray, seed: int,
+            lens: bool = False) -> Film:
+    """`spp` consecutive samples for each pixel, in row order, drawn from the filter's table;
+    `lens`: all over it."""
     count = width * height * spp
     index = dr.arange(mi.UInt32, count)
     pixel = index // dr.opaque(mi.UInt32, spp)
@@ -301,13 +322,13 @@ def _properties(table: mi.Float, row: mi.UInt32, active: mi.Bool) -> tuple:
     return mi.Color3f(*value[:3]), *value[3:]
 
 
-def _previous_point(path: Path, first: mi.RayDifferential3f, way: mi.Vector3f, hit: mi.Bool, point: mi.Point3f,
-                    moved: mi.Point3f) -> mi.Vector3f:
+def _previous_point(path: Path, first: mi.RayDifferential3f, way: mi.Vector3f, hit: mi.Bool,
+                    point: mi.Point3f, moved: mi.Point3f) -> mi.Vector3f:
     """Previous position of whatever a ray shows: a point of world space, or a direction for misses.
 
-    A surface seen in a flat mirror was seen in it before, too, so its previous position is mirrored by the mirror's
-    previous position. Glass is taken to shift the objects behind it by as much as now. Bent mirrors and glass have
-    their own motion.
+    A surface seen in a flat mirror was seen in it before, too, so its previous position is mirrored
+    by the mirror's previous position. Glass is taken to shift the objects behind it by as much as
+    now. Bent mirrors and glass have their own motion.
     """
     then = path.before.point(moved)
     shift = mi.Vector3f(first.o) + way - path.now.point(point)

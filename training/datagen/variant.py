@@ -1,13 +1,16 @@
-"""Chooses Mitsuba's variant, and refuses a libLLVM that would abort the process in the middle of a render."""
+"""Chooses Mitsuba's variant, and refuses a libLLVM that would abort the process in the middle of a
+render."""
 
 from __future__ import annotations
 
 OLDEST_LLVM = 16
-"""Dr.Jit finds older ones, too, whose code generator ends the process: 'Cannot select: fmaximum' in 15.0.6."""
+"""Dr.Jit finds older ones, too, whose code generator ends the process: 'Cannot select: fmaximum' in
+15.0.6."""
 
 
 def use_variant(name: str) -> None:
-    """Use this variant. What is imported from Mitsuba from here on has its types. Raises SystemExit with the fix."""
+    """Use this variant. What is imported from Mitsuba from here on has its types. Raises SystemExit
+    with the fix."""
     import mitsuba as mi
 
     mi.set_variant(name)
@@ -23,6 +26,7 @@ def llvm_fault(version: tuple[int, ...] | None) -> str | None:
     """Why a version of libLLVM cannot be used, and what can; None if it can."""
     if version is not None and version[0] >= OLDEST_LLVM:
         return None
-    found = "no libLLVM is there" if version is None else f"libLLVM {'.'.join(map(str, version))} aborts"
+    found = ("no libLLVM is there" if version is None
+             else f"libLLVM {'.'.join(map(str, version))} aborts")
     return (f"{found}: install libLLVM 19 and name its file, e.g. "
             "DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1; at least 16 is needed")

@@ -1,7 +1,8 @@
 """Training clips resident on the GPU, and the batches drawn from them.
 
-A clip (``training/datagen/clip_file.py``) is a reference and several independent noisy renders of it. Everything stays
-on the device as float16, so that a batch costs no transfer; depth is stored as its logarithm, which fits the range.
+A clip (``training/datagen/clip_file.py``) is a reference and several independent noisy renders of
+it. Everything stays on the device as float16, so that a batch costs no transfer; depth is stored as
+its logarithm, which fits the range.
 """
 
 import json
@@ -23,13 +24,15 @@ from training import ops
 from training.datagen.clip_file import MIRRORED
 from training.denoise.model import Guides, Inputs, State
 
-# Clips and batches --------------------------------------------------------------------------------------------------
+# Clips and batches --------------------------------------------------------------------------------
 
-PLANES = (("colour", 3), ("diffuse_albedo", 3), ("specular_albedo", 3), ("normal", 3), ("roughness", 1), ("depth", 1),
+PLANES = (("colour", 3), ("diffuse_albedo", 3), ("specular_albedo", 3), ("normal", 3),
+          ("roughness", 1), ("depth", 1),
           ("denoising_albedo", 3), ("denoising_normal", 3), ("motion", 2))
 GUIDES = PLANES[1:6]
 CHANNELS = sum(channels for _, channels in PLANES)
-SOME, MANY = 32, 256  # samples a pixel whose mean albedo is taken for the true one: beside a render of fewer, or alone
+# samples a pixel whose mean albedo is taken for the true one: beside a render of fewer, or alone
+SOME, MANY = 32, 256
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
@@ -37,13 +40,14 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 class Clip:
     """``planes`` (V, T, C, h, w) float16, ``jitter`` (V, T, 2), ``reference`` (T, 3, H, W) float16.
 
-    ``planes`` has the 22 channels of ``PLANES``, then two channels for each of ``pairs``, further kinds of motion (see
-    ``PAIRS``). ``spread`` (V,) says which renders spread their samples over the pixel, ``samples`` (V,) gives the
-    samples a pixel; ``keep`` (T,) is 0 at cuts and at the first frame; ``guides`` (T, 11, H, W) float16 are the planes
-    at output size, if asked for. ``halved`` (V,) marks renders from half of the reference's samples, which are compared
-    with the other ``half`` (T, 3, H, W); ``exact`` (V,) marks renders with the true planes, ``hazy`` (V,) those of a
-    volume, which have no depth and albedo, as in the product. A clip of ``weight`` 2 is drawn twice as often as one of
-    weight 1.
+    ``planes`` has the 22 channels of ``PLANES``, then two channels for each of ``pairs``, further
+    kinds of motion (see ``PAIRS``). ``spread`` (V,) says which renders spread their samples over
+    the pixel, ``samples`` (V,) gives the samples a pixel; ``keep`` (T,) is 0 at cuts and at the
+    first frame; ``guides`` (T, 11, H, W) float16 are the planes at output size, if asked for.
+    ``halved`` (V,) marks renders from half of the reference's samples, which are compared with the
+    other ``half`` (T, 3, H, W); ``exact`` (V,) marks renders with the true planes, ``hazy`` (V,)
+    those of a volume, which have no depth and albedo, as in the product. A clip of ``weight`` 2 is
+    drawn twice as often as one of weight 1.
     """
 
     name: str
@@ -67,10 +71,11 @@ class Clip:
 class Batch:
     """``frames`` are T inputs of one draw, ``references`` (T, N, 3, H, W) exposed linear colour.
 
-    ``keep`` (T, N, 1, 1, 1) is 0 where the history ends. Lists of T motions (N, 2, h, w): ``inverse`` leads to the next
-    frame, for clips that also run backwards; ``static`` is the motion if only the camera moved; ``true_motion`` is set
-    if the motion of the frames may be false. ``surfaces`` are T inputs with the true albedos and normals, NaN in
-    entries where they are unknown. ``state`` is the history that the first frame continues; None: there is none.
+    ``keep`` (T, N, 1, 1, 1) is 0 where the history ends. Lists of T motions (N, 2, h, w):
+    ``inverse`` leads to the next frame, for clips that also run backwards; ``static`` is the motion
+    if only the camera moved; ``true_motion`` is set if the motion of the frames may be false.
+    ``surfaces`` are T inputs with the true albedos and normals, NaN in entries where they are
+    unknown. ``state`` is the history that the first frame continues; None: there is none.
     """
 
     frames: list[Inputs]
@@ -93,8 +98,9 @@ class Batch:
 
 @dataclass
 class Stack:
-    """Stacked windows of several clips: the fields of ``Clip`` with N in front, exposure (N, 1, 1, 1), and planes with
-    the true albedos, normals and roughness (N, T, C, h, w), NaN where they are unknown."""
+    """Stacked windows of several clips: the fields of ``Clip`` with N in front, exposure (N, 1, 1,
+    1), and planes with the true albedos, normals and roughness (N, T, C, h, w), NaN where they are
+    unknown."""
 
     planes: Tensor
     jitter: Tensor
@@ -109,22 +115,26 @@ class Stack:
 
 def grey_factor(colour: np.ndarray) -> float:
     """Multiplier that brings the log-average luminance of (H, W, 3) to 0.18."""
-    luminance = (colour.astype(np.float64) @ np.array(LUMINANCE)).clip(min=0)  # samples of volumes may be negative
+    # samples of volumes may be negative
+    luminance = (colour.astype(np.float64) @ np.array(LUMINANCE)).clip(min=0)
     return float(0.18 / np.exp(np.mean(np.log(luminance + 1e-3 * luminance.mean() + 1e-9))))
 
 
 def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[str, ...] = (),
          blank_volumes: bool = True) -> Clip:
-    """Read one clip file and move it to ``device``, with its guides and further kinds of motion, if asked for.
+    """Read one clip file and move it to ``device``, with its guides and further kinds of motion, if
+    asked for.
 
-    ``blank_volumes``: renders of a volume have no depth and albedo, as for networks that do not read such planes.
-    Raises ValueError if it lacks the guides.
+    ``blank_volumes``: renders of a volume have no depth and albedo, as for networks that do not
+    read such planes. Raises ValueError if it lacks the guides.
     """
     data = np.load(path)
     if guides and "guide_depth" not in data.files:
         raise ValueError(f"{path}: no planes at output size, which --guides needs")
-    variants = sorted({k.split("_", 1)[0] for k in data.files if k.startswith("v") and k[1].isdigit()})
-    hazy = {v: blank_volumes and shows_volume(data[f"{v}_depth"][0, ..., None].astype(np.float32)) for v in variants}
+    variants = sorted({k.split("_", 1)[0]
+                       for k in data.files if k.startswith("v") and k[1].isdigit()})
+    hazy = {v: blank_volumes and shows_volume(data[f"{v}_depth"][0, ..., None].astype(np.float32))
+            for v in variants}
 
     def plane(key: str) -> Tensor:
         variant, _, name = key.partition("_")
@@ -140,15 +150,18 @@ def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[st
 
     def render(variant: str) -> Tensor:
         planes = [plane(f"{variant}_{name}") for name, _ in PLANES]
-        motions = [torch.from_numpy(PAIRS[name](data, variant)).movedim(-1, 1).to(device).half() for name in pairs]
+        motions = [torch.from_numpy(PAIRS[name](data, variant)).movedim(-1, 1).to(device).half()
+                   for name in pairs]
         return torch.cat([*planes, *motions], 1)
 
     reference = data["reference"]
-    keep = 1 - data["reset"].astype(np.float32) if "reset" in data.files else np.ones(len(reference), np.float32)
+    keep = (1 - data["reset"].astype(np.float32) if "reset" in data.files
+            else np.ones(len(reference), np.float32))
     return Clip(
         path.stem,
         torch.stack([render(v) for v in variants]),
-        torch.from_numpy(np.stack([data[f"{v}_jitter"] for v in variants]).astype(np.float32)).to(device),
+        torch.from_numpy(np.stack([data[f"{v}_jitter"] for v in variants]).astype(np.float32))
+        .to(device),
         [str(data[f"{v}_style"]) != "realtime" for v in variants],
         torch.from_numpy(keep).to(device),
         plane("reference"),
@@ -164,21 +177,26 @@ def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[st
 
 
 def inverse_motion(data: Mapping[str, np.ndarray], variant: str) -> np.ndarray:
-    """Motion (T, h, w, 2) from each pixel to its position in the next frame; 0 in the last frame."""
+    """Motion (T, h, w, 2) from each pixel to its position in the next frame; 0 in the last
+    frame."""
     from postfx.temporal.reverse_motion import invert_motion
 
-    motion, depth = data[f"{variant}_motion"].astype(np.float32), data[f"{variant}_depth"][..., None].astype(np.float32)
+    motion, depth = (data[f"{variant}_motion"].astype(np.float32),
+                     data[f"{variant}_depth"][..., None].astype(np.float32))
     frames = pairwise(zip(motion, depth, strict=True))
-    return np.stack([*(invert_motion(*after, shown) for (_, shown), after in frames), np.zeros_like(motion[-1])])
+    return np.stack([*(invert_motion(*after, shown) for (_, shown), after in frames),
+                     np.zeros_like(motion[-1])])
 
 
 def static_motion(data: Mapping[str, np.ndarray], variant: str) -> np.ndarray:
-    """Motion (T, h, w, 2) as if only the camera moved: moving objects get the vectors of a world at rest.
+    """Motion (T, h, w, 2) as if only the camera moved: moving objects get the vectors of a world at
+    rest.
 
-    It follows from depth and the camera's poses (x left, y up, z forward), which only the Mitsuba clips hold. The first
-    frame, cuts and clips without poses keep the motion of the file.
+    It follows from depth and the camera's poses (x left, y up, z forward), which only the Mitsuba
+    clips hold. The first frame, cuts and clips without poses keep the motion of the file.
     """
-    motion, depth = data[f"{variant}_motion"].astype(np.float32), data[f"{variant}_depth"].astype(np.float64)
+    motion, depth = (data[f"{variant}_motion"].astype(np.float32),
+                     data[f"{variant}_depth"].astype(np.float64))
     meta = json.loads(str(data["meta"])) if "meta" in data else {}
     if "to_world" not in meta:
         return motion
@@ -189,12 +207,15 @@ def static_motion(data: Mapping[str, np.ndarray], variant: str) -> np.ndarray:
     for t in range(1, frames):
         if cuts[t]:
             continue
-        now, before = (w / (2 * math.tan(math.radians(fov[k]) / 2)) for k in (t, t - 1))  # focal lengths in pixels
-        local = np.stack([(w / 2 - x) / now, (h / 2 - y) / now, np.ones((h, w))], -1) * depth[t][..., None]
+        # focal lengths in pixels
+        now, before = (w / (2 * math.tan(math.radians(fov[k]) / 2)) for k in (t, t - 1))
+        local = np.stack([(w / 2 - x) / now, (h / 2 - y) / now, np.ones((h, w))],
+                         -1) * depth[t][..., None]
         world = local @ poses[t, :3, :3].T + poses[t, :3, 3]
         seen = (world - poses[t - 1, :3, 3]) @ poses[t - 1, :3, :3]
         far = np.maximum(seen[..., 2], 1e-6)
-        there = np.stack([w / 2 - before * seen[..., 0] / far, h / 2 - before * seen[..., 1] / far], -1)
+        there = np.stack([w / 2 - before * seen[..., 0] / far, h / 2 - before * seen[..., 1] / far],
+                         -1)
         motion[t] = np.where(seen[..., 2:] > 1e-6, there - np.stack([x, y], -1), motion[t])
     return motion
 
@@ -203,10 +224,12 @@ PAIRS = {"inverse": inverse_motion, "static": static_motion}
 
 
 class ClipPool:
-    """All clips of some folders, each with the weight of its clips; grows while the data factory is still writing."""
+    """All clips of some folders, each with the weight of its clips; grows while the data factory is
+    still writing."""
 
-    def __init__(self, folders: Mapping[Path, float], device: torch.device, guides: bool = False, share: int = 0,
-                 shares: int = 1, held_out: int = 20, pairs: tuple[str, ...] = (), blank_volumes: bool = True):
+    def __init__(self, folders: Mapping[Path, float], device: torch.device, guides: bool = False,
+                 share: int = 0, shares: int = 1, held_out: int = 20, pairs: tuple[str, ...] = (),
+                 blank_volumes: bool = True):
         self.folders, self.device, self.guides, self.pairs = folders, device, guides, pairs
         self.blank_volumes = blank_volumes
         self.share, self.shares, self.held_out = share, shares, held_out
@@ -215,7 +238,8 @@ class ClipPool:
         self.validation: list[Clip] = []
 
     def refresh(self) -> int:
-        """Load new files; one clip in ``held_out`` is for validation. Returns the number of clips for training.
+        """Load new files; one clip in ``held_out`` is for validation. Returns the number of clips
+        for training.
 
         Names clips that lack guides and leaves them out: Cycles renders none.
         """
@@ -228,7 +252,8 @@ class ClipPool:
         return len(self)
 
     def watch(self, pause: float = 2.0) -> Callable[[], None]:
-        """Load new files in a thread of its own, while others draw from the pool; returns a function that ends it."""
+        """Load new files in a thread of its own, while others draw from the pool; returns a
+        function that ends it."""
         ended = threading.Event()
 
         def follow() -> None:
@@ -244,7 +269,8 @@ class ClipPool:
     def _new_files(self) -> list[Path]:
         """Files of this share that were not asked for before."""
         found = [p for folder in self.folders for p in sorted(folder.glob("[!.]*.npz"))]
-        mine = [p for p in found if p not in self.seen and self._number(p) % self.shares == self.share]
+        mine = [p for p in found
+                if p not in self.seen and self._number(p) % self.shares == self.share]
         self.seen.update(mine)
         return mine
 
@@ -270,25 +296,30 @@ class ClipPool:
     def __len__(self) -> int:
         return sum(map(len, self.training.values()))
 
-    def draw(self, size: int, crop: int, seed: int, sparse: float = 0.0, turn: int = 0, blend: float = 0.0) -> Stack:
-        """Windows of clips of one output size; ``seed`` picks the size, so that all GPUs work on the same one.
+    def draw(self, size: int, crop: int, seed: int, sparse: float = 0.0, turn: int = 0,
+             blend: float = 0.0) -> Stack:
+        """Windows of clips of one output size; ``seed`` picks the size, so that all GPUs work on
+        the same one.
 
-        ``sparse`` is the share of clips whose albedo, normal and roughness come from a render with fewer samples,
-        ``blend`` the share of those whose noise is mixed from two renders. Turn
-        0 plays the clips forwards; each later ``turn``, drawn with the same random state, plays the same windows of
-        other renders the other way than the turn before, and continues its history.
+        ``sparse`` is the share of clips whose albedo, normal and roughness come from a render with
+        fewer samples, ``blend`` the share of those whose noise is mixed from two renders. Turn 0
+        plays the clips forwards; each later ``turn``, drawn with the same random state, plays the
+        same windows of other renders the other way than the turn before, and continues its history.
         """
         shapes = sorted(self.training)
-        there = [list(self.training[shape]) for shape in shapes]  # `watch` may add to them meanwhile
+        # `watch` may add to them meanwhile
+        there = [list(self.training[shape]) for shape in shapes]
         weights = [[clip.weight for clip in clips] for clips in there]
         drawn = random.Random(seed).choices(range(len(shapes)), [sum(w) for w in weights])[0]
         clips = random.choices(there[drawn], weights[drawn], k=size)
         order = [random.sample(compared(c), len(compared(c))) for c in clips]
         variants = [renders[turn % len(renders)] for renders in order]
         thinned = [random.random() < sparse for _ in clips]
-        surfaces = [sparser(c, v, turn) if thin else v for c, v, thin in zip(clips, variants, thinned, strict=True)]
+        surfaces = [sparser(c, v, turn) if thin else v
+                    for c, v, thin in zip(clips, variants, thinned, strict=True)]
         blended = [random.random() < blend for _ in clips]
-        others = [companion(c, v) if mixed else None for c, v, mixed in zip(clips, variants, blended, strict=True)]
+        others = [companion(c, v) if mixed else None
+                  for c, v, mixed in zip(clips, variants, blended, strict=True)]
         stack = collate(clips, variants, crop, surfaces, others)
         return stack if turn == 0 else play_on(stack, backwards=turn % 2 == 1)
 
@@ -299,13 +330,14 @@ def compared(clip: Clip) -> list[int]:
 
 
 def play_on(stack: Stack, backwards: bool) -> Stack:
-    """Windows that continue after the same windows were played the other way: the frame at the turn comes twice, and
-    nothing moves between the two."""
+    """Windows that continue after the same windows were played the other way: the frame at the turn
+    comes twice, and nothing moves between the two."""
     kept, planes = stack.keep.clone(), stack.planes.clone()
     if backwards:
         inverse = MOTION + 2 * (1 + stack.pairs.index("inverse"))
         for first in range(MOTION, planes.shape[2], 2):
-            planes[:, :, first:first + 2] = stack.planes[:, :, inverse:inverse + 2]  # 0 in the last frame
+            # 0 in the last frame
+            planes[:, :, first:first + 2] = stack.planes[:, :, inverse:inverse + 2]
         kept = torch.cat((torch.ones_like(kept[:, :1]), kept[:, 1:].flip(1)), 1)
         return replace(stack, planes=planes.flip(1), keep=kept, jitter=stack.jitter.flip(1),
                        reference=stack.reference.flip(1), surfaces=stack.surfaces.flip(1),
@@ -315,15 +347,16 @@ def play_on(stack: Stack, backwards: bool) -> Stack:
 
 
 def sparser(clip: Clip, variant: int, turn: int = 0) -> int:
-    """Another render of the same frames with fewer samples, spread over the pixel, a next one each turn; else the
-    render itself."""
-    fewer = [v for v in range(len(clip.planes)) if clip.samples[v] < clip.samples[variant] and clip.spread[v]]
+    """Another render of the same frames with fewer samples, spread over the pixel, a next one each
+    turn; else the render itself."""
+    fewer = [v for v in range(len(clip.planes))
+             if clip.samples[v] < clip.samples[variant] and clip.spread[v]]
     return fewer[turn % len(fewer)] if fewer and clip.spread[variant] else variant
 
 
 def companion(clip: Clip, variant: int) -> int | None:
-    """Another render of the same frames whose samples are spread over the pixel and not part of a reference; None if
-    there is none, or the render itself is of another kind."""
+    """Another render of the same frames whose samples are spread over the pixel and not part of a
+    reference; None if there is none, or the render itself is of another kind."""
     if not clip.spread[variant] or clip.exact[variant]:
         return None
     others = [v for v in range(len(clip.planes))
@@ -335,9 +368,9 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
             surfaces: list[int] | None = None, others: Sequence[int | None] = ()) -> Stack:
     """Stack one noisy render of each clip, complete or in windows of ``crop`` render pixels.
 
-    ``surfaces`` are the renders that provide albedo, normal and roughness; by default the same ones. Where ``others``
-    names another render, the two are mixed by a random share, as if samples of both were drawn: one clip then shows
-    ever other noise.
+    ``surfaces`` are the renders that provide albedo, normal and roughness; by default the same
+    ones. Where ``others`` names another render, the two are mixed by a random share, as if samples
+    of both were drawn: one clip then shows ever other noise.
     """
     windows = [_window(clip, crop) for clip in clips]
     chosen = list(zip(clips, variants, windows, strict=True))
@@ -351,7 +384,8 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
                 second = clip.planes[other, :, part, window[0], window[1]].float()
                 planes[entry, :, part] = torch.lerp(planes[entry, :, part], second, share)
     true = torch.full_like(planes[:, :, :CHANNELS], torch.nan)
-    for entry, (other, (clip, variant, window)) in enumerate(zip(surfaces or variants, chosen, strict=True)):
+    for entry, (other, (clip, variant, window)) in enumerate(zip(surfaces or variants, chosen,
+                                                                 strict=True)):
         known = None if clip.hazy[other] else true_planes(clip, other)
         if known is not None:
             for part in SURFACE:
@@ -367,7 +401,8 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
         torch.stack([target(c, v)[..., w[2], w[3]] for c, v, w in chosen]).float(),
         true,
         torch.stack([c.guides[..., w[2], w[3]] for c, _, w in chosen]).float() if guided else None,
-        torch.tensor([c.exposure for c in clips], device=device, dtype=torch.float32)[:, None, None, None],
+        torch.tensor([c.exposure for c in clips], device=device,
+                     dtype=torch.float32)[:, None, None, None],
         clips[0].pairs,
     )
 
@@ -378,8 +413,8 @@ def target(clip: Clip, variant: int) -> Tensor:
 
 
 def true_planes(clip: Clip, variant: int) -> int | None:
-    """The render with the true albedos and normals of a noisy one: an exact one, itself if all its samples lie at one
-    place, else a render with many samples; None if there is none."""
+    """The render with the true albedos and normals of a noisy one: an exact one, itself if all its
+    samples lie at one place, else a render with many samples; None if there is none."""
     if any(clip.exact):
         return clip.exact.index(True)
     if not clip.spread[variant]:
@@ -406,35 +441,40 @@ def to_batch(stack: Stack) -> Batch:
     frames = [_inputs(p, j, g, stack.exposure)
               for p, j, g in zip(planes.unbind(1), stack.jitter.unbind(1), guides, strict=True)]
     references = (stack.reference * stack.exposure[:, None]).clamp(0, 1e4).transpose(0, 1)
-    pairs = {name: list(motion.unbind(1)) for name, motion in zip(stack.pairs, motions, strict=True)}
+    pairs = {name: list(motion.unbind(1))
+             for name, motion in zip(stack.pairs, motions, strict=True)}
     surfaces = [Inputs(**_split(true, PLANES), jitter=jitter)
-                for true, jitter in zip(stack.surfaces.unbind(1), stack.jitter.unbind(1), strict=True)]
-    return Batch(frames, references, stack.keep.T[..., None, None, None], surfaces=surfaces, **pairs)
+                for true, jitter in zip(stack.surfaces.unbind(1), stack.jitter.unbind(1),
+                                        strict=True)]
+    return Batch(frames, references, stack.keep.T[..., None, None, None], surfaces=surfaces,
+                 **pairs)
 
 
 def _inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None, exposure: Tensor) -> Inputs:
     """Inputs of one frame from stacked planes (N, 22, h, w); ``exposure`` (N, 1, 1, 1)."""
     split = _split(planes, PLANES)
     split["colour"] = (torch.nan_to_num(split["colour"]).clamp(min=0) * exposure).clamp(max=1e4)
-    return Inputs(**split, jitter=jitter, guides=None if guides is None else Guides(**_split(guides, GUIDES)))
+    return Inputs(**split, jitter=jitter,
+                  guides=None if guides is None else Guides(**_split(guides, GUIDES)))
 
 
 def _split(stacked: Tensor, planes: tuple[tuple[str, int], ...]) -> dict[str, Tensor]:
-    split = dict(zip([name for name, _ in planes], stacked.split([c for _, c in planes], 1), strict=True))
+    split = dict(zip([name for name, _ in planes], stacked.split([c for _, c in planes], 1),
+                     strict=True))
     return split | {"depth": torch.exp2(split["depth"])}
 
 
-# Augmentation -------------------------------------------------------------------------------------------------------
-# Random views of the same clips: mirrored, transposed, recoloured, exposed differently, nearly free of noise, with
-# false motion or missing planes.
+# Augmentation -------------------------------------------------------------------------------------
+# Random views of the same clips: mirrored, transposed, recoloured, exposed differently, nearly free
+# of noise, with false motion or missing planes.
 
 # First channels of these planes in a stack; further kinds of motion follow motion.
 NORMAL, MIRRORED_ALBEDO, MIRRORED_NORMAL, MOTION = 9, 14, 17, 20
 # Albedos, normals and roughness: means over a pixel's samples, where those are spread.
 SURFACE = slice(3, 13), slice(14, 20)
 # Values for a plane that a file lacks; postfx/passes/denoise/planes.py fills in the same ones.
-ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5, "depth": 1.0,
-          "denoising_albedo": 0.0, "denoising_normal": 0.0, "motion": 0.0}
+ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5,
+          "depth": 1.0, "denoising_albedo": 0.0, "denoising_normal": 0.0, "motion": 0.0}
 # Planes that are missing together, and how often: renderers seldom write roughness.
 LOSSES = (
     (("roughness",), 0.2),
@@ -452,11 +492,13 @@ LOSSES = (
 
 @dataclass
 class Augment:
-    """Random changes of a batch. Every choice is drawn for each entry; mirroring and transposing once a batch.
+    """Random changes of a batch. Every choice is drawn for each entry; mirroring and transposing
+    once a batch.
 
-    stops: exposure varies by this much either way. drop: factor on the chances that planes are missing. clean: chance
-    of colour of many more samples, up to all, which teaches the network to keep good pixels. false_motion: chance of
-    wrong motion vectors, which teach the network to doubt the history by depth, albedo and normal.
+    stops: exposure varies by this much either way. drop: factor on the chances that planes are
+    missing. clean: chance of colour of many more samples, up to all, which teaches the network to
+    keep good pixels. false_motion: chance of wrong motion vectors, which teach the network to doubt
+    the history by depth, albedo and normal.
     """
 
     stops: float = 1.5
@@ -468,38 +510,46 @@ class Augment:
         stack = _permute_channels(_flip(self._converge(stack)))
         stops = (torch.rand_like(stack.exposure) * 2 - 1) * self.stops
         batch = to_batch(replace(stack, exposure=stack.exposure * torch.exp2(stops)))
-        return self._drop_planes(falsify_motion(batch, self.false_motion) if self.false_motion else batch)
+        return self._drop_planes(falsify_motion(batch, self.false_motion) if self.false_motion
+                                 else batch)
 
     def _converge(self, stack: Stack) -> Stack:
-        """Move some colours towards the reference, if their samples are spread over the pixel like the reference's."""
+        """Move some colours towards the reference, if their samples are spread over the pixel like
+        the reference's."""
         planes, reference = stack.planes, stack.reference
         h, w = planes.shape[-2:]
         chosen = (torch.rand_like(stack.exposure) < self.clean) & stack.spread[:, None, None, None]
         share = (chosen * (1 - torch.rand_like(stack.exposure) ** 3))[:, None]
         mean = ops.box_mean(reference.flatten(0, 1), h, w).unflatten(0, planes.shape[:2])
-        return replace(stack, planes=torch.cat((torch.lerp(planes[:, :, :3], mean, share), planes[:, :, 3:]), 2))
+        return replace(stack, planes=torch.cat((torch.lerp(planes[:, :, :3], mean, share),
+                                                planes[:, :, 3:]), 2))
 
     def _drop_planes(self, batch: Batch) -> Batch:
         """Replace some planes for a whole clip by the reader's stand-ins: files may lack planes."""
         entries, device = batch.keep.shape[1], batch.keep.device
-        lost = {name: torch.zeros(entries, 1, 1, 1, dtype=torch.bool, device=device) for name in ABSENT}
+        lost = {name: torch.zeros(entries, 1, 1, 1, dtype=torch.bool, device=device)
+                for name in ABSENT}
         for names, chance in LOSSES:
             chosen = torch.rand(entries, 1, 1, 1, device=device) < chance * self.drop
             lost |= {name: lost[name] | chosen for name in names}
-        inverse = batch.inverse and [torch.where(lost["motion"], ABSENT["motion"], motion) for motion in batch.inverse]
+        inverse = batch.inverse and [torch.where(lost["motion"], ABSENT["motion"], motion)
+                                     for motion in batch.inverse]
         unknown = lost["diffuse_albedo"] | lost["specular_albedo"]
         surfaces = [_without(frame, lost) for frame in batch.surfaces]
-        surfaces = [replace(frame, diffuse_albedo=torch.where(unknown, torch.nan, frame.diffuse_albedo))
+        surfaces = [replace(frame,
+                            diffuse_albedo=torch.where(unknown, torch.nan, frame.diffuse_albedo))
                     for frame in surfaces]
-        return replace(batch, frames=[_without(frame, lost) for frame in batch.frames], surfaces=surfaces,
-                       keep=batch.keep * ~lost["motion"], inverse=inverse)
+        return replace(batch, frames=[_without(frame, lost) for frame in batch.frames],
+                       surfaces=surfaces, keep=batch.keep * ~lost["motion"], inverse=inverse)
 
 
 def falsify_motion(batch: Batch, chance: float) -> Batch:
-    """Give some entries of a batch wrong motion for the whole clip; ``true_motion`` keeps the right one for the loss.
+    """Give some entries of a batch wrong motion for the whole clip; ``true_motion`` keeps the right
+    one for the loss.
 
-    Each entry draws one mistake: moving objects have the motion of a world at rest (if the batch has ``static``), an
-    ellipse of the picture has the mean motion around it, the ellipse has no motion, or the whole picture has none.
+    Each entry draws one mistake: moving objects have the motion of a world at rest (if the batch
+    has ``static``), an ellipse of the picture has the mean motion around it, the ellipse has no
+    motion, or the whole picture has none.
     """
     true = [frame.motion for frame in batch.frames]
     device, (n, _, h, w) = true[0].device, true[0].shape
@@ -510,19 +560,23 @@ def falsify_motion(batch: Batch, chance: float) -> Batch:
     ring = ellipse(centre, 1.4 * radius, h, w) & ~region
     frames = []
     for t, (frame, motion) in enumerate(zip(batch.frames, true, strict=True)):
-        around = (motion * ring).sum((2, 3), keepdim=True) / ring.sum((2, 3), keepdim=True).clamp(min=1)
+        around = ((motion * ring).sum((2, 3), keepdim=True) / ring.sum((2, 3), keepdim=True)
+                  .clamp(min=1))
         static = batch.static[t] if batch.static else torch.where(region, around, motion)
-        false = torch.where(kind == 0, static, torch.where(kind == 1, torch.where(region, around, motion),
+        false = torch.where(kind == 0, static, torch.where(kind == 1,
+                            torch.where(region, around, motion),
                             torch.where(region | (kind == 3), torch.zeros_like(motion), motion)))
         frames.append(replace(frame, motion=torch.where(chosen, false, motion)))
     return replace(batch, frames=frames, static=None, true_motion=true)
 
 
 def ellipse(centre: Tensor, radius: Tensor, h: int, w: int) -> Tensor:
-    """True inside an ellipse of the picture, (N, 1, h, w); centre and radius (N, 2) in shares of width and height."""
+    """True inside an ellipse of the picture, (N, 1, h, w); centre and radius (N, 2) in shares of
+    width and height."""
     x = (torch.arange(w, device=centre.device) + 0.5) / w
     y = (torch.arange(h, device=centre.device) + 0.5) / h
-    across, down = ((x - centre[:, :1]) / radius[:, :1]) ** 2, ((y - centre[:, 1:]) / radius[:, 1:]) ** 2
+    across, down = (((x - centre[:, :1]) / radius[:, :1]) ** 2,
+                    ((y - centre[:, 1:]) / radius[:, 1:]) ** 2)
     return (across[:, None, None] + down[:, None, :, None]) < 1
 
 
@@ -531,12 +585,14 @@ def _without(planes: Inputs | Guides, lost: dict[str, Tensor]) -> Inputs | Guide
     changed = {f.name: torch.where(lost[f.name], ABSENT[f.name], getattr(planes, f.name))
                for f in fields(planes) if f.name in lost}
     guides = getattr(planes, "guides", None)
-    return replace(planes, **changed, **({} if guides is None else {"guides": _without(guides, lost)}))
+    return replace(planes, **changed,
+                   **({} if guides is None else {"guides": _without(guides, lost)}))
 
 
 def _flip(stack: Stack) -> Stack:
     """Mirror and transpose the picture; motion and jitter follow."""
-    planes, jitter, reference, guides = stack.planes, stack.jitter.clone(), stack.reference, stack.guides
+    planes, jitter, reference, guides = (stack.planes, stack.jitter.clone(), stack.reference,
+                                         stack.guides)
     surfaces = stack.surfaces
     signs = torch.ones(planes.shape[2], device=planes.device)
     for axis in (0, 1):
@@ -552,7 +608,8 @@ def _flip(stack: Stack) -> Stack:
         motions = planes[:, :, MOTION:].unflatten(2, (-1, 2)).flip(3).flatten(2, 3)
         planes = torch.cat((planes[:, :, :MOTION], motions), 2)
         jitter = jitter.flip(-1)
-    return replace(stack, planes=planes, jitter=jitter, reference=reference, surfaces=surfaces, guides=guides)
+    return replace(stack, planes=planes, jitter=jitter, reference=reference, surfaces=surfaces,
+                   guides=guides)
 
 
 def _permute_channels(stack: Stack) -> Stack:
@@ -560,7 +617,8 @@ def _permute_channels(stack: Stack) -> Stack:
     rgb, xyz = random.sample(range(3), 3), random.sample(range(3), 3)
     axes = random.sample(range(3), 3)  # of the other normal, which may be the camera's
     order = list(range(stack.planes.shape[2]))
-    for first, places in ((0, rgb), (3, rgb), (6, rgb), (NORMAL, xyz), (MIRRORED_ALBEDO, rgb), (MIRRORED_NORMAL, axes)):
+    for first, places in ((0, rgb), (3, rgb), (6, rgb), (NORMAL, xyz), (MIRRORED_ALBEDO, rgb),
+                          (MIRRORED_NORMAL, axes)):
         order[first:first + 3] = [first + i for i in places]
     signs = torch.ones(len(order), device=stack.planes.device)
     for first in (NORMAL, MIRRORED_NORMAL):
@@ -571,4 +629,5 @@ def _permute_channels(stack: Stack) -> Stack:
         last = MIRRORED_ALBEDO
         guides = guides[:, :, [c - 3 for c in order[3:last]]] * signs[3:last, None, None]
     surfaces = stack.surfaces[:, :, order[:CHANNELS]] * signs[:CHANNELS, None, None]
-    return replace(stack, planes=planes, reference=stack.reference[:, :, rgb], surfaces=surfaces, guides=guides)
+    return replace(stack, planes=planes, reference=stack.reference[:, :, rgb], surfaces=surfaces,
+                   guides=guides)

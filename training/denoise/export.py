@@ -1,4 +1,5 @@
-"""Export the denoised upscaler: network and card to models/, its compute kernels to models/kernels/.
+"""Export the denoised upscaler: network and card to models/, its compute kernels to
+models/kernels/.
 
     python -m training.denoise.export checkpoint.pt --tag m [--quality quality.json]
     python -m training.denoise.export checkpoint.pt --tag m.1x
@@ -34,14 +35,41 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
 )
 from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRENGTH
-from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
+from postfx.kernels.denoise.parts import (
+    ACCUMULATE_PART,
+    BALANCE,
+    DECODE,
+    DECODE_ONE,
+    REFLECT,
+    UPSAMPLE_LIGHT,
+)
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE
-from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, LEVEL, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
-from postfx.kernels.denoise.upsample import BLEND_PICTURE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
+from postfx.kernels.denoise.pyramid import (
+    ENLARGE_ALPHA,
+    FILTER,
+    LEVEL,
+    MIX_LEVELS,
+    POOL,
+    REMODULATE,
+    REMODULATE_BOTH,
+)
+from postfx.kernels.denoise.upsample import (
+    BLEND_PICTURE,
+    UPSAMPLE,
+    UPSAMPLE_GUIDED,
+    UPSAMPLE_UNSCALED,
+)
 from postfx.kernels.image import ENLARGE_OVERLAY, OVER, OVER_ALPHA, RESAMPLE
 from postfx.kernels.partner import ENLARGE_MOTION, MIX_PARTNER
 from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
-from postfx.passes.denoise.network import CONTROLS_NAME, ERROR, FEATURE_PARTS, FINE_LOGITS, PHASED_FINE, PICTURE
+from postfx.passes.denoise.network import (
+    CONTROLS_NAME,
+    ERROR,
+    FEATURE_PARTS,
+    FINE_LOGITS,
+    PHASED_FINE,
+    PICTURE,
+)
 from training.denoise.model import LEVELS, Trunk, TrunkConfig, filters, stem
 from training.denoise.picture import PictureConfig, PictureNetwork, layout_from
 from training.denoise.residual import (
@@ -50,43 +78,57 @@ from training.denoise.residual import (
     ResidualTrunk,
     normalise,
 )
-from training.export import export, export_kernel, parity, parser, read_quality, write_card, write_model
+from training.export import (
+    export,
+    export_kernel,
+    parity,
+    parser,
+    read_quality,
+    write_card,
+    write_model,
+)
 from training.kernels import denoise as kernels
 from training.kernels import extras, partner, parts
 
 CHECKED = (48, 80)  # size at which the export is compared with torch: not the size that is traced
-SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x", UNSCALED: "recurrent denoised upscaler, for 1x",
-             GUIDED: "recurrent denoised upscaler, 1x to 3x, guides at output size"}
-CONTENT = (f"logits of 5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend and sharpening at four "
-           f"phases 4 + 4, mix, distrust, importance, hidden state {HIDDEN}")
+SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x", UNSCALED: "recurrent denoised upscaler, "
+             "for 1x", GUIDED: "recurrent denoised upscaler, 1x to 3x, guides at output size"}
+CONTENT = (f"logits of 5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend and "
+           f"sharpening at four phases 4 + 4, mix, distrust, importance, hidden state {HIDDEN}")
 MEANING = {
     PHASED_FINE: f"{CONTENT}; of each the four phases of 2x2 pixels",
     FINE_LOGITS: CONTENT,
     PICTURE: "log(1 + exposed colour)",
-    CONTROLS_NAME: f"share of the picture beside the history, distrust of what was accumulated, 1, hidden state {HIDDEN}",
-    ERROR: "natural logarithm of the expected squared error of each pixel, in sRGB code values of x / (1 + x)",
+    CONTROLS_NAME: "share of the picture beside the history, distrust of what was accumulated, 1, "
+    f"hidden state {HIDDEN}",
+    ERROR: "natural logarithm of the expected squared error of each pixel, in sRGB code values of "
+    "x / (1 + x)",
     "level": f"5x5 kernel {KERNEL}, mix; level i is height / 2^i by width / 2^i",
     "level4": f"5x5 kernel {KERNEL}",
 }
 Layout = TrunkConfig | ResidualConfig | PictureConfig
 Network = Trunk | ResidualTrunk | PictureNetwork
-COUNTS = {PHASED_FINE: 4 * FINE, FINE_LOGITS: FINE, PICTURE: 3, CONTROLS_NAME: CONTROL_COUNT, ERROR: 1, "level4": KERNEL}
+COUNTS = {PHASED_FINE: 4 * FINE, FINE_LOGITS: FINE, PICTURE: 3, CONTROLS_NAME: CONTROL_COUNT,
+          ERROR: 1, "level4": KERNEL}
 """Channels of the outputs; other levels have a mix, too."""
 ALIKE = "the same at all pixels"
 HALO = 80
-"""Render pixels around a window of a network of the render size: on four sequences with the network `l` the result then
-differs from the whole frame's by at most 3e-5, with 64 pixels by 2e-3 (docs/lab/denoiser.md)."""
+"""Render pixels around a window of a network of the render size: on four sequences with the network
+`l` the result then differs from the whole frame's by at most 3e-5, with 64 pixels by 2e-3
+(docs/lab/denoiser.md)."""
 
 
-# Kernel -> its torch definition, and the sizes to trace with: 21x33 pixels of a picture of 25x45, padded to 32x48,
-# enlarged to 29x51 of 35x70.
-SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35, "width": 70, "out_th": 29,
-         "out_tw": 51, "padded_h": 23, "padded_w": 35, "half_hp": 16, "half_wp": 24, "tiles_high": 2, "tiles_wide": 3,
-         "finer_h": 63, "finer_w": 97, "coarse_h": 17, "coarse_w": 25,
-         "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19,
-         "keep_h": 15, "keep_w": 27, "parts": 3, "cells_h": 3, "cells_w": 5, "means_h": 6, "means_w": 8, "wide": 8,
-         "reached_h": 9, "reached_w": 10, "near_h": 4, "near_w": 7, "planes": 9,
-         "motion_h": 35, "motion_w": 70, "weight_h": 35, "weight_w": 70, "strength_h": 35, "strength_w": 70}
+# Kernel -> its torch definition, and the sizes to trace with: 21x33 pixels of a picture of 25x45,
+# padded to 32x48, enlarged to 29x51 of 35x70.
+SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35, "width": 70,
+         "out_th": 29, "out_tw": 51, "padded_h": 23, "padded_w": 35, "half_hp": 16, "half_wp": 24,
+         "tiles_high": 2, "tiles_wide": 3,
+         "finer_h": 63, "finer_w": 97, "coarse_h": 17, "coarse_w": 25, "heads": FINE, "channels": 3,
+         "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19,
+         "keep_h": 15, "keep_w": 27, "parts": 3, "cells_h": 3, "cells_w": 5, "means_h": 6,
+         "means_w": 8, "wide": 8,
+         "reached_h": 9, "reached_w": 10, "near_h": 4, "near_w": 7, "planes": 9, "motion_h": 35,
+         "motion_w": 70, "weight_h": 35, "weight_w": 70, "strength_h": 35, "strength_w": 70}
 KERNELS = {
     SCALE: kernels.Scale,
     DILATE: kernels.Dilate,
@@ -157,7 +199,8 @@ def load_trunk(checkpoint: dict[str, Any]) -> Network:
     layout = layout_from(checkpoint["config"])
     kinds = {ResidualConfig: ResidualTrunk, PictureConfig: PictureNetwork}
     trunk = kinds.get(type(layout), Trunk)(layout)
-    weights = {key.removeprefix("trunk."): value.half().float() for key, value in checkpoint["weights"].items()}
+    weights = {key.removeprefix("trunk."): value.half().float()
+               for key, value in checkpoint["weights"].items()}
     trunk.load_state_dict(weights)
     return trunk.eval()
 
@@ -166,7 +209,8 @@ def example(trunk: Network, height: int, width: int) -> tuple[torch.Tensor, ...]
     """Features, and guides or planes where the network reads them, with the ranges of real ones."""
     generator = torch.Generator().manual_seed(0)
     sizes = inputs(trunk.config).values()
-    return tuple(torch.rand(1, channels, height, width, generator=generator) * 2 - 0.5 for channels in sizes)
+    return tuple(torch.rand(1, channels, height, width, generator=generator) * 2 - 0.5
+                 for channels in sizes)
 
 
 def inputs(config: Layout) -> dict[str, int]:
@@ -186,14 +230,15 @@ def outputs(config: Layout) -> tuple[str, ...]:
 
 
 class ExportedTrunk(Trunk):
-    """The same network, except that it reads the features in two parts, and its fine head ends with the convolution:
-    `postfx.kernels.denoise.network_io` does the rest."""
+    """The same network, except that it reads the features in two parts, and its fine head ends with
+    the convolution: `postfx.kernels.denoise.network_io` does the rest."""
 
     def __init__(self, trunk: Trunk):
         super().__init__(trunk.config)
         self.load_state_dict(trunk.state_dict())
         shares = self.stem.weight.detach().split(list(FEATURE_PARTS.values()), 1)
-        self.stems = nn.ModuleList(stem(self.config, share.shape[1], bias=i == 0) for i, share in enumerate(shares))
+        self.stems = nn.ModuleList(stem(self.config, share.shape[1], bias=i == 0)
+                                   for i, share in enumerate(shares))
         for part, share in zip(self.stems, shares, strict=True):
             part.weight = nn.Parameter(share.contiguous())
         self.stems[0].bias = self.stem.bias
@@ -207,13 +252,15 @@ class ExportedTrunk(Trunk):
 
 
 class ExportedResidual(ResidualTrunk):
-    """The same network, except that it reads its inputs in parts, and its fine head ends with the convolution."""
+    """The same network, except that it reads its inputs in parts, and its fine head ends with the
+    convolution."""
 
     def __init__(self, trunk: ResidualTrunk):
         super().__init__(trunk.config)
         self.load_state_dict(trunk.state_dict())
         shares = self.stem.weight.detach().split(list(inputs(self.config).values()), 1)
-        self.stems = nn.ModuleList(nn.Conv2d(share.shape[1], share.shape[0], 3, padding=1, bias=i == 0)
+        self.stems = nn.ModuleList(nn.Conv2d(share.shape[1], share.shape[0], 3, padding=1,
+                                             bias=i == 0)
                                    for i, share in enumerate(shares))
         for part, share in zip(self.stems, shares, strict=True):
             part.weight = nn.Parameter(share.contiguous())
@@ -227,8 +274,10 @@ class ExportedResidual(ResidualTrunk):
     def level_head(self, head: nn.Conv2d, stream: torch.Tensor) -> torch.Tensor:
         return filters(head(normalise(stream)).clamp(-STEEPEST, STEEPEST))
 
-    def all_heads(self, stream: torch.Tensor, levels: list[torch.Tensor]) -> tuple[torch.Tensor, ...]:
-        ends = () if self.error is None else (self.error(stream).clamp(LEAST_LOG_ERROR, MOST_LOG_ERROR),)
+    def all_heads(self, stream: torch.Tensor,
+                  levels: list[torch.Tensor]) -> tuple[torch.Tensor, ...]:
+        ends = (() if self.error is None
+                else (self.error(stream).clamp(LEAST_LOG_ERROR, MOST_LOG_ERROR),))
         return self.fine(stream), *levels, *ends
 
 
@@ -244,7 +293,8 @@ class ExportedPicture(PictureNetwork):
         super().__init__(trunk.config)
         self.load_state_dict(trunk.state_dict())
 
-    def forward(self, first: torch.Tensor, last: torch.Tensor, mirrored: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    def forward(self, first: torch.Tensor, last: torch.Tensor,
+                mirrored: torch.Tensor) -> tuple[torch.Tensor, ...]:
         return super().forward(torch.cat((first, last), 1), mirrored)[:3]
 
     @staticmethod
@@ -264,14 +314,18 @@ def exported(trunk: Network) -> nn.Module:
 
 
 def export_trunk(trunk: Network, path: Path) -> float:
-    """Write the network and compare it with torch; returns the largest relative error. Raises ParityError."""
+    """Write the network and compare it with torch; returns the largest relative error. Raises
+    ParityError."""
     reads, writes = inputs(trunk.config), outputs(trunk.config)
     names = {name: (1, channels, "height", "width") for name, channels in reads.items()}
-    names |= {name: (1, _channels(name), *("??" if has_level(trunk.config, name) else (1, 1))) for name in writes}
+    names |= {name: (1, _channels(name), *("??" if has_level(trunk.config, name) else (1, 1)))
+              for name in writes}
     module = exported(trunk)
-    free = None  # traced at one size, in a third of the time: no node holds it, as the comparison shows
+    # traced at one size, in a third of the time: no node holds it, as the comparison shows
+    free = None
     if isinstance(trunk, PictureNetwork):  # some of its nodes would
-        # torch checks that the sizes of skip connections match, so it must know what the input is a multiple of.
+        # torch checks that the sizes of skip connections match, so it must know what the input is a
+        # multiple of.
         sides = {2: torch.export.Dim("rows", min=1), 3: torch.export.Dim("columns", min=1)}
         free = [{axis: trunk.align * side for axis, side in sides.items()}] * len(reads)
     model = export(module, example(trunk, 64, 96), list(reads), writes, path, free, names)
@@ -283,14 +337,16 @@ def export_trunk(trunk: Network, path: Path) -> float:
 
 def has_level(config: Layout, output: str) -> bool:
     """Whether the network computes an output, which otherwise is the same at all pixels."""
-    return not isinstance(config, TrunkConfig) or output == PHASED_FINE or int(output[-1]) <= len(config.widths)
+    return (not isinstance(config, TrunkConfig) or output == PHASED_FINE
+            or int(output[-1]) <= len(config.widths))
 
 
 def _channels(name: str) -> int:
     return COUNTS.get(name, KERNEL + 1)
 
 
-def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, Any]) -> dict[str, Any]:
+def card(checkpoint: dict[str, Any], tag: str, error: float,
+         quality: dict[str, Any]) -> dict[str, Any]:
     """What the run-time and a reader need to know about the model."""
     config = layout_from(checkpoint["config"])
     return {
@@ -302,21 +358,23 @@ def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, 
         "inputs": {
             name: {
                 "shape": [1, channels, "height", "width"],
-                "meaning": f"see training/denoise/model.py; height and width multiples of {config.align}",
-            }
-            for name, channels in inputs(config).items()
+                "meaning": "see training/denoise/model.py; height and width multiples of "
+                f"{config.align}",
+            } for name, channels in inputs(config).items()
         },
         "outputs": {name: _output(config, name) for name in outputs(config)},
         **_manners(config),
         "config": checkpoint["config"],
         "training": {"script": "training/denoise/train.py", **checkpoint["notes"]},
-        "parity": {"max_relative_error": float(f"{error:.2g}"), "against": f"torch {torch.__version__}"},
+        "parity": {"max_relative_error": float(f"{error:.2g}"),
+                   "against": f"torch {torch.__version__}"},
         "quality": quality,
     }
 
 
 def _manners(config: Layout) -> dict[str, Any]:
-    """How a network is run, where not as most are: with the planes of volumes, and with a halo of its own."""
+    """How a network is run, where not as most are: with the planes of volumes, and with a halo of
+    its own."""
     if isinstance(config, TrunkConfig):
         return {}
     return {"blanks_volumes": False, "halo": min(HALO, config.sees)}
@@ -325,11 +383,13 @@ def _manners(config: Layout) -> dict[str, Any]:
 def _output(config: Layout, name: str) -> dict[str, Any]:
     meaning = MEANING.get(name, MEANING["level"])
     if not has_level(config, name):
-        return {"shape": [1, _channels(name), 1, 1], "meaning": f"{meaning}; {ALIKE}", "constant": True}
+        return {"shape": [1, _channels(name), 1, 1], "meaning": f"{meaning}; {ALIKE}",
+                "constant": True}
     if name in (FINE_LOGITS, PICTURE, CONTROLS_NAME, ERROR):
         return {"shape": [1, _channels(name), "height", "width"], "meaning": meaning}
     level = 1 if name == PHASED_FINE else int(name[-1])
-    return {"shape": [1, _channels(name), f"height/{2**level}", f"width/{2**level}"], "meaning": meaning}
+    return {"shape": [1, _channels(name), f"height/{2**level}", f"width/{2**level}"],
+            "meaning": meaning}
 
 
 def main() -> None:

@@ -1,12 +1,14 @@
-"""Make the float16 variant of a denoised upscaler, for GPUs: a small file that shares the weights of the float32 one.
+"""Make the float16 variant of a denoised upscaler, for GPUs: a small file that shares the weights
+of the float32 one.
 
     python -m training.denoise.fp16 denoise_upscale.m
     python -m training.denoise.fp16 denoise_upscale.m.guides
     python -m training.denoise.fp16 denoise_upscale.m.1x
 
-The exported network stores its weights in half precision and casts them. Here the arithmetic is in half precision, too,
-and the weights are references into that file (ONNX external data), which must lie beside this one. Inputs are packed
-and heads raw (see below); all work on colour stays float32. It is not faster on a CPU.
+The exported network stores its weights in half precision and casts them. Here the arithmetic is in
+half precision, too, and the weights are references into that file (ONNX external data), which must
+lie beside this one. Inputs are packed and heads raw (see below); all work on colour stays float32.
+It is not faster on a CPU.
 """
 
 from __future__ import annotations
@@ -22,7 +24,14 @@ import onnx
 import onnxruntime
 from onnx import GraphProto, NodeProto, TensorProto, helper, numpy_helper
 
-from postfx.kernels.denoise.network_io import OPEN, OPEN_FINE, OPEN_PHASED, PACK, opened_shape, width
+from postfx.kernels.denoise.network_io import (
+    OPEN,
+    OPEN_FINE,
+    OPEN_PHASED,
+    PACK,
+    opened_shape,
+    width,
+)
 from postfx.passes.denoise.network import CHANNELS, FEATURE_PARTS, PACKED, PHASED_FINE, RAW
 from postfx.runtime import Library
 from training.denoise.quantise import variant_name
@@ -37,25 +46,27 @@ from training.export import (
     write_model,
 )
 
-# The graph ----------------------------------------------------------------------------------------------------------
+# The graph ----------------------------------------------------------------------------------------
 # The graph of a denoised upscaler in half precision.
 #
-# Tensor cores need the channels of a pixel together and their number a multiple of 8. So the network begins with packed
-# inputs and ends with raw heads (`postfx.kernels.denoise.network_io` has the kernels); ONNX Runtime then has nothing to
-# transpose, pad or cast between its convolutions.
+# Tensor cores need the channels of a pixel together and their number a multiple of 8. So the
+# network begins with packed inputs and ends with raw heads (`postfx.kernels.denoise.network_io` has
+# the kernels); ONNX Runtime then has nothing to transpose, pad or cast between its convolutions.
 
 CHANNELS_FIRST, CHANNELS_LAST = (0, 3, 1, 2), (0, 2, 3, 1)
 
 
 def halve(model: onnx.ModelProto) -> onnx.ModelProto:
-    """The GPU form of a network as `export` writes it, with weights in half precision and a cast."""
+    """The GPU form of a network as `export` writes it, with weights in half precision and a
+    cast."""
     model = onnx.ModelProto.FromString(model.SerializeToString())
     graph = model.graph
     alike = alike_of(graph)
     _use_stored_weights(graph)
     _narrow(graph, alike)
     _join_features(graph)
-    heads = [value if value.name in alike else _leave_raw(graph, value.name) for value in graph.output]
+    heads = [value if value.name in alike else _leave_raw(graph, value.name)
+             for value in graph.output]
     reads = [name for name in CHANNELS if any(name in node.input for node in graph.node)]
     inputs = [_take_packed(graph, name, CHANNELS[name]) for name in reads]
     del graph.output[:], graph.input[:]
@@ -88,8 +99,10 @@ def _use_stored_weights(graph: GraphProto) -> None:
 
 
 def _narrow(graph: GraphProto, kept: set[str]) -> None:
-    """Store the remaining float32 weights in half precision, except some and the scales of a Resize."""
-    kept = kept | {name for node in graph.node if node.op_type == "Resize" for name in node.input[1:]}
+    """Store the remaining float32 weights in half precision, except some and the scales of a
+    Resize."""
+    kept = kept | {name for node in graph.node if node.op_type == "Resize"
+                   for name in node.input[1:]}
     for weight in graph.initializer:
         if weight.data_type == TensorProto.FLOAT and weight.name not in kept:
             weight.CopyFrom(numpy_helper.from_array(_array(weight).astype(np.float16), weight.name))
@@ -97,7 +110,8 @@ def _narrow(graph: GraphProto, kept: set[str]) -> None:
 
 def _join_features(graph: GraphProto) -> None:
     """Replace the convolutions of the features' two parts and their sum by one convolution."""
-    first, last = (next(node for node in graph.node if part in node.input) for part in FEATURE_PARTS)
+    first, last = (next(node for node in graph.node if part in node.input)
+                   for part in FEATURE_PARTS)
     total = next(node for node in graph.node if {*first.output, *last.output} == {*node.input})
     weights = [_array(_weight(graph, node.input[1])) for node in (first, last)]
     _add_weight(graph, "stem.weight", np.concatenate(weights, 1))
@@ -108,27 +122,33 @@ def _join_features(graph: GraphProto) -> None:
 
 
 def _leave_raw(graph: GraphProto, head: str) -> onnx.ValueInfoProto:
-    """Add the output of a head's convolution, channels last, without activation; returns the new output."""
+    """Add the output of a head's convolution, channels last, without activation; returns the new
+    output."""
     made = {name: node for node in graph.node for name in node.output}
     fine = head == PHASED_FINE
     inputs, weight, bias = (_phases if fine else _last_convolution)(graph, head, made)
     raw, missing = f"{RAW}{'fine' if fine else head}", width(len(bias)) - len(bias)
     _add_weight(graph, f"{raw}_weight", np.pad(weight, [(0, missing), (0, 0), (0, 0), (0, 0)]))
     _add_weight(graph, f"{raw}_bias", np.pad(bias, (0, missing)))
-    graph.node.append(helper.make_node("Conv", [inputs, f"{raw}_weight", f"{raw}_bias"], [f"{raw}_first"]))
+    graph.node.append(helper.make_node("Conv", [inputs, f"{raw}_weight", f"{raw}_bias"],
+                                       [f"{raw}_first"]))
     graph.node.append(helper.make_node("Transpose", [f"{raw}_first"], [raw], perm=CHANNELS_LAST))
-    return helper.make_tensor_value_info(raw, TensorProto.FLOAT16, [1, None, None, width(len(bias))])
+    return helper.make_tensor_value_info(raw, TensorProto.FLOAT16,
+                                         [1, None, None, width(len(bias))])
 
 
-def _last_convolution(graph: GraphProto, head: str, made: dict[str, NodeProto]) -> tuple[str, np.ndarray, np.ndarray]:
+def _last_convolution(graph: GraphProto, head: str,
+                      made: dict[str, NodeProto]) -> tuple[str, np.ndarray, np.ndarray]:
     """Input, weight and bias of the 1x1 convolution that makes a head."""
     node = made[head]
     while node.op_type != "Conv":
         node = made[node.input[0]]
-    return node.input[0], _array(_weight(graph, node.input[1])), _array(_weight(graph, node.input[2]))
+    return (node.input[0], _array(_weight(graph, node.input[1])),
+            _array(_weight(graph, node.input[2])))
 
 
-def _phases(graph: GraphProto, head: str, made: dict[str, NodeProto]) -> tuple[str, np.ndarray, np.ndarray]:
+def _phases(graph: GraphProto, head: str,
+            made: dict[str, NodeProto]) -> tuple[str, np.ndarray, np.ndarray]:
     """The same for the fine head, whose channels are grouped by phase."""
     inputs, weight, bias = _last_convolution(graph, head, made)
     rows = np.arange(len(bias)).reshape(-1, 4).T.ravel()
@@ -136,13 +156,16 @@ def _phases(graph: GraphProto, head: str, made: dict[str, NodeProto]) -> tuple[s
 
 
 def _take_packed(graph: GraphProto, name: str, channels: int) -> onnx.ValueInfoProto:
-    """Let convolutions of an input read it channels last and filled up with zeros; returns the new input."""
+    """Let convolutions of an input read it channels last and filled up with zeros; returns the new
+    input."""
     packed, wide = f"{PACKED}{name}", width(channels)
     for node in (node for node in graph.node if name in node.input):
-        filled = np.pad(_array(_weight(graph, node.input[1])), [(0, 0), (0, wide - channels), (0, 0), (0, 0)])
+        filled = np.pad(_array(_weight(graph, node.input[1])),
+                        [(0, 0), (0, wide - channels), (0, 0), (0, 0)])
         _add_weight(graph, f"{node.input[1]}_filled", filled)
         node.input[:2] = [f"{packed}_first", f"{node.input[1]}_filled"]
-    graph.node.insert(0, helper.make_node("Transpose", [packed], [f"{packed}_first"], perm=CHANNELS_FIRST))
+    graph.node.insert(0, helper.make_node("Transpose", [packed], [f"{packed}_first"],
+                                          perm=CHANNELS_FIRST))
     return helper.make_tensor_value_info(packed, TensorProto.FLOAT16, [1, "height", "width", wide])
 
 
@@ -158,7 +181,7 @@ def _array(weight: TensorProto) -> np.ndarray:
     return numpy_helper.to_array(weight)
 
 
-# The command --------------------------------------------------------------------------------------------------------
+# The command --------------------------------------------------------------------------------------
 
 PRECISION = "fp16"
 SHARED = 1024
@@ -180,7 +203,8 @@ def share_weights(model: onnx.ModelProto, file: Path) -> None:
 
 
 def make_fp16(name: str, folder: Path) -> dict[str, Any]:
-    """Write the float16 variant of a folder's network and its card beside it; returns the card. Raises ParityError."""
+    """Write the float16 variant of a folder's network and its card beside it; returns the card.
+    Raises ParityError."""
     library = Library(folder)
     source, path = library.path(name), folder / f"{variant_name(name, PRECISION)}.onnx"
     whole = lower_constants(onnx.load(source))
@@ -188,12 +212,16 @@ def make_fp16(name: str, folder: Path) -> dict[str, Any]:
     error = difference(model, whole)
     share_weights(model, source)
     write_model(model, path)
-    card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1], "precision": PRECISION,
+    card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1],
+            "precision": PRECISION,
             "weights": {source.name: hashlib.sha256(source.read_bytes()).hexdigest()},
-            "parity": {"max_relative_error": float(f"{error:.2g}"), "against": f"{name} in float32"}}
+            "parity": {"max_relative_error": float(f"{error:.2g}"),
+                       "against": f"{name} in float32"}}
     align = 2 ** computed_levels(model.graph)
-    alike = {output: told for output, told in card.get("outputs", {}).items() if told.get("constant")}
-    card |= {"inputs": _listed(model.graph.input, align), "outputs": _listed(model.graph.output, align) | alike}
+    alike = {output: told
+             for output, told in card.get("outputs", {}).items() if told.get("constant")}
+    card |= {"inputs": _listed(model.graph.input, align),
+             "outputs": _listed(model.graph.output, align) | alike}
     for other in ("quality", "recipe"):  # measured in float32; of the float32 network
         card.pop(other, None)
     write_card(path, card | known_recipe(path.with_suffix(".json")))
@@ -201,28 +229,38 @@ def make_fp16(name: str, folder: Path) -> dict[str, Any]:
 
 
 def _listed(values: Iterable[onnx.ValueInfoProto], align: int) -> dict[str, Any]:
-    meaning = f"float16, channels last, see postfx/kernels/denoise/network_io.py; height and width multiples of {align}"
-    sizes = {value.name: [dim.dim_value or dim.dim_param or "?" for dim in value.type.tensor_type.shape.dim]
+    meaning = ("float16, channels last, see postfx/kernels/denoise/network_io.py; height and "
+               f"width multiples of {align}")
+    sizes = {value.name: [dim.dim_value or dim.dim_param or "?"
+                          for dim in value.type.tensor_type.shape.dim]
              for value in values}
     return {name: {"shape": size, "meaning": meaning} for name, size in sizes.items()}
 
 
-def difference(model: onnx.ModelProto, wanted: onnx.ModelProto, size: tuple[int, int] = (64, 96)) -> float:
-    """Largest difference of two networks' heads relative to the largest value; raises ParityError above TOLERANCE.
+def difference(model: onnx.ModelProto, wanted: onnx.ModelProto,
+               size: tuple[int, int] = (64, 96)) -> float:
+    """Largest difference of two networks' heads relative to the largest value; raises ParityError
+    above TOLERANCE.
 
-    Measured on the CPU, which computes half precision in float32: rounding inside the network is not included.
+    Measured on the CPU, which computes half precision in float32: rounding inside the network is
+    not included.
     """
     random = np.random.default_rng(0)
-    reads = {value.name: random.random((1, value.type.tensor_type.shape.dim[1].dim_value, *size), np.float32) * 2 - 0.5
-             for value in wanted.graph.input}
+    reads = {value.name: random.random(
+        (1, value.type.tensor_type.shape.dim[1].dim_value, *size), np.float32
+    ) * 2 - 0.5 for value in wanted.graph.input}
     whole = {"features": np.concatenate([reads[part] for part in FEATURE_PARTS], 1), **reads}
-    packed = {f"{PACKED}{name}": pack(value) for name, value in whole.items() if name not in FEATURE_PARTS}
+    packed = {f"{PACKED}{name}": pack(value)
+              for name, value in whole.items() if name not in FEATURE_PARTS}
     found = [open_head(name.removeprefix(RAW), head) if name.startswith(RAW) else head
              for name, head in _run(model, packed).items()]
-    exact = [open_phases(head) if name == PHASED_FINE else head for name, head in _run(wanted, reads).items()]
-    worst = max(relative_error(mine[:, :value.shape[1]], value) for mine, value in zip(found, exact, strict=True))
+    exact = [open_phases(head) if name == PHASED_FINE else head
+             for name, head in _run(wanted, reads).items()]
+    worst = max(relative_error(mine[:, :value.shape[1]], value)
+                for mine, value in zip(found, exact, strict=True))
     if not worst <= TOLERANCE:
-        raise ParityError(f"half precision differs by {worst:.2g} of the largest value: the limit is {TOLERANCE:g}")
+        raise ParityError(f"half precision differs by {worst:.2g} of the largest value: the limit "
+                          f"is {TOLERANCE:g}")
     return worst
 
 
@@ -250,15 +288,19 @@ def open_phases(phased: np.ndarray) -> np.ndarray:
 
 
 def _run(model: onnx.ModelProto, reads: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(model.SerializeToString(),
+                                           providers=["CPUExecutionProvider"])
     names = [value.name for value in session.get_outputs()]
     return dict(zip(names, session.run(names, dict(reads)), strict=True))
 
 
 def options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", help="model of the folder, as denoise_upscale.m or denoise_upscale.m.1x")
-    parser.add_argument("--models", type=Path, default=MODELS, metavar="FOLDER", help="where it is, and where to write")
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name",
+                        help="model of the folder, as denoise_upscale.m or denoise_upscale.m.1x")
+    parser.add_argument("--models", type=Path, default=MODELS, metavar="FOLDER",
+                        help="where it is, and where to write")
     return parser
 
 

@@ -19,8 +19,9 @@ from training.denoise import picture
 from training.denoise.dataset import Batch
 from training.denoise.loss import Results
 
-# Small operations in which a step spends its time. Each is bound by memory as written; compiled by itself it becomes
-# one or two GPU kernels forward and as many backward. Compiling the whole step would take minutes for every shape.
+# Small operations in which a step spends its time. Each is bound by memory as written; compiled by
+# itself it becomes one or two GPU kernels forward and as many backward. Compiling the whole step
+# would take minutes for every shape.
 FUSED = ((ops, ("filter_kernels", "pool", "demodulation", "dilate_motion", "box_mean", "upsample")),
          (network, ("features", "guide_features", "accumulate", "demodulate")),
          (picture, ("network_inputs", "activate")),
@@ -36,7 +37,8 @@ def fuse() -> None:
 
 
 class FlatGradient:
-    """Gradients of all parameters in one buffer: zeroed, averaged over GPUs, clipped and repaired as one tensor.
+    """Gradients of all parameters in one buffer: zeroed, averaged over GPUs, clipped and repaired
+    as one tensor.
 
     ``nonfinite`` counts the steps that were dropped because their gradient was not finite.
     """
@@ -51,7 +53,8 @@ class FlatGradient:
             start += p.numel()
 
     def finish(self, limit: float, several: bool) -> Tensor:
-        """Average over the GPUs and clip to norm ``limit``; a non-finite gradient becomes zero. Returns the norm."""
+        """Average over the GPUs and clip to norm ``limit``; a non-finite gradient becomes zero.
+        Returns the norm."""
         if several:
             torch.distributed.all_reduce(self.buffer, torch.distributed.ReduceOp.AVG)
         norm = self.buffer.norm()
@@ -61,16 +64,19 @@ class FlatGradient:
 
 
 class GradientStep:
-    """Call it with a batch: it puts the gradients into ``flat`` and returns the detached results of ``loss``.
+    """Call it with a batch: it puts the gradients into ``flat`` and returns the detached results of
+    ``loss``.
 
-    On a GPU forward and backward are a CUDA graph, one for each shape of batch: a recurrent step over eight frames
-    launches some ten thousand small kernels, and replayed as a graph they take a third of the time. The learning rate
-    lives in the optimiser, outside the graph, so it may change every step.
+    On a GPU forward and backward are a CUDA graph, one for each shape of batch: a recurrent step
+    over eight frames launches some ten thousand small kernels, and replayed as a graph they take a
+    third of the time. The learning rate lives in the optimiser, outside the graph, so it may change
+    every step.
     """
 
     def __init__(self, loss: Callable[[Batch], Results], flat: FlatGradient):
         self.loss, self.flat = loss, flat
-        self.captured: dict[tuple[torch.Size, bool], tuple[torch.cuda.CUDAGraph, Batch, list[Any]]] = {}
+        self.captured: dict[tuple[torch.Size, bool],
+                            tuple[torch.cuda.CUDAGraph, Batch, list[Any]]] = {}
         self.pool = None
 
     def __call__(self, batch: Batch) -> list[Any]:
@@ -99,7 +105,8 @@ class GradientStep:
                 self._run(held)
         torch.cuda.current_stream().wait_stream(aside)
         graph = torch.cuda.CUDAGraph()
-        # "thread_local": other threads, such as those that watch the exchange between GPUs, may continue meanwhile.
+        # "thread_local": other threads, such as those that watch the exchange between GPUs, may
+        # continue meanwhile.
         with torch.cuda.graph(graph, pool=self.pool, capture_error_mode="thread_local"):
             results = self._run(held)
         self.pool = self.pool or graph.pool()
@@ -113,7 +120,8 @@ def map_tensors(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
     if isinstance(value, list):
         return [map_tensors(x, change) for x in value]
     if is_dataclass(value):
-        return replace(value, **{f.name: map_tensors(getattr(value, f.name), change) for f in fields(value)})
+        return replace(value, **{f.name: map_tensors(getattr(value, f.name), change)
+                                 for f in fields(value)})
     return value
 
 

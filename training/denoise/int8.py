@@ -1,8 +1,9 @@
-"""Rewrite an exported network for int8 arithmetic: pairs of quantise and dequantise nodes around convolutions.
+"""Rewrite an exported network for int8 arithmetic: pairs of quantise and dequantise nodes around
+convolutions.
 
-A run-time that knows the pattern dequantise - convolution - quantise runs it in integers; any other gets the same
-numbers in float. Activations are unsigned 8 bits with one scale a tensor; weights are signed with one scale an output
-channel (`training.denoise.int8`).
+A run-time that knows the pattern dequantise - convolution - quantise runs it in integers; any other
+gets the same numbers in float. Activations are unsigned 8 bits with one scale a tensor; weights are
+signed with one scale an output channel (`training.denoise.int8`).
 """
 
 from __future__ import annotations
@@ -14,30 +15,42 @@ import numpy as np
 import onnx
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
-from postfx.passes.denoise.network import CODING, FEATURE_PARTS, PHASED_FINE, PRODUCTS, SCALING, STORED, stored_channels
+from postfx.passes.denoise.network import (
+    CODING,
+    FEATURE_PARTS,
+    PHASED_FINE,
+    PRODUCTS,
+    SCALING,
+    STORED,
+    stored_channels,
+)
 from training.export import add_constant, append_node, constant_value, drop_unused, replace_nodes
 
 FIRST_TO_LAST, LAST_TO_FIRST = (0, 2, 3, 1), (0, 3, 1, 2)
 """Axes of channels brought to the end, and back."""
 
-# Rounding -----------------------------------------------------------------------------------------------------------
-# Round a convolution's weights to integers, one after the other; each compensates the errors of those before it.
+# Rounding -----------------------------------------------------------------------------------------
+# Round a convolution's weights to integers, one after the other; each compensates the errors of
+# those before it.
 #
-# Frantar et al., "GPTQ" (2022): the weights that are not yet rounded take up the change that rounding one weight makes
-# in the sums, by the second moments of the convolution's input.
+# Frantar et al., "GPTQ" (2022): the weights that are not yet rounded take up the change that
+# rounding one weight makes in the sums, by the second moments of the convolution's input.
 
 LIMIT = 63
-"""Greatest integer: 7 bits, because x86 processors without VNNI add two products in 16 bits and saturate."""
+"""Greatest integer: 7 bits, because x86 processors without VNNI add two products in 16 bits and
+saturate."""
 PATCHES = 256
 """Positions of a frame that moments are taken from."""
 DAMPING = 0.01
-"""This part of the mean moment is added to all moments, so that rounding does not rely on inputs that hardly vary."""
+"""This part of the mean moment is added to all moments, so that rounding does not rely on inputs
+that hardly vary."""
 SHARES = (1.0, 0.9, 0.8, 0.7, 0.6)
 """Limits for weights that are tried, as parts of the largest weight."""
 
 
 class Rounded(NamedTuple):
-    """Integer weights, in the shape of the weights, and the step of each output channel, float32."""
+    """Integer weights, in the shape of the weights, and the step of each output channel,
+    float32."""
 
     factors: np.ndarray
     steps: np.ndarray
@@ -62,7 +75,8 @@ class Moments:
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * (self._side,), (1, 2))
         windows = windows[:, ::self._stride, ::self._stride]
         rows, columns = (self._random.integers(0, size, PATCHES) for size in windows.shape[1:3])
-        some = windows[:, rows, columns].transpose(1, 0, 2, 3).reshape(PATCHES, -1).astype(np.float32)
+        some = windows[:, rows, columns].transpose(1, 0, 2,
+                                                   3).reshape(PATCHES, -1).astype(np.float32)
         self._sum = self._sum + some.T @ some / PATCHES
 
     def round_weights(self, weight: np.ndarray) -> Rounded:
@@ -78,7 +92,8 @@ def round_compensated(weights: np.ndarray, moments: np.ndarray) -> Rounded:
         moments: (inputs, inputs), the mean product of inputs.
     """
     count = weights.shape[1]
-    damped = moments + (DAMPING * np.trace(moments) / count or 1.0) * np.eye(count)  # 1: inputs that are always zero
+    # 1: inputs that are always zero
+    damped = moments + (DAMPING * np.trace(moments) / count or 1.0) * np.eye(count)
     upper = np.linalg.cholesky(np.linalg.inv(damped)).T
     best = np.full(len(weights), np.inf)
     factors, steps = np.zeros(weights.shape), np.ones(len(weights), np.float32)
@@ -102,7 +117,7 @@ def _compensated(left: np.ndarray, upper: np.ndarray, step: np.ndarray) -> np.nd
     return found
 
 
-# Quantised convolutions ---------------------------------------------------------------------------------------------
+# Quantised convolutions ---------------------------------------------------------------------------
 
 ACTIVATION_LEVELS = 255
 BIAS_LIMIT = 2**30
@@ -132,7 +147,8 @@ def unfold_half(model: onnx.ModelProto) -> onnx.ModelProto:
     """The model with its weights as float32 instead of half precision and a cast."""
     model = onnx.ModelProto.FromString(model.SerializeToString())
     weights = {weight.name: weight for weight in model.graph.initializer}
-    casts = [node for node in model.graph.node if node.op_type == "Cast" and node.input[0] in weights]
+    casts = [node
+             for node in model.graph.node if node.op_type == "Cast" and node.input[0] in weights]
     for cast in casts:
         values = numpy_helper.to_array(weights[cast.input[0]]).astype(np.float32)
         weights[cast.input[0]].CopyFrom(numpy_helper.from_array(values, cast.output[0]))
@@ -141,9 +157,11 @@ def unfold_half(model: onnx.ModelProto) -> onnx.ModelProto:
 
 
 def convolutions(graph: onnx.GraphProto, layers: Collection[str]) -> list[NodeProto]:
-    """Convolutions of the torch modules called `layers` ('up.0.2.weight' is of 'up' and of 'up.0')."""
+    """Convolutions of the torch modules called `layers` ('up.0.2.weight' is of 'up' and of
+    'up.0')."""
     starts = tuple(f"{layer}." for layer in layers)
-    return [node for node in graph.node if node.op_type == "Conv" and node.input[1].startswith(starts)]
+    return [node
+            for node in graph.node if node.op_type == "Conv" and node.input[1].startswith(starts)]
 
 
 def activations(graph: onnx.GraphProto, layers: Collection[str]) -> dict[str, str]:
@@ -154,7 +172,8 @@ def activations(graph: onnx.GraphProto, layers: Collection[str]) -> dict[str, st
     activated = {node.input[0]: node.output[0] for node in graph.node if node.op_type == "Relu"}
     found = {}
     for node in convolutions(graph, layers):
-        found |= {name: name for name in (node.input[0], activated.get(node.output[0], node.output[0]))}
+        found |= {name: name
+                  for name in (node.input[0], activated.get(node.output[0], node.output[0]))}
     for node in graph.node:
         if node.op_type in SAME_RANGE and node.input[0] in found:
             found[node.output[0]] = found[node.input[0]]
@@ -186,7 +205,8 @@ def quantise(model: onnx.ModelProto, layers: Collection[str], ranges: Mapping[st
 class _Rewriter:
     """Turns nodes, in order, into those of the quantised graph."""
 
-    def __init__(self, graph: onnx.GraphProto, ranges: Mapping[str, Range], rounded: Mapping[str, Rounded]) -> None:
+    def __init__(self, graph: onnx.GraphProto, ranges: Mapping[str, Range],
+                 rounded: Mapping[str, Rounded]) -> None:
         self.nodes: list[NodeProto] = []
         self.weights = {weight.name: weight for weight in graph.initializer}
         self._ranges, self._rounded = ranges, rounded
@@ -226,18 +246,22 @@ class _Rewriter:
         self._kept[name] = f"{name}_kept"
 
     def _quantise_weights(self, node: NodeProto) -> None:
-        """Weights in 7 bits with a scale for each output channel, the bias in 32 bits as ONNX Runtime wants it."""
+        """Weights in 7 bits with a scale for each output channel, the bias in 32 bits as ONNX
+        Runtime wants it."""
         read = np.float32(self._ranges[node.input[0]].scale)
         factors, scale = self._rounded[node.input[1]]
         weight = numpy_helper.to_array(self.weights.pop(node.input[1]))
-        bias = numpy_helper.to_array(self.weights.pop(node.input[2])) if len(node.input) > 2 else None
+        bias = (numpy_helper.to_array(self.weights.pop(node.input[2])) if len(node.input) > 2
+                else None)
         if bias is not None:  # a channel with hardly any weight: its bias must still fit
             wider = np.maximum(scale, np.abs(bias) / (read * BIAS_LIMIT)).astype(np.float32)
-            factors = np.where((wider > scale)[:, None, None, None], weight / wider[:, None, None, None], factors)
+            factors = np.where((wider > scale)[:, None, None, None],
+                               weight / wider[:, None, None, None], factors)
             scale = wider
         node.input[1] = self._constant(node.input[1], factors, scale, np.int8)
         if bias is not None:
-            node.input[2] = self._constant(node.input[2], bias / (scale * read), scale * read, np.int32)
+            node.input[2] = self._constant(node.input[2], bias / (scale * read), scale * read,
+                                           np.int32)
 
     def _constant(self, name: str, values: np.ndarray, scale: np.ndarray, dtype: type) -> str:
         self._store(f"{name}_quantised", np.rint(values).astype(dtype))
@@ -255,36 +279,41 @@ def show(model: onnx.ModelProto, names: Iterable[str]) -> onnx.ModelProto:
     """The model with these tensors as its only outputs, of any shape."""
     model = onnx.ModelProto.FromString(model.SerializeToString())
     del model.graph.output[:]
-    model.graph.output.extend(helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in names)
+    model.graph.output.extend(helper.make_tensor_value_info(name, TensorProto.FLOAT, None)
+                              for name in names)
     return model
 
 
-# Integer forms ------------------------------------------------------------------------------------------------------
+# Integer forms ------------------------------------------------------------------------------------
 # Forms of a quantised network that ONNX Runtime computes faster than plain quantise nodes.
 #
-# Enlarging by repeated pixels copies 8-bit values, channels last, like the convolutions around it. Heads are products
-# of 8-bit values, summed in 32 bits: a kernel scales and activates them (`postfx.kernels.denoise.network_io`), which
-# nodes could do only in another pass over 160 MB. Weights are the first factor of these products, so that each channel
-# is a plane: reordering 32-bit results afterwards takes twice as long.
+# Enlarging by repeated pixels copies 8-bit values, channels last, like the convolutions around it.
+# Heads are products of 8-bit values, summed in 32 bits: a kernel scales and activates them
+# (`postfx.kernels.denoise.network_io`), which nodes could do only in another pass over 160 MB.
+# Weights are the first factor of these products, so that each channel is a plane: reordering 32-bit
+# results afterwards takes twice as long.
 
 KEPT, QUANTISED = "_kept", "_quantised"
 SIGN, MIDDLE = 128, 64
 """Offsets of the processor's 8-bit products: subtracted from codes of values, added to weights."""
 
 
-def in_integers(model: onnx.ModelProto, weights: Mapping[str, Rounded], stem: Stem | None = None) -> onnx.ModelProto:
-    """A model of `quantise` with its enlargements and heads in integers, and with that `stem`, if any.
+def in_integers(model: onnx.ModelProto, weights: Mapping[str, Rounded],
+                stem: Stem | None = None) -> onnx.ModelProto:
+    """A model of `quantise` with its enlargements and heads in integers, and with that `stem`, if
+    any.
 
-    The outputs ``phased_fine`` and ``level1`` .. ``level4`` become ``products_fine``, ``products_level1`` and so on,
-    (C, h * w) of int32, each with ``scaling_...`` (2, C): scale and bias of the logits. With a stem, the inputs
-    become ``stored_features`` and ``stored_guides``, (1, h, w, C) of uint8, with ``coding_...`` (2, C) among the
-    outputs.
+    The outputs ``phased_fine`` and ``level1`` .. ``level4`` become ``products_fine``,
+    ``products_level1`` and so on, (C, h * w) of int32, each with ``scaling_...`` (2, C): scale and
+    bias of the logits. With a stem, the inputs become ``stored_features`` and ``stored_guides``,
+    (1, h, w, C) of uint8, with ``coding_...`` (2, C) among the outputs.
 
     Args:
         weights: those of the heads in integers, by name.
     """
     model = onnx.ModelProto.FromString(model.SerializeToString())
-    for resize in [one for one in model.graph.node if one.op_type == "Resize" and one.input[0].endswith(KEPT)]:
+    for resize in [one for one in model.graph.node
+                   if one.op_type == "Resize" and one.input[0].endswith(KEPT)]:
         _repeat(model.graph, resize)
     for name, head in heads(model.graph).items():
         _multiply(model.graph, name, head, weights[head.input[1]])
@@ -307,7 +336,8 @@ def facts(model: onnx.ModelProto) -> dict[str, Any]:
 
 
 def _listed(values: Iterable[onnx.ValueInfoProto]) -> dict[str, Any]:
-    return {value.name: {"shape": [dim.dim_value or dim.dim_param for dim in value.type.tensor_type.shape.dim],
+    return {value.name: {"shape": [dim.dim_value or dim.dim_param
+                                   for dim in value.type.tensor_type.shape.dim],
                          "meaning": "see postfx/kernels/denoise/network_io.py"} for value in values}
 
 
@@ -344,9 +374,11 @@ def heads(graph: onnx.GraphProto) -> dict[str, NodeProto]:
     return found
 
 
-def _multiply(graph: onnx.GraphProto, output: str, convolution: NodeProto, weights: Rounded) -> None:
+def _multiply(graph: onnx.GraphProto, output: str, convolution: NodeProto,
+              weights: Rounded) -> None:
     """Replace a 1x1 convolution and everything after it by a product of 8-bit values."""
-    name, source = "fine" if output == PHASED_FINE else output, convolution.input[0].removesuffix(KEPT)
+    name, source = ("fine" if output == PHASED_FINE else output,
+                    convolution.input[0].removesuffix(KEPT))
     add_constant(graph, f"{name}_factors", (weights.factors[:, :, 0, 0] + MIDDLE).astype(np.uint8))
     bias = constant_value(graph, convolution.input[2])
     scaling = np.stack([weights.steps * constant_value(graph, f"{source}_scale"), bias])
@@ -358,13 +390,15 @@ def _multiply(graph: onnx.GraphProto, output: str, convolution: NodeProto, weigh
     graph.output.remove(next(one for one in graph.output if one.name == output))
     places = f"height*width/{4 ** (1 if name == 'fine' else int(name[-1]))}"
     graph.output.extend([
-        helper.make_tensor_value_info(f"{PRODUCTS}{name}", TensorProto.INT32, [len(weights.steps), places]),
-        helper.make_tensor_value_info(f"{SCALING}{name}", TensorProto.FLOAT, [2, len(weights.steps)])])
+        helper.make_tensor_value_info(f"{PRODUCTS}{name}", TensorProto.INT32,
+                                      [len(weights.steps), places]),
+        helper.make_tensor_value_info(f"{SCALING}{name}", TensorProto.FLOAT,
+                                      [2, len(weights.steps)])])
 
 
 def _signed(graph: onnx.GraphProto, source: str, channels: int) -> list[NodeProto]:
-    """Nodes that make a tensor's 8-bit values signed, as the second factor of a product requires: codes minus 128,
-    (C, h * w). Empty if the graph already has them."""
+    """Nodes that make a tensor's 8-bit values signed, as the second factor of a product requires:
+    codes minus 128, (C, h * w). Empty if the graph already has them."""
     made: list[NodeProto] = []
     name, codes = f"{source}_signed", f"{source}{QUANTISED}"
     if any(name in one.output for one in graph.node):
@@ -373,27 +407,29 @@ def _signed(graph: onnx.GraphProto, source: str, channels: int) -> list[NodeProt
     flipped = append_node(made, "BitwiseXor", [flat, "sign"], f"{source}_turned")
     append_node(made, "Cast", [flipped], name, to=TensorProto.INT8)
     zero = np.int8(int(constant_value(graph, f"{source}_zero")) - SIGN)
-    for key, held in {f"{source}_flat": np.array([channels, -1]), "sign": np.uint8(SIGN), "middle": np.uint8(MIDDLE),
-                      f"{name}_zero": zero}.items():
+    for key, held in {f"{source}_flat": np.array([channels, -1]), "sign": np.uint8(SIGN),
+                      "middle": np.uint8(MIDDLE), f"{name}_zero": zero}.items():
         add_constant(graph, key, held)
     return made
 
 
-# The stem -----------------------------------------------------------------------------------------------------------
-# The first convolution of a quantised network: it reads features as 8-bit codes (`postfx.kernels.denoise.network_io`).
+# The stem -----------------------------------------------------------------------------------------
+# The first convolution of a quantised network: it reads features as 8-bit codes
+# (`postfx.kernels.denoise.network_io`).
 #
-# Channels have their own ranges, so the weights of one output channel differ too much for plain 7-bit rounding: only
-# compensated rounding (`round_compensated`) is as good as float32.
+# Channels have their own ranges, so the weights of one output channel differ too much for plain
+# 7-bit rounding: only compensated rounding (`round_compensated`) is as good as float32.
 
 MOST = 255
 LIGHT, ALBEDO = (0.0, 5.5), (0.0, 1.25)
 SEEN = (*6 * [ALBEDO], *3 * [(-1.0, 1.0)], (0.0, 1.0), (0.0, 1.0))
 """Ranges of both albedos, normal, roughness and depth."""
 LIMITS = {
-    "features": np.array([*9 * [LIGHT], *SEEN, (-1.0, 1.0), *2 * [(0.0, 1.0)], *2 * [(-0.5, 0.5)], (0.0, 1.25),
-                          (0.0, 1.0), *8 * [(-1.0, 1.0)]]),
+    "features": np.array([*9 * [LIGHT], *SEEN, (-1.0, 1.0), *2 * [(0.0, 1.0)], *2 * [(-0.5, 0.5)],
+                          (0.0, 1.25), (0.0, 1.0), *8 * [(-1.0, 1.0)]]),
     "guides": np.array(4 * SEEN)}
-"""Least and greatest value of each channel that codes can hold: light of 240 times white, motion of 150 pixels."""
+"""Least and greatest value of each channel that codes can hold: light of 240 times white, motion of
+150 pixels."""
 
 
 class Coding(NamedTuple):
@@ -428,25 +464,29 @@ class Stem:
     """
 
     def __init__(self, graph: onnx.GraphProto) -> None:
-        found = {one.input[0]: one for one in graph.node if one.op_type == "Conv" and one.input[0] in
-                 (*FEATURE_PARTS, "guides")}
-        weights = {name: constant_value(graph, one.input[1]).astype(np.float32) for name, one in found.items()}
+        found = {one.input[0]: one for one in graph.node
+                 if one.op_type == "Conv" and one.input[0] in (*FEATURE_PARTS, "guides")}
+        weights = {name: constant_value(graph, one.input[1]).astype(np.float32)
+                   for name, one in found.items()}
         self._bias = sum(constant_value(graph, one.input[2]).astype(np.float32)
                          for one in found.values() if len(one.input) > 2)
-        self.ring = next(list(a.ints) for a in found[next(iter(FEATURE_PARTS))].attribute if a.name == "pads")[0]
+        self.ring = next(list(a.ints)
+                         for a in found[next(iter(FEATURE_PARTS))].attribute if a.name == "pads")[0]
         parts = {"features": np.concatenate([weights[part] for part in FEATURE_PARTS], 1)}
         if "guides" in weights:
             parts["guides"] = weights["guides"]
         self.names = tuple(parts)
         self._coding = {name: Coding.of(name) for name in parts}
-        self._weights = np.concatenate([self._folded(name, weight) for name, weight in parts.items()], 1)
+        self._weights = np.concatenate([self._folded(name, weight)
+                                        for name, weight in parts.items()], 1)
         self._moments = Moments(self._weights.shape[2], self.ring, stride=2)
 
     def _folded(self, name: str, weight: np.ndarray) -> np.ndarray:
         """Weights of codes."""
         scale = self._coding[name].scale
         more = len(scale) - weight.shape[1]
-        return np.pad(weight, ((0, 0), (0, more), (0, 0), (0, 0))) / np.where(scale, scale, 1)[:, None, None]
+        return np.pad(weight, ((0, 0), (0, more), (0, 0), (0, 0))) / np.where(scale, scale,
+                                                                              1)[:, None, None]
 
     def add(self, reads: Mapping[str, np.ndarray]) -> None:
         """Add the inputs of a run of the float network."""
@@ -467,19 +507,24 @@ class Stem:
         for name in self.names:
             count = stored_channels(name)
             add_constant(graph, f"{CODING}{name}", np.stack(self._coding[name]))
-            graph.input.append(helper.make_tensor_value_info(f"{STORED}{name}", TensorProto.UINT8, [1, *sides, count]))
-            graph.output.append(helper.make_tensor_value_info(f"{CODING}{name}", TensorProto.FLOAT, [2, count]))
+            graph.input.append(helper.make_tensor_value_info(f"{STORED}{name}", TensorProto.UINT8,
+                                                             [1, *sides, count]))
+            graph.output.append(helper.make_tensor_value_info(f"{CODING}{name}", TensorProto.FLOAT,
+                                                              [2, count]))
 
     def _convolution(self, graph: onnx.GraphProto) -> list[NodeProto]:
-        """Nodes that compute 'stem' from the stored planes; the bias subtracts the codes of zero."""
+        """Nodes that compute 'stem' from the stored planes; the bias subtracts the codes of
+        zero."""
         factors, steps = self._moments.round_weights(self._weights)
         zero = np.concatenate([self._coding[name].zero for name in self.names])
         offset = np.rint(self._bias / steps) - (factors * zero[:, None, None]).sum((1, 2, 3))
         made: list[NodeProto] = []
         stored = [f"{STORED}{name}" for name in self.names]
-        last = append_node(made, "Concat", stored, "stored", axis=3) if len(stored) > 1 else stored[0]
+        last = (append_node(made, "Concat", stored, "stored", axis=3) if len(stored) > 1
+                else stored[0])
         first = append_node(made, "Transpose", [last], "stem_codes", perm=LAST_TO_FIRST)
-        reads = [append_node(made, "DequantizeLinear", [first, "stem_one", "stem_zero"], "stem_read")]
+        reads = [append_node(made, "DequantizeLinear", [first, "stem_one", "stem_zero"],
+                             "stem_read")]
         for name, kept in (("weight", factors.astype(np.int8)), ("bias", offset.astype(np.int32))):
             add_constant(graph, f"stem_{name}", kept)
             add_constant(graph, f"stem_{name}_zero", np.zeros(len(steps), kept.dtype))
@@ -488,5 +533,6 @@ class Stem:
         add_constant(graph, "stem_steps", steps)
         add_constant(graph, "stem_one", np.float32(1))
         add_constant(graph, "stem_zero", np.uint8(0))
-        append_node(made, "Conv", reads, "stem", strides=[2, 2], pads=[0] * 4, kernel_shape=list(factors.shape[2:]))
+        append_node(made, "Conv", reads, "stem", strides=[2, 2], pads=[0] * 4,
+                    kernel_shape=list(factors.shape[2:]))
         return made

@@ -11,25 +11,36 @@ from torch import Tensor, nn
 
 from training import ops
 from training.denoise.dataset import Batch
-from training.denoise.model import DenoiseUpscale, Inputs, State, Step, empty_state, trust_reflectance
+from training.denoise.model import (
+    DenoiseUpscale,
+    Inputs,
+    State,
+    Step,
+    empty_state,
+    trust_reflectance,
+)
 from training.denoise.picture import guide_codes
 
-# Perceived difference -----------------------------------------------------------------------------------------------
+# Perceived difference -----------------------------------------------------------------------------
 # Differentiable perceived difference: the colour part of FLIP (Andersson et al. 2020).
 #
-# Both pictures are filtered like the eye does at a distance, converted to Lab with less chroma in the dark (Hunt), and
-# compared by HyAB; an exponent of 0.7 gives weight to small differences.
+# Both pictures are filtered like the eye does at a distance, converted to Lab with less chroma in
+# the dark (Hunt), and compared by HyAB; an exponent of 0.7 gives weight to small differences.
 
 DENSITY = 67.0  # pixels a degree
-# Bands of the contrast sensitivity of lightness, red-green and blue-yellow, in degrees^2; the last one is the mean by
-# weight of two Gaussians.
+# Bands of the contrast sensitivity of lightness, red-green and blue-yellow, in degrees^2; the last
+# one is the mean by weight of two Gaussians.
 BANDS = (0.0047, 0.0053, (34.1 * 0.04 + 13.5 * 0.025) / (34.1 + 13.5))
-TO_XYZ = ((0.4123908, 0.3575843, 0.1804808), (0.2126390, 0.7151687, 0.0721923), (0.0193308, 0.1191948, 0.9505322))
-EXPONENT, SCALE = 0.7, 0.95 / (0.4 * 41.2760)  # 41.276: difference of green and blue, the farthest colours
-SOFT = 1.0  # Lab units; no kink at 0, where noise of the reference would hold the result at its median
+TO_XYZ = ((0.4123908, 0.3575843, 0.1804808), (0.2126390, 0.7151687, 0.0721923),
+          (0.0193308, 0.1191948, 0.9505322))
+# 41.276: difference of green and blue, the farthest colours
+EXPONENT, SCALE = 0.7, 0.95 / (0.4 * 41.2760)
+# Lab units; no kink at 0, where noise of the reference would hold the result at its median
+SOFT = 1.0
 LAB_KNEE = 6 / 29
 _MATRIX = np.array(TO_XYZ) / np.sum(TO_XYZ, 1, keepdims=True)
-FORTH, BACK = _MATRIX.tolist(), np.linalg.inv(_MATRIX).tolist()  # linear RGB -> XYZ over that of white, and back
+# linear RGB -> XYZ over that of white, and back
+FORTH, BACK = _MATRIX.tolist(), np.linalg.inv(_MATRIX).tolist()
 
 
 def apply_matrix(matrix: list[list[float]], image: Tensor) -> Tensor:
@@ -39,8 +50,8 @@ def apply_matrix(matrix: list[list[float]], image: Tensor) -> Tensor:
 
 
 def filters(size: int, device: torch.device) -> Tensor:
-    """(3, size, size): matrices that filter a line of pixels by the Gaussian of each band of the contrast sensitivity;
-    edge pixels repeat."""
+    """(3, size, size): matrices that filter a line of pixels by the Gaussian of each band of the
+    contrast sensitivity; edge pixels repeat."""
     lines = []
     for band in BANDS:
         sigma = math.sqrt(band / 2) / math.pi * DENSITY
@@ -54,7 +65,8 @@ def filters(size: int, device: torch.device) -> Tensor:
 
 
 def perceive(display: Tensor) -> Tensor:
-    """sRGB code values (N, 3, H, W) in [0, 1] -> filtered Lab, chroma by the hundredth of the lightness."""
+    """sRGB code values (N, 3, H, W) in [0, 1] -> filtered Lab, chroma by the hundredth of the
+    lightness."""
     x, y, z = apply_matrix(FORTH, rgb_to_linear_rgb(display)).unbind(1)
     opponent, (height, width) = torch.stack((y, x - y, y - z), 1), display.shape[-2:]
     with torch.autocast(display.device.type, enabled=False):  # eight bits are too few
@@ -62,7 +74,8 @@ def perceive(display: Tensor) -> Tensor:
     y, red, blue = passed.unbind(1)
     linear = apply_matrix(BACK, torch.stack((red + y, y, y - blue), 1)).clamp(0, 1)
     value = apply_matrix(FORTH, linear)
-    root = torch.where(value > LAB_KNEE**3, value.clamp(min=LAB_KNEE**3) ** (1 / 3), value / (3 * LAB_KNEE**2) + 4 / 29)
+    root = torch.where(value > LAB_KNEE**3, value.clamp(min=LAB_KNEE**3) ** (1 / 3),
+                       value / (3 * LAB_KNEE**2) + 4 / 29)
     x, y, z = root.unbind(1)
     lightness = 116 * y - 16
     share = lightness / 100
@@ -70,14 +83,15 @@ def perceive(display: Tensor) -> Tensor:
 
 
 def difference(output: Tensor, reference: Tensor) -> Tensor:
-    """Mean FLIP of two pictures of sRGB code values (N, 3, H, W), without its attention to edges."""
+    """Mean FLIP of two pictures of sRGB code values (N, 3, H, W), without its attention to
+    edges."""
     change = perceive(output) - perceive(reference)
     chroma = (change[:, 1:].square().sum(1) + 1e-6).sqrt()
     distance = change[:, 0].abs() + chroma
     return SCALE * (distance.square() + SOFT**2).pow(EXPONENT / 2).mean()
 
 
-# Losses of a frame --------------------------------------------------------------------------------------------------
+# Losses of a frame --------------------------------------------------------------------------------
 
 COARSE = (4, 8, 16)  # output pixels
 KNEE, COARSE_KNEE = 0.02, 0.005  # code values
@@ -102,14 +116,16 @@ def gradient(image: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def huber(error: Tensor, knee: float) -> Tensor:
-    """Mean of an error that is squared below ``knee`` and absolute above (pseudo-Huber). References keep some noise,
-    which is skewed: squared small errors find its mean, absolute ones would find its median, which is darker."""
+    """Mean of an error that is squared below ``knee`` and absolute above (pseudo-Huber). References
+    keep some noise, which is skewed: squared small errors find its mean, absolute ones would find
+    its median, which is darker."""
     return ((error.square() + knee**2).sqrt() - knee).mean()
 
 
 def frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
-    """Error of two display-encoded pictures, times ``scale`` (N, 1, 1, 1): of values, squared (as in PSNR), of
-    gradients, of coarser pictures, which show blotches, and, without the scale, as the eye sees it (as in FLIP)."""
+    """Error of two display-encoded pictures, times ``scale`` (N, 1, 1, 1): of values, squared (as
+    in PSNR), of gradients, of coarser pictures, which show blotches, and, without the scale, as the
+    eye sees it (as in FLIP)."""
     error = (output - reference) * scale
     edges = sum(change.abs().mean() for change in gradient(error))
     blotches = sum(huber(F.avg_pool2d(error, size), COARSE_KNEE) for size in COARSE)
@@ -118,37 +134,41 @@ def frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
 
 
 def light_loss(output: Tensor, reference: Tensor, knee: float = LIGHT[1]) -> Tensor:
-    """Relative error of the light in cells of 16x16 output pixels, of exposed linear pictures: the display curve alone
-    would let uncertain lamps fade. Errors below ``knee`` are squared, so that they find the mean and not the median."""
+    """Relative error of the light in cells of 16x16 output pixels, of exposed linear pictures: the
+    display curve alone would let uncertain lamps fade. Errors below ``knee`` are squared, so that
+    they find the mean and not the median."""
     found, wanted = (F.avg_pool2d(x.clamp(max=LIGHT_MOST), LIGHT_CELL) for x in (output, reference))
     return huber((found - wanted) / (wanted.mean(1, keepdim=True) + LIGHT_FLOOR), knee)
 
 
 def reflectance_loss(planes: Inputs, share: Tensor, wanted: Tensor) -> Tensor:
-    """Relative error of the planes' reflectance, trusted by ``share`` (N, 1, h, w), against the ``wanted`` one
-    (N, 3, h, w). NaN in it does not count."""
-    found = trust_reflectance(ops.demodulation(planes.diffuse_albedo, planes.specular_albedo), share)
+    """Relative error of the planes' reflectance, trusted by ``share`` (N, 1, h, w), against the
+    ``wanted`` one (N, 3, h, w). NaN in it does not count."""
+    found = trust_reflectance(ops.demodulation(planes.diffuse_albedo, planes.specular_albedo),
+                              share)
     known = ~wanted.isnan()
     ratio = (found + DARK_REFLECTANCE) / (torch.where(known, wanted, found) + DARK_REFLECTANCE)
     return huber(ratio.log(), REFLECTANCE_KNEE)
 
 
 def guides_loss(found: Tensor, surface: Inputs) -> Tensor:
-    """Error of albedo and normal without their noise, ``found`` (N, 6, h, w), against those of the true ``surface``.
-    NaN in it does not count."""
-    wanted = guide_codes(surface.diffuse_albedo + surface.specular_albedo, surface.denoising_albedo, surface.normal)
+    """Error of albedo and normal without their noise, ``found`` (N, 6, h, w), against those of the
+    true ``surface``. NaN in it does not count."""
+    wanted = guide_codes(surface.diffuse_albedo + surface.specular_albedo, surface.denoising_albedo,
+                         surface.normal)
     return huber(torch.where(wanted.isnan(), 0.0, found - wanted), GUIDES_KNEE)
 
 
 def error_loss(predicted: Tensor, output: Tensor, reference: Tensor) -> Tensor:
-    """Loss of the ``predicted`` logarithm (N, 1, h, w) of the expected squared error of the display-encoded ``output``
-    (N, 3, H, W), of the same size or larger.
+    """Loss of the ``predicted`` logarithm (N, 1, h, w) of the expected squared error of the
+    display-encoded ``output`` (N, 3, H, W), of the same size or larger.
 
-    Its least value is at the mean of the squared error, as that of a Poisson likelihood; each pixel counts the more,
-    the smaller its expected error is.
+    Its least value is at the mean of the squared error, as that of a Poisson likelihood; each pixel
+    counts the more, the smaller its expected error is.
     """
     h, w = predicted.shape[-2:]
-    squared = F.adaptive_avg_pool2d((output - reference).detach().square().mean(1, keepdim=True), (h, w))
+    squared = F.adaptive_avg_pool2d((output - reference).detach().square().mean(1, keepdim=True),
+                                    (h, w))
     expected = predicted.exp()
     weight = 1 / (expected.detach().sqrt() + ERROR_FLOOR)
     return (weight * (expected - squared * predicted)).mean()
@@ -156,8 +176,8 @@ def error_loss(predicted: Tensor, output: Tensor, reference: Tensor) -> Tensor:
 
 def flicker_loss(output: Tensor, previous: Tensor, reference: Tensor, reference_previous: Tensor,
                  explained: Tensor, scale: Tensor) -> Tensor:
-    """Error of the motion-compensated temporal difference, times ``scale`` (N, 1, 1, 1), in pixels whose change in the
-    reference is explained by motion."""
+    """Error of the motion-compensated temporal difference, times ``scale`` (N, 1, 1, 1), in pixels
+    whose change in the reference is explained by motion."""
     change = ((output - previous) - (reference - reference_previous)) * scale
     return (change.abs() * explained).sum() / (3 * explained.sum() + 1)
 
@@ -173,10 +193,12 @@ def reproject_reference(reference: Tensor, motion: Tensor) -> Tensor:
 
 
 def even_scale(colour: Tensor, reference: Tensor, most: float) -> Tensor:
-    """(N, 1, 1, 1): factor on errors of display-encoded pictures that gives frames of many samples the weight of frames
-    of few: ``NOISY`` over the error of the input ``colour`` (N, 3, h, w), 1 to ``most``."""
+    """(N, 1, 1, 1): factor on errors of display-encoded pictures that gives frames of many samples
+    the weight of frames of few: ``NOISY`` over the error of the input ``colour`` (N, 3, h, w), 1 to
+    ``most``."""
     error = colour - F.adaptive_avg_pool2d(reference, colour.shape[-2:])
-    return (NOISY / error.square().mean((1, 2, 3), keepdim=True).sqrt().clamp(min=1e-6)).clamp(1, most)
+    return (NOISY / error.square().mean((1, 2, 3), keepdim=True).sqrt().clamp(min=1e-6)).clamp(1,
+                                                                                               most)
 
 
 def psnr(output: Tensor, reference: Tensor) -> Tensor:
@@ -184,18 +206,19 @@ def psnr(output: Tensor, reference: Tensor) -> Tensor:
     return -10 * torch.log10((output - reference).square().flatten(1).mean(1) + 1e-12)
 
 
-# Loss of a clip -----------------------------------------------------------------------------------------------------
+# Loss of a clip -----------------------------------------------------------------------------------
 # The loss of clips that run through the recurrent step, forwards or both ways.
 
-OWN = 0.5  # share of the two directions' own losses for clips run both ways; the rest is the blend's
+# share of the two directions' own losses for clips run both ways; the rest is the blend's
+OWN = 0.5
 
 Scores = tuple[Tensor, Tensor, Tensor]  # loss, and without gradient PSNR and flicker
 Results = tuple[Tensor, Tensor, Tensor, State]  # and the history after the last frame
 
 
 class Truth:
-    """References of a clip, their motion, and the factors on errors: 1 or, with ``even``, larger for inputs with less
-    noise."""
+    """References of a clip, their motion, and the factors on errors: 1 or, with ``even``, larger
+    for inputs with less noise."""
 
     def __init__(self, batch: Batch, even: float = 0.0, light: tuple[float, float] = LIGHT):
         self.light, self.knee = light
@@ -208,22 +231,25 @@ class Truth:
         self.moved = [reproject_reference(before, motion)
                       for before, motion in zip(self.shown[:-1], self.motion[1:], strict=True)]
         self.explained = [explained_by_motion(now, moved) * keep
-                          for now, moved, keep in zip(self.shown[1:], self.moved, batch.keep[1:], strict=True)]
+                          for now, moved, keep in zip(self.shown[1:], self.moved, batch.keep[1:],
+                                                      strict=True)]
 
     def scores(self, outputs: list[Tensor], weight: float) -> Scores:
-        """Loss of the exposed linear ``outputs`` with a ``weight`` of flicker, the mean PSNR of the clip's second half
-        and the mean flicker."""
+        """Loss of the exposed linear ``outputs`` with a ``weight`` of flicker, the mean PSNR of the
+        clip's second half and the mean flicker."""
         shown = [display(output) for output in outputs]
         pictures = sum(map(frame_loss, shown, self.shown, self.scale))
-        pictures = pictures + self.light * sum(light_loss(*pair, self.knee)
-                                              for pair in zip(outputs, self.references, strict=True))
+        pictures = pictures + self.light * sum(light_loss(*pair, self.knee) for pair
+                                              in zip(outputs, self.references, strict=True))
         flicker = torch.stack([self._flicker(shown, t) for t in range(1, len(shown))])
         late = range(len(shown) // 2, len(shown))
         quality = torch.stack([psnr(shown[t].detach(), self.shown[t]).mean() for t in late])
-        return (pictures + weight * flicker.sum()) / len(shown), quality.mean(), flicker.detach().mean()
+        return ((pictures + weight * flicker.sum()) / len(shown), quality.mean(),
+                flicker.detach().mean())
 
     def error_score(self, outputs: list[Tensor], errors: list[Tensor | None]) -> Tensor | float:
-        """Loss of the predicted ``errors`` of the exposed linear ``outputs``; 0 if the network predicts none."""
+        """Loss of the predicted ``errors`` of the exposed linear ``outputs``; 0 if the network
+        predicts none."""
         if errors[0] is None:
             return 0.0
         found = [error_loss(error, display(output.detach()), shown)
@@ -232,25 +258,27 @@ class Truth:
 
     def _flicker(self, shown: list[Tensor], t: int) -> Tensor:
         moved = reproject_reference(shown[t - 1], self.motion[t])
-        return flicker_loss(shown[t], moved, self.shown[t], self.moved[t - 1], self.explained[t - 1],
-                                   self.scale[t])
+        return flicker_loss(shown[t], moved, self.shown[t], self.moved[t - 1],
+                                   self.explained[t - 1], self.scale[t])
 
 
 class ClipLoss(nn.Module):
     """Run a clip through the recurrent step and sum the losses of its frames.
 
-    ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops its history; ``even``
-    is the largest factor that gives clips of little noise more weight (0: all have the same); ``light`` are weight and
-    knee of the error of light, ``reflectance`` is the weight of the error of the trusted reflectance, ``guides`` that
-    of the error of albedo and normal that the network has cleaned. A batch with
-    inverse motion also runs backwards: each direction has a loss, and so has their blend. A batch with a state
-    continues its history.
+    ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops
+    its history; ``even`` is the largest factor that gives clips of little noise more weight (0: all
+    have the same); ``light`` are weight and knee of the error of light, ``reflectance`` is the
+    weight of the error of the trusted reflectance, ``guides`` that of the error of albedo and
+    normal that the network has cleaned. A batch with
+    inverse motion also runs backwards: each direction has a loss, and so has their blend. A batch
+    with a state continues its history.
     """
 
     def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0,
                  light: tuple[float, float] = LIGHT, reflectance: float = 0.0, guides: float = 0.0):
         super().__init__()
-        self.model, self.flicker, self.reset, self.even, self.light = model, flicker, reset, even, light
+        self.model, self.flicker, self.reset, self.even, self.light = (model, flicker, reset, even,
+                                                                       light)
         self.reflectance, self.guides = reflectance, guides
 
     def forward(self, batch: Batch) -> Results:
@@ -266,10 +294,12 @@ class ClipLoss(nn.Module):
         besides = self._trust(batch, steps) + self._planes(batch, steps)
         if batch.inverse is None:
             loss, *rest = truth.scores(ahead, self.flicker)
-            return loss + besides + truth.error_score(ahead, [step.error for step in steps]), *rest, end
+            return (loss + besides + truth.error_score(ahead, [step.error for step in steps]),
+                    *rest, end)
         back_steps, back_counts = (x[::-1] for x in self._run(*backwards(batch), begin))
         back = [step.output for step in back_steps]
-        both = [torch.lerp(b, a, n / (n + m)) for a, b, n, m in zip(ahead, back, counts, back_counts, strict=True)]
+        both = [torch.lerp(b, a, n / (n + m))
+                for a, b, n, m in zip(ahead, back, counts, back_counts, strict=True)]
         own = [truth.scores(outputs, self.flicker)[0] for outputs in (ahead, back)]
         loss, quality, flicker = truth.scores(both, self.flicker)
         return OWN * (own[0] + own[1]) / 2 + (1 - OWN) * loss + besides, quality, flicker, end
@@ -286,10 +316,12 @@ class ClipLoss(nn.Module):
         """Loss of albedo and normal without their noise."""
         if not self.guides:
             return 0.0
-        errors = [guides_loss(step.planes, surface) for step, surface in zip(steps, batch.surfaces, strict=True)]
+        errors = [guides_loss(step.planes, surface)
+                  for step, surface in zip(steps, batch.surfaces, strict=True)]
         return self.guides * sum(errors) / len(errors)
 
-    def _run(self, frames: list[Inputs], keep: list[Tensor], state: State) -> tuple[list[Step], list[Tensor]]:
+    def _run(self, frames: list[Inputs], keep: list[Tensor],
+             state: State) -> tuple[list[Step], list[Tensor]]:
         """What each frame gives, and how many frames it has seen, itself included, (N, 1, 1, 1)."""
         steps, counts = [], [torch.zeros_like(keep[0])]
         for inputs, kept in zip(frames, keep, strict=True):
@@ -302,5 +334,6 @@ class ClipLoss(nn.Module):
 
 def backwards(batch: Batch) -> tuple[list[Inputs], list[Tensor]]:
     """The frames from last to first with motion to the next frame, and where history continues."""
-    frames = [replace(inputs, motion=motion) for inputs, motion in zip(batch.frames, batch.inverse, strict=True)]
+    frames = [replace(inputs, motion=motion)
+              for inputs, motion in zip(batch.frames, batch.inverse, strict=True)]
     return frames[::-1], [torch.zeros_like(batch.keep[0]), *batch.keep[1:].flip(0)]

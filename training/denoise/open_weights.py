@@ -54,7 +54,8 @@ def sections(data: bytes) -> list[tuple[int, ...]]:
 
 
 def archive(data: bytes, name: str) -> bytes:
-    """The bytes that the library's symbol of a network points to. Raises ValueError if there is none."""
+    """The bytes that the library's symbol of a network points to. Raises ValueError if there is
+    none."""
     table = sections(data)
     for section in table:
         if section[1] != SYMBOLS:
@@ -103,8 +104,10 @@ def published(name: str = NETWORK) -> dict[str, Tensor]:
 
 
 def options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--large", action="store_true", help="the large network, for albedo and normal without noise")
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--large", action="store_true",
+                        help="the large network, for albedo and normal without noise")
     parser.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
     return parser
 

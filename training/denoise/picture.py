@@ -92,7 +92,8 @@ class PictureConfig:
         up: channels on the way up at 1, 1/2, 1/4 and 1/8.
         last: channels that the last convolution reads.
         beside: channels of the branch at 1, 1/2 and 1/4 of the size.
-        large: two convolutions a level on the way down, too, as in Open Image Denoise's large networks.
+        large: two convolutions a level on the way down, too, as in Open Image Denoise's large
+            networks.
     """
 
     picture: bool = True
@@ -125,7 +126,8 @@ class PictureConfig:
     @classmethod
     def from_dict(cls, config: dict[str, Any]) -> PictureConfig:
         known = {field.name: config[field.name] for field in fields(cls) if field.name in config}
-        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in known.items()})
+        return cls(**{name: tuple(value) if isinstance(value, list) else value
+                      for name, value in known.items()})
 
     def published_layers(self) -> dict[str, Layer]:
         """The convolutions that a published network has, by their names there."""
@@ -171,13 +173,16 @@ class PictureConfig:
 
     def products(self) -> float:
         """Multiplications of the network a render pixel."""
-        levels = BRANCH_LEVELS | {name: layer.level for name, layer in self.published_layers().items()}
+        levels = BRANCH_LEVELS | {name: layer.level
+                                  for name, layer in self.published_layers().items()}
         return sum(module.weight.numel() / 4 ** levels.get(name, 0)
-                   for name, module in PictureNetwork(self).named_modules() if isinstance(module, nn.Conv2d))
+                   for name, module in PictureNetwork(self).named_modules()
+                   if isinstance(module, nn.Conv2d))
 
 
 class Layer(NamedTuple):
-    """A convolution of a published network: channels that it reads and writes, and levels below the render size."""
+    """A convolution of a published network: channels that it reads and writes, and levels below the
+    render size."""
 
     inputs: int
     outputs: int
@@ -186,7 +191,8 @@ class Layer(NamedTuple):
 
 LARGE = PictureConfig(down=(64, 96, 128, 192, 256), up=(64, 96, 128, 192), last=64, large=True)
 """The layout of Open Image Denoise's large networks."""
-BRANCH_LEVELS = {"branch.half_down": 1, "branch.half_up": 1, "branch.quarter_in": 2, "branch.quarter_out": 2}
+BRANCH_LEVELS = {"branch.half_down": 1, "branch.half_up": 1, "branch.quarter_in": 2,
+                 "branch.quarter_out": 2}
 """Levels of convolutions of the branch below the render size."""
 
 
@@ -195,7 +201,8 @@ def conv(inputs: int, outputs: int) -> nn.Conv2d:
 
 
 class PictureNetwork(nn.Module):
-    """Features (N, 35, h, w) and planes of mirrors (N, 6, h, w), h and w multiples of 16 -> four tensors of that size.
+    """Features (N, 35, h, w) and planes of mirrors (N, 6, h, w), h and w multiples of 16 -> four
+    tensors of that size.
 
     - the picture (N, 3, h, w): log(1 + exposed colour),
     - the controls (N, 11, h, w): share of this picture beside the history, distrust of what was
@@ -236,7 +243,8 @@ class PictureNetwork(nn.Module):
         way_down = self.large_way_down if self.config.large else self.way_down
         stream = self.way_up(*way_down(corrected, known), corrected) + self.join(known)
         stream = F.relu(self.dec_conv1b(F.relu(stream)))
-        with torch.autocast(stream.device.type, enabled=False):  # a step of bfloat16 in a code is 2 % of the light
+        # a step of bfloat16 in a code is 2 % of the light
+        with torch.autocast(stream.device.type, enabled=False):
             codes = getattr(self, self.config.picture_layer)(stream.float()).clamp(0.0, 1.0)
         history = further[:, HISTORY:]
         compared = torch.cat((codes, codes - history), 1)
@@ -247,8 +255,8 @@ class PictureNetwork(nn.Module):
         return *found, corrected[:, 3:]
 
     def way_down(self, guided: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """The streams at 1/2, 1/4, 1/8 and 1/16 of the size, each before its level's convolutions; the last one after
-        them."""
+        """The streams at 1/2, 1/4, 1/8 and 1/16 of the size, each before its level's convolutions;
+        the last one after them."""
         x = F.relu(self.enc_conv0(guided) + self.enter(known))
         first = F.max_pool2d(F.relu(self.enc_conv1(x)), 2)
         second = F.max_pool2d(F.relu(self.enc_conv2(first)), 2)
@@ -256,7 +264,8 @@ class PictureNetwork(nn.Module):
         x = F.max_pool2d(F.relu(self.enc_conv4(third)), 2)
         return first, second, third, F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(x))))
 
-    def large_way_down(self, guided: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def large_way_down(self, guided: Tensor,
+                       known: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The same with two convolutions a level."""
         x = F.relu(self.enc_conv1a(guided) + self.enter(known))
         first = F.max_pool2d(F.relu(self.enc_conv1b(x)), 2)
@@ -265,7 +274,8 @@ class PictureNetwork(nn.Module):
         x = F.max_pool2d(F.relu(self.enc_conv4b(F.relu(self.enc_conv4a(third)))), 2)
         return first, second, third, F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(x))))
 
-    def way_up(self, first: Tensor, second: Tensor, third: Tensor, coarsest: Tensor, guided: Tensor) -> Tensor:
+    def way_up(self, first: Tensor, second: Tensor, third: Tensor, coarsest: Tensor,
+               guided: Tensor) -> Tensor:
         """The finest level's stream before its last convolutions."""
         x = F.relu(self.dec_conv4b(F.relu(self.dec_conv4a(beside(coarsest, third)))))
         x = F.relu(self.dec_conv3b(F.relu(self.dec_conv3a(beside(x, second)))))
@@ -279,7 +289,8 @@ class PictureNetwork(nn.Module):
 
     def published(self) -> list[nn.Parameter]:
         """Weights that a published network has, too."""
-        return [weight for name, weight in self.named_parameters() if name.startswith(("enc_", "dec_"))]
+        return [weight
+                for name, weight in self.named_parameters() if name.startswith(("enc_", "dec_"))]
 
 
 class Branch(nn.Module):
@@ -327,7 +338,8 @@ def activate(codes: Tensor, controls: Tensor, error: Tensor) -> tuple[Tensor, Te
 
 
 def network_inputs(features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor]:
-    """The inputs of Open Image Denoise (N, 9, h, w), and the further ones (N, 47, h, w), from the features."""
+    """The inputs of Open Image Denoise (N, 9, h, w), and the further ones (N, 47, h, w), from the
+    features."""
     diffuse, specular, normal = features[:, 9:12], features[:, 12:15], features[:, 15:18]
     factor = ops.demodulation(diffuse, specular)
     colour, accumulated, history = (
@@ -340,7 +352,8 @@ def network_inputs(features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor]:
 def guide_codes(total: Tensor, followed: Tensor, normal: Tensor) -> Tensor:
     """Albedo and normal as Open Image Denoise's networks read them, (N, 6, h, w) in [0, 1].
 
-    The albedo is the ``followed`` one (N, 3, h, w), seen through mirrors and glass, or else the ``total`` (N, 3, h, w).
+    The albedo is the ``followed`` one (N, 3, h, w), seen through mirrors and glass, or else the
+    ``total`` (N, 3, h, w).
     """
     albedo = torch.where(followed.amax(1, keepdim=True) > 0, followed, total.clamp(0.0, 1.0))
     return torch.cat((albedo, 0.5 * normal + 0.5), 1)
@@ -355,10 +368,12 @@ class PictureDenoiser(nn.Module):
         self.config = self.trunk.config
 
     def step(self, inputs: Inputs, state: State) -> Step:
-        """A frame, with all that the network says of it. Raises ValueError if the output has another size."""
+        """A frame, with all that the network says of it. Raises ValueError if the output has
+        another size."""
         h, w = inputs.colour.shape[-2:]
         if state.output.shape[-2:] != (h, w):
-            raise ValueError(f"a picture network keeps the size {h}x{w}, not {tuple(state.output.shape[-2:])}")
+            raise ValueError(f"a picture network keeps the size {h}x{w}, not "
+                             f"{tuple(state.output.shape[-2:])}")
         past = network.reproject(inputs, state)
         factor = ops.demodulation(inputs.diffuse_albedo, inputs.specular_albedo)
         scale = ops.depth_scale(inputs.depth)
@@ -377,5 +392,6 @@ class PictureDenoiser(nn.Module):
 
 def layout_from(config: dict[str, Any]) -> TrunkConfig | ResidualConfig | PictureConfig:
     """The layout that a checkpoint's config tells."""
-    kind = PictureConfig if config.get("picture") else ResidualConfig if "down" in config else TrunkConfig
+    kind = (PictureConfig if config.get("picture") else ResidualConfig if "down" in config
+            else TrunkConfig)
     return kind.from_dict(config)

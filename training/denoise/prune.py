@@ -1,16 +1,18 @@
-"""Find channels and levels of a denoiser's network that do nothing: restart such channels, cut such levels.
+"""Find channels and levels of a denoiser's network that do nothing: restart such channels, cut such
+levels.
 
-    python -m training.denoise.prune channels run/checkpoint.pt --clips clips                  # a table of layers
-    python -m training.denoise.prune channels run/checkpoint.pt --clips clips -o revived.pt    # for train --start
-    python -m training.denoise.prune levels denoise_upscale.m --clips clips                    # cuts them
+    python -m training.denoise.prune channels run/checkpoint.pt --clips clips              # a table
+    python -m training.denoise.prune channels run/checkpoint.pt --clips clips -o revived.pt  # new
+    python -m training.denoise.prune levels denoise_upscale.m --clips clips              # cuts them
 
-channels: a ReLU that is 0 for every input passes no gradient back, so its weights never learn again. Such channels get
-random incoming weights and outgoing weights of zero: the network computes the same as before, and both sides can learn.
+channels: a ReLU that is 0 for every input passes no gradient back, so its weights never learn
+again. Such channels get random incoming weights and outgoing weights of zero: the network computes
+the same as before, and both sides can learn.
 
-levels: if a coarse level's convolutions on the way up are never active, it passes nothing to finer levels, its own
-filters are the same everywhere, and those of coarser levels hardly matter. Such levels are removed and their filters
-replaced by their means; the pictures stay the same. Run `training.denoise.fp16` and `training.denoise.quantise`
-afterwards.
+levels: if a coarse level's convolutions on the way up are never active, it passes nothing to finer
+levels, its own filters are the same everywhere, and those of coarser levels hardly matter. Such
+levels are removed and their filters replaced by their means; the pictures stay the same. Run
+`training.denoise.fp16` and `training.denoise.quantise` afterwards.
 """
 
 from __future__ import annotations
@@ -28,18 +30,27 @@ from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
 from training.denoise.checkpoint import PREFIX, weights_of
 from training.denoise.dataset import Batch, collate, load, to_batch
 from training.denoise.export import card, export_trunk, load_trunk
-from training.denoise.model import LEVELS, DenoiseUpscale, Trunk, TrunkConfig, empty_state, logits_of
+from training.denoise.model import (
+    LEVELS,
+    DenoiseUpscale,
+    Trunk,
+    TrunkConfig,
+    empty_state,
+    logits_of,
+)
 from training.export import MODELS, known_recipe, write_card
 
-# Channels -------------------------------------------------------------------------------------------------------------
+# Channels -----------------------------------------------------------------------------------------
 
 SHY = 0.01
-"""Factor on the usual spread for channels with skip connections: their outgoing weights cannot be set to zero."""
+"""Factor on the usual spread for channels with skip connections: their outgoing weights cannot be
+set to zero."""
 
 
 @torch.no_grad()
 def active_channels(model: DenoiseUpscale, batches: Iterable[Batch]) -> dict[str, Tensor]:
-    """Module's name -> channels (C,) of each ReLU of the trunk that are above 0 anywhere in the batches."""
+    """Module's name -> channels (C,) of each ReLU of the trunk that are above 0 anywhere in the
+    batches."""
     active: dict[str, Tensor] = {}
 
     def watch(name: str):
@@ -49,7 +60,8 @@ def active_channels(model: DenoiseUpscale, batches: Iterable[Batch]) -> dict[str
 
         return look
 
-    named = [(name, module) for name, module in model.trunk.named_modules() if isinstance(module, nn.ReLU)]
+    named = [(name, module)
+             for name, module in model.trunk.named_modules() if isinstance(module, nn.ReLU)]
     hooks = [module.register_forward_hook(watch(name)) for name, module in named]
     try:
         for batch in batches:
@@ -63,13 +75,17 @@ def active_channels(model: DenoiseUpscale, batches: Iterable[Batch]) -> dict[str
 
 
 @torch.no_grad()
-def revive(config: TrunkConfig, weights: Mapping[str, Tensor], active: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights of a `DenoiseUpscale` with restarted channels in place of those that are never active."""
-    made, random = {name: weight.clone() for name, weight in weights.items()}, torch.Generator().manual_seed(0)
+def revive(config: TrunkConfig, weights: Mapping[str, Tensor],
+           active: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Weights of a `DenoiseUpscale` with restarted channels in place of those that are never
+    active."""
+    made, random = ({name: weight.clone() for name, weight in weights.items()},
+                    torch.Generator().manual_seed(0))
     for name, channels in active.items():
         dead = ~channels.cpu()
         block, number = name.rsplit(".", 1)
-        source, (targets, skips) = f"trunk.{block}.{int(number) - 1}", _readers(config, block, int(number))
+        source, (targets,
+                 skips) = f"trunk.{block}.{int(number) - 1}", _readers(config, block, int(number))
         weight = made[f"{source}.weight"]
         spread = (2 / weight[0].numel()) ** 0.5 * (SHY if skips else 1)  # He et al. 2015, for ReLU
         fresh = torch.randn(weight.shape, generator=random) * spread
@@ -81,7 +97,8 @@ def revive(config: TrunkConfig, weights: Mapping[str, Tensor], active: Mapping[s
 
 
 def _readers(config: TrunkConfig, block: str, number: int) -> tuple[list[str], bool]:
-    """The only convolutions of the trunk that read a ReLU of a block, and whether a skip connection reads it, too."""
+    """The only convolutions of the trunk that read a ReLU of a block, and whether a skip connection
+    reads it, too."""
     way, level = block.split(".")[0], int(block.split(".")[1])
     last, top = 2 * (1 if block == "down.0" else config.depth) - 1, len(config.widths) - 1
     if number < last:
@@ -100,7 +117,8 @@ def table(active: Mapping[str, Tensor]) -> str:
 
 
 def prune_channels(args: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
-    """Print how many channels are active and, on request, write a checkpoint that restarts the others."""
+    """Print how many channels are active and, on request, write a checkpoint that restarts the
+    others."""
     checkpoint = torch.load(args.checkpoint, map_location="cpu", weights_only=True)
     config = TrunkConfig.from_dict(checkpoint["config"])
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -110,13 +128,14 @@ def prune_channels(args: argparse.Namespace, parser: argparse.ArgumentParser) ->
     if not paths:
         parser.error(f"{args.clips} holds no clips: training.datagen.render writes them")
     clips = (load(path, device, config.guides) for path in paths)
-    active = active_channels(model.to(device).eval(), (to_batch(collate([clip], [0])) for clip in clips))
+    active = active_channels(model.to(device).eval(),
+                             (to_batch(collate([clip], [0])) for clip in clips))
     print(f"{len(paths)} clips\n{table(active)}")
     if args.output:
         weights = {name: weight.cpu() for name, weight in model.state_dict().items()}
         torch.save(checkpoint | {"weights": revive(config, weights, active)}, args.output)
 
-# Levels ---------------------------------------------------------------------------------------------------------------
+# Levels -------------------------------------------------------------------------------------------
 
 class Means:
     """The mean of each channel of the levels' heads."""
@@ -128,7 +147,8 @@ class Means:
     def add(self, module: nn.Module, inputs: object, heads: tuple[Tensor, ...]) -> None:
         """Add the outputs of a trunk; a forward hook."""
         means = [level.mean((0, 2, 3)) for level in heads[1:]]
-        self._sums = [a + b for a, b in zip(self._sums, means, strict=True)] if self._sums else means
+        self._sums = ([a + b for a, b in zip(self._sums, means, strict=True)] if self._sums
+                      else means)
         self._runs += 1
 
     def logits(self, level: int) -> Tensor:
@@ -146,7 +166,8 @@ def first_unused(config: TrunkConfig, active: Mapping[str, Tensor]) -> int | Non
 def cut(config: TrunkConfig, weights: Mapping[str, Tensor], first: int, means: Means) -> Trunk:
     """The network without levels from `first` on."""
     trunk = Trunk(replace(config, widths=config.widths[:first]))
-    made = {name: weights[f"{PREFIX}{name}"] for name in trunk.state_dict().keys() & _plain(weights)}
+    made = {name: weights[f"{PREFIX}{name}"]
+            for name in trunk.state_dict().keys() & _plain(weights)}
     made["rest"] = weights[f"{PREFIX}lift.{first - 1}.bias"][None, :, None, None]
     made |= {f"alike.{i}": means.logits(level) for i, level in enumerate(range(first, LEVELS))}
     trunk.load_state_dict(made)
@@ -177,10 +198,13 @@ def prune_levels(args: argparse.Namespace, parser: argparse.ArgumentParser) -> N
     config = TrunkConfig.from_dict(facts["config"])
     model = DenoiseUpscale(config)
     model.load_state_dict(weights)
-    found = (load(clip, torch.device("cpu"), ending == GUIDED) for clip in sorted(args.clips.glob("[!.]*.npz")))
-    clips = [clip for clip in found if ending != UNSCALED or clip.reference.shape[-2:] == clip.planes.shape[-2:]]
+    found = (load(clip, torch.device("cpu"), ending == GUIDED)
+             for clip in sorted(args.clips.glob("[!.]*.npz")))
+    clips = [clip for clip in found
+             if ending != UNSCALED or clip.reference.shape[-2:] == clip.planes.shape[-2:]]
     if not clips:
-        parser.error(f"{args.clips} holds no clips for {args.name}: training.datagen.render writes them")
+        parser.error(f"{args.clips} holds no clips for {args.name}: training.datagen.render writes "
+                     "them")
     active, means = observe(model.eval(), (to_batch(collate([clip], [0])) for clip in clips))
     first = first_unused(config, active)
     if first is None:
@@ -193,21 +217,28 @@ def prune_levels(args: argparse.Namespace, parser: argparse.ArgumentParser) -> N
     error = export_trunk(load_trunk(checkpoint), path)
     recipe = known_recipe(path.with_suffix(".json"))
     write_card(path, card(checkpoint, facts["tag"], error, facts["quality"]) | recipe)
-    print(f"{len(clips)} clips: nothing comes from level {first + 1} of {len(config.widths)} or beyond")
+    print(f"{len(clips)} clips: nothing comes from level {first + 1} of {len(config.widths)} or "
+          "beyond")
 
 
-# Commands -----------------------------------------------------------------------------------------------------------
+# Commands -----------------------------------------------------------------------------------------
 
 def options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     channels = commands.add_parser("channels", help="find channels that are never active")
     channels.add_argument("checkpoint", type=Path, help="checkpoint.pt of training.denoise.train")
-    channels.add_argument("--most", type=int, default=40, help="number of clips to examine (default: 40)")
-    channels.add_argument("-o", "--output", type=Path, help="where to write the checkpoint with restarted channels")
+    channels.add_argument("--most", type=int, default=40,
+                          help="number of clips to examine (default: 40)")
+    channels.add_argument("-o", "--output", type=Path,
+                          help="where to write the checkpoint with restarted channels")
     levels = commands.add_parser("levels", help="cut levels that pass nothing to finer ones")
-    levels.add_argument("name", help="float32 model of the library, as denoise_upscale.m or denoise_upscale.m.1x")
-    levels.add_argument("-o", "--models", type=Path, default=MODELS, help="where the model is read and written")
+    levels.add_argument("name",
+                        help="float32 model of the library, as denoise_upscale.m or "
+                        "denoise_upscale.m.1x")
+    levels.add_argument("-o", "--models", type=Path, default=MODELS,
+                        help="where the model is read and written")
     for command in (channels, levels):
         command.add_argument("--clips", type=Path, required=True, help="folder of clips to examine")
     channels.set_defaults(act=prune_channels, parser=channels)

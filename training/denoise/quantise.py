@@ -4,9 +4,10 @@
     python -m training.denoise.quantise denoise_upscale.m.guides --clips 'shot/noisy.####.exr'
     python -m training.denoise.quantise denoise_upscale.m.1x --clips FOLDER_OF_CLIPS
 
-Runs the network over the frames with its history, records the outputs of its layers, brings their channels to more
-equal ranges, picks the 8-bit ranges with the least error, and compares the pictures of both variants. Needs no
-checkpoint. Only ranges, and what weights are rounded by, are taken from the frames.
+Runs the network over the frames with its history, records the outputs of its layers, brings their
+channels to more equal ranges, picks the 8-bit ranges with the least error, and compares the
+pictures of both variants. Needs no checkpoint. Only ranges, and what weights are rounded by, are
+taken from the frames.
 """
 
 from __future__ import annotations
@@ -42,19 +43,28 @@ from training.denoise.int8 import (
     show,
     unfold_half,
 )
-from training.export import MODELS, constant_value, known_recipe, lower_constants, store_half, write_card, write_model
+from training.export import (
+    MODELS,
+    constant_value,
+    known_recipe,
+    lower_constants,
+    store_half,
+    write_card,
+    write_model,
+)
 
-# Calibration --------------------------------------------------------------------------------------------------------
-# Statistics of a float network over frames: ranges of its tensors, and moments to round its weights by.
+# Calibration --------------------------------------------------------------------------------------
+# Statistics of a float network over frames: ranges of its tensors, and moments to round its weights
+# by.
 
 SAMPLED = 4096
 """Values of a tensor that are sampled in each frame, about: all channels of some places."""
 SHARES = np.geomspace(0.01, 1, 120)
 """Ranges that are tried, as parts of a tensor's full range."""
 POWER = 1.5
-"""The range with the least sum of errors to this power is chosen. With 2, a few extremes of a few frames make ranges
-too wide for all others: pictures are then 1.4 dB further from float32 (`m` and `s`, held-out frames); with 1, extremes
-are cut off and one frame suffers."""
+"""The range with the least sum of errors to this power is chosen. With 2, a few extremes of a few
+frames make ranges too wide for all others: pictures are then 1.4 dB further from float32 (`m` and
+`s`, held-out frames); with 1, extremes are cut off and one frame suffers."""
 
 
 class Calibration:
@@ -66,21 +76,24 @@ class Calibration:
         stem: rounded as well, if any.
     """
 
-    def __init__(self, model: onnx.ModelProto, tensors: Iterable[str], convolutions: Iterable[NodeProto],
-                 stem: Stem | None = None) -> None:
+    def __init__(self, model: onnx.ModelProto, tensors: Iterable[str],
+                 convolutions: Iterable[NodeProto], stem: Stem | None = None) -> None:
         self._graph, self._nodes, self._stem = model.graph, list(convolutions), stem
         self._moments = {node.input[1]: Moments.of(node) for node in self._nodes}
         self._seen: dict[str, list[np.ndarray]] = {name: [] for name in tensors}
         inputs = {known.name for known in model.graph.input}
         read = (node.input[0] for node in self._nodes)
-        self._computed = [name for name in dict.fromkeys([*self._seen, *read]) if name not in inputs]
-        self._session = onnxruntime.InferenceSession(show(model, self._computed).SerializeToString(),
-                                                     providers=["CPUExecutionProvider"])
+        self._computed = [name
+                          for name in dict.fromkeys([*self._seen, *read]) if name not in inputs]
+        self._session = onnxruntime.InferenceSession(show(
+            model, self._computed
+        ).SerializeToString(), providers=["CPUExecutionProvider"])
         self._random = np.random.default_rng(0)
 
     def add(self, reads: Mapping[str, np.ndarray]) -> None:
         """Add a run with these inputs."""
-        values = {**reads, **dict(zip(self._computed, self._session.run(None, dict(reads)), strict=True))}
+        values = {**reads,
+                  **dict(zip(self._computed, self._session.run(None, dict(reads)), strict=True))}
         for name, seen in self._seen.items():
             flat = values[name].reshape(values[name].shape[1], -1)
             seen.append(flat[:, self._random.integers(0, flat.shape[1], -(-SAMPLED // len(flat)))])
@@ -94,7 +107,8 @@ class Calibration:
         return {name: best_range(np.concatenate(seen, 1)) for name, seen in self._seen.items()}
 
     def shares(self) -> dict[str, np.ndarray]:
-        """For each tensor how much of the widest channel's range each of its channels needs, (C,)."""
+        """For each tensor how much of the widest channel's range each of its channels needs,
+        (C,)."""
         found = {}
         for name, seen in self._seen.items():
             reach = np.abs(np.concatenate(seen, 1)).max(1)
@@ -112,27 +126,30 @@ def best_range(values: np.ndarray) -> Range:
     counts, edges = np.histogram(values, 16384)
     middles = (edges[:-1] + edges[1:]) / 2
     tried = [Range.of(share * values.min(), share * values.max()) for share in SHARES]
-    return min(tried, key=lambda kept: (counts * np.abs(kept.decode(middles) - middles) ** POWER).sum())
+    return min(tried,
+               key=lambda kept: (counts * np.abs(kept.decode(middles) - middles) ** POWER).sum())
 
 
-# Equal channels -----------------------------------------------------------------------------------------------------
-# A tensor has one step for all of its channels, and most channels use a small part of its range: 8 bits are then coarse
-# for them. Between two convolutions a channel may be multiplied by any positive number and its weights divided by it;
-# neither ReLU nor maxima, sums or repeated pixels change that (Nagel et al., "Data-Free Quantization Through Weight
-# Equalization and Bias Correction", 2019). Weights divided by more are rounded more coarsely, so channels are brought
-# half of the way, in stops (Xiao et al., "SmoothQuant", 2023): pictures of `m` are then 58.6 dB from float32,
-# instead of 57.0 (126 frames of 9 clips).
+# Equal channels -----------------------------------------------------------------------------------
+# A tensor has one step for all of its channels, and most channels use a small part of its range: 8
+# bits are then coarse for them. Between two convolutions a channel may be multiplied by any
+# positive number and its weights divided by it; neither ReLU nor maxima, sums or repeated pixels
+# change that (Nagel et al., "Data-Free Quantization Through Weight Equalization and Bias
+# Correction", 2019). Weights divided by more are rounded more coarsely, so channels are brought
+# half of the way, in stops (Xiao et al., "SmoothQuant", 2023): pictures of `m` are then 58.6 dB
+# from float32, instead of 57.0 (126 frames of 9 clips).
 
 WAY = 0.5
 """How far channels are brought to equal ranges."""
 LEAST_SHARE = 1 / 64
-"""Channels that need less of the range than this, perhaps none of it, are treated as if they needed this much."""
+"""Channels that need less of the range than this, perhaps none of it, are treated as if they needed
+this much."""
 CHANNELWISE = ("Relu", "MaxPool", "Resize", "Add")
 
 
 def find_groups(graph: onnx.GraphProto) -> dict[str, str]:
-    """Tensor -> the group of tensors whose channels have to be multiplied alike, by one of them; without tensors that
-    must stay as they are."""
+    """Tensor -> the group of tensors whose channels have to be multiplied alike, by one of them;
+    without tensors that must stay as they are."""
     constants = {weight.name for weight in graph.initializer}
     group: dict[str, str] = {}
     fixed = {value.name for value in (*graph.input, *graph.output)}
@@ -161,11 +178,13 @@ def equalise(model: onnx.ModelProto, shares: Mapping[str, np.ndarray]) -> onnx.M
     for name, share in shares.items():
         if name in group:
             needs[group[name]] = np.maximum(needs.get(group[name], 0), share)
-    gains = {name: (np.maximum(need, LEAST_SHARE) ** -WAY).astype(np.float32) for name, need in needs.items()}
+    gains = {name: (np.maximum(need, LEAST_SHARE) ** -WAY).astype(np.float32)
+             for name, need in needs.items()}
     weights = {weight.name: weight for weight in model.graph.initializer}
 
     def multiply(name: str, factor: np.ndarray) -> None:
-        weights[name].CopyFrom(numpy_helper.from_array(constant_value(model.graph, name) * factor, name))
+        weights[name].CopyFrom(numpy_helper.from_array(constant_value(model.graph, name) * factor,
+                                                       name))
 
     for node in model.graph.node:
         read, written = (gains.get(group.get(name, "")) for name in (node.input[0], node.output[0]))
@@ -182,17 +201,18 @@ def equalise(model: onnx.ModelProto, shares: Mapping[str, np.ndarray]) -> onnx.M
     return model
 
 
-# The command --------------------------------------------------------------------------------------------------------
+# The command --------------------------------------------------------------------------------------
 
 PRECISION = "int8"
 LAYERS = ("down", "lift", "up")
-"""Modules of the trunk whose ranges are measured. Heads and, except at 1x, the stem are in integers as well: heads read
-the outputs of these modules, and the stem has its own ranges (`training.denoise.int8`). At 1x the stem stays in float:
-in 8 bits it costs frames of many samples 0.9 dB."""
+"""Modules of the trunk whose ranges are measured. Heads and, except at 1x, the stem are in integers
+as well: heads read the outputs of these modules, and the stem has its own ranges
+(`training.denoise.int8`). At 1x the stem stays in float: in 8 bits it costs frames of many samples
+0.9 dB."""
 FINE = {"m": ("down.0",), "s": ("down.0", "down.1")}
-"""Size of a network -> its first layers, which stay in float at 1x: in integers they would cost frames of many samples
-up to a decibel. The second one costs `m` 60 ms of 430 at 960x540 and gains 0.01 dB, `s` 8 ms of 166 and gains 0.04
-dB."""
+"""Size of a network -> its first layers, which stay in float at 1x: in integers they would cost
+frames of many samples up to a decibel. The second one costs `m` 60 ms of 430 at 960x540 and gains
+0.01 dB, `s` 8 ms of 166 and gains 0.04 dB."""
 
 Look = Callable[[Mapping[str, np.ndarray]], None]
 
@@ -205,7 +225,8 @@ class Shot(NamedTuple):
 
 
 class WatchedDevice(Device):
-    """A CPU device that always runs one given network, whatever a pass asks for, and passes its inputs to `look`."""
+    """A CPU device that always runs one given network, whatever a pass asks for, and passes its
+    inputs to `look`."""
 
     def __init__(self, library: Library, name: str, look: Look) -> None:
         super().__init__("cpu")
@@ -217,9 +238,11 @@ class WatchedDevice(Device):
         state.prepare = partial(self._prepare, state, state.prepare)
         return state
 
-    def _prepare(self, state: PipelineState, prepare: Callable, tensors: list[Tensor]) -> Callable[[], None]:
+    def _prepare(self, state: PipelineState, prepare: Callable,
+                 tensors: list[Tensor]) -> Callable[[], None]:
         run = prepare(tensors)
-        reads = {b.name: t.host_view() for b, t in zip(state.bindings, tensors, strict=True) if b.access == "read"}
+        reads = {b.name: t.host_view()
+                 for b, t in zip(state.bindings, tensors, strict=True) if b.access == "read"}
 
         def watch() -> None:
             self._look(reads)
@@ -229,16 +252,17 @@ class WatchedDevice(Device):
 
 
 def shots(source: str, ending: str) -> Iterator[Shot]:
-    """Frames of a folder of clips or of a sequence, for a network whose name has this ending: a network for guides gets
-    only frames with guides, others get all frames without them; a network for 1x runs at scale 1, whatever the size of
-    the references.
+    """Frames of a folder of clips or of a sequence, for a network whose name has this ending: a
+    network for guides gets only frames with guides, others get all frames without them; a network
+    for 1x runs at scale 1, whatever the size of the references.
 
     Raises ValueError if there are none.
     """
     found, guided, unscaled = 0, ending == GUIDED, ending == UNSCALED
     clips = sorted(Path(source).glob("[!.]*.npz")) if Path(source).is_dir() else []
     for clip in map(load_clip, clips):
-        if guided and ("guide_jitter" not in clip or clip["scale"] == 1):  # guides are not read there
+        # guides are not read there
+        if (guided and ("guide_jitter" not in clip or clip["scale"] == 1)):
             continue
         for variant in range(clip["variants"]):
             frames = [_frame(clip, variant, t, guided) for t in range(len(clip["reference"]))]
@@ -246,7 +270,8 @@ def shots(source: str, ending: str) -> Iterator[Shot]:
             found += 1
     if not clips:
         frames = postfx.read_sequence(source)
-        yield Shot(1 if unscaled else None, (frame for frame in frames if frame.guides or not guided))
+        yield Shot(1 if unscaled else None,
+                   (frame for frame in frames if frame.guides or not guided))
         found = len(frames)
     if not found:
         raise ValueError(f"{source}: no clip with guides")
@@ -258,19 +283,22 @@ def _frame(clip: Mapping[str, Any], variant: int, t: int, guided: bool) -> Frame
     guides = {Role(name): _plane(clip[f"guide_{name}"][t]) for name in GUIDES if guided}
     if guided:
         guides[Role.DEPTH] = _plane(guide_depth(clip["guide_depth"][t]))
-    return Frame(planes, t + 1, tuple(clip[v + "jitter"][t].tolist()), reset=bool(clip["reset"][t]), guides=guides)
+    return Frame(planes, t + 1, tuple(clip[v + "jitter"][t].tolist()), reset=bool(clip["reset"][t]),
+                 guides=guides)
 
 
 def _plane(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(values.reshape(*values.shape[:2], -1), np.float32)
 
 
-def pictures(found: Iterable[Shot], library: Library, name: str, look: Look = lambda reads: None) -> list[np.ndarray]:
+def pictures(found: Iterable[Shot], library: Library, name: str,
+             look: Look = lambda reads: None) -> list[np.ndarray]:
     """Results of a network for all shots as people see them: exposed, x/(1+x), sRGB."""
     device, tag = WatchedDevice(library, name, look), name.split(".")[1]
     results = []
     for shot in found:
-        pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model=exact(tag), scale=shot.scale)], device)
+        pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model=exact(tag), scale=shot.scale)],
+                                   device)
         for frame in shot.frames:
             light = np.maximum(pipeline(frame)[Role.COLOUR] * pipeline.exposure, 0)
             results.append(srgb_encode(light / (1 + light)).astype(np.float16))
@@ -287,7 +315,8 @@ def layers_of(graph: onnx.GraphProto, name: str) -> list[str]:
     """Modules of a network to quantise, as 'up.0'."""
     size, ending = name.split(".")[1], split_ending(name)[1]
     kept = FINE.get(size, ()) if ending == UNSCALED else ()
-    found = dict.fromkeys(".".join(node.input[1].split(".")[:2]) for node in convolutions(graph, LAYERS))
+    found = dict.fromkeys(".".join(node.input[1].split(".")[:2])
+                          for node in convolutions(graph, LAYERS))
     return [layer for layer in found if layer not in kept]
 
 
@@ -302,16 +331,19 @@ def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[st
     model = equalise(model, widths.shares())
     stem = None if ending == UNSCALED else Stem(model.graph)
     quantised = convolutions(model.graph, layers)
-    calibration = Calibration(model, dict.fromkeys(kept.values()), [*quantised, *heads(model.graph).values()], stem)
+    calibration = Calibration(model, dict.fromkeys(kept.values()),
+                              [*quantised, *heads(model.graph).values()], stem)
     before = pictures(shots(source, ending), library, name, calibration.add)
     ranges, weights = calibration.ranges(), calibration.weights()
-    small = quantise(model, layers, {tensor: ranges[like] for tensor, like in kept.items()}, weights)
+    small = quantise(model, layers, {tensor: ranges[like] for tensor, like in kept.items()},
+                     weights)
     small = in_integers(small, weights, stem)
     store_half(small.graph)
     path = folder / f"{variant_name(name, PRECISION)}.onnx"
     told = facts(small)
     write_model(small, path)
-    card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1], "precision": PRECISION}
+    card = {**library.card(name), "name": path.stem, "tag": path.stem.split(".", 1)[1],
+            "precision": PRECISION}
     for other in ("quality", "parity", "recipe"):  # they belong to the float32 network
         card.pop(other, None)
     card |= known_recipe(path.with_suffix(".json"))
@@ -328,15 +360,20 @@ def make_int8(name: str, library: Library, source: str, folder: Path) -> dict[st
 
 def difference(found: list[np.ndarray], wanted: list[np.ndarray]) -> dict[str, float]:
     """PSNR in dB of pictures 0..1 against others: mean over the pictures, and of the worst one."""
-    errors = [np.square(a.astype(np.float32) - b).mean() for a, b in zip(found, wanted, strict=True)]
+    errors = [np.square(a.astype(np.float32) - b).mean()
+              for a, b in zip(found, wanted, strict=True)]
     decibels = -10 * np.log10(np.maximum(errors, 1e-12))
-    return {"psnr_db": round(float(decibels.mean()), 2), "worst_psnr_db": round(float(decibels.min()), 2)}
+    return {"psnr_db": round(float(decibels.mean()), 2),
+            "worst_psnr_db": round(float(decibels.min()), 2)}
 
 
 def options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", help="model of the folder, as denoise_upscale.m or denoise_upscale.m.1x")
-    parser.add_argument("--clips", required=True, metavar="SOURCE", help="folder of clips (.npz), or a noisy sequence")
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name",
+                        help="model of the folder, as denoise_upscale.m or denoise_upscale.m.1x")
+    parser.add_argument("--clips", required=True, metavar="SOURCE",
+                        help="folder of clips (.npz), or a noisy sequence")
     parser.add_argument("-o", "--models", type=Path, default=MODELS, metavar="FOLDER",
                         help="where it is, and where to write")
     return parser
@@ -346,8 +383,9 @@ def main() -> None:
     args = options().parse_args()
     card = make_int8(args.name, Library(args.models), args.clips, args.models)
     path = args.models / f"{card['name']}.onnx"
-    print(f"{path}: {path.stat().st_size} bytes, {card['int8_layers']} convolutions in int8; "
-          f"against float32 {card['difference']['psnr_db']} dB, worst frame {card['difference']['worst_psnr_db']} dB")
+    print(f"{path}: {path.stat().st_size} bytes, {card['int8_layers']} "
+          f"convolutions in int8; against float32 {card['difference']['psnr_db']} dB, worst frame "
+          f"{card['difference']['worst_psnr_db']} dB")
 
 
 if __name__ == "__main__":

@@ -1,14 +1,15 @@
 """A trunk of residual blocks that begins at the render size: the network of the denoiser at 1x.
 
-The trunk of `model.py` sees the picture through a stem of stride 2, and levels of plain ReLU can die. Here every level
-carries a linear stream to which blocks add, so a level that learns slowly still passes on what it gets, and the finest
-level has the render size. The inputs and the heads are those of `model.Trunk`, so the operations around the network
-stay the same.
+The trunk of `model.py` sees the picture through a stem of stride 2, and levels of plain ReLU can
+die. Here every level carries a linear stream to which blocks add, so a level that learns slowly
+still passes on what it gets, and the finest level has the render size. The inputs and the heads are
+those of `model.Trunk`, so the operations around the network stay the same.
 
-At first every logit is drawn one way, towards sharper filters, and without a norm fourteen convolutions in a row grow
-together: the stream rose from 1 to 10^7 within 40 steps, all heads left their range, and nothing was learnt from then
-on. (Split filters and lower rates for filters of many inputs only put it off.) Each head therefore reads the stream
-divided by its root mean square over the channels, so its scale no longer matters.
+At first every logit is drawn one way, towards sharper filters, and without a norm fourteen
+convolutions in a row grow together: the stream rose from 1 to 10^7 within 40 steps, all heads left
+their range, and nothing was learnt from then on. (Split filters and lower rates for filters of many
+inputs only put it off.) Each head therefore reads the stream divided by its root mean square over
+the channels, so its scale no longer matters.
 """
 
 from __future__ import annotations
@@ -36,9 +37,10 @@ USUAL_ERROR = -6.0  # logarithm of a squared error in code values: 26 dB
 class ResidualConfig:
     """Layout of the trunk.
 
-    ``widths`` are the channels of the levels at 1, 1/2, 1/4, 1/8 and 1/16 of the render size; ``down`` and ``up`` the
-    residual blocks of each level before and after the coarser ones. The coarsest level has no blocks of ``up``. A
-    ``mirrored`` network also reads Blender's Denoising Albedo and Denoising Normal, and predicts its error.
+    ``widths`` are the channels of the levels at 1, 1/2, 1/4, 1/8 and 1/16 of the render size;
+    ``down`` and ``up`` the residual blocks of each level before and after the coarser ones. The
+    coarsest level has no blocks of ``up``. A ``mirrored`` network also reads Blender's Denoising
+    Albedo and Denoising Normal, and predicts its error.
     """
 
     widths: tuple[int, ...] = (32, 80, 112, 144, 176)
@@ -74,7 +76,8 @@ class ResidualConfig:
     @classmethod
     def from_dict(cls, config: dict[str, Any]) -> ResidualConfig:
         known = {field.name: config[field.name] for field in fields(cls) if field.name in config}
-        lists = {name: tuple(value) for name, value in known.items() if isinstance(value, list | tuple)}
+        lists = {name: tuple(value)
+                 for name, value in known.items() if isinstance(value, list | tuple)}
         return cls(**{**known, **lists})
 
     def products(self) -> float:
@@ -86,7 +89,8 @@ class ResidualConfig:
             total += area * blocks * 2 * 9 * width * width
             total += area * width * (KERNEL + 1) if level else 0
             if level < LEVELS:
-                total += area * width * self.widths[level + 1]  # to the coarser level: 2x2 pixels, a quarter of them
+                # to the coarser level: 2x2 pixels, a quarter of them
+                total += area * width * self.widths[level + 1]
                 total += area / 4 * width * self.widths[level + 1]  # and back
             area /= 4
         return total
@@ -108,8 +112,9 @@ class ResidualBlock(nn.Module):
 
 
 def bound(logits: Tensor) -> Tensor:
-    """Logits within `STEEPEST`, where filters are clamped anyway, but with the gradient of the unbounded ones: clamped
-    logits have none, so a head that once left the range for all pixels would never come back."""
+    """Logits within `STEEPEST`, where filters are clamped anyway, but with the gradient of the
+    unbounded ones: clamped logits have none, so a head that once left the range for all pixels
+    would never come back."""
     logits = logits.float()
     return logits + (logits.clamp(-STEEPEST, STEEPEST) - logits).detach()
 
@@ -127,8 +132,8 @@ def blocks(width: int, count: int) -> nn.Sequential:
 class ResidualTrunk(nn.Module):
     """Features (N, 35, h, w), h and w multiples of 16 -> the activated heads of `model.Trunk`.
 
-    A ``mirrored`` network also reads `model.mirrored_features` (N, 6, h, w), and after the heads gives the logarithm of
-    the expected squared error of each pixel, (N, 1, h, w).
+    A ``mirrored`` network also reads `model.mirrored_features` (N, 6, h, w), and after the heads
+    gives the logarithm of the expected squared error of each pixel, (N, 1, h, w).
     """
 
     def __init__(self, config: ResidualConfig | None = None):
@@ -140,7 +145,8 @@ class ResidualTrunk(nn.Module):
         self.stem = nn.Conv2d(inputs, widths[0], 3, padding=1)
         self.down = nn.ModuleList(map(blocks, widths, self.config.down))
         self.up = nn.ModuleList(map(blocks, widths, self.config.up))
-        self.shrink = nn.ModuleList(nn.Conv2d(widths[i], widths[i + 1], 2, stride=2) for i in range(LEVELS))
+        self.shrink = nn.ModuleList(nn.Conv2d(widths[i], widths[i + 1], 2, stride=2)
+                                    for i in range(LEVELS))
         self.lift = nn.ModuleList(nn.Conv2d(widths[i + 1], widths[i], 1) for i in range(LEVELS))
         counts = [KERNEL + 1] * (LEVELS - 1) + [KERNEL]
         self.heads = nn.ModuleList(nn.Conv2d(widths[i + 1], counts[i], 1) for i in range(LEVELS))
@@ -151,14 +157,16 @@ class ResidualTrunk(nn.Module):
         nn.init.constant_(self.fine.bias[SHARPEN:MIX], NO_SHARPENING)
         self.error = None
         if self.config.mirrored:
-            self.error = nn.Sequential(nn.Conv2d(widths[0], widths[0], 1), nn.ReLU(), nn.Conv2d(widths[0], 1, 1))
+            self.error = nn.Sequential(nn.Conv2d(widths[0], widths[0], 1), nn.ReLU(),
+                                       nn.Conv2d(widths[0], 1, 1))
             nn.init.constant_(self.error[-1].bias, USUAL_ERROR)
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         return self.behind(self.stem(torch.cat(inputs, 1)))
 
     def behind(self, x: Tensor) -> tuple[Tensor, ...]:
-        """The heads from the stem's output: ``fine`` (N, 80, h, w), ``level1`` .. ``level4``, ``error``."""
+        """The heads from the stem's output: ``fine`` (N, 80, h, w), ``level1`` .. ``level4``,
+        ``error``."""
         skips = []
         for level, stack in enumerate(self.down):
             x = stack(self.shrink[level - 1](x) if level else x)

@@ -1,20 +1,25 @@
 """Train the denoised upscaler on clips of the data factory.
 
 One GPU:      python -m training.denoise.train --clips CLIPS --out RUN --minutes 20
-Mixed clips:  python -m training.denoise.train --clips mitsuba=3 cycles=2 formula --out RUN --minutes 20
-Several GPUs: torchrun --nproc-per-node 4 -m training.denoise.train --clips CLIPS --out RUN --minutes 20
-To try it:    python -m training.denoise.train --clips CLIPS --out RUN --steps 20 --batch 1 --crop 32 --widths 16 16
+Mixed clips:  python -m training.denoise.train --clips mitsuba=3 cycles=2 formula --out RUN \\
+                  --minutes 20
+Several GPUs: torchrun --nproc-per-node 4 -m training.denoise.train --clips CLIPS --out RUN \\
+                  --minutes 20
+To try it:    python -m training.denoise.train --clips CLIPS --out RUN --steps 20 --batch 1 \\
+                  --crop 32 --widths 16 16
 
-The learning rate rises over 500 steps and then follows the clock: a cosine down to zero at the end of --minutes. The
-folders of clips may still be growing. RUN/log.csv and validation.csv hold the curves (`training.measure.runs curves`
-draws them). RUN/checkpoint.pt holds the weights, their average, the optimiser, step, time, arguments and the commit.
---resume continues with all of it, except for the histories of --carry; --start begins a new run from weights alone.
-Each step seeds its random numbers by --seed and its own number, so that a resumed run draws the same. --log FILE adds
-the run to a table of runs (`training.measure.runs`). The defaults are those of the last training of m.
+The learning rate rises over 500 steps and then follows the clock: a cosine down to zero at the end
+of --minutes. The folders of clips may still be growing. RUN/log.csv and validation.csv hold the
+curves (`training.measure.runs curves` draws them). RUN/checkpoint.pt holds the weights, their
+average, the optimiser, step, time, arguments and the commit. --resume continues with all of it,
+except for the histories of --carry; --start begins a new run from weights alone. Each step seeds
+its random numbers by --seed and its own number, so that a resumed run draws the same. --log FILE
+adds the run to a table of runs (`training.measure.runs`). The defaults are those of the last
+training of m.
 
-This file reads from top to bottom: settings, the few functions that a step needs, then `train`, one plain loop. The
-network is in model.py, the loss in loss.py, clips and their augmentation in dataset.py, CUDA graphs and gradients in
-gradient.py, and checkpoints in checkpoint.py.
+This file reads from top to bottom: settings, the few functions that a step needs, then `train`, one
+plain loop. The network is in model.py, the loss in loss.py, clips and their augmentation in
+dataset.py, CUDA graphs and gradients in gradient.py, and checkpoints in checkpoint.py.
 """
 
 import argparse
@@ -44,7 +49,7 @@ from training.denoise.picture import LARGE, PictureConfig, PictureDenoiser, Pict
 from training.denoise.residual import ResidualConfig, ResidualTrunk
 from training.measure.runs import append_run
 
-# Settings -----------------------------------------------------------------------------------------------------------
+# Settings -----------------------------------------------------------------------------------------
 
 KEEP_MINUTES = 2.0  # between two checkpoints
 USUAL_WAIT = 8  # clips a GPU before training starts
@@ -54,80 +59,112 @@ WARM_STEPS = 500  # over which the learning rate rises: where it rises faster, u
 DECAY = 0.9995  # of the average of the weights
 LARGEST_NORM = 1.0  # of a gradient
 PLAYING = 8  # playbacks between which --carry draws
-PLACES = ("clips", "out", "start", "resume", "onward", "log")  # arguments that name files: no checkpoint keeps them
+# arguments that name files: no checkpoint keeps them
+PLACES = ("clips", "out", "start", "resume", "onward", "log")
 
 
 def options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--clips", type=weighted_folder, required=True, nargs="+", metavar="FOLDER[=WEIGHT]",
-                        help="folders of clip.NNNNN.npz; a clip of weight 3 is drawn three times as often as one of 1")
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clips", type=weighted_folder, required=True, nargs="+",
+                        metavar="FOLDER[=WEIGHT]",
+                        help="folders of clip.NNNNN.npz; a clip of weight 3 is drawn three times "
+                        "as often as one of 1")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
-    parser.add_argument("--minutes", type=float, default=17, help="length of the training (default: %(default)s)")
-    parser.add_argument("--steps", type=int, help="length in steps; the cosine then follows steps, not minutes")
-    parser.add_argument("--batch", type=int, default=16, help="clips a GPU and step (default: %(default)s)")
-    parser.add_argument("--crop", type=int, default=96, help="side of the windows in render pixels, multiple of 16")
-    parser.add_argument("--rate", type=float, default=8e-4, help="highest learning rate (default: %(default)s)")
+    parser.add_argument("--minutes", type=float, default=17,
+                        help="length of the training (default: %(default)s)")
+    parser.add_argument("--steps", type=int,
+                        help="length in steps; the cosine then follows steps, not minutes")
+    parser.add_argument("--batch", type=int, default=16,
+                        help="clips a GPU and step (default: %(default)s)")
+    parser.add_argument("--crop", type=int, default=96,
+                        help="side of the windows in render pixels, multiple of 16")
+    parser.add_argument("--rate", type=float, default=8e-4,
+                        help="highest learning rate (default: %(default)s)")
     parser.add_argument("--cool", type=float, metavar="SHARE",
-                        help="keep the learning rate until this last share of the training, then lower it linearly to "
-                             "zero (default: a cosine all along); stable.pt is the checkpoint before, to go on from")
-    parser.add_argument("--residual", action="store_true", help="a trunk of residual blocks from the render size on "
-                        "(residual.py), of which --widths, --down and --up tell the layout")
-    parser.add_argument("--picture", action="store_true", help="a network that gives the picture itself (picture.py); "
-                        "--start with the file of training.denoise.open_weights")
-    parser.add_argument("--published-rate", type=float, default=0.05, metavar="SHARE", help="with --picture: of the "
-                        "learning rate, for the weights of a published network; 0 keeps them (default: %(default)s)")
+                        help="keep the learning rate until this last share of the training, then "
+                        "lower it linearly to zero (default: a cosine all along); stable.pt is the "
+                        "checkpoint before, to go on from")
+    parser.add_argument("--residual", action="store_true",
+                        help="a trunk of residual blocks from the render size on (residual.py), of "
+                        "which --widths, --down and --up tell the layout")
+    parser.add_argument("--picture", action="store_true",
+                        help="a network that gives the picture itself (picture.py); --start with "
+                        "the file of training.denoise.open_weights")
+    parser.add_argument("--published-rate", type=float, default=0.05, metavar="SHARE",
+                        help="with --picture: of the learning rate, for the weights of a published "
+                        "network; 0 keeps them (default: %(default)s)")
     parser.add_argument("--large", action="store_true",
                         help="with --picture: the layout of the large published network")
     parser.add_argument("--clean-planes", type=float, default=0.0, metavar="WEIGHT",
-                        help="with --picture: weight of the error of albedo and normal that the network has cleaned "
-                             "(default: %(default)s)")
-    parser.add_argument("--down", type=int, nargs="+", default=list(ResidualConfig.down), metavar="N",
-                        help="with --residual: blocks of each level on the way down")
+                        help="with --picture: weight of the error of albedo and normal that the "
+                        "network has cleaned (default: %(default)s)")
+    parser.add_argument("--down", type=int, nargs="+", default=list(ResidualConfig.down),
+                        metavar="N", help="with --residual: blocks of each level on the way down")
     parser.add_argument("--up", type=int, nargs="+", default=list(ResidualConfig.up), metavar="N",
                         help="with --residual: blocks of each level on the way up")
     parser.add_argument("--volumes", action="store_true",
-                        help="leave depth and albedo of volumes as rendered (default: as if files lacked them)")
-    parser.add_argument("--widths", type=int, nargs="+", default=[96, 160, 224, 320], help="channels of the levels")
-    parser.add_argument("--depth", type=int, default=TrunkConfig.depth, help="convolutions a level and direction")
-    parser.add_argument("--stem", type=int, help="channels of the stem (default: those of the first level)")
-    parser.add_argument("--reach", type=int, default=TrunkConfig.reach, choices=(2, 4), help="side of the stem, pixels")
+                        help="leave depth and albedo of volumes as rendered (default: as if files "
+                        "lacked them)")
+    parser.add_argument("--widths", type=int, nargs="+", default=[96, 160, 224, 320],
+                        help="channels of the levels")
+    parser.add_argument("--depth", type=int, default=TrunkConfig.depth,
+                        help="convolutions a level and direction")
+    parser.add_argument("--stem", type=int,
+                        help="channels of the stem (default: those of the first level)")
+    parser.add_argument("--reach", type=int, default=TrunkConfig.reach, choices=(2, 4),
+                        help="side of the stem, pixels")
     parser.add_argument("--guides", action="store_true", help="read planes at output size")
-    parser.add_argument("--trust", action="store_true", help="let the network predict how far it trusts the planes")
-    parser.add_argument("--flicker", type=float, default=6.0, help="weight of the temporal difference")
-    parser.add_argument("--reset", type=float, default=0.03, help="chance that a frame drops its history")
+    parser.add_argument("--trust", action="store_true",
+                        help="let the network predict how far it trusts the planes")
+    parser.add_argument("--flicker", type=float, default=6.0,
+                        help="weight of the temporal difference")
+    parser.add_argument("--reset", type=float, default=0.03,
+                        help="chance that a frame drops its history")
     parser.add_argument("--even", type=float, nargs="?", default=0.0, const=8.0, metavar="MOST",
-                        help="give clips of little noise more weight, at most this many times as much (8)")
+                        help="give clips of little noise more weight, at most this many times as "
+                        "much (8)")
     parser.add_argument("--light", type=float, nargs=2, default=LIGHT, metavar=("WEIGHT", "KNEE"),
-                        help="weight of the relative error of light in cells of 16x16 pixels, and the error below "
-                             "which it is squared (default: %(default)s)")
+                        help="weight of the relative error of light in cells of 16x16 pixels, and "
+                        "the error below which it is squared (default: %(default)s)")
     parser.add_argument("--reflectance", type=float, default=0.0, metavar="WEIGHT",
-                        help="with --trust: weight of the relative error of the trusted reflectance against that of a "
-                             "render with many samples (default: %(default)s)")
+                        help="with --trust: weight of the relative error of the trusted "
+                        "reflectance against that of a render with many samples (default: "
+                        "%(default)s)")
     parser.add_argument("--clean", type=float, default=Augment.clean, metavar="SHARE",
-                        help="share of the offline renders whose colour is moved towards the reference (%(default)s)")
+                        help="share of the offline renders whose colour is moved towards the "
+                        "reference (%(default)s)")
     parser.add_argument("--false-motion", type=float, default=0.0, metavar="SHARE",
                         help="share of the clips with wrong motion vectors (%(default)s)")
     parser.add_argument("--sparse-planes", type=float, default=0.0, metavar="SHARE",
-                        help="share of the clips with albedo, normal and roughness of a render with fewer samples")
+                        help="share of the clips with albedo, normal and roughness of a render "
+                        "with fewer samples")
     parser.add_argument("--blend", type=float, default=0.0, metavar="SHARE",
-                        help="share of the clips whose noise is mixed from two of their renders (%(default)s)")
+                        help="share of the clips whose noise is mixed from two of their renders "
+                        "(%(default)s)")
     parser.add_argument("--both-ways", type=float, default=0.0, metavar="SHARE",
-                        help="share of the steps that also run clips backwards and score the blend of both directions")
+                        help="share of the steps that also run clips backwards and score the blend "
+                        "of both directions")
     parser.add_argument("--carry", type=float, default=0.0, metavar="SHARE",
-                        help="share of the steps that continue the history of an earlier one: the same windows, with "
-                             "other noise, played the other way (default: %(default)s)")
+                        help="share of the steps that continue the history of an earlier one: the "
+                        "same windows, with other noise, played the other way (default: "
+                        "%(default)s)")
     begin = parser.add_mutually_exclusive_group()
     begin.add_argument("--start", type=Path,
-                       help="weights: checkpoint.pt or denoise_upscale.<tag>.onnx, also of a network with fewer "
-                            "channels or levels")
+                       help="weights: checkpoint.pt or denoise_upscale.<tag>.onnx, also of a "
+                       "network with fewer channels or levels")
     begin.add_argument("--continue", type=Path, dest="onward", metavar="FILE",
-                       help="go on from a checkpoint of 'training.denoise.checkpoint pack': its weights, their average "
-                            "and the count of steps, with the arguments of this call")
-    begin.add_argument("--resume", type=Path, help="checkpoint.pt of a run to continue, with its arguments")
-    parser.add_argument("--wait", type=int, help="clips a GPU to wait for before training starts; default: 8, or those "
-                        f"that are there once no other came for {PATIENCE:.0f} seconds")
+                       help="go on from a checkpoint of 'training.denoise.checkpoint pack': its "
+                       "weights, their average and the count of steps, with the arguments of this "
+                       "call")
+    begin.add_argument("--resume", type=Path,
+                       help="checkpoint.pt of a run to continue, with its arguments")
+    parser.add_argument("--wait", type=int,
+                        help="clips a GPU to wait for before training starts; default: 8, or "
+                        f"those that are there once no other came for {PATIENCE:.0f} seconds")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--log", type=Path, metavar="FILE", help="table of runs (.jsonl) that gets a row at the end")
+    parser.add_argument("--log", type=Path, metavar="FILE",
+                        help="table of runs (.jsonl) that gets a row at the end")
     return parser
 
 
@@ -152,12 +189,13 @@ def parse(words: list[str] | None = None) -> argparse.Namespace:
     return args
 
 
-# Parts of a step ----------------------------------------------------------------------------------------------------
+# Parts of a step ----------------------------------------------------------------------------------
 
 def rate_at(progress: float, step: int, peak: float, cool: float | None = None) -> float:
-    """Learning rate at a share of the training and a step of this run: a linear rise, then a cosine to zero, or the
-    peak until the last share ``cool`` of the training."""
-    fall = 0.5 * (1 + math.cos(math.pi * progress)) if cool is None else min((1 - progress) / max(cool, 1e-9), 1)
+    """Learning rate at a share of the training and a step of this run: a linear rise, then a cosine
+    to zero, or the peak until the last share ``cool`` of the training."""
+    fall = (0.5 * (1 + math.cos(math.pi * progress)) if cool is None
+            else min((1 - progress) / max(cool, 1e-9), 1))
     return peak * min((step + 1) / WARM_STEPS, 1) * max(fall, 1e-3)
 
 
@@ -166,7 +204,8 @@ def trunk_of(args: argparse.Namespace) -> Trunk | ResidualTrunk:
     if args.residual:
         layout = ResidualConfig(tuple(args.widths), tuple(args.down), tuple(args.up), args.trust)
         return ResidualTrunk(layout)
-    return Trunk(TrunkConfig(tuple(args.widths), args.depth, args.guides, args.stem, args.reach, args.trust))
+    return Trunk(TrunkConfig(tuple(args.widths), args.depth, args.guides, args.stem, args.reach,
+                             args.trust))
 
 
 def network_of(args: argparse.Namespace) -> DenoiseUpscale | PictureDenoiser:
@@ -177,7 +216,8 @@ def network_of(args: argparse.Namespace) -> DenoiseUpscale | PictureDenoiser:
 
 
 def rate_groups(model: DenoiseUpscale | PictureDenoiser, published: float) -> list[dict[str, Any]]:
-    """The weights that are learnt, by the share of the learning rate that they get; others are frozen."""
+    """The weights that are learnt, by the share of the learning rate that they get; others are
+    frozen."""
     if not isinstance(model, PictureDenoiser):
         return [{"params": list(model.parameters()), "share": 1.0}]
     before = model.trunk.published()
@@ -190,14 +230,16 @@ def rate_groups(model: DenoiseUpscale | PictureDenoiser, published: float) -> li
 
 
 def runs_both_ways(step: int, share: float) -> bool:
-    """Whether a step is one of the ``share`` that runs both ways: evenly spread, the same on every GPU."""
+    """Whether a step is one of the ``share`` that runs both ways: evenly spread, the same on every
+    GPU."""
     return math.floor((step + 1) * share) > math.floor(step * share)
 
 
 @dataclass
 class Playback:
-    """Windows that are played forwards and backwards by turns, one turn a step, so that history grows longer than a
-    clip. ``state`` is the history after the turns so far, ``begun`` the step of the first."""
+    """Windows that are played forwards and backwards by turns, one turn a step, so that history
+    grows longer than a clip. ``state`` is the history after the turns so far, ``begun`` the step of
+    the first."""
 
     begun: int
     turn: int = 0
@@ -205,7 +247,8 @@ class Playback:
 
 
 def pick(playing: list[Playback], step: int, args: argparse.Namespace) -> Playback:
-    """One of the playbacks, the same on all GPUs: with the chance ``args.carry`` it goes on, else a new one begins."""
+    """One of the playbacks, the same on all GPUs: with the chance ``args.carry`` it goes on, else a
+    new one begins."""
     drawn = random.Random(f"{args.seed} {step}")
     place = drawn.randrange(len(playing))
     if not playing[place].turn or drawn.random() >= args.carry:
@@ -242,9 +285,10 @@ class Average:
 
 @torch.no_grad()
 @torch.compiler.set_stance("force_eager")  # nothing is compiled for the sizes of validation
-def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool, both: bool = False) -> tuple[float, float]:
-    """PSNR in dB and flicker of the averaged weights on the first noisy render of each held-out clip, without
-    augmentation.
+def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool,
+             both: bool = False) -> tuple[float, float]:
+    """PSNR in dB and flicker of the averaged weights on the first noisy render of each held-out
+    clip, without augmentation.
 
     ``both`` scores the blend of both directions. Both figures are NaN if no clip is held out.
     """
@@ -257,7 +301,8 @@ def validate(loss: ClipLoss, weights: dict[str, Tensor], pool: ClipPool, both: b
         results.append(torch.stack(loss(batch)[1:3]) * len(clips))
     loss.reset, loss.even = reset, even
     loss.model.load_state_dict(mine)
-    quality, flicker = (sum(results) / len(pool.validation)).tolist() if results else (math.nan, math.nan)
+    quality, flicker = ((sum(results) / len(pool.validation)).tolist() if results
+                        else (math.nan, math.nan))
     return quality, flicker
 
 
@@ -275,18 +320,20 @@ def add_row(path: Path, *values: float) -> None:
         csv.writer(file).writerow(values)
 
 
-# Training -----------------------------------------------------------------------------------------------------------
+# Training -----------------------------------------------------------------------------------------
 
 def tell_empty_folders(pool: ClipPool) -> None:
     """Name the folders from which no clip is trained on, as when what fills them has failed."""
     filled = {path.parent for path in pool.seen}
     for folder in pool.folders:
         if folder not in filled:
-            print(f"no clip of {folder} is there yet: training on the others until some come", flush=True)
+            print(f"no clip of {folder} is there yet: training on the others until some come",
+                  flush=True)
 
 
 def wait_for_clips(pool: ClipPool, wanted: int | None, where: str) -> None:
-    """Wait for as many clips; for `USUAL_WAIT` without a number, or those that are there once no other comes."""
+    """Wait for as many clips; for `USUAL_WAIT` without a number, or those that are there once no
+    other comes."""
     count, since = pool.refresh(), time.monotonic()
     enough = USUAL_WAIT if wanted is None else wanted
     if count < enough:
@@ -300,14 +347,17 @@ def wait_for_clips(pool: ClipPool, wanted: int | None, where: str) -> None:
         since = time.monotonic() if count > before else since
 
 
-def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch.device = torch.device("cpu"),  # noqa: B008
+def train(args: argparse.Namespace, rank: int = 0, world: int = 1,
+          device: torch.device = torch.device("cpu"),  # noqa: B008
           model: DenoiseUpscale | None = None, pause: int | None = None) -> DenoiseUpscale:
     """Train in one of ``world`` processes; returns the network with its live weights.
 
-    ``model`` stands in for the network of the arguments. ``pause``: stop at this step, with a checkpoint to resume.
+    ``model`` stands in for the network of the arguments. ``pause``: stop at this step, with a
+    checkpoint to resume.
     """
     # Clips: each process trains on a share of the folder, and one clip in twenty is held out.
-    kinds = (("inverse",) if args.both_ways or args.carry else ()) + (("static",) if args.false_motion else ())
+    kinds = (("inverse",) if args.both_ways or args.carry else ()) + (("static",)
+                                                                      if args.false_motion else ())
     pool = ClipPool(dict(args.clips), device, args.guides, rank, world, pairs=kinds,
                     blank_volumes=not args.volumes)
     wait_for_clips(pool, args.wait, folder_names(args))
@@ -321,7 +371,8 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
         model.load_state_dict(widen(load_weights(args.start, args.trust), model.state_dict()))
     groups = rate_groups(model, args.published_rate)
     average = Average(model, DECAY)
-    loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light), args.reflectance, args.clean_planes)
+    loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light), args.reflectance,
+                    args.clean_planes)
     flat = FlatGradient([weight for group in groups for weight in group["params"]])
     gradient = GradientStep(loss, flat)
     optimiser = torch.optim.AdamW(groups, lr=args.rate, betas=(0.9, 0.99), weight_decay=1e-4,
@@ -356,21 +407,25 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
         return float(share)
 
     def keep() -> dict[str, Any]:
-        """Validate the averaged weights and write the checkpoint; returns the notes on the run so far."""
+        """Validate the averaged weights and write the checkpoint; returns the notes on the run so
+        far."""
         seconds = time.monotonic() - start
         quality, flicker = validate(loss, average.weights, pool)
-        notes = {"steps": step, "minutes": round(seconds / 60, 2), "gpus": world, "batch": args.batch * world,
-                 "clips": len(pool) * world, "validation_psnr": quality, "validation_flicker": flicker}
+        notes = {"steps": step, "minutes": round(seconds / 60, 2), "gpus": world,
+                 "batch": args.batch * world, "clips": len(pool) * world,
+                 "validation_psnr": quality, "validation_flicker": flicker}
         if args.both_ways:
             both = validate(loss, average.weights, pool, both=True)
             notes |= {"both_ways": args.both_ways, "both_psnr": both[0], "both_flicker": both[1]}
         weights = {k: v.cpu().contiguous() for k, v in average.weights.items()}
-        save({"config": model.config.as_dict(), "weights": weights, "notes": notes, "live": model.state_dict(),
-              "optimiser": optimiser.state_dict(), "step": step, "seconds": time.monotonic() - start,
+        save({"config": model.config.as_dict(), "weights": weights, "notes": notes,
+              "live": model.state_dict(), "optimiser": optimiser.state_dict(), "step": step,
+              "seconds": time.monotonic() - start,
               "rate": optimiser.param_groups[0]["lr"], "seed": args.seed,
               "arguments": {k: v for k, v in vars(args).items() if k not in PLACES},
               "commit": git_commit(), "nonfinite": int(flat.nonfinite)}, args.out / "checkpoint.pt")
-        add_row(args.out / "validation.csv", step, round(time.monotonic() - start, 1), quality, flicker)
+        add_row(args.out / "validation.csv", step, round(time.monotonic() - start, 1), quality,
+                flicker)
         print("validation", json.dumps(notes), flush=True)
         return notes
 
@@ -394,11 +449,13 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
             group["lr"] = rate * group["share"]
         play = pick(playing, step, args)
         seed_all(args.seed, rank, play.begun)  # the same windows and augmentation for all turns
-        drawn = pool.draw(args.batch, args.crop, args.seed + play.begun, args.sparse_planes, play.turn, args.blend)
+        drawn = pool.draw(args.batch, args.crop, args.seed + play.begun, args.sparse_planes,
+                          play.turn, args.blend)
         batch = augment(drawn)
         seed_all(args.seed, rank, step, "resets")
         if args.carry:
-            batch = replace(batch, state=play.state or empty_state(batch.frames[0], *batch.references.shape[-2:]))
+            batch = replace(batch, state=play.state or empty_state(batch.frames[0],
+                                                                   *batch.references.shape[-2:]))
         *results, play.state = gradient(set_direction(batch, runs_both_ways(step, args.both_ways)))
         play.turn += 1
         norm = flat.finish(LARGEST_NORM, world > 1)
@@ -411,14 +468,15 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
             recent.clear()
             if rank == 0:
                 seconds = time.monotonic() - start
-                print(f"step {step} {seconds:.0f} s clips {len(pool)} rate {rate:.2e} loss {values[0]:.4f} "
-                      f"psnr {values[1]:.2f} flicker {values[2]:.4f} norm {values[3]:.3f} "
-                      f"non-finite {int(flat.nonfinite)}", flush=True)
+                print(f"step {step} {seconds:.0f} s clips {len(pool)} rate {rate:.2e} loss "
+                      f"{values[0]:.4f} psnr {values[1]:.2f} flicker {values[2]:.4f} norm "
+                      f"{values[3]:.3f} non-finite {int(flat.nonfinite)}", flush=True)
                 add_row(args.out / "log.csv", step, round(seconds, 1), rate, *values)
         if time.monotonic() - kept > 60 * KEEP_MINUTES:
             if world > 1:
                 pool.refresh()
-            playing = [Playback(step) for _ in range(PLAYING)]  # windows are drawn from other clips now
+            # windows are drawn from other clips now
+            playing = [Playback(step) for _ in range(PLAYING)]
             if rank == 0:
                 keep()
             kept = time.monotonic()
@@ -433,7 +491,8 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
 
 def folder_names(args: argparse.Namespace) -> str:
     """The folders of clips as on the command line."""
-    return " ".join(str(folder) if weight == 1 else f"{folder}={weight:g}" for folder, weight in args.clips)
+    return " ".join(str(folder) if weight == 1 else f"{folder}={weight:g}"
+                    for folder, weight in args.clips)
 
 
 def run_row(args: argparse.Namespace, notes: dict[str, Any]) -> dict[str, Any]:
@@ -441,7 +500,8 @@ def run_row(args: argparse.Namespace, notes: dict[str, Any]) -> dict[str, Any]:
     defaults = vars(options().parse_args(["--clips", ".", "--out", ""]))
     changed = {k: v for k, v in vars(args).items() if k not in PLACES and v != defaults[k]}
     return {"run": args.out.name, "date": date.today().isoformat(), "commit": git_commit(),
-            "start": str(args.start or "from scratch"), "options": changed, "data": folder_names(args), **notes}
+            "start": str(args.start or "from scratch"), "options": changed,
+            "data": folder_names(args), **notes}
 
 
 def main() -> None:
@@ -450,7 +510,8 @@ def main() -> None:
     device = torch.device(f"cuda:{rank}" if torch.cuda.is_available() else "cpu")
     if device.type == "cuda":
         torch.cuda.set_device(device)
-        torch.backends.cudnn.benchmark = torch.backends.cudnn.allow_tf32 = torch.backends.cuda.matmul.allow_tf32 = True
+        torch.backends.cudnn.benchmark = torch.backends.cudnn.allow_tf32 = True
+        torch.backends.cuda.matmul.allow_tf32 = True
         fuse()
     torch.manual_seed(args.seed)  # the same weights everywhere; batches differ by rank
     random.seed(args.seed + rank)

@@ -1,5 +1,5 @@
-"""The compute kernels of overlays, reactive masks, reflections and restored detail as torch modules with the kernels'
-own bindings, for export to ONNX. Overlays are premultiplied RGBA, (h, w, 4).
+"""The compute kernels of overlays, reactive masks, reflections and restored detail as torch modules
+with the kernels' own bindings, for export to ONNX. Overlays are premultiplied RGBA, (h, w, 4).
 """
 
 import math
@@ -32,7 +32,7 @@ from training import ops
 from training.denoise.model import MAX_FLOAT
 from training.kernels.denoise import part, to_image, to_picture
 
-# Overlays -----------------------------------------------------------------------------------------------------------
+# Overlays -----------------------------------------------------------------------------------------
 
 def make_finite(values: Tensor) -> Tensor:
     """The values with 0 in place of those that are not finite."""
@@ -47,7 +47,8 @@ class Enlarge(nn.Module):
         alpha, colour = cubic[..., 3:].clamp(0, 1), cubic[..., :3]
         low, high = straight(make_finite(image))
         for axis, positions in ((0, rows), (1, columns)):
-            near = [(positions.floor() + k).clamp(0, image.shape[axis] - 1).long() for k in range(2)]
+            near = [(positions.floor() + k).clamp(0, image.shape[axis] - 1).long()
+                    for k in range(2)]
             low = torch.minimum(*(low.index_select(axis, index) for index in near))
             high = torch.maximum(*(high.index_select(axis, index) for index in near))
         colour = torch.where(high.abs() < torch.inf, torch.minimum(colour, high * alpha), colour)
@@ -56,8 +57,8 @@ class Enlarge(nn.Module):
 
 
 def straight(image: Tensor) -> tuple[Tensor, Tensor]:
-    """Straight colour of a pixel, as least and as largest value: infinite for light without coverage, an empty range
-    for a pixel without light and coverage."""
+    """Straight colour of a pixel, as least and as largest value: infinite for light without
+    coverage, an empty range for a pixel without light and coverage."""
     light, alpha = image[..., :3], image[..., 3:]
     infinite = torch.full_like(light, torch.inf)
     own = torch.where(light > 0, infinite, -infinite)
@@ -70,7 +71,8 @@ class Over(nn.Module):
     """overlay (H, W, 4), colour (H, W, 3) -> output (H, W, 3)."""
 
     def forward(self, overlay: Tensor, colour: Tensor) -> Tensor:
-        return over(make_finite(overlay[..., :3]), ops.sanitise(overlay[..., 3:], 0, 1), make_finite(colour))
+        return over(make_finite(overlay[..., :3]), ops.sanitise(overlay[..., 3:], 0, 1),
+                    make_finite(colour))
 
 
 class OverAlpha(nn.Module):
@@ -86,7 +88,7 @@ def over(front: Tensor, alpha: Tensor, behind: Tensor) -> Tensor:
     return front + (1 - alpha) * behind
 
 
-# Reactive mask ------------------------------------------------------------------------------------------------------
+# Reactive mask ------------------------------------------------------------------------------------
 # The kernels of the reactive mask as torch modules: see ``postfx.kernels.denoise.history``.
 
 def compress(colour: Tensor, exposure: Tensor) -> Tensor:
@@ -96,11 +98,13 @@ def compress(colour: Tensor, exposure: Tensor) -> Tensor:
 
 
 class Reactive(nn.Module):
-    """colour, opaque_colour (h, w, 3), difference (3,): exposure, scale, threshold -> reactive (h, w, 1)."""
+    """colour, opaque_colour (h, w, 3), difference (3,): exposure, scale, threshold -> reactive (h,
+    w, 1)."""
 
     def forward(self, colour: Tensor, opaque_colour: Tensor, difference: Tensor) -> Tensor:
         exposure, scale, threshold = difference.unbind()
-        most = (compress(colour, exposure) - compress(opaque_colour, exposure)).abs().amax(-1, keepdim=True)
+        most = ((compress(colour, exposure) - compress(opaque_colour, exposure)).abs()
+                .amax(-1, keepdim=True))
         return torch.where(most >= threshold, (most * scale).clamp(max=1), torch.zeros_like(most))
 
 
@@ -108,19 +112,22 @@ class Spread(nn.Module):
     """reactive (h, w, 1) -> next_reactive (h, w, 1)."""
 
     def forward(self, reactive: Tensor) -> Tensor:
-        return to_picture(F.max_pool2d(to_image(ops.sanitise(reactive, 0, 1)), 2 * SPREAD + 1, 1, SPREAD))
+        return to_picture(F.max_pool2d(to_image(ops.sanitise(reactive, 0, 1)), 2 * SPREAD + 1, 1,
+                                       SPREAD))
 
 
 class Keep(nn.Module):
-    """reactive, last_reactive (h, w, 1), moved (th, tw, 2), part_rows (th,), part_columns (tw,) -> keep (th, tw, 1)."""
+    """reactive, last_reactive (h, w, 1), moved (th, tw, 2), part_rows (th,), part_columns (tw,) ->
+    keep (th, tw, 1)."""
 
-    def forward(self, reactive: Tensor, last_reactive: Tensor, moved: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+    def forward(self, reactive: Tensor, last_reactive: Tensor, moved: Tensor, rows: Tensor,
+                columns: Tensor) -> Tensor:
         place = rows.long(), columns.long()
         before = ops.warp_nearest(to_image(last_reactive), to_image(moved), place)
         return to_picture(1 - torch.maximum(ops.sanitise(part(reactive, *place), 0, 1), before))
 
 
-# Reflections --------------------------------------------------------------------------------------------------------
+# Reflections --------------------------------------------------------------------------------------
 # The kernel of reflections' motion as a torch module, see ``postfx.kernels.denoise.history``.
 
 Pair = tuple[Tensor, Tensor]
@@ -139,13 +146,15 @@ def unit(normal: Tensor) -> Tensor:
 
 
 class Reflections(nn.Module):
-    """motion (h, w, 2), depth, normal, roughness, both albedos, hit_distance (h, w, 1), camera (27,) ->
-    reflected (h, w, 2)."""
+    """motion (h, w, 2), depth, normal, roughness, both albedos, hit_distance (h, w, 1), camera
+    (27,) -> reflected (h, w, 2)."""
 
-    def forward(self, motion: Tensor, depth: Tensor, normal: Tensor, roughness: Tensor, diffuse_albedo: Tensor,
+    def forward(self, motion: Tensor, depth: Tensor, normal: Tensor, roughness: Tensor,
+                diffuse_albedo: Tensor,
                 specular_albedo: Tensor, hit_distance: Tensor, camera: Tensor) -> Tensor:
         own = torch.where(motion.abs() < float(MOST_MOTION), motion, torch.zeros_like(motion))
-        share = (ops.sanitise(specular_albedo, 0, 1) - ops.sanitise(diffuse_albedo, 0, 1)).sum(-1, keepdim=True)
+        share = (ops.sanitise(specular_albedo, 0, 1)
+                 - ops.sanitise(diffuse_albedo, 0, 1)).sum(-1, keepdim=True)
         chosen = (share > 0) & (roughness <= layout.ROUGHEST) & (hit_distance > 0)
         chosen = chosen & (depth > 0) & (depth < FARTHEST)
         rays = self._rays(depth, camera)
@@ -173,14 +182,17 @@ class Reflections(nn.Module):
         then = then + camera[layout.SHIFT:layout.WORLD] * nearness
         ahead = then[..., 2:]
         at = then[..., :2] / ahead.clamp(min=float(NEAREST))
-        return at * camera[layout.FOCAL_THEN:layout.JITTER] - rays * camera[layout.FOCAL:layout.FOCAL_THEN], ahead
+        return (at * camera[layout.FOCAL_THEN:layout.JITTER]
+                - rays * camera[layout.FOCAL:layout.FOCAL_THEN], ahead)
 
     def _inverse_distance(self, hit_distance: Tensor, depth: Tensor) -> Pair:
-        """Mean of one over the hit distance, and whether there is any. Repeated edges do not count."""
+        """Mean of one over the hit distance, and whether there is any. Repeated edges do not
+        count."""
         distance, z = around(hit_distance), around(depth)
         counts = (distance > 0) & ((z - depth[..., None]).abs() <= layout.STEP * depth[..., None])
         counts &= self._in_picture(depth) > 0
-        each = torch.where(counts, 1 / distance.clamp(min=float(NEAREST)), torch.zeros_like(distance))
+        each = torch.where(counts, 1 / distance.clamp(min=float(NEAREST)),
+                           torch.zeros_like(distance))
         count = counts.to(depth.dtype).sum(-1)
         return each.sum(-1) / count.clamp(min=1), count > 0
 
@@ -200,22 +212,23 @@ class Reflections(nn.Module):
         for low, high in ((1, 7), (3, 5)):
             for side in (low, high):
                 cosine = (near[..., side] * directions).sum(-1, keepdim=True)
-                inside = inside & ((z[..., side] - depth).abs() <= layout.STEP * depth) & (cosine >= layout.BEND)
+                inside = (inside & ((z[..., side] - depth).abs() <= layout.STEP * depth)
+                          & (cosine >= layout.BEND))
             along = place[..., high] - place[..., low]
             change = ((turned[..., high] - turned[..., low]) * along).sum(-1, keepdim=True)
             total = total + change / along.square().sum(-1, keepdim=True).clamp(min=1e-20)
         return (0.5 * total).clamp(min=0), inside
 
 
-# Restored detail ----------------------------------------------------------------------------------------------------
+# Restored detail ----------------------------------------------------------------------------------
 # The kernels of ``postfx.kernels.denoise.output`` as torch modules. Pictures (H, W, C).
 
 TINY = 1e-12
 
 
 class Judge(nn.Module):
-    """colour, denoised (h, w, 3), params, judged (tiles_high, tiles_wide, 1) -> sums (tiles_high, tiles_wide, 11):
-    pixels, power, held power, products; 0 where a tile is not judged."""
+    """colour, denoised (h, w, 3), params, judged (tiles_high, tiles_wide, 1) -> sums (tiles_high,
+    tiles_wide, 11): pixels, power, held power, products; 0 where a tile is not judged."""
 
     def forward(self, colour: Tensor, denoised: Tensor, params: Tensor, judged: Tensor) -> Tensor:
         clean = light(denoised, params)
@@ -230,13 +243,15 @@ class Judge(nn.Module):
         for dy, dx in LAGS:
             here = held[:, :TILE - dy, :, max(0, -dx):TILE - max(0, dx)]
             there = held[:, dy:, :, max(0, dx):TILE + min(0, dx)]
-            products.append((here * there).sum((1, 3)) * (TILE**2 / ((TILE - dy) * (TILE - abs(dx)))))
+            products.append((here * there)
+                            .sum((1, 3)) * (TILE**2 / ((TILE - dy) * (TILE - abs(dx)))))
         sums = torch.stack((count, power, held.square().sum((1, 3)), *products), -1)
         return torch.where(judged > 0, sums, torch.zeros_like(sums))
 
 
 class Detail(nn.Module):
-    """sums (tiles_high, tiles_wide, 11), evidence (1,) -> detail (tiles_high, tiles_wide, 1), the share to restore."""
+    """sums (tiles_high, tiles_wide, 11), evidence (1,) -> detail (tiles_high, tiles_wide, 1), the
+    share to restore."""
 
     def forward(self, sums: Tensor, evidence: Tensor) -> Tensor:
         spread = binomial(binomial(sums, 0), 1)
@@ -245,12 +260,14 @@ class Detail(nn.Module):
         weight = torch.sqrt(power) * sums[..., COUNT]
         total = weight.sum().clamp(min=TINY)
         found = spread[..., FIRST:] / (spread[..., HELD_POWER:FIRST] + TINY)
-        common = F.pad((found * weight[..., None]).sum((0, 1))[:NEAR].clamp(min=0) / total, (0, len(LAGS) - NEAR))
+        common = F.pad((found * weight[..., None]).sum((0, 1))[:NEAR].clamp(min=0) / total,
+                       (0, len(LAGS) - NEAR))
         mean = sums[..., POWER].sum() / sums[..., COUNT].sum().clamp(min=1)
         filtered = ramp(torch.log(mean + TINY), math.log(FILTERED[0]), math.log(FILTERED[1]))
         structure = (found - filtered * common).square().sum(-1) - SPREAD_NOISE * len(LAGS) / count
         faint = ramp(-torch.log(power + TINY), -math.log(INVISIBLE[1]), -math.log(INVISIBLE[0]))
-        quiet = ramp(-torch.log(mean + TINY), -math.log(LOUD[1]), -math.log(LOUD[0])) * evidence.clamp(max=1)
+        quiet = ramp(-torch.log(mean + TINY), -math.log(LOUD[1]),
+                     -math.log(LOUD[0])) * evidence.clamp(max=1)
         own = torch.maximum(ramp(torch.sqrt(structure.clamp(min=0)), *STRUCTURE), faint) * quiet
         clean = ramp((own * weight).sum() / total * evidence, *CLEAN)
         return (own + (1 - own) * clean)[..., None]
@@ -296,5 +313,6 @@ def between(values: Tensor, size: int, axis: int) -> Tensor:
     at = ((torch.arange(size) + 0.5) / TILE - 0.5).clamp(0, last)
     first = at.floor().long()
     part = (at - first).unflatten(0, (-1, *[1] * (values.ndim - 1 - axis)))
-    one, other = values.index_select(axis, first), values.index_select(axis, (first + 1).clamp(max=last))
+    one, other = values.index_select(axis, first), values.index_select(axis,
+                                                                       (first + 1).clamp(max=last))
     return one + (other - one) * part

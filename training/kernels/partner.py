@@ -1,5 +1,5 @@
-"""The compute kernels of the mixture with another denoiser as torch modules with the kernels' own bindings, for
-export to ONNX. `postfx.kernels.partner` explains them.
+"""The compute kernels of the mixture with another denoiser as torch modules with the kernels' own
+bindings, for export to ONNX. `postfx.kernels.partner` explains them.
 """
 
 import torch
@@ -21,11 +21,11 @@ def decode(coded: Tensor) -> Tensor:
 
 
 class MixPartner(nn.Module):
-    """colour, partner, history (H, W, 3), motion (H, W, 2), weight, strength (H, W, 1), settings (4,)
-    -> output (H, W, 3); motion, weight and strength may have one pixel."""
+    """colour, partner, history (H, W, 3), motion (H, W, 2), weight, strength (H, W, 1), settings
+    (4,) -> output (H, W, 3); motion, weight and strength may have one pixel."""
 
-    def forward(self, colour: Tensor, partner: Tensor, history: Tensor, motion: Tensor, weight: Tensor,
-                strength: Tensor, settings: Tensor) -> Tensor:
+    def forward(self, colour: Tensor, partner: Tensor, history: Tensor, motion: Tensor,
+                weight: Tensor, strength: Tensor, settings: Tensor) -> Tensor:
         exposure = settings[0]
         acting = ops.sanitise(settings[3], 0, 1) * ops.sanitise(strength, 0, 1)
         share = acting * ops.sanitise(weight, 0, 1)
@@ -49,7 +49,8 @@ class MixPartner(nn.Module):
         moved = torch.where(possible[..., None], motion, torch.zeros_like(motion))
         y, x = rows + moved[..., 1], columns + moved[..., 0]
         known = possible & (y >= 0) & (y <= height - 1) & (x >= 0) & (x <= width - 1)
-        y, x = torch.where(known, y, torch.zeros_like(y)), torch.where(known, x, torch.zeros_like(x))
+        y, x = torch.where(known, y, torch.zeros_like(y)), torch.where(known, x,
+                                                                       torch.zeros_like(x))
         top, left = y.floor(), x.floor()
         v, u = (y - top)[..., None], (x - left)[..., None]
         above, first = top.long(), left.long()
@@ -60,7 +61,8 @@ class MixPartner(nn.Module):
 
 
 class EnlargeMotion(nn.Module):
-    """motion (h, w, 2), rows (H,) and columns (W,), positions in it, ratio (2,) -> enlarged (H, W, 2)."""
+    """motion (h, w, 2), rows (H,) and columns (W,), positions in it, ratio (2,) -> enlarged (H, W,
+    2)."""
 
     def forward(self, motion: Tensor, rows: Tensor, columns: Tensor, ratio: Tensor) -> Tensor:
         down = rows.round().long().clamp(0, motion.shape[0] - 1)

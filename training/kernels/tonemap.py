@@ -1,4 +1,5 @@
-"""The tone mapper's compute kernels as torch modules with the kernels' own bindings, for export to ONNX."""
+"""The tone mapper's compute kernels as torch modules with the kernels' own bindings, for export to
+ONNX."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ def to_image(colour: torch.Tensor) -> torch.Tensor:
 
 def make_finite(colour: torch.Tensor) -> torch.Tensor:
     """NaN becomes 0, infinities finite."""
-    return torch.where(colour == colour, colour, torch.zeros_like(colour)).clamp(-float(BRIGHTEST), float(BRIGHTEST))
+    return torch.where(colour == colour, colour, torch.zeros_like(colour)).clamp(-float(BRIGHTEST),
+                                                                                 float(BRIGHTEST))
 
 
 def look_up_code(table: torch.Tensor, share: torch.Tensor) -> torch.Tensor:
@@ -30,7 +32,8 @@ def look_up_code(table: torch.Tensor, share: torch.Tensor) -> torch.Tensor:
 
 
 class SliceApply(nn.Module):
-    """colour (H,W,3), params (3,), matrix (9,), guide (112,), grid (1,16,16,8,12), cube (S,S,S,3) -> output (H,W,3)."""
+    """colour (H,W,3), params (3,), matrix (9,), guide (112,), grid (1,16,16,8,12), cube
+    (S,S,S,3) -> output (H,W,3)."""
 
     def forward(
         self,
@@ -41,11 +44,13 @@ class SliceApply(nn.Module):
         grid: torch.Tensor,
         cube: torch.Tensor,
     ) -> torch.Tensor:
-        return network.slice_apply(to_image(colour), Shaper(params, matrix), guide, grid, cube)[0].permute(1, 2, 0)
+        return network.slice_apply(to_image(colour), Shaper(params, matrix), guide, grid,
+                                   cube)[0].permute(1, 2, 0)
 
 
 class ApplyCube(nn.Module):
-    """colour (H,W,3), params (3,), matrix (9,), cube (S,S,S,3) -> output (H,W,3), tetrahedral between the corners."""
+    """colour (H,W,3), params (3,), matrix (9,), cube (S,S,S,3) -> output (H,W,3), tetrahedral
+    between the corners."""
 
     def forward(
         self, colour: torch.Tensor, params: torch.Tensor, matrix: torch.Tensor, cube: torch.Tensor
@@ -64,7 +69,8 @@ class ConvertPrimaries(nn.Module):
 class Lowres(nn.Module):
     """colour (H,W,3), params (3,), matrix (9,) -> lowres (1,3,256,256)."""
 
-    def forward(self, colour: torch.Tensor, params: torch.Tensor, matrix: torch.Tensor) -> torch.Tensor:
+    def forward(self, colour: torch.Tensor, params: torch.Tensor,
+                matrix: torch.Tensor) -> torch.Tensor:
         return network.lowres(to_image(colour), Shaper(params, matrix))
 
 
@@ -78,14 +84,16 @@ class Light(nn.Module):
 class Follow(nn.Module):
     """light (256,3), params (4,), before (1,4) -> after (1,4)."""
 
-    def forward(self, light: torch.Tensor, params: torch.Tensor, before: torch.Tensor) -> torch.Tensor:
+    def forward(self, light: torch.Tensor, params: torch.Tensor,
+                before: torch.Tensor) -> torch.Tensor:
         return network.follow(light, params, before)
 
 
 class Smooth(nn.Module):
     """previous, current (1,16,16,8,12), keep (1,4) -> result (1,16,16,8,12)."""
 
-    def forward(self, previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor) -> torch.Tensor:
+    def forward(self, previous: torch.Tensor, current: torch.Tensor,
+                keep: torch.Tensor) -> torch.Tensor:
         return network.smooth(previous, current, keep)
 
 
@@ -93,13 +101,15 @@ class Expose(nn.Module):
     """previous (3,), current (1,1), keep (1,4), params (3,) -> result (3,)."""
 
     def forward(
-        self, previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor, params: torch.Tensor
+        self, previous: torch.Tensor, current: torch.Tensor, keep: torch.Tensor,
+        params: torch.Tensor
     ) -> torch.Tensor:
         return network.expose(previous, current, keep, params)
 
 
 class EncodeDisplay(nn.Module):
-    """colour (H,W,3), params (12,), decode (4098,), encode (4098,) -> output (H,W,3), code values of a display."""
+    """colour (H,W,3), params (12,), decode (4098,), encode (4098,) -> output (H,W,3), code values
+    of a display."""
 
     def forward(
         self, colour: torch.Tensor, params: torch.Tensor, decode: torch.Tensor, encode: torch.Tensor
@@ -113,8 +123,10 @@ class EncodeDisplay(nn.Module):
 
 
 class Checkerboard(nn.Module):
-    """rows (H,), columns (W,), greys (2,) -> output (H,W,3): the first grey where row and column are the same."""
+    """rows (H,), columns (W,), greys (2,) -> output (H,W,3): the first grey where row and column
+    are the same."""
 
-    def forward(self, rows: torch.Tensor, columns: torch.Tensor, greys: torch.Tensor) -> torch.Tensor:
+    def forward(self, rows: torch.Tensor, columns: torch.Tensor,
+                greys: torch.Tensor) -> torch.Tensor:
         grey = torch.where(rows[:, None] == columns[None, :], greys[0], greys[1])
         return grey[:, :, None].repeat(1, 1, 3)

@@ -1,10 +1,11 @@
 """Denoised alpha: composites over three backgrounds with alpha resampled, denoised and true.
 
 python -m training.measure.alpha [--model m] [--scales 1,2]
-python -m training.measure.alpha --cost [--model m]    what alpha takes of a frame's time, one thread
+python -m training.measure.alpha --cost [--model m]   what alpha takes of a frame's time, one thread
 
-Fur and a translucent disc, drawn by formula: 128x128 at 4 samples a pixel, six frames, still and moving, light with
-exponential noise; the truth has 256 samples a pixel (128 at 2x). Prints PSNR of the last frame's composites as sRGB.
+Fur and a translucent disc, drawn by formula: 128x128 at 4 samples a pixel, six frames, still and
+moving, light with exponential noise; the truth has 256 samples a pixel (128 at 2x). Prints PSNR of
+the last frame's composites as sRGB.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ MOVES = {"still": (0.0, 0.0), "moving": (1.3, 0.4)}
 
 
 class Hairs(NamedTuple):
-    """Root, way to the tip, half width at the root and colour of each hair, in pixels of the render."""
+    """Root, way to the tip, half width at the root and colour of each hair, in pixels of the
+    render."""
 
     root: np.ndarray
     way: np.ndarray
@@ -40,10 +42,12 @@ class Hairs(NamedTuple):
     def grown(cls) -> Hairs:
         """The same hairs every time."""
         random = np.random.default_rng(5)
-        root = np.stack([random.uniform(10, SIDE - 10, HAIRS), random.uniform(60, SIDE - 3, HAIRS)], 1)
+        root = np.stack([random.uniform(10, SIDE - 10, HAIRS), random.uniform(60, SIDE - 3, HAIRS)],
+                        1)
         angle, length = random.normal(-np.pi / 2, 0.5, HAIRS), random.uniform(25, 60, HAIRS)
         way = length[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
-        return cls(root, way, random.uniform(0.25, 0.9, HAIRS), random.uniform(0.15, 0.8, (HAIRS, 3)))
+        return cls(root, way, random.uniform(0.25, 0.9, HAIRS),
+                   random.uniform(0.15, 0.8, (HAIRS, 3)))
 
     def hit(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Index of the front hair at each position, -1 for none."""
@@ -57,7 +61,8 @@ class Hairs(NamedTuple):
 
 def draw(hairs: Hairs, seed: int, samples: int, scale: int, noisy: bool,
          moved: np.ndarray) -> dict[Role, np.ndarray]:
-    """Premultiplied colour, alpha and albedo, means over the given samples a pixel; all `moved` by so many pixels."""
+    """Premultiplied colour, alpha and albedo, means over the given samples a pixel; all `moved` by
+    so many pixels."""
     random, side = np.random.default_rng(seed), SIDE * scale
     rows, columns = np.mgrid[:side, :side]
     sums = {role: np.zeros((side, side, count)) for role, count in
@@ -66,20 +71,25 @@ def draw(hairs: Hairs, seed: int, samples: int, scale: int, noisy: bool,
         x, y = ((places + random.random((side, side))) / scale - shift
                 for places, shift in zip((columns, rows), moved, strict=True))
         hair = hairs.hit(x, y)
-        disc = (random.random((side, side)) < np.clip(1 - np.hypot(x - 64, y - 28) / 20, 0, 1)) & (hair < 0)
-        albedo = np.where((hair >= 0)[..., None], hairs.colour[np.maximum(hair, 0)], 0.6 * disc[..., None])
+        disc = ((random.random((side, side)) < np.clip(1 - np.hypot(x - 64, y - 28) / 20, 0, 1))
+                & (hair < 0))
+        albedo = np.where((hair >= 0)[..., None], hairs.colour[np.maximum(hair, 0)],
+                          0.6 * disc[..., None])
         light = random.exponential(1, (side, side, 1)) if noisy else 1.0
-        for role, value in ((Role.COLOUR, 0.8 * albedo * light), (Role.ALPHA, ((hair >= 0) | disc)[..., None]),
+        for role, value in ((Role.COLOUR, 0.8 * albedo * light),
+                            (Role.ALPHA, ((hair >= 0) | disc)[..., None]),
                             (Role.DIFFUSE_ALBEDO, albedo)):
             sums[role] += value
     return {role: (total / samples).astype(np.float32) for role, total in sums.items()}
 
 
 def measure(model: str, scale: int, name: str, truth: int = 256) -> dict[str, list[float]]:
-    """For each background, PSNR with alpha resampled, denoised and true; the truth has so many samples at 1x."""
+    """For each background, PSNR with alpha resampled, denoised and true; the truth has so many
+    samples at 1x."""
     hairs, device, way = Hairs.grown(), Device("cpu"), np.array(MOVES[name])
     true = draw(hairs, 99, truth // scale, scale, False, (FRAMES - 1) * way)
-    passes = [Pipeline([DenoiseUpscale(scale=scale, model=model, alpha=alpha)], device) for alpha in (False, True)]
+    passes = [Pipeline([DenoiseUpscale(scale=scale, model=model, alpha=alpha)], device)
+              for alpha in (False, True)]
     for i in range(FRAMES):
         planes = draw(hairs, i, SAMPLES, 1, True, i * way)
         planes[Role.MOTION] = np.broadcast_to(-way, (SIDE, SIDE, 2)).astype(np.float32)
@@ -96,18 +106,21 @@ def measure(model: str, scale: int, name: str, truth: int = 256) -> dict[str, li
 
 
 def cost(model: str) -> None:
-    """Print alpha's share of a frame's time for figures with a noisy rim, and where all of alpha is noisy."""
+    """Print alpha's share of a frame's time for figures with a noisy rim, and where all of alpha is
+    noisy."""
     random, device = np.random.default_rng(0), Device("cpu", threads=1)
     colour = random.random((540, 960, 3), np.float32)
     planes = {Role.COLOUR: colour, Role.DIFFUSE_ALBEDO: colour, Role.NORMAL: colour,
               Role.DEPTH: 1 + colour[..., :1].copy(), Role.MOTION: 0.5 * colour[..., :2].copy()}
     rows, columns = np.mgrid[:540, :960]
-    frames = {"no alpha": Frame(planes), "all of it": Frame({**planes, Role.ALPHA: colour[..., :1].copy()})}
+    frames = {"no alpha": Frame(planes),
+              "all of it": Frame({**planes, Role.ALPHA: colour[..., :1].copy()})}
     for radius in (120, 200, 260):
         covered = np.clip(0.5 - (np.hypot(0.9 * (columns - 480), rows - 270) - radius) / 12, 0, 1)
         alpha = (random.random((540, 960, SAMPLES)) < covered[..., None]).mean(-1, keepdims=True)
         frames[f"a rim {2 * radius} high"] = Frame({**planes, Role.ALPHA: alpha.astype(np.float32)})
-    runs = {name: Pipeline([DenoiseUpscale(scale=2, model=model)], device, exposure=0.0) for name in frames}
+    runs = {name: Pipeline([DenoiseUpscale(scale=2, model=model)], device, exposure=0.0)
+            for name in frames}
     times: dict[str, list[float]] = {name: [] for name in frames}
     for _ in range(10):
         for name, frame in frames.items():
@@ -121,7 +134,8 @@ def cost(model: str) -> None:
 
 def main() -> None:
     """Measure as the command line says."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--model", default="m")
     parser.add_argument("--scales", default="1,2")
     parser.add_argument("--cost", action="store_true")
@@ -133,7 +147,8 @@ def main() -> None:
     for scale in arguments.scales.split(","):
         for name in MOVES:
             for background, row in measure(arguments.model, int(scale), name).items():
-                print(f"| {scale}x, {name} | {background} | " + " | ".join(f"{value:.2f}" for value in row) + " |")
+                print(f"| {scale}x, {name} | {background} "
+                      "| " + " | ".join(f"{value:.2f}" for value in row) + " |")
 
 
 if __name__ == "__main__":

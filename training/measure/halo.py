@@ -53,7 +53,8 @@ def rows_for(halo: int, height: int) -> list[int]:
     """How many rows to denoise, so that their windows end a halo below, on the grid and within the
     frame."""
     ends = range(SIDE_MULTIPLE, height - SIDE_MULTIPLE, SIDE_MULTIPLE)
-    return [end - halo - STRENGTH_REACH_PX for end in ends if end - halo - STRENGTH_REACH_PX > 2 * STRENGTH_REACH_PX][:WINDOWS]
+    return [end - halo - STRENGTH_REACH_PX
+            for end in ends if end - halo - STRENGTH_REACH_PX > 2 * STRENGTH_REACH_PX][:WINDOWS]
 
 
 def difference(

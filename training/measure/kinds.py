@@ -1,16 +1,19 @@
-"""Networks and Open Image Denoise by kind of content, on clips of the generator that also makes training clips.
+"""Networks and Open Image Denoise by kind of content, on clips of the generator that also makes
+training clips.
 
-No network was trained on these clips, but on others of the same making: they show whether a network has become worse,
-and flatter it beside Open Image Denoise. `training.measure.table` is the yardstick.
+No network was trained on these clips, but on others of the same making: they show whether a network
+has become worse, and flatter it beside Open Image Denoise. `training.measure.table` is the
+yardstick.
 
     python -m training.measure.kinds score CLIPS [--models m,s] [--json FILE]     a table by kind
     python -m training.measure.kinds score CLIPS --log training/runs.jsonl --run NAME [--models m]
-    python -m training.measure.kinds pack CLIPS FOLDER                            a small set for tests
+    python -m training.measure.kinds pack CLIPS FOLDER                         a small set for tests
 
-CLIPS holds .npz files of `training.datagen.render --blender ...`, drawn with seeds from 9000 on. Pictures are compared
-after exposure, x/(1+x) and the sRGB curve, in the second half of the frames. The squared error is the mean of the
-product of the differences from two independent halves of the reference, so the reference's own noise does not count.
---log adds the mean gains by kind to a training run (`training.measure.runs`).
+CLIPS holds .npz files of `training.datagen.render --blender ...`, drawn with seeds from 9000 on.
+Pictures are compared after exposure, x/(1+x) and the sRGB curve, in the second half of the frames.
+The squared error is the mean of the product of the differences from two independent halves of the
+reference, so the reference's own noise does not count. --log adds the mean gains by kind to a
+training run (`training.measure.runs`).
 """
 
 from __future__ import annotations
@@ -42,19 +45,22 @@ def frames_of(clip: dict, variant: int, exposure: float) -> Iterator[Frame]:
     for t in range(len(clip["reference"])):
         planes = {Role(name): clip[f"v{variant}_{name}"][t].astype(np.float32) for name in PLANES}
         planes[Role.DEPTH] = planes[Role.DEPTH][..., None]
-        yield Frame(planes, number=t, exposure=float(np.log2(exposure)), reset=bool(clip["reset"][t]))
+        yield Frame(planes, number=t, exposure=float(np.log2(exposure)),
+                    reset=bool(clip["reset"][t]))
 
 
 def halves(clip: dict, variant: int) -> tuple[np.ndarray, np.ndarray]:
-    """Two independent references (T, H, W, 3); only the second for a render that was made from the first."""
+    """Two independent references (T, H, W, 3); only the second for a render that was made from the
+    first."""
     second = clip["half"].astype(np.float32)
-    first = second if clip[f"v{variant}_half"] else 2 * clip["reference"].astype(np.float32) - second
+    first = (second if clip[f"v{variant}_half"]
+             else 2 * clip["reference"].astype(np.float32) - second)
     return first, second
 
 
 def oidn_method(size: tuple[int, int], planes: str = "clean") -> Method:
-    """Open Image Denoise, high quality with albedo and normal, as rendered or prefiltered, enlarged by cubic
-    interpolation."""
+    """Open Image Denoise, high quality with albedo and normal, as rendered or prefiltered, enlarged
+    by cubic interpolation."""
     oidn, kernels = Oidn("high", "cpu", 2, planes), HostKernels(Device())
     return lambda frame: kernels.enlarge(oidn(frame), *size, (0.0, 0.0))
 
@@ -77,18 +83,22 @@ def score_render(clip: dict, variant: int, method: Method) -> float:
 
 
 def score(paths: list[Path], models: list[str]) -> list[dict]:
-    """A row for each clip and noisy render: kind, scale, samples a pixel, and PSNR by method. OIDN runs twice, with the
-    planes as rendered and prefiltered."""
+    """A row for each clip and noisy render: kind, scale, samples a pixel, and PSNR by method. OIDN
+    runs twice, with the planes as rendered and prefiltered."""
     rows = []
     for path in paths:
         clip = load_clip(path)
         scale, size = round(clip["scale"], 3), clip["reference"].shape[1:3]
         for variant in range(clip["variants"]):
-            row = {"clip": path.stem, "kind": clip["meta"]["kind"], "scale": scale, "spp": int(clip[f"v{variant}_spp"]),
+            row = {"clip": path.stem, "kind": clip["meta"]["kind"], "scale": scale,
+                   "spp": int(clip[f"v{variant}_spp"]),
                    "oidn": score_render(clip, variant, oidn_method(size)),
-                   "oidn_prefiltered": score_render(clip, variant, oidn_method(size, "prefiltered"))}
-            rows.append(row | {m: score_render(clip, variant, network_method(m, scale)) for m in models})
-            print(json.dumps({k: round(v, 2) if isinstance(v, float) else v for k, v in rows[-1].items()}),
+                   "oidn_prefiltered": score_render(clip, variant,
+                                                    oidn_method(size, "prefiltered"))}
+            rows.append(row | {m: score_render(clip, variant, network_method(m, scale))
+                               for m in models})
+            print(json.dumps({k: round(v, 2) if isinstance(v, float) else v
+                              for k, v in rows[-1].items()}),
                   file=sys.stderr, flush=True)
     return rows
 
@@ -108,13 +118,14 @@ def free(row: dict) -> float:
 
 def mean_gains(rows: list[dict], models: list[str]) -> dict[str, dict[str, float]]:
     """Kind -> network -> mean gain over the better Open Image Denoise in dB."""
-    return {kind: {model: round(float(np.mean([row[model] - free(row) for row in found])), 2) for model in models}
+    return {kind: {model: round(float(np.mean([row[model] - free(row) for row in found])), 2)
+                   for model in models}
             for kind, found in group(rows).items()}
 
 
 def table(rows: list[dict], models: list[str]) -> str:
-    """Markdown: a row for each kind with the mean PSNR of both ways to run OIDN, and each network's mean and least gain
-    over the better one."""
+    """Markdown: a row for each kind with the mean PSNR of both ways to run OIDN, and each network's
+    mean and least gain over the better one."""
     lines = ["| kind | renders | OIDN high, dB | planes prefiltered, dB | " +
              " | ".join(f"{m}, dB more | least" for m in models) + " |",
              "| --- | --- | --- | --- |" + " --- | --- |" * len(models)]
@@ -134,14 +145,16 @@ def pack(paths: list[Path], folder: Path) -> None:
     for path in paths:
         with np.load(path) as file:
             clip = dict(file)
-        noisiest = min(range(sum(name.endswith("_spp") for name in clip)), key=lambda v: int(clip[f"v{v}_spp"]))
+        noisiest = min(range(sum(name.endswith("_spp") for name in clip)),
+                       key=lambda v: int(clip[f"v{v}_spp"]))
         kept = {}
         for name, values in clip.items():
             if name.startswith("v"):
                 if not name.startswith(f"v{noisiest}_"):
                     continue
                 name = f"v0_{name.split('_', 1)[1]}"
-            kept[name] = middle(values, float(clip["scale"]) if name in ("reference", "half") else 1.0)
+            kept[name] = middle(values,
+                                float(clip["scale"]) if name in ("reference", "half") else 1.0)
         np.savez_compressed(folder / path.name, **kept)
 
 
@@ -155,13 +168,15 @@ def middle(values: np.ndarray, scale: float) -> np.ndarray:
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=("score", "pack"))
     parser.add_argument("clips", type=Path)
     parser.add_argument("folder", type=Path, nargs="?", help="folder for the small set of pack")
     parser.add_argument("--models", default="m", help="tags of networks, comma-separated")
     parser.add_argument("--json", type=Path, help="write all rows there")
-    parser.add_argument("--log", type=Path, metavar="FILE", help="table of training runs that gets the mean gains")
+    parser.add_argument("--log", type=Path, metavar="FILE",
+                        help="table of training runs that gets the mean gains")
     parser.add_argument("--run", metavar="NAME", help="the run of --log that made these networks")
     args = parser.parse_args(argv)
     if bool(args.log) != bool(args.run):

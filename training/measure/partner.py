@@ -1,10 +1,11 @@
-"""The project's network, Open Image Denoise and their mixture on clips, at the render's size or enlarged.
+"""The project's network, Open Image Denoise and their mixture on clips, at the render's size or
+enlarged.
 
     python -m training.measure.partner CLIPS [--scale 1] [--model m] [--weight W]
 
-CLIPS holds .npz files as `training.datagen` makes them, with references at the render's size or twice that size.
-References are averaged down to the render's size at 1x. Figures are those of `postfx.bench.metrics`, of the second half
-of the frames: PSNR in dB, FLIP and flicker.
+CLIPS holds .npz files as `training.datagen` makes them, with references at the render's size or
+twice that size. References are averaged down to the render's size at 1x. Figures are those of
+`postfx.bench.metrics`, of the second half of the frames: PSNR in dB, FLIP and flicker.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ Way = Callable[[Frame], np.ndarray]
 def frames_of(clip: dict, variant: int, exposure: float) -> Iterator[Frame]:
     """The frames of one noisy render."""
     for t in range(len(clip["reference"])):
-        planes = {Role(name): np.atleast_3d(clip[f"v{variant}_{name}"][t].astype(np.float32)) for name in PLANES}
+        planes = {Role(name): np.atleast_3d(clip[f"v{variant}_{name}"][t].astype(np.float32))
+                  for name in PLANES}
         jitter = tuple(float(value) for value in clip[f"v{variant}_jitter"][t])
         yield Frame(planes, number=t + 1, jitter=jitter, exposure=float(np.log2(exposure)),
                     reset=bool(clip["reset"][t]), samples=int(clip[f"v{variant}_spp"]))
@@ -45,8 +47,10 @@ def reference_of(clip: dict, height: int) -> np.ndarray:
     return parted.mean((2, 4))
 
 
-def ways_of(model: str, scale: float, size: tuple[int, int], weight: float | None, exposure: float) -> dict[str, Way]:
-    """What is compared, by name. The mean is that of the first two, by `weight` or by the product's for each frame."""
+def ways_of(model: str, scale: float, size: tuple[int, int], weight: float | None,
+            exposure: float) -> dict[str, Way]:
+    """What is compared, by name. The mean is that of the first two, by `weight` or by the product's
+    for each frame."""
     device = Device("cpu")
     oidn = Oidn("high", "cpu", device.threads, "prefiltered")
     kernels = HostKernels(device)
@@ -59,7 +63,8 @@ def ways_of(model: str, scale: float, size: tuple[int, int], weight: float | Non
         return kernels.enlarge(oidn(frame), *size, frame.jitter)
 
     def mean(frame: Frame) -> np.ndarray:
-        own, other = (np.log1p(exposure * picture.clip(0)) for picture in (results["own"], results["oidn"]))
+        own, other = (np.log1p(exposure * picture.clip(0))
+                      for picture in (results["own"], results["oidn"]))
         share = partner_weight(frame.number, scale) if weight is None else weight
         return np.expm1((1 - share) * own + share * other) / exposure
 
@@ -71,11 +76,13 @@ def ways_of(model: str, scale: float, size: tuple[int, int], weight: float | Non
             return results[name]
         return run
 
-    return {"own": kept("own", lambda frame: alone(frame)[Role.COLOUR]), "oidn": kept("oidn", partner),
+    return {"own": kept("own", lambda frame: alone(frame)[Role.COLOUR]),
+            "oidn": kept("oidn", partner),
             "mean": mean, "mixture": lambda frame: both(frame)[Role.COLOUR]}
 
 
-def score(clip: dict, variant: int, scale: int, model: str, weight: float | None) -> dict[str, tuple[float, ...]]:
+def score(clip: dict, variant: int, scale: int, model: str,
+          weight: float | None) -> dict[str, tuple[float, ...]]:
     """Way -> the figures of the second half of the frames; NaN where one cannot be measured."""
     exposure = exposure_of(clip["reference"].astype(np.float32))
     height, width = (side * scale for side in clip[f"v{variant}_colour"].shape[1:3])
@@ -84,18 +91,21 @@ def score(clip: dict, variant: int, scale: int, model: str, weight: float | None
     scores = {name: SequenceScore() for name in ways}
     for frame, colour in zip(frames_of(clip, variant, exposure), wanted, strict=True):
         for name, way in ways.items():
-            scores[name].add(way(frame), Frame({Role.COLOUR: colour}, exposure=float(np.log2(exposure))), frame)
+            scores[name].add(way(frame),
+                             Frame({Role.COLOUR: colour}, exposure=float(np.log2(exposure))), frame)
     found = {name: made.summary() for name, made in scores.items()}
     return {name: tuple(float(figures[f"{figure}_late"] or np.nan) for figure in SHOWN)
             for name, figures in found.items()}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("clips", type=Path, help="folder of .npz files")
     parser.add_argument("--scale", type=int, choices=(1, 2), default=1)
     parser.add_argument("--model", default="m")
-    parser.add_argument("--weight", type=float, help="of OIDN in the mean (default: the product's, by frame)")
+    parser.add_argument("--weight", type=float,
+                        help="of OIDN in the mean (default: the product's, by frame)")
     given = parser.parse_args()
     rows: list[dict[str, tuple[float, ...]]] = []
     for path in sorted(given.clips.glob("*.npz")):

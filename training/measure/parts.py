@@ -1,13 +1,16 @@
-"""Light groups denoised with the picture, against Open Image Denoise on each alone, and graded after or before.
+"""Light groups denoised with the picture, against Open Image Denoise on each alone, and graded
+after or before.
 
 python -m training.measure.parts SEQUENCE.npz [--model m] [--scales 1,2]
 python -m training.measure.parts --cost [--threads 2] [--model m]
 
-SEQUENCE.npz holds, for frame i, `albedo{i}`, `normal{i}`, `depth{i}`, `motion{i}`, a light group's `NAME{i}`, and for
-the last frame references `ref{size}_NAME{i}`, where size is the width. The light groups add up to the picture. PSNR and
-sums are those of the last frame; PSNR compares displayed pictures, each exposed like its reference. `--cost` measures a
-part's share of a frame's passes: frames of 960x540 to 1920x1080 without parts, with three and with six, in turn; the
-time on `--threads`, and the processor time of the device's threads, by Linux, which other work disturbs less.
+SEQUENCE.npz holds, for frame i, `albedo{i}`, `normal{i}`, `depth{i}`, `motion{i}`, a light group's
+`NAME{i}`, and for the last frame references `ref{size}_NAME{i}`, where size is the width. The light
+groups add up to the picture. PSNR and sums are those of the last frame; PSNR compares displayed
+pictures, each exposed like its reference. `--cost` measures a part's share of a frame's passes:
+frames of 960x540 to 1920x1080 without parts, with three and with six, in turn; the time on
+`--threads`, and the processor time of the device's threads, by Linux, which other work disturbs
+less.
 """
 
 from __future__ import annotations
@@ -37,12 +40,14 @@ def load(path: Path) -> tuple[list[Frame], dict[str, dict[int, np.ndarray]]]:
     """The frames, and each group's references of the last frame by their width."""
     arrays = {name: array.astype(np.float32) for name, array in np.load(path).items()}
     count = sum(name.startswith("albedo") for name in arrays)
-    names = sorted({name.split("_")[1].rstrip("0123456789") for name in arrays if name.startswith("ref")})
+    names = sorted({name.split("_")[1].rstrip("0123456789")
+                    for name in arrays if name.startswith("ref")})
     frames = []
     for i in range(count):
         parts = {name: arrays[f"{name}{i}"] for name in names}
         planes = {Role.COLOUR: sum(parts.values()), Role.DIFFUSE_ALBEDO: arrays[f"albedo{i}"],
-                  Role.NORMAL: arrays[f"normal{i}"], Role.DEPTH: arrays[f"depth{i}"], Role.MOTION: arrays[f"motion{i}"]}
+                  Role.NORMAL: arrays[f"normal{i}"], Role.DEPTH: arrays[f"depth{i}"],
+                  Role.MOTION: arrays[f"motion{i}"]}
         frames.append(Frame(planes, number=i, parts=parts, samples=4))
     references: dict[str, dict[int, np.ndarray]] = {name: {} for name in names}
     for key, array in arrays.items():
@@ -54,7 +59,8 @@ def load(path: Path) -> tuple[list[Frame], dict[str, dict[int, np.ndarray]]]:
 
 def graded(frame: Frame) -> Frame:
     """The frame with graded lights."""
-    planes = {**frame.planes, Role.COLOUR: sum(GRADE.get(name, 1.0) * part for name, part in frame.parts.items())}
+    planes = {**frame.planes,
+              Role.COLOUR: sum(GRADE.get(name, 1.0) * part for name, part in frame.parts.items())}
     return Frame(planes, number=frame.number, samples=frame.samples)
 
 
@@ -72,17 +78,20 @@ def by_oidn(frame: Frame, light: np.ndarray, size: int, kernels: HostKernels) ->
     return found if found.shape[1] == size else kernels.enlarge(found, size, size, (0.0, 0.0))
 
 
-def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], model: str, scale: int) -> None:
+def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], model: str,
+            scale: int) -> None:
     """Print a row for each group, and the errors of sums and of graded sums."""
     names, device = list(references), Device("cpu")
     size, kernels = scale * frames[0][Role.COLOUR].shape[1], HostKernels(device)
-    together, own_filters = (Pipeline([DenoiseUpscale(scale=scale, model=model, parts=names, part_filters=filters)],
-                                      device) for filters in PART_FILTERS)
+    together, own_filters = (Pipeline(
+        [DenoiseUpscale(scale=scale, model=model, parts=names, part_filters=filters)], device
+    ) for filters in PART_FILTERS)
     before = Pipeline([DenoiseUpscale(scale=scale, model=model)], device)
     for frame in frames:
         found, own = together(frame), own_filters(frame).parts
         picture_graded_before = before(graded(frame))[Role.COLOUR]
-    print(f"{scale}x {model} | part | input | the picture's filters | own filters | OIDN high on it alone |")
+    print(f"{scale}x {model} | part | input | the picture's filters | own filters | OIDN high on "
+          "it alone |")
     for name in names:
         reference, part = references[name][size], frames[-1].parts[name]
         plain = part if scale == 1 else kernels.enlarge(part, size, size, (0.0, 0.0))
@@ -98,7 +107,8 @@ def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], m
         apart = np.abs(sum(parts[name] for name in names) - picture).sum() / picture.sum()
         print(f"filters {filters}: sum apart by {apart:.1e} of the light; graded ({grade}) after "
               f"{shown_psnr(after, wanted):.2f} dB")
-    oidn = sum(GRADE.get(name, 1.0) * by_oidn(frames[-1], frames[-1].parts[name], size, kernels) for name in names)
+    oidn = sum(GRADE.get(name, 1.0) * by_oidn(frames[-1], frames[-1].parts[name], size, kernels)
+               for name in names)
     before, others = shown_psnr(picture_graded_before, wanted), shown_psnr(oidn, wanted)
     print(f"graded before {before:.2f} dB, OIDN's parts {others:.2f} dB")
 
@@ -109,10 +119,13 @@ def cost(model: str, threads: int) -> None:
     colour = random.random((540, 960, 3), np.float32)
     planes = {Role.COLOUR: colour, Role.DIFFUSE_ALBEDO: colour, Role.NORMAL: colour,
               Role.DEPTH: 1 + colour[..., :1].copy(), Role.MOTION: 0.5 * colour[..., :2].copy()}
-    frames = {count: Frame(planes, parts={f"light {i}": colour / count for i in range(count)}) for count in COUNTS}
-    pipelines = {count: Pipeline([DenoiseUpscale(scale=2, model=model, parts=list(frame.parts))], device, exposure=0.0)
+    frames = {count: Frame(planes, parts={f"light {i}": colour / count for i in range(count)})
+              for count in COUNTS}
+    pipelines = {count: Pipeline([DenoiseUpscale(scale=2, model=model, parts=list(frame.parts))],
+                                 device, exposure=0.0)
                  for count, frame in frames.items()}
-    times: dict[str, dict[int, list[float]]] = {name: {count: [] for count in COUNTS} for name in ("time", "processor")}
+    times: dict[str, dict[int, list[float]]] = {name: {count: [] for count in COUNTS}
+                                                for name in ("time", "processor")}
     for _ in range(FRAMES):
         for count, pipeline in pipelines.items():
             before = busy()
@@ -128,13 +141,15 @@ def cost(model: str, threads: int) -> None:
 
 def busy() -> float:
     """Milliseconds of processor time of all threads but this one so far, by Linux's /proc."""
-    others = {task for task in Path("/proc/self/task").iterdir() if task.name != str(threading.get_native_id())}
+    others = {task for task in Path("/proc/self/task").iterdir()
+              if task.name != str(threading.get_native_id())}
     return sum(int((task / "schedstat").read_text().split()[0]) for task in others) / 1e6
 
 
 def main() -> None:
     """Measure as the command line says."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequence", type=Path, nargs="?")
     parser.add_argument("--cost", action="store_true")
     parser.add_argument("--threads", type=int, default=2)

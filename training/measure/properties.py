@@ -1,11 +1,14 @@
-"""Properties that a denoiser must have, tested on content made by formula, whose truth is known without noise.
+"""Properties that a denoiser must have, tested on content made by formula, whose truth is known
+without noise.
 
-    python -m training.measure.properties [--models m,s] [--cases wall,text] [--json FILE] [--sheet FILE.png]
+    python -m training.measure.properties [--models m,s] [--cases wall,text] [--json FILE] \\
+        [--sheet FILE.png]
 
-Cases: `wall` and `floor`, remaining noise as samples double; `planes`, albedo of few samples; `text` and `speckle`,
-texture of one pixel at 1x; `lamps` and `sign`, light that must be kept; `ghost`, an object with the world's motion
-vectors. Open Image Denoise (high quality, albedo and normal, enlarged by cubic interpolation) gets the same frames.
-Decibels compare displayed pictures: exposure 1, x/(1+x) and the sRGB curve. --sheet draws the cases beside their truth.
+Cases: `wall` and `floor`, remaining noise as samples double; `planes`, albedo of few samples;
+`text` and `speckle`, texture of one pixel at 1x; `lamps` and `sign`, light that must be kept;
+`ghost`, an object with the world's motion vectors. Open Image Denoise (high quality, albedo and
+normal, enlarged by cubic interpolation) gets the same frames. Decibels compare displayed pictures:
+exposure 1, x/(1+x) and the sRGB curve. --sheet draws the cases beside their truth.
 """
 
 from __future__ import annotations
@@ -36,7 +39,8 @@ Picture = np.ndarray
 class Case:
     """Frames of a shot and the `truth` (H, W, 3) of the last one at `scale` times the render size.
 
-    `facts` name what varies within a series; `where` (H, W) masks the pixels to judge, None for all.
+    `facts` name what varies within a series; `where` (H, W) masks the pixels to judge, None for
+    all.
     """
 
     name: str
@@ -47,7 +51,7 @@ class Case:
     where: Picture | None = None
 
 
-# Pictures by formula ------------------------------------------------------------------------------------------------
+# Pictures by formula ------------------------------------------------------------------------------
 
 def grid(size: int) -> tuple[Picture, Picture]:
     """Columns and rows of pixel centres over a picture, each in [0, 1]."""
@@ -68,17 +72,19 @@ def fireflies(random: np.random.Generator, light: Picture, samples: int, chance:
               share: float = 0.3) -> Picture:
     """The mean of samples, a few of which carry a share of the light."""
     hits = random.binomial(samples, chance, light.shape[:2]) / (samples * chance)
-    return few_samples(random, light, samples) * (1 - share) + light * share * hits[..., None].astype(np.float32)
+    return (few_samples(random, light, samples) * (1 - share)
+            + light * share * hits[..., None].astype(np.float32))
 
 
 def frame(colour: Picture, albedo: Picture, depth: Picture | None = None, number: int = 0) -> Frame:
     size = colour.shape[:2]
     planes = {Role.COLOUR: colour, Role.DIFFUSE_ALBEDO: albedo, Role.SPECULAR_ALBEDO: 0 * albedo,
               Role.NORMAL: np.broadcast_to(np.float32([0, 0, 1]), (*size, 3)),
-              Role.ROUGHNESS: np.ones((*size, 1)), Role.DEPTH: np.full((*size, 1), 5.0) if depth is None else depth,
+              Role.ROUGHNESS: np.ones((*size, 1)),
+              Role.DEPTH: np.full((*size, 1), 5.0) if depth is None else depth,
               Role.MOTION: np.zeros((*size, 2))}
-    return Frame({role: np.ascontiguousarray(plane, np.float32) for role, plane in planes.items()}, number=number,
-                 exposure=0.0, reset=number == 0)
+    return Frame({role: np.ascontiguousarray(plane, np.float32) for role, plane in planes.items()},
+                 number=number, exposure=0.0, reset=number == 0)
 
 
 def letters(size: int, random: np.random.Generator) -> Picture:
@@ -95,7 +101,7 @@ def letters(size: int, random: np.random.Generator) -> Picture:
     return ink
 
 
-# Cases --------------------------------------------------------------------------------------------------------------
+# Cases --------------------------------------------------------------------------------------------
 
 def smooth_wall(size: int) -> tuple[Picture, Picture]:
     """Light and albedo of a wall lit from one side."""
@@ -119,13 +125,15 @@ def floor(scale: float) -> Iterator[Case]:
 
 
 def _series(name: str, surface: Callable[[int], tuple[Picture, Picture]],
-            sampled: Callable[[np.random.Generator, Picture, int], Picture], scale: float) -> Iterator[Case]:
+            sampled: Callable[[np.random.Generator, Picture, int], Picture],
+            scale: float) -> Iterator[Case]:
     light, albedo = surface(SIDE)
     truth = np.prod(surface(round(SIDE * scale)), axis=0)
     for samples in SAMPLES:
         random = np.random.default_rng(samples)
         colour = sampled(random, light, samples) * albedo
-        yield Case(name, scale, [frame(colour, albedo)], truth, {"spp": samples}, inner(truth.shape[:2], scale))
+        yield Case(name, scale, [frame(colour, albedo)], truth, {"spp": samples},
+                   inner(truth.shape[:2], scale))
 
 
 def inner(size: tuple[int, int], scale: float) -> Picture:
@@ -136,7 +144,8 @@ def inner(size: tuple[int, int], scale: float) -> Picture:
 
 
 def planes(scale: float) -> Iterator[Case]:
-    """Texture out of focus: light of 64 samples, and albedo of a few, each at another point of the texture."""
+    """Texture out of focus: light of 64 samples, and albedo of a few, each at another point of the
+    texture."""
     x, y = grid(SIDE)
     mean = 0.35 + 0.2 * np.sin(5 * x) * np.cos(4 * y)
     light, truth_x, truth_y = grey(0.5 + 0.4 * x), *grid(round(SIDE * scale))
@@ -151,7 +160,8 @@ def planes(scale: float) -> Iterator[Case]:
 
 
 def text(scale: float) -> Iterator[Case]:
-    """Black strokes on white paper at the render size, with exact planes: without noise, and at four samples."""
+    """Black strokes on white paper at the render size, with exact planes: without noise, and at
+    four samples."""
     albedo = grey(0.85 - 0.8 * letters(SIDE, np.random.default_rng(1)))
     yield from _exact("text", albedo)
 
@@ -165,15 +175,19 @@ def _exact(name: str, albedo: Picture) -> Iterator[Case]:
     light = smooth_wall(SIDE)[0]
     random = np.random.default_rng(3)
     yield Case(name, 1, [frame(light * albedo, albedo)], light * albedo, {"spp": np.inf})
-    yield Case(name, 1, [frame(few_samples(random, light, 4) * albedo, albedo)], light * albedo, {"spp": 4})
+    yield Case(name, 1, [frame(few_samples(random, light, 4) * albedo, albedo)], light * albedo,
+               {"spp": 4})
 
 
 def lamps(scale: float) -> Iterator[Case]:
-    """Discs of lamps out of focus, hit by few samples, over a dark street: eight identical views."""
+    """Discs of lamps out of focus, hit by few samples, over a dark street: eight identical
+    views."""
     def light(size: int) -> Picture:
         x, y = grid(size)
-        discs = sum(np.clip((radius - np.hypot(x - u, y - v)) * size + 0.5, 0, 1) * value for u, v, radius, value in (
-            (0.25, 0.3, 0.07, 12.0), (0.6, 0.25, 0.1, 6.0), (0.45, 0.7, 0.08, 20.0), (0.8, 0.65, 0.05, 9.0)))
+        discs = sum(np.clip((radius - np.hypot(x - u, y - v)) * size + 0.5, 0, 1) * value
+                    for u, v, radius, value in (
+                        (0.25, 0.3, 0.07, 12.0), (0.6, 0.25, 0.1, 6.0), (0.45, 0.7, 0.08, 20.0),
+                        (0.8, 0.65, 0.05, 9.0)))
         return grey(0.02 + discs) * np.float32([1.0, 0.85, 0.6])
 
     at_render, truth = light(SIDE), light(round(SIDE * scale))
@@ -187,7 +201,8 @@ def lamps(scale: float) -> Iterator[Case]:
 
 
 def sign(scale: float) -> Iterator[Case]:
-    """Thin bright strokes over a dark scene, without noise; the output must keep the render's light."""
+    """Thin bright strokes over a dark scene, without noise; the output must keep the render's
+    light."""
     ink = letters(SIDE, np.random.default_rng(4))
     colour = grey(0.02 + 5 * ink)
     rows = (np.arange(round(SIDE * scale)) * SIDE // round(SIDE * scale))
@@ -195,7 +210,8 @@ def sign(scale: float) -> Iterator[Case]:
 
 
 def ghost(scale: float) -> Iterator[Case]:
-    """A box that moves six pixels a frame over a wall, with vectors that say it stands still; eight samples."""
+    """A box that moves six pixels a frame over a wall, with vectors that say it stands still; eight
+    samples."""
     light, albedo = smooth_wall(SIDE)
     size, frames = round(SIDE * scale), []
     for number in range(6):
@@ -212,13 +228,14 @@ def ghost(scale: float) -> Iterator[Case]:
 
 
 CASES: dict[str, tuple[Callable[[float], Iterator[Case]], tuple[float, ...]]] = {
-    "wall": (wall, (1, 1.5, 2, 3)), "floor": (floor, (1, 1.5, 2, 3)), "planes": (planes, (1, 2)), "text": (text, (1,)),
-    "speckle": (speckle, (1,)), "lamps": (lamps, (1, 2)), "sign": (sign, (1, 2)), "ghost": (ghost, (1, 2)),
+    "wall": (wall, (1, 1.5, 2, 3)), "floor": (floor, (1, 1.5, 2, 3)), "planes": (planes, (1, 2)),
+    "text": (text, (1,)), "speckle": (speckle, (1,)), "lamps": (lamps, (1, 2)),
+    "sign": (sign, (1, 2)), "ghost": (ghost, (1, 2)),
 }
 """Name -> the function that makes its cases at a scale, and the scales."""
 
 
-# Methods and measures -----------------------------------------------------------------------------------------------
+# Methods and measures -----------------------------------------------------------------------------
 
 Method = Callable[[list[Frame], float], Picture]
 
@@ -226,7 +243,8 @@ Method = Callable[[list[Frame], float], Picture]
 def network(model: str, planes: bool = True) -> Method:
     """The last output of a shot, by a network, with planes or without."""
     def run(frames: list[Frame], scale: float) -> Picture:
-        passes = Pipeline([DenoiseUpscale(scale=scale, model=model)], Device("cpu"), exposure="metadata")
+        passes = Pipeline([DenoiseUpscale(scale=scale, model=model)], Device("cpu"),
+                          exposure="metadata")
         return [passes(one if planes else _bare(one))[Role.COLOUR] for one in frames][-1]
     return run
 
@@ -252,12 +270,13 @@ def _kernels() -> HostKernels:
 
 
 def _bare(one: Frame) -> Frame:
-    return Frame({role: one[role] for role in (Role.COLOUR, Role.MOTION)}, number=one.number, exposure=0.0,
-                 reset=one.reset)
+    return Frame({role: one[role] for role in (Role.COLOUR, Role.MOTION)}, number=one.number,
+                 exposure=0.0, reset=one.reset)
 
 
 def measure(case: Case, picture: Picture) -> dict[str, float]:
-    """PSNR in dB over the judged pixels, deviation from the truth, and the share of light that is kept."""
+    """PSNR in dB over the judged pixels, deviation from the truth, and the share of light that is
+    kept."""
     where = np.ones(picture.shape[:2], bool) if case.where is None else case.where
     error = (to_codes(picture, 1.0) - to_codes(case.truth, 1.0))[where]
     return {"psnr": float(-10 * np.log10(np.mean(error**2) + 1e-12)), "noise": float(np.std(error)),
@@ -265,7 +284,8 @@ def measure(case: Case, picture: Picture) -> dict[str, float]:
 
 
 def methods_of(name: str, models: list[str]) -> dict[str, Method]:
-    """The methods of a case: OIDN, each network, and networks without planes that should help them."""
+    """The methods of a case: OIDN, each network, and networks without planes that should help
+    them."""
     found: dict[str, Method] = {"oidn": oidn} | {model: network(model) for model in models}
     if name == "planes":
         found |= {f"{model} without planes": network(model, planes=False) for model in models}
@@ -291,23 +311,28 @@ def score(names: list[str], models: list[str]) -> list[dict[str, float | str]]:
 def table(rows: list[dict[str, float | str]]) -> str:
     """Markdown: a line for each case, PSNR and light of each method."""
     methods = list(dict.fromkeys(str(row["method"]) for row in rows))
-    lines = ["| case | scale | | " + " | ".join(methods) + " |", "| --- | --- | --- |" + " --- |" * len(methods)]
+    lines = ["| case | scale | | " + " | ".join(methods) + " |",
+             "| --- | --- | --- |" + " --- |" * len(methods)]
     found: dict[tuple[str, float, str], dict[str, str]] = {}
     for row in rows:
         facts = ", ".join(f"{key} {row[key]:g}" for key in ("spp", "albedo spp") if key in row)
-        cell = f"{row['psnr']:.2f}" + (f", light {row['light']:.2f}" if row["case"] in ("lamps", "sign") else "")
-        found.setdefault((str(row["case"]), float(row["scale"]), facts), {})[str(row["method"])] = cell
-    lines += ["| " + " | ".join((case, f"{scale:g}x", facts, *(cells.get(m, "") for m in methods))) + " |"
-              for (case, scale, facts), cells in found.items()]
+        cell = f"{row['psnr']:.2f}" + (f", light {row['light']:.2f}"
+                                       if row["case"] in ("lamps", "sign") else "")
+        found.setdefault((str(row["case"]), float(row["scale"]), facts),
+                         {})[str(row["method"])] = cell
+    lines += ["| " + " | ".join((case, f"{scale:g}x", facts, *(cells.get(m, "") for m in methods)))
+              + " |" for (case, scale, facts), cells in found.items()]
     return "\n".join(lines)
 
 
 def rises(rows: list[dict[str, float | str]], method: str) -> list[str]:
-    """Steps at which noise rises by more than 5 % or PSNR falls by more than 0.05 dB as samples double."""
+    """Steps at which noise rises by more than 5 % or PSNR falls by more than 0.05 dB as samples
+    double."""
     found = []
     for case in ("wall", "floor"):
         for scale in CASES[case][1]:
-            mine = [row for row in rows if (row["case"], row["scale"], row["method"]) == (case, scale, method)]
+            mine = [row for row in rows
+                    if (row["case"], row["scale"], row["method"]) == (case, scale, method)]
             series = sorted(mine, key=lambda row: row["spp"])
             for before, after in zip(series, series[1:], strict=False):
                 if after["noise"] > 1.05 * before["noise"] or after["psnr"] < before["psnr"] - 0.05:
@@ -317,7 +342,8 @@ def rises(rows: list[dict[str, float | str]], method: str) -> list[str]:
 
 
 def draw(names: list[str], model: str, path: Path) -> None:
-    """Rows of input, Open Image Denoise, the network and the truth, of the first and the last case of each name."""
+    """Rows of input, Open Image Denoise, the network and the truth, of the first and the last case
+    of each name."""
     from PIL import Image
 
     lines = []
@@ -329,18 +355,21 @@ def draw(names: list[str], model: str, path: Path) -> None:
             rows = np.arange(size) * SIDE // size
             cells = [case.frames[-1][Role.COLOUR][rows][:, rows], oidn(case.frames, case.scale),
                      network(model)(case.frames, case.scale), case.truth]
-            pictures = [np.asarray(Image.fromarray((255 * to_codes(cell, 1.0)).astype(np.uint8)).resize((256, 256), 0))
+            pictures = [np.asarray(Image.fromarray((255 * to_codes(cell, 1.0)).astype(np.uint8))
+                                   .resize((256, 256), 0))
                         for cell in cells]
             lines.append(np.concatenate(pictures, 1))
     Image.fromarray(np.concatenate(lines)).save(path)
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--models", default="m", help="tags of networks, comma-separated")
     parser.add_argument("--cases", default=",".join(CASES), help="names of cases, comma-separated")
     parser.add_argument("--json", type=Path, help="write all rows there")
-    parser.add_argument("--sheet", type=Path, metavar="PNG", help="draw the cases by the first network")
+    parser.add_argument("--sheet", type=Path, metavar="PNG",
+                        help="draw the cases by the first network")
     args = parser.parse_args(argv)
     names, models = args.cases.split(","), args.models.split(",")
     if unknown := set(names) - set(CASES):

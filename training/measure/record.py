@@ -2,10 +2,10 @@
 
     python -m training.measure.record NAME [--tolerance 0.05] [--repeat] -- COMMAND ...
 
-writes docs/measured/runs/NAME.txt: the command, commit, date and machine, then what the command printed. A document
-names it before the figures that it gives: `<!-- measured: NAME -->`. `tests/test_figures.py` compares the two, and runs
-what is recorded with `--repeat` again: its output may differ by the tolerance, a share of each number, or by one in a
-number's last digit.
+writes docs/measured/runs/NAME.txt: the command, commit, date and machine, then what the command
+printed. A document names it before the figures that it gives: `<!-- measured: NAME -->`.
+`tests/test_figures.py` compares the two, and runs what is recorded with `--repeat` again: its
+output may differ by the tolerance, a share of each number, or by one in a number's last digit.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ class Run:
         return NUMBER.findall(self.output)
 
     def has(self, figure: str) -> bool:
-        """Whether a number of the output, rounded to as many digits, is this figure; signs do not count."""
+        """Whether a number of the output, rounded to as many digits, is this figure; signs do not
+        count."""
         wanted = figure.lstrip("+-").replace(",", "")
         return any(is_same(number, wanted) for number in self.numbers())
 
@@ -86,7 +87,8 @@ def run(command: list[str]) -> str:
     """What a command prints, run from the project's folder by this interpreter."""
     words = [sys.executable if word == "python" else word for word in command]
     paths = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    done = subprocess.run(words, cwd=ROOT, env=os.environ | {"PYTHONPATH": paths}, capture_output=True, text=True)
+    done = subprocess.run(words, cwd=ROOT, env=os.environ | {"PYTHONPATH": paths},
+                          capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(f"{shlex.join(command)}: exit code {done.returncode}\n{done.stderr}")
     return done.stdout
@@ -106,19 +108,24 @@ def machine() -> str:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("name")
-    parser.add_argument("--tolerance", type=float, default=0.0, help="share of a number that runs may differ by")
-    parser.add_argument("--repeat", action="store_true", help="short enough to be run again by the tests")
+    parser.add_argument("--tolerance", type=float, default=0.0,
+                        help="share of a number that runs may differ by")
+    parser.add_argument("--repeat", action="store_true",
+                        help="short enough to be run again by the tests")
     parser.add_argument("--note", help="what else one should know, such as where the data are from")
     parser.add_argument("--commit", help="where there is no repository: that of the files here")
     parser.add_argument("command", nargs="+")
     given = parser.parse_args(argv)
-    commit = given.commit or subprocess.run(["git", "rev-parse", "--short=10", "HEAD"], cwd=ROOT,
-                                            capture_output=True, text=True, check=True).stdout.strip()
+    commit = (given.commit or subprocess.run(["git", "rev-parse", "--short=10", "HEAD"], cwd=ROOT,
+                                             capture_output=True, text=True, check=True)
+              .stdout.strip())
     output = run(given.command).replace(f"{ROOT}/", "")
-    facts = {"command": shlex.join(given.command), "commit": commit, "date": f"{datetime.date.today()}",
-             "machine": machine(), "tolerance": f"{given.tolerance:g}", "repeat": "yes" if given.repeat else "no"}
+    facts = {"command": shlex.join(given.command), "commit": commit,
+             "date": f"{datetime.date.today()}", "machine": machine(),
+             "tolerance": f"{given.tolerance:g}", "repeat": "yes" if given.repeat else "no"}
     facts |= {"note": given.note} if given.note else {}
     RUNS.mkdir(parents=True, exist_ok=True)
     head = "".join(f"# {key}: {value}\n" for key, value in facts.items())

@@ -1,23 +1,27 @@
-"""Samples that `postfx loop` spends, beside uniform ones and the renderer's own adaptive sampling, at the same error.
+"""Samples that `postfx loop` spends, beside uniform ones and the renderer's own adaptive sampling,
+at the same error.
 
-    python -m training.measure.render_more WORK --cycles water,leaves --mitsuba box,room --blender PYTHON
+    python -m training.measure.render_more WORK --cycles water,leaves --mitsuba box,room \\
+        --blender PYTHON
 
-Each scene is one frame. WORK/SCENE gets independent renders of 4, 4, 8, 16, 32 and 64 samples a pixel, which are the
-uniform ones, and merged for 128 and for predictions; a reference; renders with Cycles' adaptive sampling, and a loop
-that starts at 8 samples and whose budget doubles them until there are 64. All are denoised by `m`, as single frames.
-What exists is not rendered again.
+Each scene is one frame. WORK/SCENE gets independent renders of 4, 4, 8, 16, 32 and 64 samples a
+pixel, which are the uniform ones, and merged for 128 and for predictions; a reference; renders with
+Cycles' adaptive sampling, and a loop that starts at 8 samples and whose budget doubles them until
+there are 64. All are denoised by `m`, as single frames. What exists is not rendered again.
 
-Prints for each scene and each number of samples: PSNR, mean FLIP and the FLIP that nine of ten tiles stay below, of
-uniform sampling; for the loop and for adaptive sampling their samples as a share of the uniform ones with the same
-figure, by interpolation; and the share of tiles whose error was predicted within a quarter and within a factor of two:
-from two halves, from the error of one half alone, which falls with the root of the samples, and from the noise.
+Prints for each scene and each number of samples: PSNR, mean FLIP and the FLIP that nine of ten
+tiles stay below, of uniform sampling; for the loop and for adaptive sampling their samples as a
+share of the uniform ones with the same figure, by interpolation; and the share of tiles whose error
+was predicted within a quarter and within a factor of two: from two halves, from the error of one
+half alone, which falls with the root of the samples, and from the noise.
 
-References have noise of their own, which would hide small errors. FLIP compares with the denoised reference. Squared
-errors are those to the reference without its noise, which its distance from the largest uniform render tells. Tiles
-where it is more than a third of the error do not count for predictions, nor do those that are right within 60 dB.
+References have noise of their own, which would hide small errors. FLIP compares with the denoised
+reference. Squared errors are those to the reference without its noise, which its distance from the
+largest uniform render tells. Tiles where it is more than a third of the error do not count for
+predictions, nor do those that are right within 60 dB.
 
-PYTHON is an interpreter with the module bpy. Cycles' scenes are those of training/measure/validation, Mitsuba's are
-mitsuba_NAME.py there.
+PYTHON is an interpreter with the module bpy. Cycles' scenes are those of
+training/measure/validation, Mitsuba's are mitsuba_NAME.py there.
 """
 
 from __future__ import annotations
@@ -68,7 +72,8 @@ NEAR, FAR = 1.25, 2.0
 
 @dataclass(frozen=True)
 class Figures:
-    """A denoised picture against the reference. `tiles`: the FLIP that nine of ten tiles stay below."""
+    """A denoised picture against the reference. `tiles`: the FLIP that nine of ten tiles stay
+    below."""
 
     samples: float
     decibels: float
@@ -99,7 +104,8 @@ class Scene:
         """Render what is missing."""
         wanted = [(self.block(index), count, SEED + index) for index, count in enumerate(BLOCKS)]
         wanted.append((self.reference, samples, SEED - 1))
-        jobs = [{"frame": self.number, "region": None, "samples": count, "seed": seed, "output": str(path)}
+        jobs = [{"frame": self.number, "region": None, "samples": count, "seed": seed,
+                 "output": str(path)}
                 for path, count, seed in wanted if not path.exists()]
         if jobs:
             (self.folder / "jobs.json").write_text(json.dumps({"jobs": jobs}))
@@ -115,13 +121,15 @@ class Scene:
             return kept
         output = self.folder / "loop"
         render = shlex.join([*self.render, "{jobs}"])
-        words = ["loop", "--render", render, "-o", f"{output}/####.exr", "--frames", str(self.number),
+        words = ["loop", "--render", render, "-o", f"{output}/####.exr", "--frames",
+                 str(self.number),
                  "--samples", str(START), "--quality", QUALITY, "--tile", str(tile), "--json",
                  "--budget", str(samples - START), "--rounds", str(ROUNDS[samples])]
         with redirect_stdout(sys.stderr):
             if postfx(words):
                 raise SystemExit(f"{shlex.join(words)}: failed")
-        shutil.copy(output / "loop/merged" / f"{self.number:04}.exr", self.folder / f"loop.{samples}.render.exr")
+        shutil.copy(output / "loop/merged" / f"{self.number:04}.exr",
+                    self.folder / f"loop.{samples}.render.exr")
         return Path(shutil.copy(output / f"{self.number:04}.exr", kept))
 
 
@@ -136,7 +144,8 @@ class Judge:
         self._clean = self._codes_of(self.denoise(reference))
         self._codes = self._codes_of(reference[Role.COLOUR])
         share = mean_samples(largest) / (mean_samples(largest) + mean_samples(reference))
-        self._noise = share * np.square(self._codes - self._codes_of(largest[Role.COLOUR])).mean(axis=2)
+        self._noise = (share * np.square(self._codes - self._codes_of(largest[Role.COLOUR]))
+                       .mean(axis=2))
 
     def denoise(self, frame: Frame) -> np.ndarray:
         """The colour of a frame alone, denoised."""
@@ -147,12 +156,14 @@ class Judge:
         """A denoised colour's figures."""
         import flip_evaluator
 
-        errors, mean, _ = flip_evaluator.evaluate(self._clean, self._codes_of(colour), "LDR", applyMagma=False)
+        errors, mean, _ = flip_evaluator.evaluate(self._clean, self._codes_of(colour), "LDR",
+                                                  applyMagma=False)
         return Figures(samples, float(-10 * np.log10(self.error(colour).mean())), float(mean),
                        float(np.percentile(self.tiles(errors[:, :, 0]), WORST)))
 
     def error(self, colour: np.ndarray) -> np.ndarray:
-        """Squared error of a denoised colour's pixels, in the mean without the reference's noise."""
+        """Squared error of a denoised colour's pixels, in the mean without the reference's
+        noise."""
         return np.square(self._codes_of(colour) - self._codes).mean(axis=2) - self._noise
 
     def _codes_of(self, colour: np.ndarray) -> np.ndarray:
@@ -199,7 +210,8 @@ def call(words: Sequence[str]) -> None:
 
 
 def equivalent(counts: Sequence[float], values: Sequence[float], value: float) -> float:
-    """Samples at which a curve that falls has a value, by interpolation of logarithms; NaN beyond its ends."""
+    """Samples at which a curve that falls has a value, by interpolation of logarithms; NaN beyond
+    its ends."""
     falling = np.minimum.accumulate(np.log(values))
     if not falling[-1] <= np.log(value) <= falling[0]:
         return float("nan")
@@ -207,7 +219,8 @@ def equivalent(counts: Sequence[float], values: Sequence[float], value: float) -
 
 
 def shares(curve: Sequence[Figures], figures: Figures) -> list[float]:
-    """Samples as a share of the uniform ones with the same FLIP, squared error and FLIP of the tiles."""
+    """Samples as a share of the uniform ones with the same FLIP, squared error and FLIP of the
+    tiles."""
     counts = [one.samples for one in curve]
     pairs = [([one.flip for one in curve], figures.flip),
              ([10 ** (-one.decibels / 10) for one in curve], 10 ** (-figures.decibels / 10)),
@@ -223,14 +236,17 @@ def within(ratios: np.ndarray, factor: float) -> float:
 def row(name: str, figures: Figures, ratios: Sequence[float] = ()) -> str:
     """A line of the table."""
     told = "".join(f" {ratio:6.2f}" for ratio in ratios)
-    return (f"{name:28} {figures.samples:6.1f} {figures.decibels:6.2f} {figures.flip:.4f} {figures.tiles:.4f}{told}")
+    return (f"{name:28} {figures.samples:6.1f} {figures.decibels:6.2f} {figures.flip:.4f} "
+            f"{figures.tiles:.4f}{told}")
 
 
 def measure(scene: Scene, given: argparse.Namespace) -> dict[str, list[list[float]]]:
-    """Print a scene's table; returns its shares, and its predictions' ratios, by what they are of."""
+    """Print a scene's table; returns its shares, and its predictions' ratios, by what they are
+    of."""
     name, judge = scene.folder.name, Judge(scene, given.tile)
     counts = np.cumsum(BLOCKS)
-    paths = [scene.block(index) for index in range(1, len(BLOCKS))] + [scene.uniform(len(BLOCKS) - 1)]
+    paths = ([scene.block(index) for index in range(1, len(BLOCKS))]
+             + [scene.uniform(len(BLOCKS) - 1)])
     curve = [judge.figures(judge.denoise(frame), mean_samples(frame)) for frame in map(read, paths)]
     for figures in curve:
         print(row(f"{name} uniform", figures), flush=True)
@@ -243,7 +259,8 @@ def measure(scene: Scene, given: argparse.Namespace) -> dict[str, list[list[floa
         print(row(f"{name} loop", figures, found[f"loop {samples}"][0]), flush=True)
     for path in sorted(scene.folder.glob("adaptive.*.exr")):
         render = read(path)
-        if np.ptp(render[Role.SAMPLE_COUNT]) == 0:  # it ended early everywhere, and Cycles does not say with how many
+        # it ended early everywhere, and Cycles does not say with how many
+        if np.ptp(render[Role.SAMPLE_COUNT]) == 0:
             continue
         figures = judge.figures(judge.denoise(render), mean_samples(render))
         found.setdefault("adaptive", []).append(shares(curve, figures))
@@ -252,9 +269,10 @@ def measure(scene: Scene, given: argparse.Namespace) -> dict[str, list[list[floa
         ways = judge.predicted(scene, index)
         for key, ratios in ways.items():
             found.setdefault(key, []).append(ratios.tolist())
-        told = ", ".join(f"{key} {within(ratios, NEAR):.0%} {within(ratios, FAR):.0%}" for key, ratios in ways.items())
-        print(f"{name} {counts[index]} samples, {len(ways['halves'])} tiles predicted within {NEAR}, {FAR}: {told}",
-              flush=True)
+        told = ", ".join(f"{key} {within(ratios, NEAR):.0%} {within(ratios, FAR):.0%}"
+                         for key, ratios in ways.items())
+        print(f"{name} {counts[index]} samples, {len(ways['halves'])} tiles predicted within "
+              f"{NEAR}, {FAR}: {told}", flush=True)
     return found
 
 
@@ -268,37 +286,45 @@ def scenes(given: argparse.Namespace) -> list[Scene]:
         render = [given.blender, str(ROOT / "hosts/loop/render_blender.py"), str(blend)]
         found.append(Scene(given.work / kind, render, 2))
         found[-1].make(given.reference)
-        call([*script, "--out", str(found[-1].folder), "adaptive", "--scene", str(blend), "--thresholds",
-              given.thresholds])
+        call([*script, "--out", str(found[-1].folder), "adaptive", "--scene", str(blend),
+              "--thresholds", given.thresholds])
     for name in filter(None, given.mitsuba.split(",")):
-        render = [sys.executable, str(ROOT / "hosts/loop/render_mitsuba.py"), str(SCENES / f"mitsuba_{name}.py")]
+        render = [sys.executable, str(ROOT / "hosts/loop/render_mitsuba.py"),
+                  str(SCENES / f"mitsuba_{name}.py")]
         found.append(Scene(given.work / f"mitsuba_{name}", render, 1))
         found[-1].make(given.reference)
     return found
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path, help="folder of the renders")
     parser.add_argument("--cycles", default="", help="kinds of scenes")
     parser.add_argument("--mitsuba", default="", help="names of scenes")
     parser.add_argument("--blender", default=sys.executable, help="Python with the module bpy")
-    parser.add_argument("--size", default="160x96", help="of Cycles' pictures (default: %(default)s)")
-    parser.add_argument("--tile", type=int, default=16, help="side of the tiles (default: %(default)s)")
-    parser.add_argument("--samples", type=lambda text: [int(word) for word in text.split(",")], default=[16, 64],
+    parser.add_argument("--size", default="160x96",
+                        help="of Cycles' pictures (default: %(default)s)")
+    parser.add_argument("--tile", type=int, default=16,
+                        help="side of the tiles (default: %(default)s)")
+    parser.add_argument("--samples", type=lambda text: [int(word) for word in text.split(",")],
+                        default=[16, 64],
                         help=f"of the loop, of {', '.join(map(str, ROUNDS))} (default: 16,64)")
-    parser.add_argument("--reference", type=int, default=512, help="samples a pixel of references (default: 512)")
+    parser.add_argument("--reference", type=int, default=512,
+                        help="samples a pixel of references (default: 512)")
     parser.add_argument("--thresholds", default="0.6,0.2,0.07", help="of Cycles' adaptive sampling")
     given = parser.parse_args()
     given.work = given.work.resolve()
     print(f"{'':28} samples PSNR   FLIP   tiles   samples over uniform ones: FLIP, PSNR, tiles")
     found = [measure(scene, given) for scene in scenes(given)]
     for key in (f"loop {samples}" for samples in given.samples):
-        print(f"mean of {key}:", *(f"{value:.2f}" for value in np.nanmean([one[key][0] for one in found], axis=0)))
+        print(f"mean of {key}:",
+              *(f"{value:.2f}" for value in np.nanmean([one[key][0] for one in found], axis=0)))
     for key in ("halves", "one half", "noise"):
         ratios = np.concatenate([ratios for one in found for ratios in one[key]])
-        print(f"tiles predicted from {key} within {NEAR}: {within(ratios, NEAR):.0%}, within {FAR}: "
-              f"{within(ratios, FAR):.0%}; half of them within {np.exp(np.median(np.abs(np.log(ratios)))):.2f}")
+        print(f"tiles predicted from {key} within {NEAR}: {within(ratios, NEAR):.0%}, within "
+              f"{FAR}: {within(ratios, FAR):.0%}; half of them within "
+              f"{np.exp(np.median(np.abs(np.log(ratios)))):.2f}")
 
 
 if __name__ == "__main__":

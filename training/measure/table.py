@@ -2,9 +2,9 @@
 
     python -m training.measure.table FOLDER [--ways 'm:;both:--both-ways;s:--model s'] [--json FILE]
 
-FOLDER holds one folder for each kind, as `training/measure/validation/render_scenes.py` writes them:
-noisy.SPP.####.exr at the references' size, half.SPP.####.exr at half of it, and reference.####.exr.
-A way is a name, and options of `postfx run`. There are three comparisons:
+FOLDER holds one folder for each kind, as `training/measure/validation/render_scenes.py` writes
+them: noisy.SPP.####.exr at the references' size, half.SPP.####.exr at half of it, and
+reference.####.exr. A way is a name, and options of `postfx run`. There are three comparisons:
 
     1x           both on the full size
     2x           both on half the size; OIDN is enlarged by cubic interpolation
@@ -86,7 +86,8 @@ class Shot:
 
 
 def shots(folder: Path, kinds: list[str], sizes: list[str], samples: list[int]) -> Iterator[Shot]:
-    """What there is in a folder, in the order of kinds, sizes and samples; empty lists choose all."""
+    """What there is in a folder, in the order of kinds, sizes and samples; empty lists choose
+    all."""
     for sub in sorted(path for path in folder.iterdir() if path.is_dir()):
         if kinds and sub.name not in kinds or not any(sub.glob("reference.*.exr")):
             continue
@@ -97,7 +98,7 @@ def shots(folder: Path, kinds: list[str], sizes: list[str], samples: list[int]) 
                     yield Shot(sub, size, count)
 
 
-# Measuring -----------------------------------------------------------------------------------------
+# Measuring ----------------------------------------------------------------------------------------
 
 
 class Judge:
@@ -187,7 +188,7 @@ class Results:
         return str(shot.folder.resolve()), shot.size, shot.samples
 
 
-# Tables --------------------------------------------------------------------------------------------
+# Tables -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

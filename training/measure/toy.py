@@ -2,8 +2,8 @@
 
     python -m training.measure.toy [--folder FOLDER]
 
-Runs each line of the block of code, and prints what it took of the processor, and the PSNR of held-out
-clips where it trains.
+Runs each line of the block of code, and prints what it took of the processor, and the PSNR of
+held-out clips where it trains.
 """
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ def run(folder: Path) -> list[float]:
 def main(words: list[str] | None = None) -> None:
     """Run the page's commands."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
-    parser.add_argument("--folder", type=Path, help="where clips and runs go (default: a temporary one)")
+    parser.add_argument("--folder", type=Path,
+                        help="where clips and runs go (default: a temporary one)")
     given = parser.parse_args(words)
     with tempfile.TemporaryDirectory() as temporary:
         run(given.folder or Path(temporary))

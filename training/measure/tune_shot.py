@@ -1,12 +1,15 @@
 """What `postfx tune` gains on a shot, on frames of which it has seen no clean pixel.
 
-    python -m training.measure.tune_shot WORK NAME NOISY --references REFERENCES [--clean 1] [--minutes 10]
-    python -m training.measure.tune_shot WORK NAME NOISY --references REFERENCES --halves OTHER [--minutes 10]
+    python -m training.measure.tune_shot WORK NAME NOISY --references REFERENCES [--clean 1] \\
+        [--minutes 10]
+    python -m training.measure.tune_shot WORK NAME NOISY --references REFERENCES --halves OTHER \\
+        [--minutes 10]
 
-Without --halves the network learns from tiles of 32 pixels of the references of the frames --clean, at random places,
-3 % of the shot's pixels, and is judged on the other frames. With --halves it learns from a second render alone, and is
-judged on all frames. References of twice the size are averaged. Prints PSNR in dB and FLIP of `s` and of the tuned
-network, which runs over the whole shot. A network that is in WORK is not trained again.
+Without --halves the network learns from tiles of 32 pixels of the references of the frames --clean,
+at random places, 3 % of the shot's pixels, and is judged on the other frames. With --halves it
+learns from a second render alone, and is judged on all frames. References of twice the size are
+averaged. Prints PSNR in dB and FLIP of `s` and of the tuned network, which runs over the whole
+shot. A network that is in WORK is not trained again.
 """
 
 from __future__ import annotations
@@ -43,7 +46,8 @@ def reference_of(sequence: Sequence, number: int, height: int) -> np.ndarray:
 
 
 def write_tiles(references: dict[int, np.ndarray], count: int, folder: Path) -> str:
-    """Write references of which only so many tiles, in all together, have samples; returns their pattern."""
+    """Write references of which only so many tiles, in all together, have samples; returns their
+    pattern."""
     random = np.random.default_rng(SEED)
     places = [(number, y, x) for number, colour in references.items()
               for y in range(colour.shape[0] // TILE) for x in range(colour.shape[1] // TILE)]
@@ -59,8 +63,8 @@ def write_tiles(references: dict[int, np.ndarray], count: int, folder: Path) -> 
 
 def tune(noisy: str, target: list[str], network: Path, minutes: float) -> dict[str, Any]:
     """Run `postfx tune`; returns what it tells."""
-    words = [sys.executable, "-m", "training.denoise.tune", noisy, *target, "-o", str(network), "--minutes",
-             str(minutes), "--json"]
+    words = [sys.executable, "-m", "training.denoise.tune", noisy, *target, "-o", str(network),
+             "--minutes", str(minutes), "--json"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     if done.returncode > 1:
         raise SystemExit(done.stderr)
@@ -69,7 +73,8 @@ def tune(noisy: str, target: list[str], network: Path, minutes: float) -> dict[s
 
 
 def score(shot: Sequence, references: dict[int, np.ndarray], model: str) -> np.ndarray:
-    """PSNR and FLIP of the frames with references, by frame (frames, 2), of a network that runs over the shot."""
+    """PSNR and FLIP of the frames with references, by frame (frames, 2), of a network that runs
+    over the shot."""
     pipeline, found = Pipeline([DenoiseUpscale(scale=1.0, model=model)], Device("cpu")), []
     exposure = grey_factor(next(iter(references.values())))
     for frame in shot:
@@ -82,14 +87,17 @@ def score(shot: Sequence, references: dict[int, np.ndarray], model: str) -> np.n
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
     parser.add_argument("name")
     parser.add_argument("noisy", help="pattern of the shot's frames")
     parser.add_argument("--references", required=True, help="pattern of their references")
     parser.add_argument("--halves", help="pattern of a second render")
-    parser.add_argument("--clean", default="1", help="frames with clean tiles, by commas (default: 1)")
-    parser.add_argument("--share", type=float, default=0.03, help="of clean pixels in the shot (default: 0.03)")
+    parser.add_argument("--clean", default="1",
+                        help="frames with clean tiles, by commas (default: 1)")
+    parser.add_argument("--share", type=float, default=0.03,
+                        help="of clean pixels in the shot (default: 0.03)")
     parser.add_argument("--minutes", type=float, default=10)
     given = parser.parse_args()
     shot = read_sequence(given.noisy)
@@ -103,17 +111,19 @@ def main() -> None:
     else:
         seen = [int(word) for word in given.clean.split(",")]
         count = round(given.share * len(shot) * height * width / TILE**2)
-        target = ["--references", write_tiles({number: references[number] for number in seen}, count, folder)]
+        target = ["--references",
+                  write_tiles({number: references[number] for number in seen}, count, folder)]
         references = {number: colour for number, colour in references.items() if number not in seen}
     network = folder / "tuned.onnx"
-    facts = json.loads(network.with_suffix(".json").read_text())["training"] if network.exists() else \
-        tune(given.noisy, target, network, given.minutes)
+    facts = (json.loads(network.with_suffix(".json").read_text())["training"] if network.exists()
+        else tune(given.noisy, target, network, given.minutes))
     before = score(shot, references, "s.fp32").mean(axis=0)
     after = score(shot, references, str(network)).mean(axis=0) if network.exists() else before
-    print(f"{given.name} from {facts['target']}: {facts['steps']} steps in {facts['minutes']:.1f} minutes, held back "
-          f"{facts['gain_db']:+.2f} dB, {'written' if network.exists() else 'not written'}; {len(references)} frames: "
-          f"s {before[0]:.2f} dB {before[1]:.4f}, tuned {after[0]:.2f} dB {after[1]:.4f}, "
-          f"gain {after[0] - before[0]:+.2f} dB", flush=True)
+    print(f"{given.name} from {facts['target']}: {facts['steps']} steps in {facts['minutes']:.1f} "
+          f"minutes, held back {facts['gain_db']:+.2f} dB, "
+          f"{'written' if network.exists() else 'not written'}; {len(references)} frames: s "
+          f"{before[0]:.2f} dB {before[1]:.4f}, tuned {after[0]:.2f} dB {after[1]:.4f}, gain "
+          f"{after[0] - before[0]:+.2f} dB", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
-"""Faults that a look must not have, measured on charts: tinted greys, reversed ramps, banding, flipped hues, haloes.
+"""Faults that a look must not have, measured on charts: tinted greys, reversed ramps, banding,
+flipped hues, haloes.
 
-A `Render` takes exposed scene-linear Rec.709 (H,W,3) float32 to sRGB code values (H,W,3) in [0, 1]. Code values are
-given in steps of 8 bits, colour differences in Delta E ITP (ITU-R BT.2124) of a display whose white is 100 cd/m2.
+A `Render` takes exposed scene-linear Rec.709 (H,W,3) float32 to sRGB code values (H,W,3) in [0, 1].
+Code values are given in steps of 8 bits, colour differences in Delta E ITP (ITU-R BT.2124) of a
+display whose white is 100 cd/m2.
 """
 
 from __future__ import annotations
@@ -23,14 +25,15 @@ from training.tonemap.looks import View, exact_view
 from training.tonemap.model import MID_GREY
 from training.tonemap.pictures import hue_chart, ramp
 
-# Checks of a look ---------------------------------------------------------------------------------------------------
+# Checks of a look ---------------------------------------------------------------------------------
 
 Render = Callable[[np.ndarray], np.ndarray]
 SRGB = parse_display("srgb")
 STEPS = 255
 SWEEP = range(-6, 7)
 COLOURFUL = 20.0  # Delta E ITP from grey: below that a hue means little
-EDGE_STOPS, EDGE_REACH = 6.0, 0.25  # of the step, and how near to it counts, in shares of the picture's width
+# of the step, and how near to it counts, in shares of the picture's width
+EDGE_STOPS, EDGE_REACH = 6.0, 0.25
 
 
 def chroma(codes: np.ndarray) -> np.ndarray:
@@ -44,9 +47,11 @@ def hue(codes: np.ndarray) -> np.ndarray:
 
 
 def greys(render: Render, reference: Render) -> dict[str, float]:
-    """Of a grey ramp: largest chroma, largest fall and largest step between neighbours in steps of 8 bits.
+    """Of a grey ramp: largest chroma, largest fall and largest step between neighbours in steps of
+    8 bits.
 
-    `rough` is how much the largest step is larger than the reference's: a band that eight bits alone do not make.
+    `rough` is how much the largest step is larger than the reference's: a band that eight bits
+    alone do not make.
     """
     found, wanted = (make(ramp())[32] for make in (render, reference))
     rise, wanted_rise = (np.diff(x @ LUMINANCE_WEIGHTS) * STEPS for x in (found, wanted))
@@ -58,14 +63,16 @@ def greys(render: Render, reference: Render) -> dict[str, float]:
 
 
 def hue_flips(found: np.ndarray, wanted: np.ndarray) -> float:
-    """Share of pixels, colourful in both, whose hue is more than a quarter turn from the reference's."""
+    """Share of pixels, colourful in both, whose hue is more than a quarter turn from the
+    reference's."""
     both = (chroma(found) > COLOURFUL) & (chroma(wanted) > COLOURFUL)
     turn = np.abs((hue(found) - hue(wanted) + np.pi) % (2 * np.pi) - np.pi)
     return float((both & (turn > np.pi / 2)).mean())
 
 
 def sweep(render: Render, reference: Render, picture: np.ndarray) -> dict[str, float | bool]:
-    """A picture from -6 to +6 EV and a chart of 23 stops: all finite and in range, and the largest share of flips."""
+    """A picture from -6 to +6 EV and a chart of 23 stops: all finite and in range, and the largest
+    share of flips."""
     light = [picture * np.float32(2.0**ev) for ev in SWEEP] + [hue_chart()]
     found = [render(x) for x in light]
     fine = all(np.isfinite(x).all() and x.min() >= 0 and x.max() <= 1 for x in found)
@@ -76,7 +83,8 @@ def sweep(render: Render, reference: Render, picture: np.ndarray) -> dict[str, f
 def halo(render: Render, reference: Render) -> float:
     """How much more than the reference a look swings beside an edge of 6 stops, in steps of 8 bits.
 
-    The swing is how far luminance departs, near the edge, from what it is far away on the same side.
+    The swing is how far luminance departs, near the edge, from what it is far away on the same
+    side.
     """
     return max(0.0, _swing(render) - _swing(reference))
 
@@ -86,15 +94,17 @@ def _swing(render: Render, height: int = 256, width: int = 512) -> float:
     edge[:, width // 2 :] *= np.float32(2.0**EDGE_STOPS)
     row = (render(edge) @ LUMINANCE_WEIGHTS)[height // 2] * STEPS
     reach, half = int(EDGE_REACH * width), width // 2
-    dark, bright = row[half - reach : half - 1] - row[half // 4], row[half + 1 : half + reach] - row[-half // 4]
+    dark, bright = (row[half - reach : half - 1] - row[half // 4],
+                    row[half + 1 : half + reach] - row[-half // 4])
     return float(max(np.abs(dark).max(), np.abs(bright).max()))
 
 
-# Flicker ------------------------------------------------------------------------------------------------------------
+# Flicker ------------------------------------------------------------------------------------------
 # How steady a look is in motion: its change from frame to frame along the motion.
 
 Maker = Callable[[Frame], np.ndarray]
-"""A clean frame, exposed, in order; the first is marked as a beginning -> sRGB code values (H,W,3)."""
+"""A clean frame, exposed, in order; the first is marked as a beginning -> sRGB code values
+(H,W,3)."""
 SPARSE = 4  # pixels to the next that an exposure is fitted to, along both axes
 STOPS = 6.0  # largest exposure that is tried
 
@@ -103,7 +113,8 @@ def exposed_frames(folder: Path) -> Iterator[Frame]:
     """Clean frames of a folder's `reference.####.exr`, exposed as the run-time's meter would."""
     meter = ExposureMeter("auto")
     for number, clean in enumerate(read_sequence(str(folder / "reference.####.exr"))):
-        yield Frame({Role.COLOUR: clean[Role.COLOUR] * np.float32(meter(clean))}, number=clean.number, reset=not number)
+        yield Frame({Role.COLOUR: clean[Role.COLOUR] * np.float32(meter(clean))},
+                    number=clean.number, reset=not number)
 
 
 def motions(folder: Path) -> Iterator[np.ndarray]:
@@ -112,25 +123,28 @@ def motions(folder: Path) -> Iterator[np.ndarray]:
 
 
 def nearest_exposure(view: View, light: list[np.ndarray], shown: list[np.ndarray]) -> float:
-    """Exposure in stops, applied before a view, that brings it nearest to a look's pictures of a sequence.
+    """Exposure in stops, applied before a view, that brings it nearest to a look's pictures of a
+    sequence.
 
-    One number for all frames, by least squares of code values. light: frames of exposed scene-linear (H,W,3);
-    shown: the look's code values of them.
+    One number for all frames, by least squares of code values. light: frames of exposed
+    scene-linear (H,W,3); shown: the look's code values of them.
     """
     given, wanted = (np.stack([x[::SPARSE, ::SPARSE] for x in frames]) for frames in (light, shown))
 
     def error(stops: float) -> float:
         return float(np.square(exact_view(view, given * np.float32(2.0**stops)) - wanted).mean())
 
-    return float(minimize_scalar(error, bounds=(-STOPS, STOPS), method="bounded", options={"xatol": 1e-4}).x)
+    return float(minimize_scalar(error, bounds=(-STOPS, STOPS), method="bounded",
+                                 options={"xatol": 1e-4}).x)
 
 
 def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, dict[str, float]]:
-    """Two figures of each look, over pixels where the look named `judge` changes by less than 0.1 along the motion;
-    elsewhere the motion cannot be trusted.
+    """Two figures of each look, over pixels where the look named `judge` changes by less than 0.1
+    along the motion; elsewhere the motion cannot be trusted.
 
     flicker: 1000 times the mean absolute change from frame to frame along the motion.
-    contrast: 1000 times the mean absolute change to the next pixels, right and below, in the same frames. A static
+    contrast: 1000 times the mean absolute change to the next pixels, right and below, in the same
+    frames. A static
         curve shows a render's noise and detail as flicker, in proportion to its contrast.
     """
     before, sums, count = {}, {name: np.zeros(2) for name in looks}, 0
@@ -143,13 +157,17 @@ def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, dict
             followed = change[judge].max(-1) < FOLLOWED_DIFFERENCE
             count += int(followed.sum())
             for name in looks:
-                sums[name] += [x.mean(-1)[followed].sum(dtype=np.float64) for x in (change[name], contrast(now[name]))]
+                sums[name] += [x.mean(-1)[followed].sum(dtype=np.float64)
+                               for x in (change[name], contrast(now[name]))]
         before = now
     figures = {name: 1000 * both / max(1, count) for name, both in sums.items()}
-    return {name: {"flicker": round(float(x[0]), 3), "contrast": round(float(x[1]), 3)} for name, x in figures.items()}
+    return {name: {"flicker": round(float(x[0]), 3), "contrast": round(float(x[1]), 3)}
+            for name, x in figures.items()}
 
 
 def contrast(picture: np.ndarray) -> np.ndarray:
-    """Mean absolute difference of each pixel (H,W,3) to the next on its right and below; 0 beyond the edges."""
-    right, below = (np.abs(np.diff(picture, axis=axis, append=picture.take([-1], axis))) for axis in (1, 0))
+    """Mean absolute difference of each pixel (H,W,3) to the next on its right and below; 0 beyond
+    the edges."""
+    right, below = (np.abs(np.diff(picture, axis=axis, append=picture.take([-1], axis)))
+                    for axis in (1, 0))
     return (right + below) / 2

@@ -1,16 +1,19 @@
 """Measure looks, as the run-time computes them, against the colour pipelines that they reproduce.
 
-    python -m training.tonemap.evaluate aces2 local -o looks.json --photos 'hdr/*.exr' 'shot/reference.0001.exr'
+    python -m training.tonemap.evaluate aces2 local -o looks.json \\
+        --photos 'hdr/*.exr' 'shot/reference.0001.exr'
         [--panoramas 'env/*.hdr'] [--sequences DIR...] [--report]
-    python -m training.tonemap.evaluate local auto --following --side 320 --photos 'hdr/*.exr' 'shot/reference.0001.exr'
+    python -m training.tonemap.evaluate local auto --following --side 320 \\
+        --photos 'hdr/*.exr' 'shot/reference.0001.exr'
 
-A look is a tag, or the file of a model. Each picture is exposed by the run-time's meter and shrunk to at most --side
-pixels. Per picture: PSNR, SSIM and FLIP of sRGB code values, mean Delta E ITP (ITU-R BT.2124, white at 100 cd/m2).
-Then the charts of `training.tonemap.checks`, and the steadiness of sequences. --report writes the results into
-docs/lab/tonemap.md and makes its pictures, for the looks measured now and those already in -o.
+A look is a tag, or the file of a model. Each picture is exposed by the run-time's meter and shrunk
+to at most --side pixels. Per picture: PSNR, SSIM and FLIP of sRGB code values, mean Delta E ITP
+(ITU-R BT.2124, white at 100 cd/m2). Then the charts of `training.tonemap.checks`, and the
+steadiness of sequences. --report writes the results into docs/lab/tonemap.md and makes its
+pictures, for the looks measured now and those already in -o.
 
---following measures how fast looks with a network follow light that changes, at once (steps) or evenly (ramps of a
-stop); it prints the least and the greatest value over the pictures.
+--following measures how fast looks with a network follow light that changes, at once (steps) or
+evenly (ramps of a stop); it prints the least and the greatest value over the pictures.
 """
 
 from __future__ import annotations
@@ -35,13 +38,23 @@ from postfx.passes.tonemap import ToneMap, find_model, shaper
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from training.measure.quality_report.document import Block, compose, number, parse, table
-from training.tonemap.checks import SRGB, STEPS, Render, exposed_frames, flicker, greys, halo, nearest_exposure, sweep
+from training.tonemap.checks import (
+    SRGB,
+    STEPS,
+    Render,
+    exposed_frames,
+    flicker,
+    greys,
+    halo,
+    nearest_exposure,
+    sweep,
+)
 from training.tonemap.looks import Look, View, bake, exact_target, exact_view, look_from
 from training.tonemap.model import default_shaper, look_up, shape
 from training.tonemap.pairs import fit_cube
 from training.tonemap.pictures import find_pictures, shrink
 
-# The report ---------------------------------------------------------------------------------------------------------
+# The report ---------------------------------------------------------------------------------------
 # Measurements of looks as tables and pictures of docs/lab/tonemap.md.
 
 TILE, GAP, LOUD = 200, 4, 8.0  # height of a tile and the gap, in pixels; factor of the errors shown
@@ -53,8 +66,9 @@ def pictures_table(found: Found, look: str) -> str:
     """Figures of each picture."""
     heads = ["picture", "PSNR (dB)", "SSIM", "FLIP", "Delta E ITP"]
     rows = found[look]["pictures"].items()
-    return table(heads, ([row_name(name, row), number(row["psnr"], ".1f"), number(row["ssim"], ".3f"),
-                          number(row["flip"], ".3f"), number(row["delta_e_itp"], ".2f")] for name, row in rows))
+    return table(heads, ([row_name(name, row), number(row["psnr"], ".1f"),
+                          number(row["ssim"], ".3f"), number(row["flip"], ".3f"),
+                          number(row["delta_e_itp"], ".2f")] for name, row in rows))
 
 
 def looks_table(found: Found) -> str:
@@ -65,7 +79,8 @@ def looks_table(found: Found) -> str:
 
 def _means(pictures: dict[str, dict[str, Any]]) -> list[str]:
     held = [row for row in pictures.values() if row["held_out"]]
-    mean = {key: float(np.mean([row[key] for row in held])) for key in ("psnr", "ssim", "flip", "delta_e_itp")}
+    mean = {key: float(np.mean([row[key] for row in held]))
+            for key in ("psnr", "ssim", "flip", "delta_e_itp")}
     lowest = min(row["psnr"] for row in held)
     return [number(mean["psnr"], ".1f"), number(lowest, ".1f"), number(mean["ssim"], ".3f"),
             number(mean["flip"], ".3f"), number(mean["delta_e_itp"], ".2f")]
@@ -77,15 +92,18 @@ def checks_table(found: Found) -> str:
     keys = ("chroma", "fall", "rough", "halo")
     return table(heads, ([f"`{look}`", *(number(one["checks"][key], ".2f") for key in keys),
                           number(100 * one["checks"]["hue_flips"], ".2f", " %"),
-                          "yes" if one["checks"]["in_range"] else "no"] for look, one in found.items()))
+                          "yes" if one["checks"]["in_range"] else "no"]
+                         for look, one in found.items()))
 
 
 def flicker_table(found: Found) -> str:
     """Flicker of each look and of its references on sequences, and contrast of the first two."""
-    heads = ["look", "sequence", "look", "nearest static curve", "its mean held still", "its view alone",
+    heads = ["look", "sequence", "look", "nearest static curve", "its mean held still",
+             "its view alone",
              "pipeline, frame by frame", "nearest cube", "contrast", "of the static curve"]
     keys = ("look", "static", "still", "view", "pipeline", "cube")
-    return table(heads, ([f"`{look}`", name.replace("_", " "), *(_figure(row.get(key), "flicker") for key in keys),
+    return table(heads, ([f"`{look}`", name.replace("_", " "),
+                          *(_figure(row.get(key), "flicker") for key in keys),
                           *(_figure(row[key], "contrast") for key in ("look", "static"))]
                          for look, one in found.items() for name, row in one["flicker"].items()))
 
@@ -99,7 +117,8 @@ def row_name(name: str, row: dict[str, Any]) -> str:
 
 
 MAKERS: dict[str, Callable[..., str]] = {
-    "looks": looks_table, "pictures": pictures_table, "checks": checks_table, "flicker": flicker_table,
+    "looks": looks_table, "pictures": pictures_table, "checks": checks_table,
+    "flicker": flicker_table,
 }
 
 
@@ -113,12 +132,16 @@ def write_report(doc: Path, found: Found) -> None:
 
 
 def strip(pairs: list[tuple[np.ndarray, np.ndarray]], path: Path) -> None:
-    """Write a picture with one column a pair: the look (H,W,3), its reference, and their amplified difference."""
-    columns = [_column(*(shrink(x, round(TILE * max(x.shape) / len(x))) for x in pair)) for pair in pairs[:MOST]]
+    """Write a picture with one column a pair: the look (H,W,3), its reference, and their amplified
+    difference."""
+    columns = [_column(*(shrink(x, round(TILE * max(x.shape) / len(x))) for x in pair))
+               for pair in pairs[:MOST]]
     height = min(len(column) for column in columns)
-    padded = [np.pad(column[:height], ((0, 0), (0, GAP), (0, 0)), constant_values=1.0) for column in columns]
+    padded = [np.pad(column[:height], ((0, 0), (0, GAP), (0, 0)), constant_values=1.0)
+              for column in columns]
     path.parent.mkdir(parents=True, exist_ok=True)
-    image = oiio.ImageBuf(np.ascontiguousarray(np.round(np.concatenate(padded, 1) * 255).astype(np.uint8)))
+    image = oiio.ImageBuf(np.ascontiguousarray(np.round(np.concatenate(padded, 1) * 255)
+                                               .astype(np.uint8)))
     image.specmod()["CompressionQuality"] = 90
     image.write(str(path))
 
@@ -129,7 +152,7 @@ def _column(found: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return np.concatenate([found, gap, wanted, gap, error])
 
 
-# The evaluation -----------------------------------------------------------------------------------------------------
+# The evaluation -----------------------------------------------------------------------------------
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -158,15 +181,16 @@ class Mapper:
         return self._pipelines[size](frame)[Role.COLOUR].copy()
 
     def smooth_state(self, frame: Frame) -> np.ndarray:
-        """The smoothed grid (1,16,16,8,12), or exposure (3,) as in `postfx.kernels.tonemap`, of the next frame of a
-        sequence, which is already exposed."""
+        """The smoothed grid (1,16,16,8,12), or exposure (3,) as in `postfx.kernels.tonemap`, of the
+        next frame of a sequence, which is already exposed."""
         self.follow(frame)
         return self._pipelines[frame[Role.COLOUR].shape].passes[0].history()["held"].copy()
 
     def hold(self, kept: np.ndarray) -> Render:
         """The look with a constant grid or exposure."""
         library, model = find_model(self._tag)
-        constants, numbers = self._device.pipeline_state(library, model).constants, shaper(library, model)
+        constants, numbers = (self._device.pipeline_state(library, model).constants,
+                              shaper(library, model))
         params = np.array([1.0, numbers.toe, numbers.scale], np.float32)
 
         def render(rgb: np.ndarray) -> np.ndarray:
@@ -191,17 +215,18 @@ def compare(out: np.ndarray, wanted: np.ndarray) -> dict[str, float]:
 
 
 def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, dict[str, float]]:
-    """Flicker and contrast of a look with its history, and of its references; also the PSNR of the look's last frame
-    against the pipeline, in dB.
+    """Flicker and contrast of a look with its history, and of its references; also the PSNR of the
+    look's last frame against the pipeline, in dB.
 
-    References: `static`, the nearest static curve, is the look's view after one exposure for the whole sequence; `view`
-    is the view after the look's own gain; `pipeline` is the look's definition, frame by frame. For looks with a
-    network,
-    too: `still`, the look with its constant mean grid or exposure; `cube`, the colour cube nearest to the look's
-    frames.
+    References: `static`, the nearest static curve, is the look's view after one exposure for the
+    whole sequence; `view` is the view after the look's own gain; `pipeline` is the look's
+    definition, frame by frame. For looks with a network,
+    too: `still`, the look with its constant mean grid or exposure; `cube`, the colour cube nearest
+    to the look's frames.
     """
     frames = list(exposed_frames(folder))
-    light, shown = [frame[Role.COLOUR] for frame in frames], [mapper.follow(frame) for frame in frames]
+    light, shown = [frame[Role.COLOUR] for frame in frames], [mapper.follow(frame)
+                                                              for frame in frames]
     static = nearest_exposure(look.view, light, shown)
     renders: dict[str, Render] = {
         "static": lambda rgb: exact_view(look.view, rgb * np.float32(2.0**static)),
@@ -211,7 +236,8 @@ def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, dict[str, 
     if not look.is_global:
         renders["still"] = mapper.hold(np.mean([mapper.smooth_state(frame) for frame in frames], 0))
         renders["cube"] = nearest_cube(look.view, light, shown)
-    makers = {name: lambda frame, render=render: render(frame[Role.COLOUR]) for name, render in renders.items()}
+    makers = {name: lambda frame, render=render: render(frame[Role.COLOUR])
+              for name, render in renders.items()}
     figures = flicker(folder, {"look": mapper.follow} | makers, "view")
     figures["look"]["psnr"] = round(psnr(shown[-1], exact_target(light[-1], look)), 2)
     return figures
@@ -229,7 +255,8 @@ def shape_picture(rgb: np.ndarray) -> torch.Tensor:
     return shape(torch.from_numpy(rgb).permute(2, 0, 1)[None], *default_shaper())
 
 
-def examine(mapper: Mapper, look: Look, pictures: dict[str, np.ndarray], args: argparse.Namespace) -> dict[str, Any]:
+def examine(mapper: Mapper, look: Look, pictures: dict[str, np.ndarray],
+            args: argparse.Namespace) -> dict[str, Any]:
     """All figures of one look."""
     reference: Render = lambda rgb: exact_target(rgb, look)  # noqa: E731
     trained, rows, strips = set(mapper.card["training"]["pictures"]), {}, []
@@ -247,7 +274,7 @@ def examine(mapper: Mapper, look: Look, pictures: dict[str, np.ndarray], args: a
     return {"pictures": rows, "checks": checks, "flicker": steady}
 
 
-# Following the light -------------------------------------------------------------------------------------------------
+# Following the light ------------------------------------------------------------------------------
 
 STEPPED = (0.5, 1.0, 3.0)  # stops, up and down
 RAMPS = (24, 96)  # frames that a stop takes
@@ -256,8 +283,8 @@ LEFT = 0.1  # of the way
 
 
 def frames_of_step(mapper: Mapper, picture: np.ndarray, stops: float) -> int:
-    """Frames until a tenth of the way is left, in code values, from the changed light under the last grid or exposure
-    to the look without a past. At most LONGEST."""
+    """Frames until a tenth of the way is left, in code values, from the changed light under the
+    last grid or exposure to the look without a past. At most LONGEST."""
     stepped = picture * np.float32(2.0**stops)
     wanted, last = mapper(stepped), mapper.smooth_state(_frame(picture, 0))
     way = np.abs(mapper.hold(last)(stepped) - wanted).mean()
@@ -268,7 +295,8 @@ def frames_of_step(mapper: Mapper, picture: np.ndarray, stops: float) -> int:
 
 
 def measure_lag(mapper: Mapper, alone: Mapper, picture: np.ndarray, frames: int) -> float:
-    """Greatest lag of a look behind itself without a past (`alone`) in a ramp of a stop: mean steps of 8 bits."""
+    """Greatest lag of a look behind itself without a past (`alone`) in a ramp of a stop: mean steps
+    of 8 bits."""
     return STEPS * max(float(np.abs(mapper.follow(_frame(light, k)) - alone(light)).mean())
                        for k, light in enumerate(_ramp(picture, frames)))
 
@@ -289,27 +317,35 @@ def span(values: Iterable[float]) -> str:
 
 def print_following(tag: str, pictures: dict[str, np.ndarray]) -> None:
     """How fast a look follows steps and ramps."""
-    mapper, alone, lights = Mapper(tag), Mapper(tag), [np.ascontiguousarray(rgb) for rgb in pictures.values()]
+    mapper, alone, lights = Mapper(tag), Mapper(tag), [np.ascontiguousarray(rgb)
+                                                       for rgb in pictures.values()]
     for stops in STEPPED:
         frames = span(frames_of_step(mapper, rgb, way * stops) for rgb in lights for way in (-1, 1))
         print(f"{tag}: a step of {stops:g} stops is followed in {frames} frames", flush=True)
     for frames in RAMPS:
-        print(f"{tag}: lags by {span(measure_lag(mapper, alone, rgb, frames) for rgb in lights)} code values in a ramp "
-              f"of a stop in {frames} frames", flush=True)
+        print(f"{tag}: lags by {span(measure_lag(mapper, alone, rgb, frames) for rgb in lights)} "
+              f"code values in a ramp of a stop in {frames} frames", flush=True)
 
 
-# The command --------------------------------------------------------------------------------------------------------
+# The command --------------------------------------------------------------------------------------
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("looks", nargs="*", help="tags, or files of models; none: only write the report")
-    parser.add_argument("-o", "--output", type=Path, help="JSON file; keeps the other looks that it holds")
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("looks", nargs="*",
+                        help="tags, or files of models; none: only write the report")
+    parser.add_argument("-o", "--output", type=Path,
+                        help="JSON file; keeps the other looks that it holds")
     parser.add_argument("--photos", nargs="*", default=[], help="HDR pictures (patterns)")
-    parser.add_argument("--panoramas", nargs="*", default=[], help="equirectangular HDR environments (patterns)")
-    parser.add_argument("--sequences", nargs="*", default=[], help="folders of reference.####.exr and noisy.####.exr")
+    parser.add_argument("--panoramas", nargs="*", default=[],
+                        help="equirectangular HDR environments (patterns)")
+    parser.add_argument("--sequences", nargs="*", default=[],
+                        help="folders of reference.####.exr and noisy.####.exr")
     parser.add_argument("--side", type=int, default=640)
-    parser.add_argument("--following", action="store_true", help="only print how fast looks follow light that changes")
-    parser.add_argument("--report", action="store_true", help="write docs/lab/tonemap.md and its pictures")
+    parser.add_argument("--following", action="store_true",
+                        help="only print how fast looks follow light that changes")
+    parser.add_argument("--report", action="store_true",
+                        help="write docs/lab/tonemap.md and its pictures")
     parser.add_argument("--print", action="store_true", help="print the tables, too")
     parser.add_argument("--doc", type=Path, default=REPOSITORY / "docs/lab/tonemap.md")
     parser.add_argument("--images", type=Path, default=REPOSITORY / "docs/images/tonemap")
@@ -319,7 +355,8 @@ def main() -> None:
     pictures = find_pictures(args.photos, args.panoramas, args.side)
     if args.looks and not pictures:
         parser.error("no pictures to compare looks on: give --photos or --panoramas")
-    pictures = {name: rgb * np.float32(2.0 ** (measure(rgb) or 0.0)) for name, rgb in pictures.items()}
+    pictures = {name: rgb * np.float32(2.0 ** (measure(rgb) or 0.0))
+                for name, rgb in pictures.items()}
     if args.following:
         for tag in args.looks:
             print_following(tag, pictures)
@@ -328,7 +365,8 @@ def main() -> None:
     for tag in args.looks:
         mapper = Mapper(tag)
         if "view" not in mapper.card["look"]:
-            raise SystemExit(f"{tag}: was made from pairs of pictures: there is no pipeline to compare it with")
+            raise SystemExit(f"{tag}: was made from pairs of pictures: there is no pipeline to "
+                             "compare it with")
         found[mapper.name] = examine(mapper, look_from(mapper.card["look"]), pictures, args)
         args.output.write_text(json.dumps(found, indent=2) + "\n")
     if args.report:

@@ -1,6 +1,8 @@
-"""Export the tone mapper: a look's model and card to models/, its compute kernels to models/kernels/.
+"""Export the tone mapper: a look's model and card to models/, its compute kernels to
+models/kernels/.
 
-    python -m training.tonemap.export runs/local/checkpoint.pt --tag local [--quality quality.json] [--models DIR]
+    python -m training.tonemap.export runs/local/checkpoint.pt --tag local \\
+        [--quality quality.json] [--models DIR]
     python -m training.tonemap.export
 """
 
@@ -29,14 +31,25 @@ from training.kernels.tonemap import (
     SliceApply,
     Smooth,
 )
-from training.tonemap.model import CUBE, SHAPER, SIDE, TO_WORKING, TOE, WHITE, Exposure, HDRNet, default_shaper
+from training.tonemap.model import (
+    CUBE,
+    SHAPER,
+    SIDE,
+    TO_WORKING,
+    TOE,
+    WHITE,
+    Exposure,
+    HDRNet,
+    default_shaper,
+)
 
 IMAGE = {0: torch.export.Dim("height", min=1), 1: torch.export.Dim("width", min=1)}
 STEADY = {"keep": 0.6, "follow": 0.6}  # see `postfx.kernels.tonemap`
 STEADY_EXPOSURE = {"keep": 0.98, "follow": 0.18}  # of a look that exposes
 STOPS = {"stops": {"shape": [1, 1], "meaning": "exposure to add, log2"}}
 GRID = {
-    "grid": {"shape": [1, 16, 16, 8, 12], "meaning": "y, x, guide level, 3x4 affine matrix row-major"},
+    "grid": {"shape": [1, 16, 16, 8, 12],
+             "meaning": "y, x, guide level, 3x4 affine matrix row-major"},
     "guide": {
         "shape": [112],
         "meaning": "matrix 9, bias 3, shifts 3x16, slopes 3x16, mix 3, mix bias 1",
@@ -76,8 +89,10 @@ def network(checkpoint: dict[str, Any]) -> HDRNet | Exposure | None:
     return net.eval()
 
 
-def export_look(checkpoint: dict[str, Any], tag: str, folder: Path, quality: dict[str, Any]) -> Path:
-    """Write `tonemap.<tag>.onnx` and its card; raises ParityError where it does not compute what torch does."""
+def export_look(checkpoint: dict[str, Any], tag: str, folder: Path,
+                quality: dict[str, Any]) -> Path:
+    """Write `tonemap.<tag>.onnx` and its card; raises ParityError where it does not compute what
+    torch does."""
     path, net = folder / f"tonemap.{tag}.onnx", network(checkpoint)
     if net is None:
         _export_cube(checkpoint["cube"], path)
@@ -91,7 +106,8 @@ def export_look(checkpoint: dict[str, Any], tag: str, folder: Path, quality: dic
 
 
 def _export_cube(cube: torch.Tensor, path: Path) -> None:
-    """A model without inputs, whose output is the cube: kept in half precision, which holds it exactly."""
+    """A model without inputs, whose output is the cube: kept in half precision, which holds it
+    exactly."""
     half = onnx.numpy_helper.from_array(cube.numpy().astype("float16"), "cube_half")
     node = onnx.helper.make_node("Cast", ["cube_half"], ["cube"], to=onnx.TensorProto.FLOAT)
     output = onnx.helper.make_tensor_value_info("cube", onnx.TensorProto.FLOAT, cube.shape)
@@ -132,14 +148,17 @@ def card(checkpoint: dict[str, Any], tag: str, quality: dict[str, Any]) -> dict[
     }
     if net is None:
         summary = f"Look {tag}: depends on colour alone, a cube without a network"
-        return {**common, "summary": summary, "parameters": 0, "inputs": {}, "outputs": {"cube": cube}}
+        return {**common, "summary": summary, "parameters": 0, "inputs": {},
+                "outputs": {"cube": cube}}
     exposes = isinstance(net, Exposure)
     return {
         **common,
-        "summary": f"Look {tag}: {'a learnt exposure' if exposes else 'HDRNet (Gharbi et al. 2017)'} and a cube",
+        "summary": f"Look {tag}: "
+        f"{'a learnt exposure' if exposes else 'HDRNet (Gharbi et al. 2017)'} and a cube",
         "parameters": sum(p.numel() for name, p in net.named_parameters() if name != "cube"),
         **(STEADY_EXPOSURE if checkpoint["look"].get("key") else STEADY),
-        "inputs": {"lowres": {"shape": [1, 3, SIDE, SIDE], "meaning": "shaped colour, area average, 0..1"}},
+        "inputs": {"lowres": {"shape": [1, 3, SIDE, SIDE],
+                              "meaning": "shaped colour, area average, 0..1"}},
         "outputs": {**(STOPS if exposes else GRID), "cube": cube},
     }
 

@@ -1,10 +1,12 @@
-"""Looks that the tone mapper learns, as functions of exposed scene-linear Rec.709 with mid grey at 0.18.
+"""Looks that the tone mapper learns, as functions of exposed scene-linear Rec.709 with mid grey at
+0.18.
 
     out = view(2 ** gain * local(key(rgb)))
 
-`key` is an automatic exposure that keeps dark scenes dark and bright ones bright, `local` an operator on local
-contrast, `view` a colour pipeline; all but the last are optional. A look with only a view is global: it is a cube, and
-a network has nothing to learn. With `key` alone there is one number to learn.
+`key` is an automatic exposure that keeps dark scenes dark and bright ones bright, `local` an
+operator on local contrast, `view` a colour pipeline; all but the last are optional. A look with
+only a view is global: it is a cube, and a network has nothing to learn. With `key` alone there is
+one number to learn.
 """
 
 from __future__ import annotations
@@ -30,24 +32,28 @@ from postfx.colour.ocio import DISPLAYS, Transform, file_transform
 from postfx.errors import ColourError
 from training.tonemap.model import BLACK, CUBE, MID_GREY, default_shaper, lattice, look_up, shape
 
-# Views --------------------------------------------------------------------------------------------------------------
-# Colour pipelines that turn exposed scene-linear Rec.709 into sRGB-encoded display colour, through OpenColorIO. A view
-# is a display and view of any OpenColorIO config, or a LUT file of any format that OpenColorIO reads.
+# Views --------------------------------------------------------------------------------------------
+# Colour pipelines that turn exposed scene-linear Rec.709 into sRGB-encoded display colour, through
+# OpenColorIO. A view is a display and view of any OpenColorIO config, or a LUT file of any format
+# that OpenColorIO reads.
 
 ACES_CONFIG = "cg-config-v4.0.0_aces-v2.0_ocio-v2.5"  # built into OpenColorIO 2.5
 ACES_LINEAR = "Linear Rec.709 (sRGB)"
 BLENDER_CONFIG = "$BLENDER_OCIO"
 SRGB = "srgb"
-ONLY_SRGB = "looks are learnt for sRGB, and 'postfx run --display' shows them on others: give that for sRGB"
+ONLY_SRGB = ("looks are learnt for sRGB, and 'postfx run --display' shows them on others: give "
+             "that for sRGB")
 NO_BLENDER = (
-    "this look is a view of Blender's OpenColorIO config: set BLENDER_OCIO to its datafiles/colormanagement/config.ocio"
-    " (in an installed Blender, or in the wheel that 'pip download --no-deps bpy' gives)"
+    "this look is a view of Blender's OpenColorIO config: set BLENDER_OCIO to "
+    "its datafiles/colormanagement/config.ocio (in an installed Blender, or in the wheel that 'pip "
+    "download --no-deps bpy' gives)"
 )
 
 
 @dataclass(frozen=True)
 class Ocio:
-    """A display and view; `config` is a built-in config's name or a file, `source` its name of linear Rec.709."""
+    """A display and view; `config` is a built-in config's name or a file, `source` its name of
+    linear Rec.709."""
 
     config: str
     display: str
@@ -70,7 +76,8 @@ NEUTRAL = Ocio(BLENDER_CONFIG, "sRGB", "Khronos PBR Neutral")
 
 
 def exact_view(view: View, rgb: np.ndarray) -> np.ndarray:
-    """The view of (..., 3) exposed scene-linear Rec.709 by the pipeline itself; float32 in [0, 1]."""
+    """The view of (..., 3) exposed scene-linear Rec.709 by the pipeline itself; float32 in [0,
+    1]."""
     if isinstance(view, Lut):
         try:
             return _table(view).apply(rgb @ matrix_between(REC709, ACESCG).T).astype(np.float32)
@@ -82,7 +89,8 @@ def exact_view(view: View, rgb: np.ndarray) -> np.ndarray:
 
 
 def bake(view: View, size: int = CUBE) -> np.ndarray:
-    """The view at the corners of the tone mapper's cube: (size,size,size,3) float32 that half precision holds."""
+    """The view at the corners of the tone mapper's cube: (size,size,size,3) float32 that half
+    precision holds."""
     return exact_view(view, lattice(size)).astype(np.float16).astype(np.float32)
 
 
@@ -116,8 +124,8 @@ def _config(ocio: object, name: str) -> object:
 
 
 def _display(ocio: object, view: Ocio) -> object:
-    shown = next((kind.title
-                  for name, kind in DISPLAY_KINDS.items() if view.display in DISPLAYS[name] and name != SRGB), None)
+    shown = next((kind.title for name, kind in DISPLAY_KINDS.items()
+                  if view.display in DISPLAYS[name] and name != SRGB), None)
     if shown:
         raise SystemExit(f"{view.display}: is for {shown}: {ONLY_SRGB}")
     config = _config(ocio, view.config)
@@ -132,24 +140,28 @@ def _display(ocio: object, view: Ocio) -> object:
 
 def _linear_rec709(config: object) -> str:
     """The config's name of linear Rec.709."""
-    for name in (ACES_LINEAR, "lin_rec709", "Linear Rec.709", "Utility - Linear - sRGB", "lin_srgb"):
+    for name in (ACES_LINEAR, "lin_rec709", "Linear Rec.709", "Utility - Linear - sRGB",
+                 "lin_srgb"):
         if config.getColorSpace(name):
             return name
-    raise SystemExit("the config has no linear Rec.709 under a usual name: give its name with --source")
+    raise SystemExit("the config has no linear Rec.709 under a usual name: give its name with "
+                     "--source")
 
 
-# The local operator -------------------------------------------------------------------------------------------------
+# The local operator -------------------------------------------------------------------------------
 # A fast local Laplacian filter on log luminance.
 #
-# Formula: Paris, Hasinoff and Kautz 2011 ("Local Laplacian Filters"), sampled in intensity as in Aubry et al. 2014.
-# Edges above `sigma` stops are compressed by `beta`, smaller detail is kept or changed by `alpha`; no halos by design.
+# Formula: Paris, Hasinoff and Kautz 2011 ("Local Laplacian Filters"), sampled in intensity as in
+# Aubry et al. 2014. Edges above `sigma` stops are compressed by `beta`, smaller detail is kept or
+# changed by `alpha`; no halos by design.
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 FLOOR = 2.0**-8  # added to luminance before the logarithm, so that noise in black is not stretched
 
 
 def _down(x: torch.Tensor) -> torch.Tensor:
-    """Half size, sampled in line with `_up`: any shift between the two would smear to one side at every level."""
+    """Half size, sampled in line with `_up`: any shift between the two would smear to one side at
+    every level."""
     size = [-(-side // 2) for side in x.shape[-2:]]  # kornia's pyrdown rounds odd sizes down
     line = torch.tensor([[1.0, 4.0, 6.0, 4.0, 1.0]], dtype=x.dtype, device=x.device) / 16
     blurred = filter2d_separable(x, line, line, "replicate")
@@ -167,8 +179,10 @@ def _gaussian_pyramid(x: torch.Tensor, levels: int) -> list[torch.Tensor]:
     return out
 
 
-def _remap(x: torch.Tensor, centre: torch.Tensor, sigma: float, alpha: float, beta: float) -> torch.Tensor:
-    """Point-wise curve around `centre`: detail (<= sigma) to the power alpha, edges (> sigma) scaled by beta."""
+def _remap(x: torch.Tensor, centre: torch.Tensor, sigma: float, alpha: float,
+           beta: float) -> torch.Tensor:
+    """Point-wise curve around `centre`: detail (<= sigma) to the power alpha, edges (> sigma)
+    scaled by beta."""
     d = x - centre
     a = d.abs()
     detail = sigma * (a / sigma).clamp_min(1e-6) ** alpha
@@ -176,8 +190,10 @@ def _remap(x: torch.Tensor, centre: torch.Tensor, sigma: float, alpha: float, be
     return centre + d.sign() * torch.where(a <= sigma, detail, edge)
 
 
-def local_laplacian(x: torch.Tensor, sigma: float, alpha: float, beta: float, step: float = 1.0) -> torch.Tensor:
-    """Filter log2 luminance `x` (N,1,H,W) in stops; the coarsest level is compressed by beta around mid grey."""
+def local_laplacian(x: torch.Tensor, sigma: float, alpha: float, beta: float,
+                    step: float = 1.0) -> torch.Tensor:
+    """Filter log2 luminance `x` (N,1,H,W) in stops; the coarsest level is compressed by beta around
+    mid grey."""
     levels = max(2, int(min(x.shape[-2:])).bit_length() - 1)
     low, high = float(x.min()), float(x.max())
     count = max(2, int((high - low) / step) + 2)
@@ -199,20 +215,22 @@ def local_laplacian(x: torch.Tensor, sigma: float, alpha: float, beta: float, st
 
 
 def compress(rgb: torch.Tensor, sigma: float, alpha: float, beta: float) -> torch.Tensor:
-    """Local range compression of exposed scene-linear RGB (N,3,H,W); hue and saturation ratios are kept."""
+    """Local range compression of exposed scene-linear RGB (N,3,H,W); hue and saturation ratios are
+    kept."""
     weights = torch.tensor(LUMINANCE, dtype=rgb.dtype, device=rgb.device).view(1, 3, 1, 1)
     log = torch.log2((rgb * weights).sum(1, keepdim=True).clamp_min(0) + FLOOR)
     return rgb * torch.exp2(local_laplacian(log, sigma, alpha, beta) - log)
 
 
-# Looks --------------------------------------------------------------------------------------------------------------
+# Looks --------------------------------------------------------------------------------------------
 
 ENDS = (0.01, 0.99)  # quantiles that count as a scene's darkest and brightest
 
 
 @dataclass(frozen=True)
 class Local:
-    """Local Laplacian: differences below sigma stops are detail; alpha < 1 lifts detail; beta < 1 compresses edges."""
+    """Local Laplacian: differences below sigma stops are detail; alpha < 1 lifts detail; beta < 1
+    compresses edges."""
 
     sigma: float = 1.0
     alpha: float = 1.0
@@ -248,7 +266,8 @@ LOOKS: dict[str, Look] = {
 
 
 def find_look(name: str) -> Look:
-    """A built-in look, or one from a TOML file: gain, key, tables [local] and [view] with the fields of the classes."""
+    """A built-in look, or one from a TOML file: gain, key, tables [local] and [view] with the
+    fields of the classes."""
     if name in LOOKS:
         return LOOKS[name]
     if not name.endswith(".toml"):
@@ -256,14 +275,16 @@ def find_look(name: str) -> Look:
     try:
         return look_from(tomllib.loads(Path(name).read_text(encoding="utf-8")))
     except (KeyError, TypeError, OSError, tomllib.TOMLDecodeError) as error:
-        raise SystemExit(f"{name}: {error}: give a table [view] with config, display and view, or file") from None
+        raise SystemExit(f"{name}: {error}: give a table [view] with config, display and view, or "
+                         "file") from None
 
 
 def look_from(values: Mapping[str, Any]) -> Look:
     """A look from plain values, as in a TOML file or from `describe`."""
     values = dict(values)
     view, local = dict(values.pop("view")), values.pop("local", None)
-    return Look(Lut(**view) if "file" in view else Ocio(**view), local=Local(**local) if local else None, **values)
+    return Look(Lut(**view) if "file" in view else Ocio(**view),
+                local=Local(**local) if local else None, **values)
 
 
 def describe(look: Look) -> dict[str, Any]:
@@ -277,15 +298,16 @@ def key(rgb: torch.Tensor) -> torch.Tensor:
 
 
 def key_stops(rgb: torch.Tensor) -> torch.Tensor:
-    """Stops (N,) that expose (N,3,H,W) to the scene's own key: dark scenes stay dark, bright ones bright, within 2
-    stops of mid grey.
+    """Stops (N,) that expose (N,3,H,W) to the scene's own key: dark scenes stay dark, bright ones
+    bright, within 2 stops of mid grey.
 
-    The geometric mean of the luminance goes to 0.18 * 4 ** ((2 mean - low - high) / (high - low)), all in log2; low and
-    high are the 1st and 99th percentile. Formula: Reinhard 2002, "Parameter estimation for photographic tone
-    reproduction". The scale of the input does not matter.
+    The geometric mean of the luminance goes to 0.18 * 4 ** ((2 mean - low - high) / (high - low)),
+    all in log2; low and high are the 1st and 99th percentile. Formula: Reinhard 2002, "Parameter
+    estimation for photographic tone reproduction". The scale of the input does not matter.
     """
     log = log_luminance(rgb).flatten(1)
-    low, high = torch.quantile(log[:, :: max(1, log.shape[1] // 2**16)], log.new_tensor(ENDS), dim=1)
+    low, high = torch.quantile(log[:, :: max(1, log.shape[1] // 2**16)], log.new_tensor(ENDS),
+                               dim=1)
     mean = log.mean(1)
     share = (2 * mean - low - high) / (high - low).clamp_min(1.0)
     return 2 * share.clamp(-1, 1) - mean + math.log2(MID_GREY)

@@ -1,10 +1,12 @@
-"""Pictures for the tone mapper: read, exposed, held out; packed in one .npz together with baked looks.
+"""Pictures for the tone mapper: read, exposed, held out; packed in one .npz together with baked
+looks.
 
-    python -m training.tonemap.pictures -o set.npz --looks local auto --photos 'hdr/*.exr' --panoramas 'env/*.hdr'
+    python -m training.tonemap.pictures -o set.npz --looks local auto --photos 'hdr/*.exr' \\
+        --panoramas 'env/*.hdr'
 
-makes a pack for `training.tonemap.train --set`, on a machine without OpenColorIO. Pictures named by --hold-out are
-never trained on, only measured, against the colour pipeline itself and not its baked cube. --clips takes a folder of
-.npz files with a `reference` (T, H, W, 3).
+makes a pack for `training.tonemap.train --set`, on a machine without OpenColorIO. Pictures named by
+--hold-out are never trained on, only measured, against the colour pipeline itself and not its baked
+cube. --clips takes a folder of .npz files with a `reference` (T, H, W, 3).
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from postfx.io.colours import InputColours
 from training.tonemap.looks import Look, bake, describe, exact_target, find_look, look_from
 from training.tonemap.model import MID_GREY
 
-# Charts -------------------------------------------------------------------------------------------------------------
+# Charts -------------------------------------------------------------------------------------------
 # Charts of light that is rare in photographs, exposed scene-linear Rec.709 (H,W,3) float32.
 
 RAMP_EV = (-8.0, 6.0)
@@ -48,11 +50,13 @@ def hue_chart(stops: float = 23.0, hues: int = 24, size: int = 8) -> np.ndarray:
     return np.ascontiguousarray(chart.repeat(size, 0).repeat(size, 1), np.float32)
 
 
-# Panoramas ----------------------------------------------------------------------------------------------------------
+# Panoramas ----------------------------------------------------------------------------------------
 # Perspective views of equirectangular environment maps.
 
-def perspective(sphere: torch.Tensor, yaw: float, pitch: float, fov: float, size: tuple[int, int]) -> torch.Tensor:
-    """View (3,H,W) of an environment (3,h,w); angles in degrees, `fov` along the longer side, bilinear."""
+def perspective(sphere: torch.Tensor, yaw: float, pitch: float, fov: float,
+                size: tuple[int, int]) -> torch.Tensor:
+    """View (3,H,W) of an environment (3,h,w); angles in degrees, `fov` along the longer side,
+    bilinear."""
     h, w = size
     device = sphere.device
     focal = max(h, w) / (2 * math.tan(math.radians(fov) / 2))
@@ -65,21 +69,24 @@ def perspective(sphere: torch.Tensor, yaw: float, pitch: float, fov: float, size
     longitude = torch.remainder(longitude + 1, 2) - 1
     latitude = torch.atan2(up, torch.hypot(x, forward)) / (math.pi / 2)
     where = torch.stack([longitude, latitude], -1)[None]
-    return F.grid_sample(sphere[None], where, mode="bilinear", padding_mode="border", align_corners=False)[0]
+    return F.grid_sample(sphere[None], where, mode="bilinear", padding_mode="border",
+                         align_corners=False)[0]
 
 
-# The set ------------------------------------------------------------------------------------------------------------
+# The set ------------------------------------------------------------------------------------------
 
 WIDE_SPACES = ("rec2020", "acescg")
 LARGEST = 2.0**14  # after exposure; the shaper ends at 2**8, so nothing visible is lost
 FIELD, VIEW_SIZE = 85.0, (288, 512)  # degrees along the longer side; height and width
 VALIDATION_VIEWS = ((0.0, 0.0), (120.0, 10.0), (240.0, -15.0))  # yaw, pitch in degrees
-WIDE = [torch.from_numpy(matrix_between(LINEAR_SPACES[name], REC709).astype(np.float32)) for name in WIDE_SPACES]
+WIDE = [torch.from_numpy(matrix_between(LINEAR_SPACES[name], REC709).astype(np.float32))
+        for name in WIDE_SPACES]
 
 
 @dataclass
 class Pictures:
-    """Exposed linear Rec.709 (H,W,3) by name: for training, and held out; and the names that are full panoramas."""
+    """Exposed linear Rec.709 (H,W,3) by name: for training, and held out; and the names that are
+    full panoramas."""
 
     train: dict[str, np.ndarray] = field(default_factory=dict)
     panoramas: set[str] = field(default_factory=set)
@@ -88,7 +95,8 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Lesson:
-    """A look, its view's cube (size,size,size,3), and the pipeline's results for the held-out pictures."""
+    """A look, its view's cube (size,size,size,3), and the pipeline's results for the held-out
+    pictures."""
 
     look: Look
     cube: torch.Tensor
@@ -96,10 +104,11 @@ class Lesson:
 
 
 def read(path: str, space: str | None = None) -> np.ndarray:
-    """First three channels of an HDR picture as linear Rec.709, float32; non-finite values and negative light are 0.
+    """First three channels of an HDR picture as linear Rec.709, float32; non-finite values and
+    negative light are 0.
 
-    `space` is the file's space, a name in `postfx.colour.LINEAR_SPACES`; None reads it from the header, like
-    a run. Colours of formats with straight alpha are not multiplied by it.
+    `space` is the file's space, a name in `postfx.colour.LINEAR_SPACES`; None reads it from the
+    header, like a run. Colours of formats with straight alpha are not multiplied by it.
     """
     import OpenImageIO as oiio
 
@@ -118,7 +127,8 @@ def read(path: str, space: str | None = None) -> np.ndarray:
 
 
 def expose(rgb: np.ndarray) -> np.ndarray:
-    """Scale so that the geometric mean of the luminance between the 2nd and 98th percentile is mid grey, 0.18."""
+    """Scale so that the geometric mean of the luminance between the 2nd and 98th percentile is mid
+    grey, 0.18."""
     log = np.log2(np.maximum(rgb @ np.float32([0.2126, 0.7152, 0.0722]), 2.0**-30))
     log = log[log > -30]
     if not log.size:  # black
@@ -139,10 +149,12 @@ def shrink(rgb: np.ndarray, side: int) -> np.ndarray:
 
 
 def collect(
-    photos: Iterable[str], panoramas: Iterable[str] = (), clips: str | None = None, clip_limit: int = 0,
+    photos: Iterable[str], panoramas: Iterable[str] = (), clips: str | None = None,
+    clip_limit: int = 0,
     hold_out: Iterable[str] | None = (), side: int = 768, space: str | None = None,
 ) -> Pictures:
-    """Pictures from patterns of files and a folder of rendered clips; stems in `hold_out` are never trained on."""
+    """Pictures from patterns of files and a folder of rendered clips; stems in `hold_out` are never
+    trained on."""
     sources = [(p, False) for p in files(photos)] + [(p, True) for p in files(panoramas)]
     found, held = Pictures(), held_among([Path(p).stem for p, _ in sources], hold_out or ())
     for path, panorama in sources:
@@ -150,7 +162,8 @@ def collect(
         if name in held:
             found.held |= _held_views(name, picture, panorama)
         else:
-            found.train[name] = expose(shrink(picture, 1024 if panorama else side)).astype(np.float16)
+            found.train[name] = expose(shrink(picture,
+                                              1024 if panorama else side)).astype(np.float16)
             found.panoramas |= {name} if panorama else set()
     for i, frame in enumerate(_clip_frames(clips, clip_limit) if clips else []):
         found.train[f"clip_{i}"] = expose(frame).astype(np.float16)
@@ -167,10 +180,12 @@ def files(patterns: Iterable[str]) -> list[str]:
 
 
 def held_among(stems: Sequence[str], names: Iterable[str]) -> set[str]:
-    """Names of pictures to hold out; ends the program if one is unknown, or if no picture would be left."""
+    """Names of pictures to hold out; ends the program if one is unknown, or if no picture would be
+    left."""
     held = set(names)
     for name in sorted(held - set(stems)):
-        raise SystemExit(f"--hold-out {name}: no such picture: there are {', '.join(stems) or 'none'}")
+        raise SystemExit(f"--hold-out {name}: no such picture: there are "
+                         f"{', '.join(stems) or 'none'}")
     if stems and held == set(stems):
         raise SystemExit("--hold-out: names all pictures: leave some to train on")
     return held
@@ -181,8 +196,10 @@ def charts() -> dict[str, np.ndarray]:
     return {"chart": hue_chart(), "ramp": ramp(512)}
 
 
-def find_pictures(photos: Iterable[str], panoramas: Iterable[str], side: int) -> dict[str, np.ndarray]:
-    """Linear Rec.709 by name, of patterns of files; a perspective view of each panorama; shrunk to `side`."""
+def find_pictures(photos: Iterable[str], panoramas: Iterable[str],
+                  side: int) -> dict[str, np.ndarray]:
+    """Linear Rec.709 by name, of patterns of files; a perspective view of each panorama; shrunk to
+    `side`."""
     found = {_name(p): shrink(read(p), side) for p in files(photos)}
     for path in files(panoramas):
         sphere = torch.from_numpy(read(path)).permute(2, 0, 1)
@@ -202,11 +219,13 @@ def _held_views(name: str, picture: np.ndarray, panorama: bool) -> dict[str, np.
         return {name: expose(shrink(picture, 640)).astype(np.float16)}
     sphere = torch.from_numpy(picture).permute(2, 0, 1)
     views = [perspective(sphere, yaw, pitch, FIELD, VIEW_SIZE) for yaw, pitch in VALIDATION_VIEWS]
-    return {f"{name}.{i}": expose(v.permute(1, 2, 0).numpy()).astype(np.float16) for i, v in enumerate(views)}
+    return {f"{name}.{i}": expose(v.permute(1, 2, 0).numpy()).astype(np.float16)
+            for i, v in enumerate(views)}
 
 
 def _clip_frames(folder: str, limit: int) -> list[np.ndarray]:
-    """Up to `limit` rendered references, the first frame of evenly spread clips (.npz with `reference` (T,H,W,3))."""
+    """Up to `limit` rendered references, the first frame of evenly spread clips (.npz with
+    `reference` (T,H,W,3))."""
     paths = sorted(glob.glob(f"{folder}/*.npz"))
     paths = paths[:: max(1, len(paths) // limit)][:limit] if limit else []
     return [np.load(path)["reference"][0].astype(np.float32) for path in paths]
@@ -214,7 +233,8 @@ def _clip_frames(folder: str, limit: int) -> list[np.ndarray]:
 
 def lesson(look: Look, pictures: Pictures) -> Lesson:
     """Bake a look and run its pipeline on the held-out pictures."""
-    wanted = {name: exact_target(rgb.astype(np.float32), look) for name, rgb in pictures.held.items()}
+    wanted = {name: exact_target(rgb.astype(np.float32), look)
+              for name, rgb in pictures.held.items()}
     return Lesson(look, torch.from_numpy(bake(look.view)), wanted)
 
 
@@ -225,7 +245,8 @@ def save(path: str, pictures: Pictures, lessons: dict[str, Lesson]) -> None:
     for name, one in lessons.items():
         arrays[f"look/{name}"] = np.array(json.dumps(describe(one.look)))
         arrays[f"cube/{name}"] = one.cube.numpy().astype(np.float16)
-        arrays |= {f"wanted/{name}/{of}": np.round(x * 65535).astype(np.uint16) for of, x in one.wanted.items()}
+        arrays |= {f"wanted/{name}/{of}": np.round(x * 65535).astype(np.uint16)
+                   for of, x in one.wanted.items()}
     np.savez_compressed(path, **arrays)
 
 
@@ -235,35 +256,43 @@ def load(path: str, name: str) -> tuple[Pictures, Lesson]:
         if f"look/{name}" not in packed:
             there = sorted(key[5:] for key in packed if key.startswith("look/"))
             raise SystemExit(f"{path} has no look '{name}': it has {', '.join(there)}")
-        part = {kind: {key.removeprefix(kind): packed[key] for key in packed if key.startswith(kind)}
+        part = {kind: {key.removeprefix(kind): packed[key]
+                       for key in packed if key.startswith(kind)}
                 for kind in ("train/", "held/", f"wanted/{name}/")}
         pictures = Pictures(part["train/"], set(packed["panoramas"].tolist()), part["held/"])
         look = look_from(json.loads(str(packed[f"look/{name}"])))
         wanted = {of: x.astype(np.float32) / 65535 for of, x in part[f"wanted/{name}/"].items()}
-        return pictures, Lesson(look, torch.from_numpy(packed[f"cube/{name}"].astype(np.float32)), wanted)
+        return pictures, Lesson(look, torch.from_numpy(packed[f"cube/{name}"].astype(np.float32)),
+                                wanted)
 
 
 def options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", required=True)
-    parser.add_argument("--looks", nargs="+", default=["local", "auto"], help="built-in looks, or .toml files")
+    parser.add_argument("--looks", nargs="+", default=["local", "auto"],
+                        help="built-in looks, or .toml files")
     parser.add_argument("--photos", nargs="*", default=[], help="HDR photographs (patterns)")
-    parser.add_argument("--panoramas", nargs="*", default=[], help="equirectangular HDR environments (patterns)")
+    parser.add_argument("--panoramas", nargs="*", default=[],
+                        help="equirectangular HDR environments (patterns)")
     parser.add_argument("--clips", help="folder of rendered clips (.npz with `reference`)")
     parser.add_argument("--clip-limit", type=int, default=12)
     parser.add_argument("--hold-out", nargs="*", default=[], help="file stems kept for validation")
     parser.add_argument("--side", type=int, default=768, help="longest side of a photograph")
-    parser.add_argument("--space", choices=LINEAR_SPACES, help="primaries of the files, linear; default: by header")
+    parser.add_argument("--space", choices=LINEAR_SPACES,
+                        help="primaries of the files, linear; default: by header")
     return parser
 
 
 def main() -> None:
     args = options().parse_args()
-    pictures = collect(args.photos, args.panoramas, args.clips, args.clip_limit, args.hold_out, args.side, args.space)
+    pictures = collect(args.photos, args.panoramas, args.clips, args.clip_limit, args.hold_out,
+                       args.side, args.space)
     lessons = {Path(name).stem: lesson(find_look(name), pictures) for name in args.looks}
     save(args.output, pictures, lessons)
     size = Path(args.output).stat().st_size / 2**20
-    print(f"{args.output}: {len(pictures.train)} pictures, {len(pictures.held)} held out, {size:.1f} MiB")
+    print(f"{args.output}: {len(pictures.train)} pictures, {len(pictures.held)} held out, "
+          f"{size:.1f} MiB")
 
 
 if __name__ == "__main__":

@@ -1,18 +1,21 @@
 """Teach the tone mapper a look: from nothing to an exported, verified model with a card.
 
     python -m training.tonemap.train mine --pairs HDR_DIR SDR_DIR
-    python -m training.tonemap.train film --ocio config.ocio --display "sRGB - Display" --view Film [--look Warm]
+    python -m training.tonemap.train film --ocio config.ocio --display "sRGB - Display" \\
+        --view Film [--look Warm]
     python -m training.tonemap.train print --lut print.cube,input=ACEScct
-    python -m training.tonemap.train local --target local --pictures 'hdr/*.exr' --panoramas 'env/*.hdr'
+    python -m training.tonemap.train local --target local --pictures 'hdr/*.exr' \\
+        --panoramas 'env/*.hdr'
 
-The first word is the tag: `postfx run shot.####.exr -o out.####.png --tonemap OUT/tonemap.TAG.onnx` uses the result.
-Pairs are files of the same name, linear HDR and sRGB-encoded SDR, at the exposure of the grading. A look that depends
-only on colour becomes a cube. If a look only exposes before its view (key), the exposure is learnt in minutes, from
-scratch; other looks fine-tune the network of --start. Training never uses held-out pictures.
+The first word is the tag: `postfx run shot.####.exr -o out.####.png --tonemap OUT/tonemap.TAG.onnx`
+uses the result. Pairs are files of the same name, linear HDR and sRGB-encoded SDR, at the exposure
+of the grading. A look that depends only on colour becomes a cube. If a look only exposes before its
+view (key), the exposure is learnt in minutes, from scratch; other looks fine-tune the network of
+--start. Training never uses held-out pictures.
 
-This file reads from top to bottom: settings, the start of training, the losses, the two loops (`train_grid`,
-`train_exposure`), then the choice between them. The networks are in model.py, looks in looks.py, pictures in
-pictures.py, and training views in examples.py.
+This file reads from top to bottom: settings, the start of training, the losses, the two loops
+(`train_grid`, `train_exposure`), then the choice between them. The networks are in model.py, looks
+in looks.py, pictures in pictures.py, and training views in examples.py.
 """
 
 from __future__ import annotations
@@ -55,7 +58,7 @@ from training.tonemap.pictures import Lesson, Pictures, collect, lesson, load
 if TYPE_CHECKING:
     from training.tonemap.pairs import Pairs  # needs SciPy
 
-# Settings -----------------------------------------------------------------------------------------------------------
+# Settings -----------------------------------------------------------------------------------------
 
 GPU_MINUTES, CPU_MINUTES = 8.0, 45.0
 RATE, FINE_RATE = 1.5e-3, 2e-4  # the second for fine-tuning on a CPU: few steps, and a good start
@@ -70,8 +73,9 @@ ROUND = 0.05  # stops: smaller errors of an exposure count squared
 
 @dataclass(frozen=True)
 class Recipe:
-    """How to train: seconds of wall clock, which the learning rate follows; `scale` shrinks the pictures; `only` names
-    the parts of the network to train, or is empty for all; `views` counts the views that an exposure is learnt from."""
+    """How to train: seconds of wall clock, which the learning rate follows; `scale` shrinks the
+    pictures; `only` names the parts of the network to train, or is empty for all; `views` counts
+    the views that an exposure is learnt from."""
 
     seconds: float
     batch: int = 16
@@ -85,7 +89,8 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Report:
-    """Progress of a training: mean losses since the last report, and the PSNR of each held-out picture in dB."""
+    """Progress of a training: mean losses since the last report, and the PSNR of each held-out
+    picture in dB."""
 
     step: int
     seconds: float
@@ -95,34 +100,52 @@ class Report:
 
 
 def options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tag", help="name of the look")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--pairs", nargs=2, type=Path, metavar=("HDR_DIR", "SDR_DIR"), help="your own graded pictures")
-    source.add_argument("--ocio", metavar="CONFIG", help="OpenColorIO config: a file, or the name of a built-in one")
-    source.add_argument("--lut", metavar="FILE", help="look-up table, as --tonemap takes it: FILE,input=SPACE")
-    source.add_argument("--target", metavar="LOOK", help="a built-in look, or a .toml file that describes one")
-    source.add_argument("--set", metavar="NPZ", help="pack of training.tonemap.pictures that holds the look TAG")
+    source.add_argument("--pairs", nargs=2, type=Path, metavar=("HDR_DIR", "SDR_DIR"),
+                        help="your own graded pictures")
+    source.add_argument("--ocio", metavar="CONFIG",
+                        help="OpenColorIO config: a file, or the name of a built-in one")
+    source.add_argument("--lut", metavar="FILE",
+                        help="look-up table, as --tonemap takes it: FILE,input=SPACE")
+    source.add_argument("--target", metavar="LOOK",
+                        help="a built-in look, or a .toml file that describes one")
+    source.add_argument("--set", metavar="NPZ",
+                        help="pack of training.tonemap.pictures that holds the look TAG")
     parser.add_argument("--display", help="display or view of --ocio")
     parser.add_argument("--view", help="display or view of --ocio")
-    parser.add_argument("--look", default="", help="look of --ocio, instead of the view's own looks")
+    parser.add_argument("--look", default="",
+                        help="look of --ocio, instead of the view's own looks")
     parser.add_argument("--source", default="", help="the config's name of linear Rec.709")
-    parser.add_argument("--pictures", nargs="*", default=[], help="HDR photographs (patterns) to learn on")
-    parser.add_argument("--panoramas", nargs="*", default=[], help="equirectangular HDR environments (patterns)")
-    parser.add_argument("--space", choices=LINEAR_SPACES, help="primaries of all HDR files, linear; default: by header")
-    parser.add_argument("--hold-out", nargs="*", help="stems of pictures to measure with; default: every fifth")
-    parser.add_argument("--start", default="local", help="tag or file of the model to fine-tune, or 'none'")
-    parser.add_argument("--only", nargs="+", default=[], metavar="PART", help="parts of the network to train, as head")
-    parser.add_argument("--minutes", type=float, help=f"default: {GPU_MINUTES:g} on a GPU, {CPU_MINUTES:g} on a CPU")
+    parser.add_argument("--pictures", nargs="*", default=[],
+                        help="HDR photographs (patterns) to learn on")
+    parser.add_argument("--panoramas", nargs="*", default=[],
+                        help="equirectangular HDR environments (patterns)")
+    parser.add_argument("--space", choices=LINEAR_SPACES,
+                        help="primaries of all HDR files, linear; default: by header")
+    parser.add_argument("--hold-out", nargs="*",
+                        help="stems of pictures to measure with; default: every fifth")
+    parser.add_argument("--start", default="local",
+                        help="tag or file of the model to fine-tune, or 'none'")
+    parser.add_argument("--only", nargs="+", default=[], metavar="PART",
+                        help="parts of the network to train, as head")
+    parser.add_argument("--minutes", type=float,
+                        help=f"default: {GPU_MINUTES:g} on a GPU, {CPU_MINUTES:g} on a CPU")
     parser.add_argument("--batch", type=int, help="views a step; default: 16 on a GPU, 4 on a CPU")
-    parser.add_argument("--rate", type=float, help=f"default: {RATE:g}, or {FINE_RATE:g} to fine-tune on a CPU")
-    parser.add_argument("--scale", type=float, help="factor on the size of views; default: 1 on a GPU, 0.5 on a CPU")
+    parser.add_argument("--rate", type=float,
+                        help=f"default: {RATE:g}, or {FINE_RATE:g} to fine-tune on a CPU")
+    parser.add_argument("--scale", type=float,
+                        help="factor on the size of views; default: 1 on a GPU, 0.5 on a CPU")
     parser.add_argument("--views", type=int, default=VIEWS,
-                        help="views that an exposure is learnt from, and steps (default: %(default)s)")
+                        help="views that an exposure is learnt from, and steps (default: "
+                        "%(default)s)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--every", type=float, default=30.0, help="seconds between measurements")
     parser.add_argument("-o", "--out", type=Path, help="folder for all results; default: runs/TAG")
-    parser.add_argument("--no-export", action="store_true", help="leave a checkpoint for training.tonemap.export")
+    parser.add_argument("--no-export", action="store_true",
+                        help="leave a checkpoint for training.tonemap.export")
     return parser
 
 
@@ -149,10 +172,11 @@ def recipe_of(args: argparse.Namespace, on_gpu: bool) -> Recipe:
     )
 
 
-# Where training starts ----------------------------------------------------------------------------------------------
+# Where training starts ----------------------------------------------------------------------------
 
 def start_network(start: str, cube: torch.Tensor) -> HDRNet:
-    """A network with the weights of a model, by tag or file, and with another cube; a fresh one for 'none'."""
+    """A network with the weights of a model, by tag or file, and with another cube; a fresh one for
+    'none'."""
     net = HDRNet(cube)
     if start != "none":
         net.load_state_dict(weights_of(find_model(start), net.state_dict()) | {"cube": cube})
@@ -164,12 +188,14 @@ def freeze(net: HDRNet, only: tuple[str, ...]) -> None:
     names = [name for name, p in net.named_parameters() if p.requires_grad]
     for part in only:
         if not any(part in name.split(".") for name in names):
-            raise SystemExit(f"the network has no part '{part}': it has {', '.join(sorted(set(names)))}")
+            raise SystemExit(f"the network has no part '{part}': it has "
+                             f"{', '.join(sorted(set(names)))}")
     for name, p in net.named_parameters():
-        p.requires_grad_(p.requires_grad and (not only or not set(only).isdisjoint(name.split("."))))
+        p.requires_grad_(p.requires_grad
+                         and (not only or not set(only).isdisjoint(name.split("."))))
 
 
-# Losses and scores --------------------------------------------------------------------------------------------------
+# Losses and scores --------------------------------------------------------------------------------
 
 HeldOut = dict[str, np.ndarray]
 
@@ -177,7 +203,8 @@ HeldOut = dict[str, np.ndarray]
 def picture_loss(out: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
     """L1 + squared error in sRGB values, their gradients, and two opponent channels."""
     d = out - wanted
-    gradient = (d[..., 1:] - d[..., :-1]).abs().mean() + (d[..., 1:, :] - d[..., :-1, :]).abs().mean()
+    gradient = ((d[..., 1:] - d[..., :-1]).abs().mean()
+                + (d[..., 1:, :] - d[..., :-1, :]).abs().mean())
     opponent = (d[:, 0] - d[:, 1]).abs().mean() + (d[:, 2] - 0.5 * (d[:, 0] + d[:, 1])).abs().mean()
     return d.abs().mean() + SQUARED * d.square().mean() + GRADIENT * gradient + CHROMA * opponent
 
@@ -185,7 +212,8 @@ def picture_loss(out: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
 def render(
     net: HDRNet, colour: torch.Tensor, shaper: Shaper, noise: float = 0.0
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Display colour, and shaped colour before the cube; `noise` disturbs the input of the coefficient network."""
+    """Display colour, and shaped colour before the cube; `noise` disturbs the input of the
+    coefficient network."""
     low = lowres(colour, shaper)
     grid, guide, cube = net(low + noise * torch.randn_like(low))
     shaped = slice_grid_dense(shape(colour, *shaper), guide, grid)
@@ -203,10 +231,11 @@ def losses(
     shaper: Shaper,
     shift: tuple[int, int],
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Loss of two shifted views, and by how much they differ more in their overlap than their targets do.
+    """Loss of two shifted views, and by how much they differ more in their overlap than their
+    targets do.
 
-    If the colour before the view is known, the difference from it counts too: the view is flat in highlights, so an
-    error there would have no gradient.
+    If the colour before the view is known, the difference from it counts too: the view is flat in
+    highlights, so an error there would have no gradient.
     """
     colour, wanted, before = batch
     h, w = colour.shape[-2] - SHIFT, colour.shape[-1] - SHIFT
@@ -245,23 +274,26 @@ def score(out: torch.Tensor, wanted: np.ndarray) -> float:
     return round(float(psnr(out, torch.from_numpy(wanted).permute(2, 0, 1)[None])), 3)
 
 
-# The loop of a network with a grid ----------------------------------------------------------------------------------
+# The loop of a network with a grid ----------------------------------------------------------------
 
 Watch = Callable[[Report], None]
 Checkpoint = dict[str, Any]
-"""cube; weights (None for a cube alone); look; training pictures; psnr of held-out pictures; history of runs."""
+"""cube; weights (None for a cube alone); look; training pictures; psnr of held-out pictures;
+history of runs."""
 
 
-def train_grid(net: HDRNet, source: Source, recipe: Recipe, held: HeldOut, wanted: HeldOut, watch: Watch,
-               clock: Callable[[], float] = time.monotonic) -> Checkpoint:
-    """Train for `recipe.seconds`; returns the training's part of a checkpoint, with the averaged weights.
+def train_grid(net: HDRNet, source: Source, recipe: Recipe, held: HeldOut, wanted: HeldOut,
+               watch: Watch, clock: Callable[[], float] = time.monotonic) -> Checkpoint:
+    """Train for `recipe.seconds`; returns the training's part of a checkpoint, with the averaged
+    weights.
 
     `watch` gets a report every `recipe.every` seconds and at the end.
     """
     freeze(net, recipe.only)
     shaper, average = default_shaper(net.cube.device), copy.deepcopy(net).requires_grad_(False)
     trained = [p for p in net.parameters() if p.requires_grad]
-    averaged = [a for a, p in zip(average.parameters(), net.parameters(), strict=True) if p.requires_grad]
+    averaged = [a for a, p in zip(average.parameters(), net.parameters(), strict=True)
+                if p.requires_grad]
     optimizer = torch.optim.AdamW(trained, lr=recipe.rate, weight_decay=1e-4)
     start, last, step, since, sums = clock(), 0.0, 0, 0, torch.zeros(2, device=net.cube.device)
     while True:
@@ -269,7 +301,8 @@ def train_grid(net: HDRNet, source: Source, recipe: Recipe, held: HeldOut, wante
         progress = min(1.0, elapsed / recipe.seconds)
         if elapsed - last >= recipe.every or progress >= 1:
             picture, consistency = (sums / max(1, since)).tolist()
-            report = Report(step, round(elapsed, 1), picture, consistency, validate(average, held, wanted))
+            report = Report(step, round(elapsed, 1), picture, consistency,
+                            validate(average, held, wanted))
             watch(report)
             last, since = elapsed, 0
             sums.zero_()
@@ -291,36 +324,40 @@ def train_grid(net: HDRNet, source: Source, recipe: Recipe, held: HeldOut, wante
         sums += torch.stack([picture.detach(), consistency.detach()])
         step, since = step + 1, since + 1
     weights = copy.deepcopy(average).cpu().state_dict()
-    return {"weights": weights, "psnr": report.psnr, "history": [history_of(recipe, report, net.cube.device)]}
+    return {"weights": weights, "psnr": report.psnr,
+            "history": [history_of(recipe, report, net.cube.device)]}
 
 
 def history_of(recipe: Recipe, report: Report, device: torch.device) -> dict[str, object]:
     """A card's entry about one training."""
     name = torch.cuda.get_device_name() if device.type == "cuda" else "CPU"
     told = {"steps": report.step, "device": name, "torch": str(torch.__version__), **asdict(recipe)}
-    return {key: value for key, value in told.items() if key != "views"} | {"seconds": report.seconds}
+    return ({key: value for key, value in told.items() if key != "views"}
+            | {"seconds": report.seconds})
 
 
-# The loop of an exposure --------------------------------------------------------------------------------------------
+# The loop of an exposure --------------------------------------------------------------------------
 # A look that is one exposure before its view: a regression on the stops of many views.
 
 @dataclass(frozen=True)
 class Levels:
-    """N views, each twice, shifted like two frames: the means (N,2,1) and levels (N,2,7) of their luminance, and the
-    stops (N,2,1) that the look adds."""
+    """N views, each twice, shifted like two frames: the means (N,2,1) and levels (N,2,7) of their
+    luminance, and the stops (N,2,1) that the look adds."""
 
     means: torch.Tensor
     levels: torch.Tensor
     stops: torch.Tensor
 
 
-def train_exposure(source: Views, recipe: Recipe, held: HeldOut, wanted: HeldOut, watch: Watch) -> Checkpoint:
+def train_exposure(source: Views, recipe: Recipe, held: HeldOut, wanted: HeldOut,
+                   watch: Watch) -> Checkpoint:
     """The training's part of a checkpoint. Uses only views and seed of the recipe."""
     start = time.monotonic()
     found = levels_of_views(source, recipe.views)
     net = Exposure(source.cube)
     wrong, apart = fit_exposure(net, found, recipe.seed, recipe.views)
-    report = Report(recipe.views, round(time.monotonic() - start, 1), wrong, apart, validate(net, held, wanted))
+    report = Report(recipe.views, round(time.monotonic() - start, 1), wrong, apart,
+                    validate(net, held, wanted))
     watch(report)
     run = history_of(recipe, report, source.device)
     facts = {name: run[name] for name in ("steps", "device", "torch", "seconds", "seed")}
@@ -334,20 +371,23 @@ def levels_of_views(source: Views, count: int) -> Levels:
     found, shaper = [], default_shaper(source.device)
     for _ in range(count):
         view = source.views(1)
-        pair = torch.cat([windows(view, 0, 0), windows(view, *source.random.integers(0, SHIFT + 1, 2))])
+        pair = torch.cat([windows(view, 0, 0),
+                          windows(view, *source.random.integers(0, SHIFT + 1, 2))])
         found.append((*levels(lowres(pair, shaper)), key_stops(pair)[:, None] + source.look.gain))
     return Levels(*(torch.stack(each) for each in zip(*found, strict=True)))
 
 
 def fit_exposure(net: Exposure, found: Levels, seed: int, steps: int) -> tuple[float, float]:
-    """Fit the dense layers; returns, in stops, the mean error and the mean difference between a view's two errors."""
+    """Fit the dense layers; returns, in stops, the mean error and the mean difference between a
+    view's two errors."""
     net.to(found.stops.device)
     random = torch.Generator().manual_seed(seed)
     optimizer = torch.optim.AdamW(net.dense.parameters(), lr=EXPOSURE_RATE, weight_decay=DECAY)
     for step in range(steps):
         for group in optimizer.param_groups:
             group["lr"] = EXPOSURE_RATE * (0.5 + 0.5 * math.cos(math.pi * step / steps))
-        some = torch.randint(len(found.stops), (EXPOSURE_BATCH,), generator=random).to(found.stops.device)
+        some = torch.randint(len(found.stops), (EXPOSURE_BATCH,),
+                             generator=random).to(found.stops.device)
         error = net.stops(found.means[some], found.levels[some]) - found.stops[some]
         wrong = F.smooth_l1_loss(error, torch.zeros_like(error), beta=ROUND)
         optimizer.zero_grad(set_to_none=True)
@@ -359,11 +399,12 @@ def fit_exposure(net: Exposure, found: Levels, seed: int, steps: int) -> tuple[f
 
 
 def difference_of_views(error: torch.Tensor) -> torch.Tensor:
-    """Mean difference between the two errors (N,2,1) of each view: flicker without a change of light."""
+    """Mean difference between the two errors (N,2,1) of each view: flicker without a change of
+    light."""
     return (error[:, 0] - error[:, 1]).abs().mean()
 
 
-# Which loop a look needs --------------------------------------------------------------------------------------------
+# Which loop a look needs --------------------------------------------------------------------------
 
 def teach_look(
     task: Lesson, pictures: Pictures, start: str, recipe: Recipe, device: torch.device, watch: Watch
@@ -371,7 +412,8 @@ def teach_look(
     """Learn a look whose pipeline is known; one that depends on colour alone needs no training."""
     common = {"look": describe(task.look), "cube": task.cube, "pictures": list(pictures.train)}
     if task.look.is_global:
-        return {**common, "weights": None, "history": [], "psnr": cube_psnr(task.cube, pictures.held, task.wanted)}
+        return {**common, "weights": None, "history": [],
+                "psnr": cube_psnr(task.cube, pictures.held, task.wanted)}
     source = Views(pictures, task.look, task.cube, device, recipe.seed)
     if task.look.is_exposure:
         return {**common, **train_exposure(source, recipe, pictures.held, task.wanted, watch)}
@@ -379,10 +421,13 @@ def teach_look(
     return {**common, **train_grid(net, source, recipe, pictures.held, task.wanted, watch)}
 
 
-def teach_pairs(pairs: Pairs, start: str, recipe: Recipe, device: torch.device, watch: Watch) -> Checkpoint:
-    """Learn a look from examples: a cube if that explains them, else a network before a cube, if it is better.
+def teach_pairs(pairs: Pairs, start: str, recipe: Recipe, device: torch.device,
+                watch: Watch) -> Checkpoint:
+    """Learn a look from examples: a cube if that explains them, else a network before a cube, if it
+    is better.
 
-    The start network also gets a cube fitted to the pairs: with few pictures this may be the best result.
+    The start network also gets a cube fitted to the pairs: with few pictures this may be the best
+    result.
     """
     from training.tonemap.pairs import PairViews, fit
 
@@ -391,7 +436,8 @@ def teach_pairs(pairs: Pairs, start: str, recipe: Recipe, device: torch.device, 
     common = {"look": {"pairs": sorted(pairs.train)}, "pictures": list(pairs.train)}
     cube, explained = fit(None, pairs, nearest_cube(pairs))
     print(f"colour alone explains the pairs to {explained:.1f} dB", flush=True)
-    alone = {**common, "cube": cube, "weights": None, "history": [], "psnr": cube_psnr(cube, held, wanted)}
+    alone = {**common, "cube": cube, "weights": None, "history": [],
+             "psnr": cube_psnr(cube, held, wanted)}
     if explained >= ENOUGH:
         return alone
     net = start_network(start, cube)
@@ -399,21 +445,24 @@ def teach_pairs(pairs: Pairs, start: str, recipe: Recipe, device: torch.device, 
         net.cube.data = fit(net, pairs, cube)[0]
     weights = copy.deepcopy(net.state_dict())
     begun = {"weights": weights, "history": [], "psnr": validate(net, held, wanted)}
-    learnt = train_grid(net.to(device), PairViews(pairs, device, recipe.seed), recipe, held, wanted, watch)
+    learnt = train_grid(net.to(device), PairViews(pairs, device, recipe.seed), recipe, held, wanted,
+                        watch)
     net.load_state_dict(learnt["weights"])
     net.to("cpu").cube.data = fit(net, pairs, learnt["weights"]["cube"].cpu())[0]
     again = {**learnt, "weights": net.state_dict(), "psnr": validate(net, held, wanted)}
-    found = [alone, *({**common, **one, "cube": one["weights"]["cube"]} for one in (begun, learnt, again))]
+    found = [alone,
+             *({**common, **one, "cube": one["weights"]["cube"]} for one in (begun, learnt, again))]
     return max(found, key=lambda one: np.mean(list(one["psnr"].values())))
 
 
 def nearest_cube(pairs: Pairs) -> torch.Tensor:
     """The shipped look that is nearest to the pairs: it defines colours that they do not show."""
     light, graded = ({name: pair[i] for name, pair in pairs.train.items()} for i in (0, 1))
-    return max(shipped_cubes().values(), key=lambda cube: sum(cube_psnr(cube, light, graded).values()))
+    return max(shipped_cubes().values(),
+               key=lambda cube: sum(cube_psnr(cube, light, graded).values()))
 
 
-# The command --------------------------------------------------------------------------------------------------------
+# The command --------------------------------------------------------------------------------------
 
 def look_of(args: argparse.Namespace) -> Look:
     """The look that the options describe."""
@@ -433,7 +482,8 @@ def teach(args: argparse.Namespace, device: torch.device, log: Path) -> Checkpoi
             lines.write(json.dumps(asdict(report)) + "\n")
             lines.flush()
             mean = sum(report.psnr.values()) / max(1, len(report.psnr))
-            text = f"{args.tag} on {device}: step {report.step}, loss {report.picture:.4f}, held out {mean:.2f} dB"
+            text = (f"{args.tag} on {device}: step {report.step}, loss {report.picture:.4f}, held "
+                    f"out {mean:.2f} dB")
             progress.update(bar, completed=report.seconds, description=text)
 
         if args.pairs:
@@ -444,7 +494,8 @@ def teach(args: argparse.Namespace, device: torch.device, log: Path) -> Checkpoi
         if args.set:
             pictures, task = load(args.set, args.tag)
         else:
-            pictures = collect(args.pictures, args.panoramas, hold_out=args.hold_out, side=SIDE, space=args.space)
+            pictures = collect(args.pictures, args.panoramas, hold_out=args.hold_out, side=SIDE,
+                               space=args.space)
             task = lesson(look_of(args), pictures)
         return teach_look(task, pictures, args.start, recipe, device, watch)
 
@@ -453,14 +504,16 @@ def main() -> None:
     args = parse()
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     torch.manual_seed(args.seed)
-    torch.backends.cudnn.allow_tf32 = True  # convolutions only: the interpolation weights need all their bits
+    # convolutions only: the interpolation weights need all their bits
+    torch.backends.cudnn.allow_tf32 = True
     args.out.mkdir(parents=True, exist_ok=True)
     checkpoint = teach(args, device, args.out / "log.jsonl")
     torch.save(checkpoint, args.out / "checkpoint.pt")
     for name, value in checkpoint["psnr"].items():
         print(f"{name}: {value:.2f} dB")
     if not args.no_export:
-        from training.tonemap.export import export_look  # needs packages that a training machine may lack
+        # needs packages that a training machine may lack
+        from training.tonemap.export import export_look
 
         print(f"verified and written: {export_look(checkpoint, args.tag, args.out, {})}")
 

@@ -53,7 +53,8 @@ class ChannelInfo(NamedTuple):
 
 @dataclass
 class Header:
-    """Attributes of one part by name, in the order of the file. Reading one that is not there raises ReadError."""
+    """Attributes of one part by name, in the order of the file. Reading one that is not there
+    raises ReadError."""
 
     attributes: dict[str, Attribute] = field(default_factory=dict)
 
@@ -78,7 +79,8 @@ class Header:
     def dwa_level(self) -> float | None:
         """How much DWA compression loses, where the header says so."""
         value = self.attributes.get("dwaCompressionLevel")
-        return float(struct.unpack("<f", value.value)[0]) if value and len(value.value) == 4 else None
+        return (float(struct.unpack("<f", value.value)[0]) if value and len(value.value) == 4
+                else None)
 
     @property
     def data(self) -> Window:
@@ -92,7 +94,8 @@ class Header:
 
     @property
     def tiles(self) -> tuple[int, int, int]:
-        """Width and height of tiles, and the mode: levels in the low four bits, rounding in the high ones."""
+        """Width and height of tiles, and the mode: levels in the low four bits, rounding in the
+        high ones."""
         width, height, mode = self._unpack("tiles", "<IIB")
         return width, height, mode
 
@@ -131,8 +134,10 @@ class Header:
 
     def has_long_names(self) -> bool:
         """Whether a name in it needs the flag for names of more than 31 bytes."""
-        names = [raw(name) for name in (*self.attributes, *(kind for kind, _ in self.attributes.values()))]
-        return any(len(name) > SHORT_NAME for name in names + [raw(channel.name) for channel in self.channels])
+        names = [raw(name)
+                 for name in (*self.attributes, *(kind for kind, _ in self.attributes.values()))]
+        return any(len(name) > SHORT_NAME
+                   for name in names + [raw(channel.name) for channel in self.channels])
 
     def _value(self, name: str) -> bytes:
         if name not in self.attributes:
@@ -163,15 +168,16 @@ def raw(name: str) -> bytes:
 def pack_channels(channels: list[ChannelInfo]) -> bytes:
     """The attribute `channels` (type chlist) of channels in any order."""
     entries = [raw(name) + b"\0" + struct.pack("<iB3x2i", kind, linear, x, y)
-               for name, kind, linear, x, y in sorted(channels, key=lambda channel: raw(channel.name))]
+               for name, kind, linear, x, y in sorted(channels,
+                                                      key=lambda channel: raw(channel.name))]
     return b"".join(entries) + b"\0"
 
 
 def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
     """Version flags and the headers of all parts; the file is left where the chunks' table begins.
 
-    ReadError, whose message names no file, for a file that is not OpenEXR, and for headers that end early or are larger
-    than `MAX_HEADERS`.
+    ReadError, whose message names no file, for a file that is not OpenEXR, and for headers that end
+    early or are larger than `MAX_HEADERS`.
     """
     start = _Start(file)
     magic, version = start.unpack("<iI")
@@ -211,7 +217,8 @@ def _header(start: _Start, may_end: bool) -> Header | None:
 
 
 class _Start:
-    """The start of a file, read in blocks: `at` counts the bytes taken. Raises ReadError where the file ends."""
+    """The start of a file, read in blocks: `at` counts the bytes taken. Raises ReadError where the
+    file ends."""
 
     def __init__(self, file: BinaryIO) -> None:
         self.at = 0
@@ -237,7 +244,8 @@ class _Start:
             self._hold(most)
         end = self._held.find(b"\0", self.at, most)
         if end < 0:
-            raise ReadError("its header ends early" if len(self._held) < most else "a name in its header is too long")
+            raise ReadError("its header ends early" if len(self._held) < most
+                            else "a name in its header is too long")
         begin, self.at = self.at, end + 1
         return self._held[begin:end]
 
@@ -254,7 +262,8 @@ class _Start:
             (size,) = struct.unpack_from("<i", held, kind_end + 1)
             if 0 <= size and value_begin + size <= min(len(held), MAX_HEADERS):
                 self.at = value_begin + size
-                return held[begin:name_end], held[name_end + 1 : kind_end], held[value_begin : self.at]
+                return (held[begin:name_end], held[name_end + 1 : kind_end],
+                        held[value_begin : self.at])
         name = self.name()
         if not name:
             return None
@@ -266,4 +275,5 @@ class _Start:
 
     def _hold(self, end: int) -> None:
         # twice as much each time
-        self._held += self._file.read(max(end - len(self._held), len(self._held), _HEADER_BLOCK_BYTES))
+        self._held += self._file.read(max(end - len(self._held), len(self._held),
+                                          _HEADER_BLOCK_BYTES))

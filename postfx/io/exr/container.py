@@ -1,7 +1,8 @@
 """OpenEXR files as containers: chunks copied without decoding them, and pixels in and out of ZIP.
 
-ZIP-compressed scanlines are as OpenEXR's ImfZip.cpp defines them: bytes in even places before those in odd ones, then
-differences of neighbours, then DEFLATE; a chunk that does not shrink is stored as it is.
+ZIP-compressed scanlines are as OpenEXR's ImfZip.cpp defines them: bytes in even places before those
+in odd ones, then differences of neighbours, then DEFLATE; a chunk that does not shrink is stored as
+it is.
 """
 
 from __future__ import annotations
@@ -43,12 +44,14 @@ MAX_SIDE = 1 << 24
 """Largest width and height that is taken for an image's."""
 
 
-LINES = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256, 10: 256, 11: 32, 12: 256, 13: 1}
-"""Lines of a chunk by compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K of 256 and of 32,
-LJ2K, ZSTD."""
+LINES = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256, 10: 256, 11: 32,
+         12: 256, 13: 1}
+"""Lines of a chunk by compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K
+of 256 and of 32, LJ2K, ZSTD."""
 
 class Chunk(NamedTuple):
-    """One chunk in a file: where its coordinates and sizes begin, their bytes, and those of the data that follow."""
+    """One chunk in a file: where its coordinates and sizes begin, their bytes, and those of the
+    data that follow."""
 
     at: int
     head: int
@@ -57,7 +60,8 @@ class Chunk(NamedTuple):
 
 def head_layout(part_type: str) -> tuple[int, str]:
     """Bytes of a chunk's coordinates, and the sizes that follow them."""
-    return {SCANLINE_IMAGE: (4, "<i"), TILED_IMAGE: (16, "<i"), DEEP_SCANLINES: (4, "<3q")}.get(part_type, (16, "<3q"))
+    return {SCANLINE_IMAGE: (4, "<i"), TILED_IMAGE: (16, "<i"),
+            DEEP_SCANLINES: (4, "<3q")}.get(part_type, (16, "<3q"))
 
 
 def count_chunks(header: Header) -> int:
@@ -108,10 +112,10 @@ def _levels(side: int, up: int) -> list[int]:
 def walk_chunks(
     file: BinaryIO, first: int, size: int, headers: list[Header], several: bool
 ) -> Iterator[tuple[int, int, int]]:
-    """Part, place in its table and offset of every chunk that lies between `first` and the file's `size`, one after
-    another; it ends at the first bytes that are not a chunk."""
-    levels = [_tile_levels(header) if header.part_type not in (SCANLINE_IMAGE, DEEP_SCANLINES) else {}
-              for header in headers]
+    """Part, place in its table and offset of every chunk that lies between `first` and the file's
+    `size`, one after another; it ends at the first bytes that are not a chunk."""
+    levels = [_tile_levels(header) if header.part_type not in (SCANLINE_IMAGE, DEEP_SCANLINES)
+              else {} for header in headers]
     offset, part = first, 0
     while offset < size:
         file.seek(offset)
@@ -123,7 +127,8 @@ def walk_chunks(
         head = file.read(coordinates + struct.calcsize(sizes))
         if len(head) < coordinates + struct.calcsize(sizes):
             return
-        place = _place(headers[part], levels[part], struct.unpack(f"<{coordinates // 4}i", head[:coordinates]))
+        place = _place(headers[part], levels[part],
+                       struct.unpack(f"<{coordinates // 4}i", head[:coordinates]))
         found = struct.unpack(sizes, head[coordinates:])
         end = offset + 4 * several + len(head) + sum(found[:2])
         if place is None or min(found) < 0 or end > size:
@@ -150,14 +155,16 @@ def _place(
 
 _BOUNDED = {0: 1, 1: 128, 2: 1100, 3: 1100, 5: 1100, 6: 8, 7: 32}
 _UNBOUNDED = 1 << 20
-# Compressions -> how many times a chunk may grow: RLE 127 bytes out of 2, DEFLATE 1032:1, a flat block of B44A 32 bytes
-# out of 3. One run of a Huffman code may stand for much more.
+# Compressions -> how many times a chunk may grow: RLE 127 bytes out of 2, DEFLATE 1032:1, a flat
+# block of B44A 32 bytes out of 3. One run of a Huffman code may stand for much more.
 MAX_EMPTY = 1 << 28
 """Pixels that a display window may have with hardly any data in it: 16384x16384."""
 class ExrContainer:
-    """An open OpenEXR file, its headers, and its chunks without decoding them. Use as a context manager.
+    """An open OpenEXR file, its headers, and its chunks without decoding them. Use as a context
+    manager.
 
-    Raises ReadError, naming the file, when it is not OpenEXR, or when its headers claim something impossible.
+    Raises ReadError, naming the file, when it is not OpenEXR, or when its headers claim something
+    impossible.
     """
 
     def __init__(self, path: Path) -> None:
@@ -173,7 +180,8 @@ class ExrContainer:
             self._check_table()
         except ReadError as error:
             self._file.close()
-            raise ReadError(f"{path}: broken file: {error}; render or copy this frame again") from None
+            raise ReadError(f"{path}: broken file: {error}; render or copy this frame "
+                            "again") from None
         except BaseException:
             self._file.close()
             raise
@@ -194,7 +202,8 @@ class ExrContainer:
         return bool(self.version & MULTI_PART)
 
     def chunks(self, part: int) -> list[Chunk]:
-        """Chunks of a part in the order of its table. ReadError when one is missing or beyond the end of the file."""
+        """Chunks of a part in the order of its table. ReadError when one is missing or beyond the
+        end of the file."""
         return [self.chunk(part, place) for place in range(self.counts[part])]
 
     def read(self, chunk: Chunk) -> bytes:
@@ -206,13 +215,16 @@ class ExrContainer:
         return stored
 
     def read_chunks(self, part: int, first: int, last: int) -> list[memoryview]:
-        """Chunks of a part of scanlines in places of the table, the last not included; for any thread."""
+        """Chunks of a part of scanlines in places of the table, the last not included; for any
+        thread."""
         with self._lock:
             offsets = [int(offset) + 4 * self.several for offset in self._offsets[part][first:last]]
             if offsets != sorted(offsets):  # as where lines are written from the bottom
-                return [memoryview(self.read(self.chunk(part, place))) for place in range(first, last)]
+                return [memoryview(self.read(self.chunk(part, place)))
+                        for place in range(first, last)]
             final = self.chunk(part, last - 1)
-            block = memoryview(self.read(Chunk(offsets[0], 0, final.at + final.head + final.size - offsets[0])))
+            block = memoryview(self.read(Chunk(offsets[0], 0,
+                                               final.at + final.head + final.size - offsets[0])))
         found = []
         for offset in offsets:
             at = offset - offsets[0]
@@ -256,7 +268,8 @@ class ExrContainer:
     def _check_table(self) -> None:
         """Read the chunks' offsets. If the table was never written, walk the chunks to find them.
 
-        ReadError where a chunk is missing, as in the file of a render that was killed, or beyond the end.
+        ReadError where a chunk is missing, as in the file of a render that was killed, or beyond
+        the end.
         """
         offsets = np.frombuffer(self._file.read(8 * sum(self.counts)), "<u8").astype(np.int64)
         if offsets.min() < self._table:
@@ -291,7 +304,8 @@ def check_claims(header: Header, file_size: int) -> None:
 
 @dataclass
 class NewPart:
-    """A part to write: its header, how many chunks it has, and these with their places in the table, in any order."""
+    """A part to write: its header, how many chunks it has, and these with their places in the
+    table, in any order."""
 
     header: Header
     count: int
@@ -299,7 +313,8 @@ class NewPart:
 
 
 def write_container(path: Path, parts: list[NewPart]) -> int:
-    """Write a file of these parts, each of which needs a name when there are several; returns the file's bytes.
+    """Write a file of these parts, each of which needs a name when there are several; returns the
+    file's bytes.
 
     Raises OSError when that fails, and whatever the parts raise while they make their chunks.
     """
@@ -309,7 +324,8 @@ def write_container(path: Path, parts: list[NewPart]) -> int:
             part.header.set_text("type", part.header.part_type)
             part.header.set("chunkCount", "int", struct.pack("<i", part.count))
     with path.open("wb", 1 << 20) as file:  # chunks may be single lines
-        file.write(struct.pack("<iI", EXR_MAGIC, EXR_VERSION | _flags([part.header for part in parts])))
+        file.write(struct.pack("<iI", EXR_MAGIC,
+                               EXR_VERSION | _flags([part.header for part in parts])))
         file.write(b"".join(part.header.pack() for part in parts) + b"\0" * several)
         table = file.tell()
         file.write(bytes(8 * sum(part.count for part in parts)))
@@ -345,52 +361,58 @@ NamedPlanes = Sequence[tuple[Sequence[str], np.ndarray]]
 
 
 class PlainReader:
-    """Reads pixels of a part whose scanlines are as they are or compressed by ZIP, in half of OpenImageIO's time.
+    """Reads pixels of a part whose scanlines are as they are or compressed by ZIP, in half of
+    OpenImageIO's time.
 
-    `channels` are those that it reads: of half floats and floats; none where the part is stored in another way. `top`
-    is the number of the data window's first row.
+    `channels` are those that it reads: of half floats and floats; none where the part is stored in
+    another way. `top` is the number of the data window's first row.
     """
 
     def __init__(self, file: ExrContainer, part: int) -> None:
         self._file, self._part, header = file, part, file.headers[part]
         self._height, self.top, width = header.data.height, header.data.y0, header.data.width
         self._lines, self._words = LINES.get(header.compression, 1), 0
-        self.channels: dict[str, tuple[int, int]] = {}  # kind, and place of the first word of two bytes in a line
+        # kind, and place of the first word of two bytes in a line
+        self.channels: dict[str, tuple[int, int]] = {}
         is_plain = header.part_type == SCANLINE_IMAGE and header.compression in OWN_COMPRESSIONS
         channels = header.channels if is_plain else []
         if all((channel.x_sampling, channel.y_sampling) == (1, 1) for channel in channels):
             for channel in channels:
-                self.channels |= ({channel.name: (channel.kind, self._words)} if channel.kind in (HALF_KIND, FLOAT_KIND)
-                                  else {})
+                self.channels |= ({channel.name: (channel.kind, self._words)}
+                                  if channel.kind in (HALF_KIND, FLOAT_KIND) else {})
                 self._words += width * SAMPLE_BYTES[channel.kind] // 2
 
     def read(self, planes: NamedPlanes, first: int, last: int) -> bool:
-        """Read the data window's rows from `first` to `last`, not included, both counted from its top. False where the
-        file is broken. Several threads may read at once."""
+        """Read the data window's rows from `first` to `last`, not included, both counted from its
+        top. False where the file is broken. Several threads may read at once."""
         begin, end = first // self._lines, -(-last // self._lines)
         if not 0 <= first < last <= self._height or end > self._file.counts[self._part]:
             return False
         targets = [(np.array([self.channels[name] for name in names]), plane.view(np.uint32))
                    for names, plane in planes]
-        stored, step = self._file.read_chunks(self._part, begin, end), max(1, ZIP_LINES // self._lines)
-        return all(self._unpack(targets, first, (begin + place) * self._lines, stored[place : place + step])
+        stored, step = (self._file.read_chunks(self._part, begin, end),
+                        max(1, ZIP_LINES // self._lines))
+        return all(self._unpack(targets, first, (begin + place) * self._lines,
+                                stored[place : place + step])
                    for place in range(0, len(stored), step))
 
     def read_by_threads(self, planes: NamedPlanes, first: int, last: int) -> bool:
         """The same by as many threads as OpenImageIO has, of which the caller is none."""
         count = oiio.get_int_attribute("threads")
         step = rows_of_task(count)
-        tasks = [partial(self.read, [(names, plane[row - first : row - first + step]) for names, plane in planes],
+        tasks = [partial(self.read, [(names, plane[row - first : row - first + step])
+                                     for names, plane in planes],
                          row, min(last, row + step)) for row in range(first, last, step)]
         return all(run_in_order(file_threads(count), tasks, 2 * count))
 
-    def _unpack(self, targets: list[tuple[np.ndarray, np.ndarray]], first: int, top: int, stored: list[memoryview]
-                ) -> bool:
-        """Put chunks, whose rows begin with `top`, into planes whose rows begin with `first`; False where one is
-        broken."""
+    def _unpack(self, targets: list[tuple[np.ndarray, np.ndarray]], first: int, top: int,
+                stored: list[memoryview]) -> bool:
+        """Put chunks, whose rows begin with `top`, into planes whose rows begin with `first`; False
+        where one is broken."""
         from postfx.io.pixel_formats import decompress_rows, widen_rows  # headers must not wait
 
-        words = np.empty((min(len(stored) * self._lines, self._height - top), self._words), np.uint16)
+        words = np.empty((min(len(stored) * self._lines, self._height - top), self._words),
+                         np.uint16)
         for i, chunk in enumerate(stored):
             row = i * self._lines
             found = decompress_rows(chunk[8:], words[row : row + self._lines].reshape(-1))
@@ -403,11 +425,12 @@ class PlainReader:
         return True
 
 
-COMPRESSIONS = {0: "none", 1: "rle", 2: "zips", 3: "zip", 4: "piz", 5: "pxr24", 6: "b44", 7: "b44a", 8: "dwaa",
-                9: "dwab", 10: "htj2k256", 11: "htj2k32", 12: "lj2k", 13: "zstd"}
+COMPRESSIONS = {0: "none", 1: "rle", 2: "zips", 3: "zip", 4: "piz", 5: "pxr24", 6: "b44", 7: "b44a",
+                8: "dwaa", 9: "dwab", 10: "htj2k256", 11: "htj2k32", 12: "lj2k", 13: "zstd"}
 """OpenEXR's numbers of compressions."""
 _NEW = 10
-"""The first that OpenImageIO may not know, by the OpenEXR that it was made with; it writes ZIP in their place."""
+"""The first that OpenImageIO may not know, by the OpenEXR that it was made with; it writes ZIP in
+their place."""
 NO_COMPRESSION = 0
 ZIPS = 2
 ZIP = 3
@@ -425,9 +448,9 @@ _PIECE_BYTES = 4 << 20  # bytes that are read and packed at once
 
 
 def _join_threads() -> None:
-    """End the threads of OpenImageIO and OpenEXR before the process is forked: the copy has none of them, would wait
-    for them for ever, and starts its own if they are known to be gone. OpenEXR hears of their number when OpenImageIO
-    opens a file."""
+    """End the threads of OpenImageIO and OpenEXR before the process is forked: the copy has none of
+    them, would wait for them for ever, and starts its own if they are known to be gone. OpenEXR
+    hears of their number when OpenImageIO opens a file."""
     _threads.append([oiio.get_int_attribute(name) for name in _THREAD_POOLS])
     oiio.attribute("threads", 1)
     oiio.attribute("exr_threads", _NO_THREADS)
@@ -447,24 +470,29 @@ _THREAD_POOLS = ("threads", "exr_threads")
 _NO_THREADS = -1  # of OpenEXR; 0 would be one for each core
 _threads: list[list[int]] = []
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(before=_join_threads, after_in_parent=_allow_threads, after_in_child=_allow_threads)
+    os.register_at_fork(before=_join_threads, after_in_parent=_allow_threads,
+                        after_in_child=_allow_threads)
 
 
 def rows_of_task(threads: int) -> int:
-    """Rows that a thread packs or unpacks at once: whole chunks, in its cache, and with many threads some for each."""
+    """Rows that a thread packs or unpacks at once: whole chunks, in its cache, and with many
+    threads some for each."""
     return 4 * ZIP_LINES if threads <= 4 else ZIP_LINES
 
 
 Rows = Callable[[int, int], Sequence[np.ndarray]]
-"""First row and last row, not included, both counted from the top of the data window -> all channels of these rows in
-the order of the header: arrays (rows, width) of little-endian uint32, float16 or float32."""
+"""First row and last row, not included, both counted from the top of the data window -> all
+channels of these rows in the order of the header: arrays (rows, width) of little-endian uint32,
+float16 or float32."""
 
 
 def picture_part(header: Header, read: Rows, apart: bool = False) -> NewPart:
-    """A part with this header whose chunks are packed while the file is written, as its header says.
+    """A part with this header whose chunks are packed while the file is written, as its header
+    says.
 
-    ZIP, by far the fastest compression, ZIPS and none are packed by as many threads as OpenImageIO reads and writes
-    with, which does all others: there the channels must be of one type. `apart`: these threads may call `read`, too.
+    ZIP, by far the fastest compression, ZIPS and none are packed by as many threads as OpenImageIO
+    reads and writes with, which does all others: there the channels must be of one type. `apart`:
+    these threads may call `read`, too.
     """
     chunks = (_plain_chunks(header, read, apart) if header.compression in OWN_COMPRESSIONS
               else _library_chunks(header, read))
@@ -481,7 +509,8 @@ def can_compress(name: str) -> bool:
     spec.attribute("compression", name)
     with memory_file(".exr") as path:
         output = oiio.ImageOutput.create("exr")
-        if output is None or not (output.open(str(path), spec) and output.write_image(np.zeros((1, 1, 1), np.float32))):
+        if output is None or not (output.open(str(path), spec)
+                                  and output.write_image(np.zeros((1, 1, 1), np.float32))):
             return False
         output.close()
         with open(path, "rb") as file:
@@ -502,7 +531,9 @@ def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
         if output is None or not output.open(str(path), spec):
             raise OSError(oiio.geterror())
         written = True
-        step = max(1, _PIECE_BYTES // (data.width * len(header.channels) * SAMPLE_BYTES[2] * 256)) * 256  # whole chunks
+        # whole chunks
+        step = (max(1, _PIECE_BYTES // (data.width * len(header.channels) * SAMPLE_BYTES[2] * 256))
+                * 256)
         for first in range(0, data.height, step):
             last = min(data.height, first + step)
             pixels = np.stack([*read(first, last)], axis=2)
@@ -515,7 +546,8 @@ def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
 
 def _plain_chunks(header: Header, read: Rows, apart: bool) -> Iterator[tuple[int, bytes]]:
     """The same from the top, packed here."""
-    data, line_bytes = header.data, header.data.width * sum(SAMPLE_BYTES[channel.kind] for channel in header.channels)
+    data, line_bytes = header.data, header.data.width * sum(SAMPLE_BYTES[channel.kind]
+                                                            for channel in header.channels)
     count, lines = oiio.get_int_attribute("threads"), LINES[header.compression]
     rows = rows_of_task(count)
     step = rows if apart else max(1, _PIECE_BYTES // (line_bytes * rows)) * rows
@@ -526,16 +558,19 @@ def _plain_chunks(header: Header, read: Rows, apart: bool) -> Iterator[tuple[int
             channels = [] if apart else read(first, last)
             for top in range(first, last, rows):
                 some = slice(top - first, top - first + rows)
-                get = partial(read, first, last) if apart else partial(list, [channel[some] for channel in channels])
+                get = (partial(read, first, last) if apart
+                       else partial(list, [channel[some] for channel in channels]))
                 yield partial(_pack, get, line_bytes, lines, data.y0 + top, header.compression)
 
-    packed = (chunk for chunks in run_in_order(file_threads(count), tasks(), 2 * count) for chunk in chunks)
+    packed = (chunk for chunks in run_in_order(file_threads(count), tasks(), 2 * count)
+              for chunk in chunks)
     yield from enumerate(packed)
 
 
-def _pack(get: Callable[[], Sequence[np.ndarray]], line_bytes: int, lines: int, top: int, compression: int
-          ) -> list[bytes]:
-    """Chunks of the channels (rows, width) that `get` gives; the number of their first row is `top`."""
+def _pack(get: Callable[[], Sequence[np.ndarray]], line_bytes: int, lines: int, top: int,
+          compression: int) -> list[bytes]:
+    """Chunks of the channels (rows, width) that `get` gives; the number of their first row is
+    `top`."""
     from postfx.io.pixel_formats import compress_rows  # reading must not wait
 
     channels, at = get(), 0
@@ -545,5 +580,7 @@ def _pack(get: Callable[[], Sequence[np.ndarray]], line_bytes: int, lines: int, 
         stored[:, at:end].view(channel.dtype)[:] = channel
         at = end
     chunks = [stored[first : first + lines] for first in range(0, len(stored), lines)]
-    packed = [compress_rows(chunk) if compression != NO_COMPRESSION else chunk.tobytes() for chunk in chunks]
-    return [struct.pack("<2i", top + place * lines, len(chunk)) + chunk for place, chunk in enumerate(packed)]
+    packed = [compress_rows(chunk) if compression != NO_COMPRESSION else chunk.tobytes()
+              for chunk in chunks]
+    return [struct.pack("<2i", top + place * lines, len(chunk)) + chunk
+            for place, chunk in enumerate(packed)]

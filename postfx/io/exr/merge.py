@@ -1,13 +1,14 @@
 """Renders of one frame with different seeds as one render, each pixel weighted by its samples.
 
-What a renderer averages over the samples of a pixel is averaged again: light, alpha, reflectance, noise estimates. What
-cannot be averaged is taken from one file, the first that has the pixel: ids and Cryptomattes, depth, positions, motion.
-Normals that have unit length in all files keep it.
+What a renderer averages over the samples of a pixel is averaged again: light, alpha, reflectance,
+noise estimates. What cannot be averaged is taken from one file, the first that has the pixel: ids
+and Cryptomattes, depth, positions, motion. Normals that have unit length in all files keep it.
 
-A file counts only where it was rendered: within its data windows, and where its plane of sample counts is above 0.
-Without such a plane it counts within the smallest rectangle that holds all of its light, if that of all files is
-larger: Blender writes border renders at full size with black around them. Where samples then differ from pixel to
-pixel, a plane of counts is written, so that what is merged can be merged again.
+A file counts only where it was rendered: within its data windows, and where its plane of sample
+counts is above 0. Without such a plane it counts within the smallest rectangle that holds all of
+its light, if that of all files is larger: Blender writes border renders at full size with black
+around them. Where samples then differ from pixel to pixel, a plane of counts is written, so that
+what is merged can be merged again.
 
 All is written as ZIP-compressed scanlines, with the types that the channels have in the first file.
 """
@@ -70,11 +71,12 @@ _OF_NAMES = (
     (Rule.COUNT, re.compile(r"sample[ _]?count", re.IGNORECASE)),
     (Rule.SUM, re.compile(r"debug (bvh|ray|render time)", re.IGNORECASE)),
     (Rule.DIRECTION, re.compile(r"normal|(^|[._ ])(n|ng|ns|nn)[._ ]", re.IGNORECASE)),
-    (Rule.ONE, re.compile(r"depth|position|point|motion|vector|velocity|forward|backward|[._ ]t$"
-                          r"|(^|[._ ])(z|p|pref|pworld|ids?|uv|st|index(ob|ma)?)([._ ]|$)|(?-i:[a-z]I[dD]([._ ]|$))",
-                          re.IGNORECASE)),
+    (Rule.ONE, re.compile(r"depth|position|point|motion|vector|velocity|forward|backward|[._ "
+                          r"]t$|(^|[._ ])(z|p|pref|pworld|ids?|uv|st|index(ob|ma)?)([._ "
+                          r"]|$)|(?-i:[a-z]I[dD]([._ ]|$))", re.IGNORECASE)),
 )
-"""Of channels that the profile does not know, such as those of other view layers; the first that is found counts."""
+"""Of channels that the profile does not know, such as those of other view layers; the first that is
+found counts."""
 _UNIT = 2e-3
 """By how much the length of a unit vector of half floats may differ from 1."""
 _SAME = 0.95
@@ -91,7 +93,8 @@ _COUNT_NAME = "sample_count.Y"
 
 @dataclass
 class Merged:
-    """What became of one frame: its samples a pixel where it has most, and what the user should know."""
+    """What became of one frame: its samples a pixel where it has most, and what the user should
+    know."""
 
     path: Path
     samples: int
@@ -99,13 +102,14 @@ class Merged:
 
 
 def merge_renders(
-    paths: Sequence[Path], target: Path, samples: Sequence[int | None] | None = None, profile: str | None = None
+    paths: Sequence[Path], target: Path, samples: Sequence[int | None] | None = None,
+    profile: str | None = None
 ) -> Merged:
-    """Write the renders of one frame as one; samples: a pixel of each file, where the headers do not say
-    it; None for those that do.
+    """Write the renders of one frame as one; samples: a pixel of each file, where the headers do
+    not say it; None for those that do.
 
-    Raises ReadError for a file that is broken, is no OpenEXR file or does not tell its samples, FrameError where files
-    are not of one frame, WriteError where the result cannot be written.
+    Raises ReadError for a file that is broken, is no OpenEXR file or does not tell its samples,
+    FrameError where files are not of one frame, WriteError where the result cannot be written.
     """
     with ExitStack() as stack:
         given: Sequence[int | None] = samples or [None] * len(paths)
@@ -131,7 +135,8 @@ class Render:
         if path.suffix.lower() != ".exr":
             raise ReadError(f"{path}: only OpenEXR files are merged: write the render as EXR")
         try:
-            self._files = self._stack.enter_context(FrameFiles({"": path}, ReadOptions(profile=profile)))
+            self._files = self._stack.enter_context(FrameFiles({"": path},
+                                                               ReadOptions(profile=profile)))
             self.container = self._stack.enter_context(ExrContainer(path))
             self._read_facts(samples)
         except BaseException:
@@ -149,18 +154,21 @@ class Render:
         self.file, self.attributes, self.layout = self._files.files[""], layout.attributes, layout
         self.colour = colour.channels
         if any(part.is_picture for part in self.file.parts):
-            raise ReadError(f"{self.path}: is a picture that postfx made: merge the renders, then process the result")
+            raise ReadError(f"{self.path}: is a picture that postfx made: merge the renders, then "
+                            "process the result")
         self.samples = samples or int(layout.facts.number("samples") or 0)
         self._counts: tuple[Window, np.ndarray] | None = None
         if Role.SAMPLE_COUNT in layout.planes:
             (channel,) = self._files.match(Role.SAMPLE_COUNT).channels
-            stored = self.file.read_stored(channel.part, [channel.name], 0, channel.part.data.height)[0]
+            stored = self.file.read_stored(channel.part, [channel.name], 0,
+                                           channel.part.data.height)[0]
             counts = np.maximum(stored.astype(np.float32), 0) * count_unit(stored, self.samples)
             self._counts = channel.part.data, counts
             self.samples = self.samples or int(np.rint(counts.max(initial=0)))
         if not self.samples:
-            raise ReadError(f"{self.path}: its header does not say how many samples a pixel it has: give --samples "
-                            "with a number for each file, such as --samples 16,64")
+            raise ReadError(f"{self.path}: its header does not say how many samples a pixel it "
+                            "has: give --samples with a number for each file, such as --samples "
+                            "16,64")
         self.lit: Window | None = None
 
     def find_light(self) -> Window | None:
@@ -201,14 +209,17 @@ class Render:
         return found
 
     def find(self, part: Part, name: str) -> Part | None:
-        """The part that holds this channel of a part of another file: that of the same name, or the only one."""
+        """The part that holds this channel of a part of another file: that of the same name, or the
+        only one."""
         holding = [own for own in self.file.parts if name in own.channels]
         named = [own for own in holding if (own.name, own.view) == (part.name, part.view)]
         found = named or (holding if len(holding) == 1 else [])
         return found[0] if found else None
 
-    def read(self, part: Part, names: Sequence[str], window: Window) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Channels of a part of another file, by name, in a rectangle: their values, and where they have any."""
+    def read(self, part: Part, names: Sequence[str],
+             window: Window) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Channels of a part of another file, by name, in a rectangle: their values, and where they
+        have any."""
         sources: dict[Part, list[str]] = {}
         for name in names:
             if own := self.find(part, name):
@@ -221,7 +232,8 @@ class Render:
                 continue
             there = place(np.ones(_shape(inside), bool), inside, window, False)
             rows = own.data._replace(y0=inside.y0, y1=inside.y1)
-            stored = self.file.read_stored(own, held, inside.y0 - own.data.y0, inside.y1 + 1 - own.data.y0)
+            stored = self.file.read_stored(own, held, inside.y0 - own.data.y0,
+                                           inside.y1 + 1 - own.data.y0)
             for name, pixels in zip(held, stored, strict=True):
                 found[name] = place(pixels, rows, window, pixels.dtype.type(0)), there
         return found
@@ -235,7 +247,8 @@ class Render:
             for name, kind in zip(part.channels, part.formats, strict=True):
                 full = name if "." in name else f"{part.name}.{name}"
                 own = next((rule for rule, words in _OF_NAMES if words.search(full)), Rule.MEAN)
-                found[part.index, name] = Rule.ONE if kind == "uint" else known.get((part.index, name), own)
+                found[part.index, name] = (Rule.ONE if kind == "uint"
+                                           else known.get((part.index, name), own))
         return found
 
 
@@ -259,40 +272,48 @@ class _Merge:
         for render in self._renders[1:]:
             own, other = render.colour[0].part.display, first.colour[0].part.display
             if own != other:
-                raise FrameError(f"{render.path}: its picture has {own.width}x{own.height} pixels, that of "
-                                 f"{first.path} {other.width}x{other.height}: render both at one size, and regions of "
-                                 "it without cropping the picture")
-            lacking = [name for part in first.file.parts for name in part.channels if render.find(part, name) is None]
+                raise FrameError(f"{render.path}: its picture has {own.width}x{own.height} pixels, "
+                                 f"that of {first.path} {other.width}x{other.height}: render both "
+                                 "at one size, and regions of it without cropping the picture")
+            lacking = [name for part in first.file.parts
+                       for name in part.channels if render.find(part, name) is None]
             told[render.path.name] = lacking
-            more = [name for part in render.file.parts for name in part.channels if first.find(part, name) is None]
+            more = [name for part in render.file.parts
+                    for name in part.channels if first.find(part, name) is None]
             if more:
                 self.notes.append(f"{render.path}: {_listed(more)} not in {first.path}: left out")
-        self.notes += [f"{name}: has no {_listed(lacking)}: taken from the others" for name, lacking in told.items()
-                       if lacking]
-        deep = [header.name or "deep" for header in first.container.headers if header.part_type.startswith("deep")]
+        self.notes += [f"{name}: has no {_listed(lacking)}: taken from the others"
+                       for name, lacking in told.items() if lacking]
+        deep = [header.name or "deep"
+                for header in first.container.headers if header.part_type.startswith("deep")]
         self.notes += [f"{first.path}: deep part {name} is copied, not merged" for name in deep]
 
     def _find_regions(self) -> None:
-        """Let renders count only where their light is, if that of all renders covers clearly more."""
-        boxes = {number: box for number, render in enumerate(self._renders) if (box := render.find_light())}
+        """Let renders count only where their light is, if that of all renders covers clearly
+        more."""
+        boxes = {number: box
+                 for number, render in enumerate(self._renders) if (box := render.find_light())}
         every = [*boxes.values()]
         for box in boxes.values():
             every[0] = every[0].around(box)
         for number, box in boxes.items():
             render = self._renders[number]
-            if not render.has_counts and box.width * box.height < _SAME * every[0].width * every[0].height:
+            if (not render.has_counts
+                and box.width * box.height < _SAME * every[0].width * every[0].height):
                 render.lit = box
-                self.notes.append(f"{render.path}: has light only in {box.width}x{box.height} pixels from "
-                                  f"({box.x0}, {box.y0}) on: merged there alone")
+                self.notes.append(f"{render.path}: has light only in {box.width}x{box.height} "
+                                  f"pixels from ({box.x0}, {box.y0}) on: merged there alone")
 
     def _compare_noise(self) -> None:
         """Notes where two files hold the same noise."""
         seen: dict[bytes, Path] = {}
         for render in self._renders:
             colour = render.read_colour()
-            key = colour.tobytes() if colour.size < 1 << 16 else colour[:: colour.shape[0] // 16 or 1].tobytes()
+            key = (colour.tobytes() if colour.size < 1 << 16
+                   else colour[:: colour.shape[0] // 16 or 1].tobytes())
             if key in seen and colour.min() < colour.max():
-                self.notes.append(f"{render.path}: has the same noise as {seen[key]}: render it with another seed")
+                self.notes.append(f"{render.path}: has the same noise as {seen[key]}: render it "
+                                  "with another seed")
             seen.setdefault(key, render.path)
 
     def parts(self) -> list[NewPart]:
@@ -313,7 +334,8 @@ class _Merge:
             for own in {one for name in part.channels if (one := render.find(part, name))}:
                 window = window.around(own.data)
         channels = list(stored.channels)
-        if part.index == self._first.colour[0].part.index and self._is_uneven and self._lacks_counts():
+        if (part.index == self._first.colour[0].part.index and self._is_uneven
+            and self._lacks_counts()):
             channels.append(ChannelInfo(self._count_name(), FLOAT_KIND, 0, 1, 1))
         header = resize_header(Header(dict(stored.attributes)), window, channels)
         for name in ("dwaCompressionLevel", "preview", "thumbnail"):
@@ -336,11 +358,14 @@ class _Merge:
         names = [names for rule in rules for names in rule.candidates(self._first.layout.layer)]
         return names[0][0] if names else _COUNT_NAME
 
-    def _merge_rows(self, part: Part, order: list[ChannelInfo], window: Window, unit: set[str]) -> list[np.ndarray]:
+    def _merge_rows(self, part: Part, order: list[ChannelInfo], window: Window,
+                    unit: set[str]) -> list[np.ndarray]:
         """Channels of some rows of a part, in the order of its header."""
         weights = np.stack([render.weight(window) for render in self._renders]).astype(np.float64)
-        rules = {channel.name: self._rules.get((part.index, channel.name), Rule.COUNT) for channel in order}
-        stored = [render.read(part, [name for name in rules if rules[name] is not Rule.COUNT], window)
+        rules = {channel.name: self._rules.get((part.index, channel.name), Rule.COUNT)
+                 for channel in order}
+        stored = [render.read(part, [name for name in rules if rules[name] is not Rule.COUNT],
+                              window)
                   for render in self._renders]
         found: dict[str, np.ndarray] = {}
         for name, rule in rules.items():
@@ -356,7 +381,8 @@ class _Merge:
         return [_as_stored(found[channel.name], channel.kind) for channel in order]
 
     def _unit_layers(self, part: Part) -> set[str]:
-        """Layers of normals of a part that have unit length, or are 0, in all pixels of all renders."""
+        """Layers of normals of a part that have unit length, or are 0, in all pixels of all
+        renders."""
         layers: dict[str, list[str]] = {}
         for name in part.channels:
             if self._rules[part.index, name] is Rule.DIRECTION:
@@ -373,7 +399,8 @@ class _Merge:
             if name in main:
                 each = [render.samples for render in self._renders]
             if name in main or _SAMPLES.fullmatch(name):
-                _set_number(header, name, attribute.kind, sum(int(float(value or 0)) for value in each))
+                _set_number(header, name, attribute.kind,
+                            sum(int(float(value or 0)) for value in each))
             elif SUMMED.fullmatch(name) or AVERAGED.fullmatch(name):
                 seconds = [parse_time(str(value)) for value in each]
                 count = len(seconds) if AVERAGED.fullmatch(name) else 1
@@ -381,7 +408,8 @@ class _Merge:
         if is_picture and not main & header.attributes.keys():
             _set_number(header, _SPP, "int", self.samples)
         if is_picture:
-            header.set_text(_MERGED, ", ".join(f"{render.path.name} {render.samples}" for render in self._renders))
+            header.set_text(_MERGED, ", ".join(f"{render.path.name} {render.samples}"
+                                               for render in self._renders))
 
 
 def place(pixels: np.ndarray, own: Window, window: Window, fill: Any) -> np.ndarray:
@@ -404,7 +432,8 @@ def _within(inner: Window, outer: Window) -> tuple[slice, slice]:
 
 
 def _combine(rule: Rule, stack: np.ndarray, weights: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """One channel of all renders (renders, height, width) as one; where none has samples, the first that is there."""
+    """One channel of all renders (renders, height, width) as one; where none has samples, the first
+    that is there."""
     numbers = np.argmax(np.where(weights.any(axis=0), weights > 0, there), axis=0)
     first: np.ndarray = np.take_along_axis(stack, numbers[None], axis=0)[0]
     if rule is Rule.ONE:
@@ -422,7 +451,8 @@ def _combine(rule: Rule, stack: np.ndarray, weights: np.ndarray, there: np.ndarr
 def _as_stored(values: np.ndarray, kind: int) -> np.ndarray:
     """Values in the type of a channel; what half floats cannot hold is cut to what they can."""
     if kind == HALF_KIND and values.dtype != np.float16:
-        values = np.where(np.isfinite(values), np.clip(values, -_LARGEST_HALF, _LARGEST_HALF), values)
+        values = np.where(np.isfinite(values), np.clip(values, -_LARGEST_HALF, _LARGEST_HALF),
+                          values)
     return values.astype((np.uint32, np.float16, np.float32)[kind])
 
 

@@ -1,19 +1,23 @@
-"""What an output keeps of its input beside the picture, bit for bit: channels, parts and attributes.
+"""What an output keeps of its input beside the picture, bit for bit: channels, parts and
+attributes.
 
-Where the picture has the input's size and windows, and the input's colour is in one part, it takes the place of the
-render's colour under the same names, such as ViewLayer.Combined.R, so that programs that show the render show the
-picture. So do light groups and passes that were denoised with it. The other channels of their parts are written again,
-without loss, as ZIP-compressed scanlines, in a part of their own if the picture has another compression. Else the
-picture is R, G, B (and A) of the first part, and all parts of the input follow, the render's colour among them. Parts
-that need not be written again, deep ones included, are copied as they are stored. The attribute `postfx:picture` names
-the picture's channels.
+Where the picture has the input's size and windows, and the input's colour is in one part, it takes
+the place of the render's colour under the same names, such as ViewLayer.Combined.R, so that
+programs that show the render show the picture. So do light groups and passes that were denoised
+with it. The other channels of their parts are written again, without loss, as ZIP-compressed
+scanlines, in a part of their own if the picture has another compression. Else the picture is R, G,
+B (and A) of the first part, and all parts of the input follow, the render's colour among them.
+Parts that need not be written again, deep ones included, are copied as they are stored. The
+attribute `postfx:picture` names the picture's channels.
 
-Beside a larger picture all channels have its size: each pixel has the bits of the nearest one, and only distances in
-pixels grow. The render's colour, which the picture replaces, and deep parts are left out there.
+Beside a larger picture all channels have its size: each pixel has the bits of the nearest one, and
+only distances in pixels grow. The render's colour, which the picture replaces, and deep parts are
+left out there.
 
-A file has one display window, pixel aspect, time code and set of primaries. Where those of the picture differ, a part's
-own are kept under the name with `render:` before it. So are attributes that are no longer true of the picture (jitter,
-samples per pixel, a cut) in the part that it shares with other channels.
+A file has one display window, pixel aspect, time code and set of primaries. Where those of the
+picture differ, a part's own are kept under the name with `render:` before it. So are attributes
+that are no longer true of the picture (jitter, samples per pixel, a cut) in the part that it shares
+with other channels.
 """
 
 from __future__ import annotations
@@ -35,7 +39,15 @@ from postfx.io.exr import SCANLINE_IMAGE, TILED_IMAGE, ChannelInfo, Header, pack
 from postfx.io.exr.container import COMPRESSIONS, ZIP, ExrContainer, NewPart, Rows, picture_part
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import ALPHA_OF_RED
-from postfx.io.windows import AREA, EXR_NAMES, PICTURE_ATTRIBUTE, Part, Window, cover, output_windows
+from postfx.io.windows import (
+    AREA,
+    EXR_NAMES,
+    PICTURE_ATTRIBUTE,
+    Part,
+    Window,
+    cover,
+    output_windows,
+)
 
 
 @dataclass(frozen=True)
@@ -55,40 +67,49 @@ class Enlargement:
         return cover(data, self.scale)
 
     def nearest(self, data: Window) -> tuple[np.ndarray, np.ndarray]:
-        """Row and column of the input's data window, counted from its corner, for each row and column of `window`."""
+        """Row and column of the input's data window, counted from its corner, for each row and
+        column of `window`."""
         larger, found = self.window(data), []
         for axis in (1, 0):
             places = np.arange(larger[axis], larger[axis + 2] + 1) - self.target[axis] + 0.5
-            places = np.floor(places / self.scale[axis]).astype(int) + self.source[axis] - data[axis]
+            places = (np.floor(places / self.scale[axis]).astype(int) + self.source[axis]
+                      - data[axis])
             found.append(places.clip(0, data[axis + 2] - data[axis]))
         return found[0], found[1]
 
 
 def enlargement_of(frame: Frame) -> Enlargement | None:
-    """How a frame was enlarged since it was read; None where it has its input's size, or is of no file."""
+    """How a frame was enlarged since it was read; None where it has its input's size, or is of no
+    file."""
     if "displayWindow" not in frame.metadata:
         return None
     source = Window(*frame.metadata.get(AREA, frame.metadata["displayWindow"]))
     size = frame.spec.width, frame.spec.height
-    return None if (source.width, source.height) == size else Enlargement(source, output_windows(frame).area)
+    return (None if (source.width, source.height) == size
+            else Enlargement(source, output_windows(frame).area))
 
 
 def enlarge_rows(
-    file: ImageFile, part: Part, names: list[str], enlargement: Enlargement, pixels: Mapping[str, int]
+    file: ImageFile, part: Part, names: list[str], enlargement: Enlargement,
+    pixels: Mapping[str, int]
 ) -> Rows:
     """Reads channels of a part at the picture's size, in the order of `names`.
 
-    `pixels` are those whose values are distances in pixels, with their axis, 0 across and 1 down: they grow, too.
+    `pixels` are those whose values are distances in pixels, with their axis, 0 across and 1 down:
+    they grow, too.
     """
     lines, columns = enlargement.nearest(part.data)
 
     def rows(first: int, last: int) -> list[np.ndarray]:
         wanted = lines[first:last]
         stored = file.read_stored(part, names, int(wanted[0]), int(wanted[-1]) + 1)
-        planes = {name: plane[wanted - wanted[0]][:, columns] for name, plane in zip(names, stored, strict=True)}
+        planes = {name: plane[wanted - wanted[0]][:, columns]
+                  for name, plane in zip(names, stored, strict=True)}
         for name in pixels.keys() & planes.keys():
             if planes[name].dtype.kind == "f":
-                planes[name] = (planes[name] * np.float32(enlargement.scale[pixels[name]])).astype(planes[name].dtype)
+                planes[name] = (planes[name] * np.float32(enlargement.scale[pixels[name]])).astype(
+                    planes[name].dtype
+                )
         return [planes[name] for name in names]
 
     return rows
@@ -119,31 +140,36 @@ _DROPPED = (
 _SCENE_REFERRED = ("chromaticities", "colorinteropid", "postfx:exposure", "postfx:exposureev")
 _NAMED_TYPES = {"timeCode": "timecode", "keyCode": "keycode", "framesPerSecond": "rational"}
 _STORED_NAMES = {name: stored for stored, name in EXR_NAMES.items()}
-_TUPLE_TYPES = {(float, 9): "matrix33", (float, 16): "matrix", (float, 3): "vector", (int, 2): "vector2i"}
+_TUPLE_TYPES = {(float, 9): "matrix33", (float, 16): "matrix", (float, 3): "vector",
+                (int, 2): "vector2i"}
 _TYPE_WORDS = {float: "float", int: "int", str: "string"}
 
 
 def select_attributes(frame: Frame) -> dict[str, Any]:
     """Header attributes to write with a frame: time code, camera, credits and the like.
 
-    Left out: what describes the input's storage, its jitter and sample count, and for a picture made for a display
-    whatever says that its colours are those of the scene.
+    Left out: what describes the input's storage, its jitter and sample count, and for a picture
+    made for a display whatever says that its colours are those of the scene.
     """
     dropped = _DROPPED if frame.encoding == "scene-linear" else _DROPPED + _SCENE_REFERRED
-    return {name: value for name, value in frame.metadata.items() if not name.lower().startswith(dropped)}
+    return {name: value
+            for name, value in frame.metadata.items() if not name.lower().startswith(dropped)}
 
 
 def is_outdated(name: str, frame: Frame) -> bool:
-    """Whether an attribute of the input is not true of the picture any more, whatever else is written with it."""
+    """Whether an attribute of the input is not true of the picture any more, whatever else is
+    written with it."""
     outdated = _OUTDATED if frame.encoding == "scene-linear" else _OUTDATED + _SCENE_REFERRED
     return name.lower().startswith(outdated)
 
 
 def set_attributes(spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> None:
-    """Put attributes into an image's spec with the EXR types they had; values of other types are left out."""
+    """Put attributes into an image's spec with the EXR types they had; values of other types are
+    left out."""
     for name, value in attributes.items():
         kind = _NAMED_TYPES.get(name) or _type_of(value)
-        with suppress(TypeError, ValueError, RuntimeError):  # another type than its name promises, or broken text
+        # another type than its name promises, or broken text
+        with suppress(TypeError, ValueError, RuntimeError):
             if kind == "rational":
                 value = Fraction(value).limit_denominator(1001).as_integer_ratio()
             if kind:
@@ -156,15 +182,17 @@ def _type_of(value: Any) -> str:
         if len(kinds) != 1:
             return ""
         kind = kinds.pop()
-        return _TUPLE_TYPES.get((kind, len(value)), f"{_TYPE_WORDS[kind]}[{len(value)}]" if kind in _TYPE_WORDS else "")
+        return _TUPLE_TYPES.get((kind, len(value)),
+                                f"{_TYPE_WORDS[kind]}[{len(value)}]" if kind in _TYPE_WORDS else "")
     return _TYPE_WORDS.get(type(value), "")
 
 
 RENDER = "render:"
-"""Before the name of an attribute of the render that the picture's file cannot have, or that is not true of it."""
+"""Before the name of an attribute of the render that the picture's file cannot have, or that is not
+true of it."""
 _SHARED = ("displayWindow", "pixelAspectRatio", "timeCode", "chromaticities")
-_STRUCTURE = ("channels", "compression", "dataWindow", "displayWindow", "lineOrder", "type", "name", "tiles", "version",
-              "chunkCount", "maxSamplesPerPixel", "dwaCompressionLevel")
+_STRUCTURE = ("channels", "compression", "dataWindow", "displayWindow", "lineOrder", "type", "name",
+              "tiles", "version", "chunkCount", "maxSamplesPerPixel", "dwaCompressionLevel")
 _INVENTED = "capDate"  # OpenImageIO writes today's if there is none
 _RGBA_PART = "rgba"
 _RENDER_NAME = "render"
@@ -196,8 +224,10 @@ def merge_source(own: Header, rows: Rows, frame: Frame, stack: ExitStack) -> lis
 class Merge:
     """A picture and the file that its render was read from."""
 
-    def __init__(self, own: Header, rows: Rows, source: ExrContainer, frame: Frame, stack: ExitStack) -> None:
-        self._own, self._rows, self._source, self._frame, self._stack = own, rows, source, frame, stack
+    def __init__(self, own: Header, rows: Rows, source: ExrContainer, frame: Frame,
+                 stack: ExitStack) -> None:
+        self._own, self._rows, self._source, self._frame, self._stack = (own, rows, source, frame,
+                                                                         stack)
         self._stored = frame.colour_source or ColourSource(0, (), {})
         self._enlargement = enlargement_of(frame)
 
@@ -213,28 +243,35 @@ class Merge:
                                 *(self.as_stored(part, header) for part in range(len(headers)))])
         names = dict(zip(RGB_LETTERS, colour, strict=True)) | {"A": alpha_of(colour)}
         held = [channel.name for channel in self._own.channels]
-        header = self.header(headers[index], in_place=True, names=[names.get(name, name) for name in held])
+        header = self.header(headers[index], in_place=True,
+                             names=[names.get(name, name) for name in held])
         fresh: dict[int, dict[str, str]] = {}
         for name in held:
-            fresh.setdefault(index if name in names else self._home(name, index), {})[names.get(name, name)] = name
+            fresh.setdefault(index if name in names else self._home(name, index),
+                             {})[names.get(name, name)] = name
         parts: list[NewPart] = []
         for part in range(len(headers)):
             own = header if part == index else self.header_of(part, header)
-            parts += self._merge_part(part, own, fresh[part]) if part in fresh else [self.as_stored(part, header)]
+            parts += (self._merge_part(part, own, fresh[part]) if part in fresh
+                      else [self.as_stored(part, header)])
         return _with_names(parts)
 
     def _shown(self) -> tuple[int, tuple[str, ...]]:
-        """Part and names of the colour that programs show: the render's, or what Blender's own denoiser made of it."""
+        """Part and names of the colour that programs show: the render's, or what Blender's own
+        denoiser made of it."""
         if not self._stored.channels:  # colour of parts that each hold a channel
             return self._stored.part, ()
         names = tuple(name.replace(_NOISY, _SHOWN) for name in self._stored.channels)
-        found = next((part for part, name in sorted(self._stored.renders) if name == names[0]), self._stored.part)
+        found = next((part for part, name in sorted(self._stored.renders) if name == names[0]),
+                     self._stored.part)
         return found, names if (found, names[0]) in self._stored.renders else self._stored.channels
 
     def _home(self, name: str, picture: int) -> int:
-        """The part that a channel beside the picture's goes into: the one that holds it in the source, if it can."""
+        """The part that a channel beside the picture's goes into: the one that holds it in the
+        source, if it can."""
         parts = (picture, *range(len(self._source.headers)))
-        holds = (part for part in parts if name in {one.name for one in self._source.headers[part].channels})
+        holds = (part for part in parts
+                 if name in {one.name for one in self._source.headers[part].channels})
         return next(filter(self._takes, holds), picture)
 
     def _takes(self, part: int) -> bool:
@@ -250,7 +287,8 @@ class Merge:
         return NewPart(header, self._source.counts[part], self._source.copy_chunks(part))
 
     def header_of(self, part: int, picture: Header) -> Header:
-        """Header of a part of the source; attributes that the whole file shares are the picture's."""
+        """Header of a part of the source; attributes that the whole file shares are the
+        picture's."""
         header = Header(dict(self._source.headers[part].attributes))
         for name in _SHARED:
             own, shared = header.attributes.get(name), picture.attributes.get(name)
@@ -266,40 +304,53 @@ class Merge:
         file = self._stack.enter_context(ImageFile(self._source.path, checked=True))
         index, fresh = self._stored.part, {channel.name for channel in self._own.channels}
         picture, parts = self.header(self._source.headers[index], in_place=False), []
-        joined, sorted_names = NewPart(picture, 0, ()), [channel.name for channel in self._own.channels]
+        joined, sorted_names = NewPart(picture, 0, ()), [channel.name
+                                                         for channel in self._own.channels]
         display = next(part.display for part in file.parts if part.index == index)
         for part in file.parts:
-            replaced = self._stored.renders | ({(index, name) for name in fresh} if part.index == index else set())
+            replaced = self._stored.renders | ({(index, name) for name in fresh}
+                                               if part.index == index else set())
             kept = sorted((channel for channel in self._source.headers[part.index].channels
-                           if (part.index, channel.name) not in replaced), key=lambda channel: raw(channel.name))
+                           if (part.index, channel.name) not in replaced),
+                          key=lambda channel: raw(channel.name))
             names = [channel.name for channel in kept]
-            pixels = {name: axis for (own, name), axis in self._stored.pixels.items() if own == part.index}
+            pixels = {name: axis
+                      for (own, name), axis in self._stored.pixels.items() if own == part.index}
             larger = enlargement.window(part.data)
-            if kept and part.display != display:  # of a file of two sizes, as where guides have the output's
-                parts += [self.as_stored(part.index, picture)] if part.data == self._own.data else []
+            # of a file of two sizes, as where guides have the output's
+            if (kept and part.display != display):
+                parts += ([self.as_stored(part.index, picture)] if part.data == self._own.data
+                          else [])
             if not kept or part.display != display:
                 continue
             rows = enlarge_rows(file, part, names, enlargement, pixels)
-            if part.index == index and larger == self._own.data and self._stored.channels == ("R", "G", "B"):
+            if (part.index == index and larger == self._own.data
+                and self._stored.channels == ("R", "G", "B")):
                 picture = self.header(self._source.headers[index], in_place=True)
                 self.check_zip(picture)
                 picture.set("channels", "chlist", pack_channels(self._own.channels + kept))
-                joined = picture_part(picture, _join(picture, sorted_names, self._rows, names, rows))
+                joined = picture_part(picture,
+                                      _join(picture, sorted_names, self._rows, names, rows))
             else:
-                parts.append(picture_part(resize_header(self.header_of(part.index, picture), larger, kept), rows))
+                parts.append(picture_part(resize_header(self.header_of(part.index, picture), larger,
+                                                        kept), rows))
         return [joined if joined.count else picture_part(picture, self._rows, apart=True), *parts]
 
     def _merge_part(self, part: int, header: Header, fresh: Mapping[str, str]) -> list[NewPart]:
-        """A part of the source with channels of the picture in the place of its own, and one for the others if the
-        picture's compression is not for them. fresh: their names -> those that the writer gave them."""
+        """A part of the source with channels of the picture in the place of its own, and one for
+        the others if the picture's compression is not for them. fresh: their names -> those that
+        the writer gave them."""
         own = {channel.name: channel for channel in self._own.channels}
         channels = [own[given]._replace(name=name) for name, given in fresh.items()]
-        rest = [channel for channel in self._source.headers[part].channels if channel.name not in fresh]
+        rest = [channel
+                for channel in self._source.headers[part].channels if channel.name not in fresh]
         beside = resize_header(Header(dict(header.attributes)), header.data, rest)
         for name in ("compression", "dwaCompressionLevel"):
             header.attributes.pop(name, None)
-            header.attributes |= {name: self._own.attributes[name]} if name in self._own.attributes else {}
-        compression, apart = header.attributes["compression"], bool(rest) and header.compression != ZIP
+            header.attributes |= ({name: self._own.attributes[name]} if name in self._own.attributes
+                                  else {})
+        compression, apart = (header.attributes["compression"],
+                              bool(rest) and header.compression != ZIP)
         resize_header(header, header.data, channels + ([] if apart else rest))
         header.attributes["compression"] = compression
         if not rest:
@@ -320,15 +371,17 @@ class Merge:
         return [picture_part(header, _join(header, list(fresh), rows, old, others))]
 
     def check_zip(self, header: Header) -> None:
-        """WriteError unless a part that holds the picture and other channels is compressed by ZIP."""
+        """WriteError unless a part that holds the picture and other channels is compressed by
+        ZIP."""
         if header.compression != ZIP:
             name = COMPRESSIONS[header.compression]
-            raise WriteError(f"{self._source.path}: has channels that stay in the picture's part bit for bit, with ZIP "
-                             f"only: leave --compression {name} out, or give --keep none")
+            raise WriteError(f"{self._source.path}: has channels that stay in the picture's part "
+                             f"bit for bit, with ZIP only: leave --compression {name} out, or give "
+                             "--keep none")
 
     def header(self, render: Header, in_place: bool, names: Iterable[str] = ()) -> Header:
-        """Header of the picture's part: the writer's attributes, and the render's that are still true. names: of the
-        picture's channels, if not as the writer has them."""
+        """Header of the picture's part: the writer's attributes, and the render's that are still
+        true. names: of the picture's channels, if not as the writer has them."""
         own = self._own.attributes
         found = {name: own[name] for name in _STRUCTURE if name in own}
         for name, attribute in render.attributes.items():
@@ -337,12 +390,13 @@ class Merge:
             elif in_place and name not in _STRUCTURE:
                 found[RENDER + name] = attribute
         read = {name.lower() for name in self._stored.attributes}
-        found |= {name: attribute for name, attribute in own.items()
-                  if name not in found and name != _INVENTED and (name.lower() not in read or self._is_new(name))}
+        found |= {name: attribute for name, attribute in own.items() if name not in found
+                  and name != _INVENTED and (name.lower() not in read or self._is_new(name))}
         if in_place and "name" in render.attributes:
             found["name"] = render.attributes["name"]
         header = Header(found)
-        header.set_text(PICTURE_ATTRIBUTE, ",".join(names or (channel.name for channel in self._own.channels)))
+        header.set_text(PICTURE_ATTRIBUTE,
+                        ",".join(names or (channel.name for channel in self._own.channels)))
         return header
 
     def _is_new(self, name: str) -> bool:
@@ -359,9 +413,11 @@ def alpha_of(colour: tuple[str, ...]) -> str:
 
 
 def _select(own: Header, rows: Rows, header: Header | None, names: Mapping[str, str]) -> Rows:
-    """Reads some of the picture's channels, in the order of a header, or else of `names`: there -> as it has them."""
+    """Reads some of the picture's channels, in the order of a header, or else of `names`: there ->
+    as it has them."""
     given = [channel.name for channel in own.channels]
-    order = [given.index(names[name]) for name in ([one.name for one in header.channels] if header else names)]
+    order = [given.index(names[name])
+             for name in ([one.name for one in header.channels] if header else names)]
 
     def read_some(first: int, last: int) -> list[np.ndarray]:
         found = rows(first, last)
@@ -371,7 +427,8 @@ def _select(own: Header, rows: Rows, header: Header | None, names: Mapping[str, 
 
 
 def _join(header: Header, fresh: list[str], rows: Rows, names: list[str], others: Rows) -> Rows:
-    """Reads the picture's channels, which come as `fresh`, and others beside them, in the order of the header of both.
+    """Reads the picture's channels, which come as `fresh`, and others beside them, in the order of
+    the header of both.
     """
     order = [channel.name for channel in header.channels]
 
@@ -396,7 +453,8 @@ def resize_header(header: Header, data: Window, channels: list[ChannelInfo]) -> 
 
 
 def _with_names(parts: list[NewPart]) -> list[NewPart]:
-    """The parts, each with a name of its own, which files of several parts need; those that have one keep it."""
+    """The parts, each with a name of its own, which files of several parts need; those that have
+    one keep it."""
     if len(parts) == 1:
         return parts
     taken = {part.header.name for part in parts}

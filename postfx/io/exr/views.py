@@ -1,7 +1,9 @@
-"""The pictures of several views in one file, each where its render was: in its own part, or as a layer of one part.
+"""The pictures of several views in one file, each where its render was: in its own part, or as a
+layer of one part.
 
-All names are those of the source: parts keep theirs and the attributes that tell views, layers theirs ('right.R').
-What else the source holds is kept as beside a single picture, see `postfx.io.exr.passthrough`.
+All names are those of the source: parts keep theirs and the attributes that tell views, layers
+theirs ('right.R'). What else the source holds is kept as beside a single picture, see
+`postfx.io.exr.passthrough`.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ from postfx.io.windows import PICTURE_ATTRIBUTE, Part, Window
 
 
 class View(NamedTuple):
-    """One view's picture: the header that the writer gave it, its rows in the order of that header, and its frame."""
+    """One view's picture: the header that the writer gave it, its rows in the order of that header,
+    and its frame."""
 
     own: Header
     rows: Rows
@@ -39,16 +42,20 @@ class View(NamedTuple):
 
 
 def merge_views(views: Sequence[View], keep: bool, stack: ExitStack) -> list[NewPart]:
-    """Parts of a file that holds all these pictures and, to `keep`, everything else that their source holds.
+    """Parts of a file that holds all these pictures and, to `keep`, everything else that their
+    source holds.
 
-    stack: closes the source's files, from which the parts read while they are written. Raises WriteError for views that
-    were not read from one OpenEXR file, ReadError when it is broken, OSError when it is gone.
+    stack: closes the source's files, from which the parts read while they are written. Raises
+    WriteError for views that were not read from one OpenEXR file, ReadError when it is broken,
+    OSError when it is gone.
     """
     sources = {view.frame.source for view in views}
     source, colours = sources.pop(), [view.frame.colour_source for view in views]
     if sources or source is None or Path(source).suffix.lower() != ".exr" or None in colours:
-        raise WriteError("views of a frame that are not of one OpenEXR file: write each into a file of its own")
-    return _ViewMerge(views, [colour for colour in colours if colour], Path(source), keep, stack).parts()
+        raise WriteError("views of a frame that are not of one OpenEXR file: write each into a "
+                         "file of its own")
+    return _ViewMerge(views, [colour for colour in colours if colour], Path(source), keep,
+                      stack).parts()
 
 
 class _ViewMerge:
@@ -63,7 +70,8 @@ class _ViewMerge:
         self._file = stack.enter_context(ImageFile(source, checked=True))
         self._flat = {part.index: part for part in self._file.parts}
         self._enlargement = enlargement_of(views[0].frame)
-        self._in_pixels = {place: axis for colour in colours for place, axis in colour.pixels.items()}
+        self._in_pixels = {place: axis for colour in colours
+                           for place, axis in colour.pixels.items()}
 
     def parts(self) -> list[NewPart]:
         """All parts of the output, in the order of the source."""
@@ -82,11 +90,13 @@ class _ViewMerge:
         return found
 
     def _pictures(self, index: int, held: list[int]) -> list[NewPart]:
-        """The part with these views' pictures, and one for what lay beside them where the windows differ."""
+        """The part with these views' pictures, and one for what lay beside them where the windows
+        differ."""
         first = held[0]
         header = self._merges[first].header(self._headers[index], in_place=True)
         names = [self._names(number, len(held) > 1) for number in held]
-        channels = [channel._replace(name=own[channel.name]) for number, own in zip(held, names, strict=True)
+        channels = [channel._replace(name=own[channel.name])
+                    for number, own in zip(held, names, strict=True)
                     for channel in self._views[number].own.channels]
         readers = [self._views[number].rows for number in held]
         order = [channel.name for channel in channels]
@@ -97,7 +107,8 @@ class _ViewMerge:
             readers.append(self._read_kept(index, kept))
             order += [channel.name for channel in kept]
         elif kept:
-            beside = resize_header(self._merges[first].header_of(index, header), self._window(index), kept)
+            beside = resize_header(self._merges[first].header_of(index, header),
+                                   self._window(index), kept)
             beside.set_text("name", f"{self._headers[index].name or 'render'}.other")
             rest = [picture_part(beside, self._read_kept(index, kept))]
         header.set("channels", "chlist", pack_channels(channels))
@@ -106,28 +117,34 @@ class _ViewMerge:
 
     def _names(self, number: int, is_layered: bool) -> dict[str, str]:
         """The picture's channels -> what they are called in the file."""
-        colour, own = self._colours[number], [channel.name for channel in self._views[number].own.channels]
+        colour, own = self._colours[number], [channel.name
+                                              for channel in self._views[number].own.channels]
         layer, alpha = colour.channels[0].rpartition(".")[0], alpha_of(colour.channels)
         view = layer.rpartition(".")[2] if is_layered else ""
         found = {name: name for name in own}
         if view:  # OpenEXR has views before the last word of a name
-            found |= {name: f"overlay.{view}.{name[-1]}" for name in own if name.startswith("overlay.")}
-        return found | dict(zip(RGB_LETTERS, colour.channels, strict=True)) | ({"A": alpha} if "A" in own else {})
+            found |= {name: f"overlay.{view}.{name[-1]}"
+                      for name in own if name.startswith("overlay.")}
+        return (found | dict(zip(RGB_LETTERS, colour.channels, strict=True))
+                | ({"A": alpha} if "A" in own else {}))
 
     def _kept_channels(self, index: int, written: set[str]) -> list[ChannelInfo]:
         """Channels of the source's part that are no picture's and stay."""
         part = self._flat.get(index)
         if part is None or not self._keep:
             return []
-        replaced = {name for colour in self._colours for own, name in colour.renders if own == index} \
-            if self._enlargement else set()
-        return [channel for channel in self._headers[index].channels if channel.name not in written | replaced]
+        replaced = ({name for colour in self._colours
+                     for own, name in colour.renders if own == index}
+            if self._enlargement else set())
+        return [channel for channel in self._headers[index].channels
+                if channel.name not in written | replaced]
 
     def _copy_part(self, index: int) -> list[NewPart]:
         """A part without a picture: as it is stored, or enlarged; deep ones are left out there."""
         picture = self._merges[0].header(self._headers[self._colours[0].part], in_place=True)
         part, colour = self._flat.get(index), self._flat[self._colours[0].part]
-        has_own_size = part is not None and part.display != colour.display  # guides have the output's
+        # guides have the output's
+        has_own_size = (part is not None and part.display != colour.display)
         if not self._enlargement or (has_own_size and part and part.data == picture.data):
             return [self._merges[0].as_stored(index, picture)]
         kept = self._kept_channels(index, set())
@@ -147,15 +164,18 @@ class _ViewMerge:
     def _read_kept(self, index: int, kept: list[ChannelInfo]) -> Rows:
         part: Part = self._flat[index]
         pixels = {name: axis for (own, name), axis in self._in_pixels.items() if own == index}
-        return enlarge_rows(self._file, part, [channel.name for channel in kept], self._change(), pixels)
+        return enlarge_rows(self._file, part, [channel.name for channel in kept], self._change(),
+                            pixels)
 
 
 def _join(header: Header, names: list[str], readers: list[Rows]) -> Rows:
-    """Reads the channels `names`, which `readers` give one after another, in the order of the header."""
+    """Reads the channels `names`, which `readers` give one after another, in the order of the
+    header."""
     order = [channel.name for channel in header.channels]
 
     def read_joined(first: int, last: int) -> list[np.ndarray]:
-        found = dict(zip(names, (rows for read in readers for rows in read(first, last)), strict=True))
+        found = dict(zip(names, (rows for read in readers for rows in read(first, last)),
+                         strict=True))
         return [found[name] for name in order]
 
     return read_joined

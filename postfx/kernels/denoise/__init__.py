@@ -1,27 +1,32 @@
 """What the upscaler's kernels share: the layout of their tensors and a way to name them.
 
-``params`` is float32 (4,): exposure, jitter x, jitter y and the exposure's gain since the previous frame. ``keep`` is
-how much of the history each render pixel of the part uses, 0 nothing to 1 all: (th, tw, 1), or one number for all
-pixels, (1, 1, 1). ``state`` (h, w, 12) holds accumulated demodulated colour (3), effective sample count (0 where it
-holds nothing) and hidden channels (8), colour already exposed; ``history`` (height, width, 3) is log(1 + exposed
-output). ``fine`` is the network's head at render size: 5x5 kernel 25, 3x3 weights at four phases 36, history blend and
-sharpening at four phases 4 each, mix, distrust, importance, hidden state 8. Pictures are (h, w, channels), pyramid
-levels planar (channels, h, w). Names that begin with ``guide_`` are planes at output size.
+``params`` is float32 (4,): exposure, jitter x, jitter y and the exposure's gain since the previous
+frame. ``keep`` is how much of the history each render pixel of the part uses, 0 nothing to 1 all:
+(th, tw, 1), or one number for all pixels, (1, 1, 1). ``state`` (h, w, 12) holds accumulated
+demodulated colour (3), effective sample count (0 where it holds nothing) and hidden channels (8),
+colour already exposed; ``history`` (height, width, 3) is log(1 + exposed output). ``fine`` is the
+network's head at render size: 5x5 kernel 25, 3x3 weights at four phases 36, history blend and
+sharpening at four phases 4 each, mix, distrust, importance, hidden state 8. Pictures are (h, w,
+channels), pyramid levels planar (channels, h, w). Names that begin with ``guide_`` are planes at
+output size.
 
-Kernels work on a part of the frame, whose planes and history are read whole; intermediate results have the part's size,
-(th, tw) at render and (out_th, out_tw) at output size, and a part may end beyond the frame. With guides
-``radiance`` has the filtered colour without reflectance, then with that of the render size. ``window`` is float32
-(8,): the part's first row and column, the frame's height and width, and the same at output size. ``part_rows``,
-``part_columns``, ``out_rows`` and ``out_columns`` are the frame's rows and columns that the part holds, the last one
-repeated beyond the frame. ``seen_rows`` and ``seen_columns`` are the part's as the network sees them: beyond the frame
-they go on as in a mirror. ``past`` (th, tw, 4) is the reprojected accumulation with its count, -1 where the history
-does not hold a pixel that lies in the frame. ``finer_rows`` and ``finer_columns`` tell where in the finer level a
-level's cells begin, -1 before its first, ``coarse_rows`` and ``coarse_columns`` in which cells of the coarser one its
-pixels lie. ``factor`` is the reflectance that colour is divided and multiplied by, ``means`` its mean in cells of 8x8
-pixels of the frame, from the cell before the part's first row and column on; (1, 1, 3) where planes are not doubted.
+Kernels work on a part of the frame, whose planes and history are read whole; intermediate results
+have the part's size, (th, tw) at render and (out_th, out_tw) at output size, and a part may end
+beyond the frame. With guides ``radiance`` has the filtered colour without reflectance, then with
+that of the render size. ``window`` is float32 (8,): the part's first row and column, the frame's
+height and width, and the same at output size. ``part_rows``, ``part_columns``, ``out_rows`` and
+``out_columns`` are the frame's rows and columns that the part holds, the last one repeated beyond
+the frame. ``seen_rows`` and ``seen_columns`` are the part's as the network sees them: beyond the
+frame they go on as in a mirror. ``past`` (th, tw, 4) is the reprojected accumulation with its
+count, -1 where the history does not hold a pixel that lies in the frame. ``finer_rows`` and
+``finer_columns`` tell where in the finer level a level's cells begin, -1 before its first,
+``coarse_rows`` and ``coarse_columns`` in which cells of the coarser one its pixels lie. ``factor``
+is the reflectance that colour is divided and multiplied by, ``means`` its mean in cells of 8x8
+pixels of the frame, from the cell before the part's first row and column on; (1, 1, 3) where planes
+are not doubted.
 
-Numbers that several files use are defined here, others in the file of their kernel, each once: `postfx.runtime.cuda`
-prints them for the CUDA kernels, and training imports them.
+Numbers that several files use are defined here, others in the file of their kernel, each once:
+`postfx.runtime.cuda` prints them for the CUDA kernels, and training imports them.
 """
 
 from collections.abc import Callable
@@ -42,49 +47,57 @@ BLEND = TAP_WEIGHTS + PHASES
 SHARPEN, MIX = BLEND + 4, BLEND + 8
 DISTRUST, IMPORTANCE, MEMORY = MIX + 1, MIX + 2, MIX + 3
 FINE = MEMORY + HIDDEN
-"""Channels of the fine head: where its parts begin behind the 5x5 kernel, and how many there are."""
+"""Channels of the fine head: where its parts begin behind the 5x5 kernel, and how many there
+are."""
 PLANE_TRUST = FINE - 1
-"""The last hidden channel, -1 to 1: how far networks that doubt planes trust a pixel's reflectance."""
+"""The last hidden channel, -1 to 1: how far networks that doubt planes trust a pixel's
+reflectance."""
 CONTROLS = FINE - MIX
-"""Channels of the controls of a network that gives the picture itself: those of a fine head from its mix on, which is
-the share of the picture beside the history here."""
+"""Channels of the controls of a network that gives the picture itself: those of a fine head from
+its mix on, which is the share of the picture beside the history here."""
 MIRRORED = 6
 """Channels of the planes that follow mirrors and glass: Denoising Albedo and Denoising Normal."""
-GUIDES = 4 * 11  # both albedos, normal, roughness and depth at the four quarter-pixel corners of a render pixel
+# both albedos, normal, roughness and depth at the four quarter-pixel corners of a render pixel
+GUIDES = 4 * 11
 EXPOSURE, JITTER_X, JITTER_Y, GAIN = range(4)
 TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH = range(8)
 UNKNOWN = 1e-3  # share of a reprojected pixel that the history may lack
 NEAR_CELL = 4
 """Render pixels along a side of the cells of ``near``, outside of which alpha is left alone."""
 TRUST_CELL, DOUBT, FAINT = 8, np.float32(0.7), np.float32(1e-4)
-"""Render pixels along a side of the cells in which guides are judged and reflectance is averaged; how much trust
-disagreeing guides lose, and the squared relative detail below which they are not judged."""
+"""Render pixels along a side of the cells in which guides are judged and reflectance is averaged;
+how much trust disagreeing guides lose, and the squared relative detail below which they are not
+judged."""
 MAX_COUNT = 32.0
 MAX_COLOUR, MAX_LIGHT = 1e4, np.float32(1e30)
-"""Exposed light that a channel holds, and that a division by reflectance may give before it is held: a pixel that is
-brighter keeps its hue."""
-STEEPEST = np.float32(8)  # logarithm of the largest weight of a filter, and minus that of the smallest
+"""Exposed light that a channel holds, and that a division by reflectance may give before it is
+held: a pixel that is brighter keeps its hue."""
+# logarithm of the largest weight of a filter, and minus that of the smallest
+STEEPEST = np.float32(8)
 TINY = np.float32(1e-8)  # the smallest sum of weights that counts
 LEAST_IMPORTANCE = np.float32(1e-30)
-"""Weight of a pixel in the mean of its cell at least: where a network gives none to a whole cell, the cell is not
-black."""
+"""Weight of a pixel in the mean of its cell at least: where a network gives none to a whole cell,
+the cell is not black."""
 MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
 MOST_MOTION = np.float32(1e5)  # pixels a frame, more than a picture can have
 NEAREST, FARTHEST = np.float32(1e-6), np.float32(1e9)
 """Depth that counts as hit; a miss is farther, 1e10."""
 MOST_LOG, MOST_STATE = np.float32(20), np.float32(3e5)
-"""Limits of log-encoded light and of all of a pixel's state, which are never reached from frame to frame. Beyond them
-the history or the network's answer is broken and is not passed on. NaN is not below them, either."""
+"""Limits of log-encoded light and of all of a pixel's state, which are never reached from frame to
+frame. Beyond them the history or the network's answer is broken and is not passed on. NaN is not
+below them, either."""
 
 MOST_REFLECTANCE, EMITTER = np.float32(4), np.float32(0.005)
-"""What both albedos of a channel reflect at most, and the reflectance below which a pixel gives light of its own."""
+"""What both albedos of a channel reflect at most, and the reflectance below which a pixel gives
+light of its own."""
 LEAST_TINT, ADDED = np.float32(0.15), np.float32(0.01)
-"""Of the largest channel: what every channel reflects at least; and what is added to all, so that nothing is divided
-by 0."""
+"""Of the largest channel: what every channel reflects at least; and what is added to all, so that
+nothing is divided by 0."""
 
 REFLECTANCE = ("diffuse_albedo", "specular_albedo")
 PLANES = {
-    "colour": ("h", "w", 3), "diffuse_albedo": ("h", "w", 3), "specular_albedo": ("h", "w", 3), "normal": ("h", "w", 3),
+    "colour": ("h", "w", 3), "diffuse_albedo": ("h", "w", 3), "specular_albedo": ("h", "w", 3),
+    "normal": ("h", "w", 3),
     "roughness": ("h", "w", 1), "depth": ("h", "w", 1), "motion": ("h", "w", 2),
 }
 GUIDE_REFLECTANCE = ("guide_diffuse_albedo", "guide_specular_albedo")
@@ -98,32 +111,40 @@ BOTH = (6, "padded_h", "padded_w")
 """Radiance without reflectance and with it."""
 BORDER_CELLS = 3
 """Cells of mean reflectance beyond those that fit into a part: one before it and two after it."""
-SHAPES = PLANES | GUIDE_PLANES | MIRRORED_PLANES | {
-    "depth_scale": (1,), "moved": ("th", "tw", 2), "history": ("height", "width", 3), "warped": ("out_th", "out_tw", 3),
+SHAPES = (PLANES | GUIDE_PLANES | MIRRORED_PLANES | {
+    "depth_scale": (1,), "moved": ("th", "tw", 2), "history": ("height", "width", 3),
+    "warped": ("out_th", "out_tw", 3),
     "params": (4,), "window": (8,), "part_rows": ("th",), "part_columns": ("tw",),
-    "seen_rows": ("hp",), "seen_columns": ("wp",), "out_rows": ("out_th",), "out_columns": ("out_tw",),
+    "seen_rows": ("hp",), "seen_columns": ("wp",), "out_rows": ("out_th",),
+    "out_columns": ("out_tw",),
     "state": ("h", "w", STATE), "last_depth": ("h", "w", 1), "past": ("th", "tw", 4),
-    "keep": ("keep_h", "keep_w", 1), "features": (1, FEATURES, "hp", "wp"), "fine": (1, FINE, "hp", "wp"),
+    "keep": ("keep_h", "keep_w", 1), "features": (1, FEATURES, "hp", "wp"),
+    "fine": (1, FINE, "hp", "wp"),
     "next_state": ("th", "tw", STATE), "next_depth": ("th", "tw", 1), "level": (4, "hp", "wp"),
     "finer": ("planes", "finer_h", "finer_w"), "finer_importance": (1, "finer_h", "finer_w"),
     "importance": (1, "hp", "wp"), "finer_rows": ("hp",), "finer_columns": ("wp",),
     "coarse": ("planes", "coarse_h", "coarse_w"), "coarse_rows": ("hp",), "coarse_columns": ("wp",),
     "heads": (1, "heads", "hp", "wp"), "area": (2,), "filtered": (3, "hp", "wp"),
-    "radiance": (3, "padded_h", "padded_w"), "output": ("out_th", "out_tw", 3), "next_history": ("out_th", "out_tw", 3),
-    "guides": (1, GUIDES, "hp", "wp"), "mirrored": (1, MIRRORED, "hp", "wp"), "trust": ("cells_h", "cells_w", 1),
+    "radiance": (3, "padded_h", "padded_w"), "output": ("out_th", "out_tw", 3),
+    "next_history": ("out_th", "out_tw", 3), "guides": (1, GUIDES, "hp", "wp"),
+    "mirrored": (1, MIRRORED, "hp", "wp"), "trust": ("cells_h", "cells_w", 1),
     "means": ("means_h", "means_w", 3), "factor": ("th", "tw", 3),
     "picture": (1, 3, "hp", "wp"), "controls": (1, CONTROLS, "hp", "wp"),
-    "codes": (1, "half_hp", "half_wp", "codes"), "factors": ("rows", "codes"), "scaling": (2, "outputs"),
-}
+    "codes": (1, "half_hp", "half_wp", "codes"), "factors": ("rows", "codes"),
+    "scaling": (2, "outputs"),
+})
 TYPES = {"codes": "uint8", "factors": "int8"}
 
 
-def kernel(name: str, reads: tuple[str, ...], writes: tuple[str, ...], rows: Callable[..., None] | None,
+def kernel(name: str, reads: tuple[str, ...], writes: tuple[str, ...],
+           rows: Callable[..., None] | None,
            rows_of: tuple[str, int], **shapes: tuple[int | str, ...]) -> Kernel:
-    """A kernel whose bindings have the shapes above, or those given. Without `rows`, C++ exports them by its name."""
+    """A kernel whose bindings have the shapes above, or those given. Without `rows`, C++ exports
+    them by its name."""
     named = SHAPES | shapes
     own = f"denoise_{name}"
-    return Kernel(own, reads, writes, rows or Rows(own), rows_of, {key: named[key] for key in reads + writes},
+    return Kernel(own, reads, writes, rows or Rows(own), rows_of,
+                  {key: named[key] for key in reads + writes},
                   {key: TYPES[key] for key in reads if key in TYPES})
 
 
@@ -132,8 +153,8 @@ IN_HALF: dict[Kernel, Kernel] = {}
 
 
 def in_half(kernel: Kernel, *names: str) -> None:
-    """Add the kernel to `IN_HALF` with these bindings in half precision, too: they are most of what it reads or writes.
-    The rows say what it computes; no device runs them."""
+    """Add the kernel to `IN_HALF` with these bindings in half precision, too: they are most of what
+    it reads or writes. The rows say what it computes; no device runs them."""
     bindings = tuple(dict.fromkeys(kernel.reads + kernel.writes))
     axis = kernel.row_axis[1]
 

@@ -375,7 +375,9 @@ struct Twice {
         else other = in_turn(row + x / 2, Lanes());
         return between<F>(here, other, F(0.25f));
     }
-    template <class F> FN_MEMBER F sample(const float* row, Long x) const { return load<F>(row + x); }
+    template <class F> FN_MEMBER F sample(const float* row, Long x) const {
+        return load<F>(row + x);
+    }
 
     // Of pixels beside one another in turn: the one before, and the one after.
     template <int... I> FN_MEMBER Wide in_turn(const float* row, List<int, I...>) const {
@@ -499,7 +501,8 @@ struct Corrector {
         repeat_edges(to, width);
     }
     FN_MEMBER void put_means(Long row) const {
-        each_span_around(near, row, w, PIXELS(Long x0, Long x1) { shrunk.find(row, x0, x1, mean(row), apart); });
+        each_span_around(
+            near, row, w, PIXELS(Long x0, Long x1) { shrunk.find(row, x0, x1, mean(row), apart); });
     }
     // What filtered alpha lacks in a row of render pixels, and sums of the fits of 3x3 pixels.
     FN_MEMBER void put_planes(Long at) const {
@@ -548,8 +551,8 @@ struct Corrector {
         mix_row(samples(quarters.first), samples(quarters.second), quarters.share,
                 2 * larger<Long>(x0 - 1, 0), 2 * smaller<Long>(x1 + 1, w), inside);
     }
-    FN_MEMBER void mix_row(const float* upper, const float* lower, float share, Long first, Long last,
-                        float* out) const {
+    FN_MEMBER void mix_row(const float* upper, const float* lower, float share, Long first,
+                           Long last, float* out) const {
         across(first, last, PIXELS(auto one, Long x) {
             typedef decltype(one) F;
             store<F>(out + x, between<F>(load<F>(upper + x), load<F>(lower + x), F(share)));

@@ -1,6 +1,7 @@
-// Means of alpha by quarter-pixels over all frames, and their variance: alpha (h, w, 1), moved (h, w, 2), samples
-// (2 h, 2 w, 1), doubt (h, w, 1), near (cells, cells), 0 where nothing before counts, rates (4,): whether there is a past, variance of a frame's alpha, what a move adds,
-// least share of a frame -> next_samples (2 h, 2 w, 1), next_doubt (h, w, 1).
+// Means of alpha by quarter-pixels over all frames, and their variance: alpha (h, w, 1), moved (h,
+// w, 2), samples (2 h, 2 w, 1), doubt (h, w, 1), near (cells, cells), 0 where nothing before
+// counts, rates (4,): whether there is a past, variance of a frame's alpha, what a move adds, least
+// share of a frame -> next_samples (2 h, 2 w, 1), next_doubt (h, w, 1).
 struct Predicted {
     float quarters[4], own, off, variance;
 };
@@ -10,9 +11,11 @@ __device__ inline bool moves_at(const View& moved, size_t pixel) {
     return fabsf(by.x) >= LEAST_MOTION || fabsf(by.y) >= LEAST_MOTION;
 }
 
-__device__ inline Predicted predicted_at(const View& alpha, const View& moved, const View& samples, const View& doubt,
-                                         const View& near, const View& rates, int y, int x) {
-    const int h = alpha.size[0], w = alpha.size[1], height = samples.size[0], width = samples.size[1];
+__device__ inline Predicted predicted_at(const View& alpha, const View& moved, const View& samples,
+                                         const View& doubt, const View& near, const View& rates,
+                                         int y, int x) {
+    const int h = alpha.size[0], w = alpha.size[1], height = samples.size[0],
+              width = samples.size[1];
     const size_t pixel = size_t(y) * w + x;
     const Pair by = pair(moved, pixel);
     const float at_x = float(x) + by.x, at_y = float(y) + by.y;
@@ -23,14 +26,17 @@ __device__ inline Predicted predicted_at(const View& alpha, const View& moved, c
     found.variance = -1.0f;
     const bool held = -0.5f <= at_x && at_x <= w - 0.5f && -0.5f <= at_y && at_y <= h - 0.5f;
     if (!(nearness(near, y, x) > 0.0f && rates.at[KEEP] > 0.0f && held)) return found;
-    const int near_x = within(int(floorf(at_x + 0.5f)), w), near_y = within(int(floorf(at_y + 0.5f)), h);
+    const int near_x = within(int(floorf(at_x + 0.5f)), w),
+              near_y = within(int(floorf(at_y + 0.5f)), h);
     const float doubted = doubt.at[size_t(near_y) * w + near_x];
     if (!(doubted >= 0.0f)) return found;
     found.variance = doubted + (moves_at(moved, pixel) ? rates.at[DRIFT] : 0.0f);
-    const float right = by.x + by.x, down = by.y + by.y, whole_right = floorf(right), whole_down = floorf(down);
+    const float right = by.x + by.x, down = by.y + by.y, whole_right = floorf(right),
+                whole_down = floorf(down);
     const Four wx = cubic_weights(right - whole_right), wy = cubic_weights(down - whole_down);
     const int left = 2 * x + int(whole_right) - 1, top = 2 * y + int(whole_down) - 1;
-    const float upper[5] = {wy.x, wy.y, wy.z, wy.w, 0.0f}, lower[5] = {0.0f, wy.x, wy.y, wy.z, wy.w};
+    const float upper[5] = {wy.x, wy.y, wy.z, wy.w, 0.0f},
+                lower[5] = {0.0f, wy.x, wy.y, wy.z, wy.w};
     for (int i = 0; i < 4; i++) found.quarters[i] = 0.0f;
     for (int j = 0; j < 5; j++) {
         const float* const line = samples.at + size_t(within(top + j, height)) * width;
@@ -43,20 +49,23 @@ __device__ inline Predicted predicted_at(const View& alpha, const View& moved, c
         found.quarters[2] += first * lower[j];
         found.quarters[3] += second * lower[j];
     }
-    found.off = found.own - (found.quarters[0] + found.quarters[1] + found.quarters[2] + found.quarters[3]) * 0.25f;
+    found.off = found.own
+                - (found.quarters[0] + found.quarters[1] + found.quarters[2] + found.quarters[3])
+                      * 0.25f;
     return found;
 }
 
-extern "C" __global__ void denoise_gather(View alpha, View moved, View samples, View doubt, View near, View rates,
-                                          View next_samples, View next_doubt) {
+extern "C" __global__ void denoise_gather(View alpha, View moved, View samples, View doubt,
+                                          View near, View rates, View next_samples,
+                                          View next_doubt) {
     const int h = alpha.size[0], w = alpha.size[1];
     PIXEL(w, h);
     Predicted here;
     float apart = 0.0f, level = 0.0f;
     for (int j = -1; j <= 1; j++) {
         for (int i = -1; i <= 1; i++) {
-            const Predicted found = predicted_at(alpha, moved, samples, doubt, near, rates, within(y + j, h),
-                                                 within(x + i, w));
+            const Predicted found = predicted_at(alpha, moved, samples, doubt, near, rates,
+                                                 within(y + j, h), within(x + i, w));
             apart += found.off;
             level += found.own - 0.5f * found.off;
             if (i == 0 && j == 0) here = found;
@@ -64,29 +73,35 @@ extern "C" __global__ void denoise_gather(View alpha, View moved, View samples, 
     }
     apart /= 9.0f;
     level = clamped(level / 9.0f, 0.0f, 1.0f);
-    const float chance = level * (1.0f - level) * (rates.at[VARIANCE] + fminf(here.variance, 1.0f)) / 9.0f;
+    const float chance = level * (1.0f - level) * (rates.at[VARIANCE] + fminf(here.variance, 1.0f))
+                         / 9.0f;
     const bool usual = apart * apart <= LIMIT_OFF * chance + LEAST_OFF;  // NaN is not
     const bool lost = !(here.variance >= 0.0f && usual);
-    const float share = fmaxf(here.variance / (here.variance + rates.at[VARIANCE]), rates.at[LEAST]);
+    const float share = fmaxf(here.variance / (here.variance + rates.at[VARIANCE]),
+                              rates.at[LEAST]);
     for (int i = 0; i < 4; i++) {
         const float value = clamped(here.quarters[i] + here.off * share, 0.0f, 1.0f);
-        next_samples.at[size_t(2 * y + i / 2) * next_samples.size[1] + 2 * x + i % 2] = lost ? here.own : value;
+        next_samples.at[size_t(2 * y + i / 2) * next_samples.size[1] + 2 * x + i % 2] =
+            lost ? here.own : value;
     }
     const float left = fminf((1.0f - share) * here.variance, rates.at[VARIANCE]);
     next_doubt.at[size_t(y) * w + x] = lost ? rates.at[VARIANCE] : left;
 }
 
-// Alpha, sharper and nearer to the mean of its samples: enlarged (H, W, 1), next_samples (2 h, 2 w, 1),
-// next_doubt (h, w, 1), moved (h, w, 2), gain (4,): variance of filtered alpha, noise of its structure,
-// sharpening, share of alpha by colours; picture (H, W, 3), fit (4, h, w),
-// near (cells, cells) -> corrected (H, W, 1): the samples' mean where near is below 2.
+// Alpha, sharper and nearer to the mean of its samples: enlarged (H, W, 1), next_samples (2 h, 2 w,
+// 1), next_doubt (h, w, 1), moved (h, w, 2), gain (4,): variance of filtered alpha, noise of its
+// structure, sharpening, share of alpha by colours; picture (H, W, 3), fit (4, h, w), near (cells,
+// cells) -> corrected (H, W, 1): the samples' mean where near is below 2.
 __device__ inline int first_within(int at, int size, int out) {
     return int((2 * size_t(out) * at + size - 1) / (2 * size_t(size)));
 }
 
-__device__ inline float mean_within(const View& filtered, int at_y, int at_x, int h, int w, int channel = 0) {
-    const int top = first_within(at_y, h, filtered.size[0]), bottom = first_within(at_y + 1, h, filtered.size[0]);
-    const int left = first_within(at_x, w, filtered.size[1]), right = first_within(at_x + 1, w, filtered.size[1]);
+__device__ inline float mean_within(const View& filtered, int at_y, int at_x, int h, int w,
+                                    int channel = 0) {
+    const int top = first_within(at_y, h, filtered.size[0]),
+              bottom = first_within(at_y + 1, h, filtered.size[0]);
+    const int left = first_within(at_x, w, filtered.size[1]),
+              right = first_within(at_x + 1, w, filtered.size[1]);
     float total = 0.0f;
     const int channels = filtered.size[2];
     for (int y = top; y < bottom; y++)
@@ -99,13 +114,14 @@ struct Lacking {
     float structure, weight, lack;
 };
 
-__device__ inline Lacking lacking_at(const View& filtered, const View& samples, const View& doubt, const View& gain,
-                                     int at_y, int at_x) {
+__device__ inline Lacking lacking_at(const View& filtered, const View& samples, const View& doubt,
+                                     const View& gain, int at_y, int at_x) {
     const int h = doubt.size[0], w = doubt.size[1];
     float mean = 0.0f, square = 0.0f, across = 0.0f, down = 0.0f, here = 0.0f;
     for (int i = -1; i <= 1; i++) {
         for (int j = -1; j <= 1; j++) {
-            const float found = mean_within(filtered, within(at_y + j, h), within(at_x + i, w), h, w);
+            const float found = mean_within(filtered, within(at_y + j, h), within(at_x + i, w), h,
+                                            w);
             mean += found;
             square += found * found;
             across += i * found;
@@ -118,12 +134,15 @@ __device__ inline Lacking lacking_at(const View& filtered, const View& samples, 
     down /= 6.0f;
     const float sloped = (1.0f - SLOPED) * PLANE * (across * across + down * down);
     const float found = fmaxf(square / 9.0f - mean * mean - sloped, 0.0f);
-    const float structure = found / (found + gain.at[NOISE] * fmaxf(mean * (1.0f - mean), 0.0f) + FAINTEST);
-    const float weight = structure * gain.at[EXACT] / (gain.at[EXACT] + doubt.at[size_t(at_y) * w + at_x] + FAINTEST);
+    const float structure =
+        found / (found + gain.at[NOISE] * fmaxf(mean * (1.0f - mean), 0.0f) + FAINTEST);
+    const float weight = structure * gain.at[EXACT]
+                         / (gain.at[EXACT] + doubt.at[size_t(at_y) * w + at_x] + FAINTEST);
     return {structure, weight, pixel_mean(samples, at_y, at_x, w) - here};
 }
 
-// The two of `size` pixels between whose centres one of `out` pixels has its own, and the second one's share.
+// The two of `size` pixels between whose centres one of `out` pixels has its own, and the second
+// one's share.
 struct Beside {
     int first, second;
     float share;
@@ -140,9 +159,10 @@ __device__ inline float between(float first, float second, float share) {
     return share == 0.0f ? first : first * (1.0f - share) + second * share;
 }
 
-__device__ inline float mixed(float upper_left, float upper_right, float lower_left, float lower_right, float across,
-                              float down) {
-    return between(between(upper_left, upper_right, across), between(lower_left, lower_right, across), down);
+__device__ inline float mixed(float upper_left, float upper_right, float lower_left,
+                              float lower_right, float across, float down) {
+    return between(between(upper_left, upper_right, across),
+                   between(lower_left, lower_right, across), down);
 }
 
 __device__ inline float softened(const View& filtered, int y, int x) {
@@ -155,8 +175,9 @@ __device__ inline float softened(const View& filtered, int y, int x) {
     return total;
 }
 
-// Alpha by colours: picture (H, W, 3), next_samples (2 h, 2 w, 1), near (cells, cells) -> fit (4, h, w): the factors of
-// red, green and blue and the rest that give alpha in 3x3 pixels by least squares; 0 where nothing is near.
+// Alpha by colours: picture (H, W, 3), next_samples (2 h, 2 w, 1), near (cells, cells) -> fit (4,
+// h, w): the factors of red, green and blue and the rest that give alpha in 3x3 pixels by least
+// squares; 0 where nothing is near.
 extern "C" __global__ void denoise_fit(View picture, View next_samples, View near, View fit) {
     const int h = fit.size[1], w = fit.size[2];
     PIXEL(w, h);
@@ -176,13 +197,16 @@ extern "C" __global__ void denoise_fit(View picture, View next_samples, View nea
     for (int c = 0; c < 4; c++) mean[c] /= 9.0f;
     for (int i = 0; i < 9; i++)
         for (int c = 0; c < 3; c++)
-            for (int d = c; d < 4; d++) joint[c][d] += (around[c][i] - mean[c]) * (around[d][i] - mean[d]);
+            for (int d = c; d < 4; d++)
+                joint[c][d] += (around[c][i] - mean[c]) * (around[d][i] - mean[d]);
     const float squares = mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2];
     const float least = ALIKE * (joint[0][0] + joint[1][1] + joint[2][2] + 9.0f * squares) + DARK;
-    const float first = joint[0][0] + least, by_green = joint[0][1] / first, by_blue = joint[0][2] / first;
+    const float first = joint[0][0] + least, by_green = joint[0][1] / first,
+                by_blue = joint[0][2] / first;
     const float second = fmaxf(joint[1][1] + least - by_green * joint[0][1], least);
     const float left = joint[1][2] - by_green * joint[0][2];
-    const float third = fmaxf(joint[2][2] + least - by_blue * joint[0][2] - left / second * left, least);
+    const float third = fmaxf(joint[2][2] + least - by_blue * joint[0][2] - left / second * left,
+                              least);
     const float rest_green = joint[1][3] - by_green * joint[0][3];
     float by[3];
     by[2] = (joint[2][3] - by_blue * joint[0][3] - left / second * rest_green) / third;
@@ -198,8 +222,8 @@ extern "C" __global__ void denoise_fit(View picture, View next_samples, View nea
 }
 
 // Alpha by the colour of an output pixel: the fits of 3x3 pixels, averaged, and interpolated.
-__device__ inline float by_colour(const View& picture, const View& fit, const Beside& rows, const Beside& columns, int y,
-                                  int x) {
+__device__ inline float by_colour(const View& picture, const View& fit, const Beside& rows,
+                                  const Beside& columns, int y, int x) {
     const int h = fit.size[1], w = fit.size[2];
     float sums[4] = {0.0f, 0.0f, 0.0f, 0.0f};
     for (int j = 0; j < 6; j++) {
@@ -207,7 +231,8 @@ __device__ inline float by_colour(const View& picture, const View& fit, const Be
         const size_t line = size_t(within((j < 3 ? rows.first : rows.second) + j % 3 - 1, h)) * w;
         for (int i = 0; i < 6; i++) {
             const float weight = down * (i < 3 ? 1.0f - columns.share : columns.share);
-            const size_t at = line + within((i < 3 ? columns.first : columns.second) + i % 3 - 1, w);
+            const size_t at = line
+                              + within((i < 3 ? columns.first : columns.second) + i % 3 - 1, w);
             for (int c = 0; c < 4; c++) sums[c] += weight * fit.at[c * size_t(h) * w + at];
         }
     }
@@ -215,9 +240,11 @@ __device__ inline float by_colour(const View& picture, const View& fit, const Be
     return (sums[0] * colour[0] + sums[1] * colour[1] + sums[2] * colour[2] + sums[3]) / 9.0f;
 }
 
-extern "C" __global__ void denoise_correct(View enlarged, View picture, View fit, View next_samples, View next_doubt,
-                                           View moved, View near, View gain, View corrected) {
-    const int height = corrected.size[0], width = corrected.size[1], h = next_doubt.size[0], w = next_doubt.size[1];
+extern "C" __global__ void denoise_correct(View enlarged, View picture, View fit, View next_samples,
+                                           View next_doubt, View moved, View near, View gain,
+                                           View corrected) {
+    const int height = corrected.size[0], width = corrected.size[1], h = next_doubt.size[0],
+              w = next_doubt.size[1];
     PIXEL(width, height);
     const Beside rows = beside(y, h, height), columns = beside(x, w, width);
     float offset, lacks[2][2];
@@ -229,29 +256,37 @@ extern "C" __global__ void denoise_correct(View enlarged, View picture, View fit
     }
     for (int j = 0; j < 2; j++) {
         for (int i = 0; i < 2; i++) {
-            const Lacking some = lacking_at(enlarged, next_samples, next_doubt, gain, j ? rows.second : rows.first,
+            const Lacking some = lacking_at(enlarged, next_samples, next_doubt, gain,
+                                            j ? rows.second : rows.first,
                                             i ? columns.second : columns.first);
             lacks[j][i] = some.weight * some.lack;
         }
     }
     const float value = enlarged.at[size_t(y) * width + x];
     const Lacking own = lacking_at(enlarged, next_samples, next_doubt, gain, at_y, at_x);
-    float found = value + mixed(lacks[0][0], lacks[0][1], lacks[1][0], lacks[1][1], columns.share, rows.share);
+    float found = value
+                  + mixed(lacks[0][0], lacks[0][1], lacks[1][0], lacks[1][1], columns.share,
+                          rows.share);
     if (moves_at(moved, size_t(at_y) * w + at_x)) {
         const Beside down = beside(y, 2 * h, height), across = beside(x, 2 * w, width);
         const float* const upper = next_samples.at + size_t(down.first) * 2 * w;
         const float* const lower = next_samples.at + size_t(down.second) * 2 * w;
-        found += own.weight * (mixed(upper[across.first], upper[across.second], lower[across.first],
-                                     lower[across.second], across.share, down.share) - value - own.lack);
+        found += own.weight
+                 * (mixed(upper[across.first], upper[across.second], lower[across.first],
+                          lower[across.second], across.share, down.share)
+                    - value - own.lack);
     }
-    if (gain.at[SHARPER] > 0.0f) found += gain.at[SHARPER] * own.structure * (value - softened(enlarged, y, x));
+    if (gain.at[SHARPER] > 0.0f)
+        found += gain.at[SHARPER] * own.structure * (value - softened(enlarged, y, x));
     found = clamped(found, 0.0f, 1.0f);
-    found += gain.at[FITTED] * own.structure * (clamped(by_colour(picture, fit, rows, columns, y, x), 0.0f, 1.0f) - found);
+    found += gain.at[FITTED] * own.structure
+             * (clamped(by_colour(picture, fit, rows, columns, y, x), 0.0f, 1.0f) - found);
     *to = found;
 }
 
-// Where alpha is worked on: alpha (h, w, 1) -> near (cells, cells), 2 where 3x3 cells are not all alike, 1 beside those,
-// else 0. A block's cells and two around them lie in shared memory; those beyond the picture differ from nothing.
+// Where alpha is worked on: alpha (h, w, 1) -> near (cells, cells), 2 where 3x3 cells are not all
+// alike, 1 beside those, else 0. A block's cells and two around them lie in shared memory; those
+// beyond the picture differ from nothing.
 struct Bounds {
     float low, high;
 };
@@ -261,7 +296,8 @@ __device__ inline Bounds join(const Bounds& one, const Bounds& other) {
 }
 
 __device__ inline Bounds bounds_of_cell(const View& alpha, int y, int x) {
-    const int bottom = min(NEAR_CELL * (y + 1), alpha.size[0]), right = min(NEAR_CELL * (x + 1), alpha.size[1]);
+    const int bottom = min(NEAR_CELL * (y + 1), alpha.size[0]),
+              right = min(NEAR_CELL * (x + 1), alpha.size[1]);
     Bounds found = {1.0f, 0.0f};
     for (int v = NEAR_CELL * y; v < bottom; v++)
         for (int u = NEAR_CELL * x; u < right; u++) {
@@ -274,7 +310,8 @@ __device__ inline Bounds bounds_of_cell(const View& alpha, int y, int x) {
 extern "C" __global__ void denoise_near(View alpha, View near) {
     __shared__ Bounds cells[DOWN + 4][ACROSS + 4];
     __shared__ bool differ[DOWN + 2][ACROSS + 2];
-    const int rows = near.size[0], columns = near.size[1], thread = threadIdx.y * ACROSS + threadIdx.x;
+    const int rows = near.size[0], columns = near.size[1],
+              thread = threadIdx.y * ACROSS + threadIdx.x;
     const int top = blockIdx.y * DOWN, left = blockIdx.x * ACROSS;
     for (int n = thread; n < (DOWN + 4) * (ACROSS + 4); n += DOWN * ACROSS) {
         const int j = n / (ACROSS + 4), i = n % (ACROSS + 4), y = top + j - 2, x = left + i - 2;

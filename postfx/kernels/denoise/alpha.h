@@ -93,7 +93,8 @@ template <class F> FN Fit<F> fitted(const Around& around) {
     }
     const F squares = mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2];
     const F least = ALIKE * (joint[0][0] + joint[1][1] + joint[2][2] + 9.0f * squares) + DARK;
-    const F first = joint[0][0] + least, by_green = joint[0][1] / first, by_blue = joint[0][2] / first;
+    const F first = joint[0][0] + least, by_green = joint[0][1] / first,
+            by_blue = joint[0][2] / first;
     const F second = larger<F>(joint[1][1] + least - by_green * joint[0][1], least);
     const F left = joint[1][2] - by_green * joint[0][2], ratio = left / second;
     const F third = larger<F>(joint[2][2] + least - by_blue * joint[0][2] - ratio * left, least);
@@ -109,13 +110,14 @@ template <class F> FN Fit<F> fitted(const Around& around) {
     return found;
 }
 
-// How much of the variance of filtered alpha in 3x3 pixels is structure, how much the samples' mean counts beside it,
-// and what alpha lacks of that.
+// How much of the variance of filtered alpha in 3x3 pixels is structure, how much the samples' mean
+// counts beside it, and what alpha lacks of that.
 template <class F> struct Lacking {
     F structure, weight, lack;
 };
 template <class F>
-FN Lacking<F> lacking(const float* above, const float* here, const float* below, F own, F doubt, const Gain& gain) {
+FN Lacking<F> lacking(const float* above, const float* here, const float* below, F own, F doubt,
+                      const Gain& gain) {
     F total[3], squares = F(0.0f), steps = F(0.0f);
     UNROLL for (int i = 0; i < 3; i++) {
         const F a = load<F>(above + i), b = load<F>(here + i), c = load<F>(below + i);

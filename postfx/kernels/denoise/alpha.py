@@ -1,17 +1,20 @@
-"""Kernels of alpha: means of its samples over the frames, and filtered alpha that is brought nearer to them.
+"""Kernels of alpha: means of its samples over the frames, and filtered alpha that is brought nearer
+to them.
 
-The picture's filters blur hairs that are thinner than a pixel, where alpha itself has no noise but that of which
-samples hit. So beside filtered alpha there is a mean of the frames' own alpha, by quarter-pixels: where things move by
-parts of a pixel, frames add up to more than one frame shows (Irani and Peleg 1991, "Improving resolution by image
-registration"). It is a Kalman filter: ``samples`` (2h, 2w, 1) are moved to where things are now, a frame's alpha says
-what their means over pixels lack, and ``doubt`` (h, w, 1) is the variance of these in units of alpha (1 - alpha).
-Filtered alpha has a variance, too, that of its blur. Both are mixed as their variances say, as far as filtered alpha
-has structure: on soft edges, what differs is noise. At last alpha comes nearer to what the picture's colours say of it:
-the mean of samples fitted by colours in 3x3 pixels, applied to the output's colours (He, Sun and Tang 2010, "Guided
-image filtering"), so that alpha has the edges that colours have.
+The picture's filters blur hairs that are thinner than a pixel, where alpha itself has no noise but
+that of which samples hit. So beside filtered alpha there is a mean of the frames' own alpha, by
+quarter-pixels: where things move by parts of a pixel, frames add up to more than one frame shows
+(Irani and Peleg 1991, "Improving resolution by image registration"). It is a Kalman filter:
+``samples`` (2h, 2w, 1) are moved to where things are now, a frame's alpha says what their means
+over pixels lack, and ``doubt`` (h, w, 1) is the variance of these in units of alpha (1 - alpha).
+Filtered alpha has a variance, too, that of its blur. Both are mixed as their variances say, as far
+as filtered alpha has structure: on soft edges, what differs is noise. At last alpha comes nearer to
+what the picture's colours say of it: the mean of samples fitted by colours in 3x3 pixels, applied
+to the output's colours (He, Sun and Tang 2010, "Guided image filtering"), so that alpha has the
+edges that colours have.
 
-Where alpha is 0 or 1 all around, nothing of this is needed: ``near`` (cells, cells) is 2 in cells of render pixels that
-are worked on, 1 in those around them, which these read, and 0 elsewhere.
+Where alpha is 0 or 1 all around, nothing of this is needed: ``near`` (cells, cells) is 2 in cells
+of render pixels that are worked on, 1 in those around them, which these read, and 0 elsewhere.
 """
 
 import numpy as np
@@ -19,30 +22,39 @@ import numpy as np
 from postfx.kernels.denoise import kernel
 
 KEEP, VARIANCE, DRIFT, LEAST = range(4)
-"""Of ``rates``: whether there is a past; then variances in units of alpha (1 - alpha): of a frame's alpha, and what a
-move adds to that of the mean; and the smallest share that a frame's alpha has in the mean."""
+"""Of ``rates``: whether there is a past; then variances in units of alpha (1 - alpha): of a frame's
+alpha, and what a move adds to that of the mean; and the smallest share that a frame's alpha has in
+the mean."""
 EXACT, NOISE, SHARPER, FITTED = range(4)
-"""Of ``gain``: variance of filtered alpha in those units, 0 where samples count for nothing; of its structure that is
-as likely noise; how much of what differs from the pixels around is added; and how much alpha by colours counts."""
+"""Of ``gain``: variance of filtered alpha in those units, 0 where samples count for nothing; of its
+structure that is as likely noise; how much of what differs from the pixels around is added; and how
+much alpha by colours counts."""
 ALIKE, DARK = np.float32(3e-5), np.float32(1e-20)
-"""Variance that colours are taken to have in any direction, as a share of their mean square, and beside it."""
+"""Variance that colours are taken to have in any direction, as a share of their mean square, and
+beside it."""
 LARGE = np.float32(1e30)
 """Sum of the factors of colours from which on they say nothing."""
 LEAST_MOTION, FAINTEST = np.float32(1 / 64), np.float32(1e-6)
 """Render pixels that count as motion, and the smallest variance that is structure."""
 PLANE, SLOPED = np.float32(2 / 3), np.float32(1 / 8)
-"""Variance in 3x3 pixels of a plane that rises by 1 a pixel, and how much of it counts as structure."""
+"""Variance in 3x3 pixels of a plane that rises by 1 a pixel, and how much of it counts as
+structure."""
 LIMIT_OFF, LEAST_OFF = np.float32(9), np.float32(4e-4)
-"""Squares: standard deviations, and alpha, by which 3x3 pixels may differ from what was there before."""
+"""Squares: standard deviations, and alpha, by which 3x3 pixels may differ from what was there
+before."""
 SIDE, MIDDLE = np.float32(0.27406862), np.float32(0.45186276)
 """Weights of three pixels by a Gaussian of one pixel."""
 QUARTERS, NEAR = ("2*h", "2*w", 1), ("near_h", "near_w")
-GATHER = kernel("gather", ("alpha", "moved", "samples", "doubt", "near", "rates"), ("next_samples", "next_doubt"),
+GATHER = kernel("gather", ("alpha", "moved", "samples", "doubt", "near", "rates"),
+                ("next_samples", "next_doubt"),
                 None, ("next_doubt", 0), alpha=("h", "w", 1), moved=("h", "w", 2), samples=QUARTERS,
-                doubt=("h", "w", 1), near=NEAR, rates=(4,), next_samples=QUARTERS, next_doubt=("h", "w", 1))
-FIT = kernel("fit", ("picture", "next_samples", "near"), ("fit",), None, ("fit", 1), picture=("height", "width", 3),
-             next_samples=QUARTERS, near=NEAR, fit=(4, "h", "w"))
-CORRECT = kernel("correct", ("enlarged", "picture", "fit", "next_samples", "next_doubt", "moved", "near", "gain"),
+                doubt=("h", "w", 1), near=NEAR, rates=(4,), next_samples=QUARTERS,
+                next_doubt=("h", "w", 1))
+FIT = kernel("fit", ("picture", "next_samples", "near"), ("fit",), None, ("fit", 1),
+             picture=("height", "width", 3), next_samples=QUARTERS, near=NEAR, fit=(4, "h", "w"))
+CORRECT = kernel("correct", ("enlarged", "picture", "fit", "next_samples", "next_doubt", "moved",
+                             "near", "gain"),
                  ("corrected",), None, ("corrected", 0), enlarged=("height", "width", 1),
-                 picture=("height", "width", 3), fit=(4, "h", "w"), next_samples=QUARTERS, next_doubt=("h", "w", 1),
+                 picture=("height", "width", 3), fit=(4, "h", "w"), next_samples=QUARTERS,
+                 next_doubt=("h", "w", 1),
                  moved=("h", "w", 2), near=NEAR, gain=(4,), corrected=("height", "width", 1))

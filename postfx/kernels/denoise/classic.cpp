@@ -132,7 +132,8 @@ struct Atrous {
             return found;
         }
     }
-    template <class F, bool EDGE> FN_MEMBER Surface<F> surface_at(const Lines& from, Long x, const F (&rgb)[3]) const {
+    template <class F, bool EDGE> FN_MEMBER Surface<F> surface_at(const Lines& from, Long x,
+                                                                  const F (&rgb)[3]) const {
         Surface<F> found;
         for (int c = 0; c < 3; c++) found.normal[c] = get<F, EDGE>(from.normal[c], x);
         found.near = get<F, EDGE>(from.near, x);
@@ -177,8 +178,8 @@ struct Atrous {
     }
 };
 
-// 1 / (4 standard deviations of luminance), from the variance of 3x3 pixels; `line` has a number more
-// on either side.
+// 1 / (4 standard deviations of luminance), from the variance of 3x3 pixels; `line` has a number
+// more on either side.
 FN void fill_spread(const float* above, const float* here, const float* below, Long w, float* line,
                     float* spread) {
     across(0, w, PIXELS(auto one, Long x) {
@@ -242,12 +243,14 @@ EXPORT_ALONE(denoise_atrous, atrous_rows)
 // Light at the output's pixels, by a Gaussian around each.
 
 // A row of light with its reflectance, the first and last pixel once more on either side.
-FN void shade(const Picture& light, const Picture& factor, Long y, Long count, float* rows, Long apart) {
+FN void shade(const Picture& light, const Picture& factor, Long y, Long count, float* rows,
+              Long apart) {
     const float* by = factor(y);
     across(0, count, PIXELS(auto one, Long x) {
         typedef decltype(one) F;
         for (int c = 0; c < 3; c++) {
-            store<F>(rows + c * apart + 1 + x, load<F>(light(c, y) + x) * pick<F, 3>(by + 3 * x + c));
+            store<F>(rows + c * apart + 1 + x,
+                     load<F>(light(c, y) + x) * pick<F, 3>(by + 3 * x + c));
         }
     });
     for (int c = 0; c < 3; c++) {

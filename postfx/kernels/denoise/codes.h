@@ -2,7 +2,8 @@
 #pragma once
 #include "../number.h"
 
-constexpr int BLOCK = WIDE == 16 ? 4 : 2;  // vectors of columns at once: sums fill half of the registers
+// vectors of columns at once: sums fill half of the registers
+constexpr int BLOCK = WIDE == 16 ? 4 : 2;
 constexpr int COLUMNS = BLOCK * WIDE;
 #if defined(__AVX512F__)
 #define EACH_OF_BLOCK AS_IT_IS
@@ -16,8 +17,8 @@ typedef short Shorts __attribute__((vector_size(4 * WIDE)));
 typedef int Ints __attribute__((vector_size(4 * WIDE)));
 #endif
 
-// total + the four products of unsigned codes and signed factors in each number. Factors are at most
-// 64: without VNNI, two products are added in 16 bits.
+// total + the four products of unsigned codes and signed factors in each number. Factors are at
+// most 64: without VNNI, two products are added in 16 bits.
 FN WideInt add_products(WideInt total, WideInt codes, WideInt factors) {
 #if defined(__AVX512VNNI__)
     return (WideInt)__builtin_ia32_vpdpbusd512((Ints)total, __builtin_bit_cast(Bytes, codes),
@@ -51,8 +52,8 @@ FN void turn_codes(const byte* codes, Long x, Long w, Long channels, int* turned
     }
 }
 
-// Sums of four rows of factors, for a row's codes: use(k, x, sums) for each four from `first` on and
-// each vector of columns.
+// Sums of four rows of factors, for a row's codes: use(k, x, sums) for each four from `first` on
+// and each vector of columns.
 template <class Use>
 FN void multiply_row(const byte* codes, Long w, Long channels, const sbyte* factors, Long first,
                      Long last, int* turned, const Use& use) {

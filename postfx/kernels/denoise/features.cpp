@@ -1,6 +1,7 @@
 // Rows of what the network looks at. Channels: colour 0, accumulated colour 3 and last output 6
-// (demodulated, log-encoded), diffuse albedo 9, specular albedo 12, normal 15, roughness 18, depth 19, its change 20,
-// valid history 21, sample count 22, jitter 23, length of motion 25, inverse scale 26, hidden state 27.
+// (demodulated, log-encoded), diffuse albedo 9, specular albedo 12, normal 15, roughness 18, depth
+// 19, its change 20, valid history 21, sample count 22, jitter 23, length of motion 25, inverse
+// scale 26, hidden state 27.
 #include "features.h"
 #include "recall.h"
 #include "store.h"
@@ -23,15 +24,19 @@ struct Looks {
     }
 };
 
-// Memory of a row: what is recalled, the last output's sum and mean; and the first output column that each pixel
-// touches, with the one after the last.
+// Memory of a row: what is recalled, the last output's sum and mean; and the first output column
+// that each pixel touches, with the one after the last.
 struct FeatureRooms : RecallRooms {
     Long out;
     Room<int> edges;
     Room<float> lines, spare;
 
     FeatureRooms(Long count, Long wide, Long out)
-        : RecallRooms(count), out(out), edges(2 * count), lines(3 * count + 3 * out), spare(4 * wide) {}
+        : RecallRooms(count),
+          out(out),
+          edges(2 * count),
+          lines(3 * count + 3 * out),
+          spare(4 * wide) {}
     explicit operator bool() const {
         return RecallRooms::operator bool() && bool(edges) && bool(lines) && bool(spare);
     }
@@ -100,14 +105,17 @@ FN void feature_row(const Looks& looks, Long here, const FeatureRooms& rooms, fl
                     const ChannelRows& to) {
     const Window& window = looks.window;
     const Long y = Long(window.top) + here, first = Long(window.left), count = rooms.count;
-    const Long h = Long(window.height), height = Long(window.out_height), above = Long(window.out_top);
-    const Recall before = {looks.moved, looks.state, looks.last_depth, looks.keep, looks.params, looks.window};
+    const Long h = Long(window.height), height = Long(window.out_height),
+               above = Long(window.out_top);
+    const Recall before = {looks.moved, looks.state,  looks.last_depth,
+                           looks.keep,  looks.params, looks.window};
     locate_row(before, here, rooms);
     recall_row(before, rooms, light, to(PLANAR), to.step);
     mean_row(looks, y * height / h - above, ((y + 1) * height + h - 1) / h - above, rooms);
     const float *colour = looks.colour(y, first), *normal = looks.normal(y, first);
     const float *some = looks.diffuse(y, first), *others = looks.specular(y, first);
-    const float *rough = looks.roughness(y, first), *depth = looks.depth(y, first), *motion = looks.moved(here);
+    const float *rough = looks.roughness(y, first), *depth = looks.depth(y, first),
+                *motion = looks.moved(here);
     const float exposure = looks.params.exposure, scale = looks.depth_scale;
     across(0, count, PIXELS(auto one, Long x) {
         typedef decltype(one) F;
@@ -147,7 +155,8 @@ FN void feature_row(const Looks& looks, Long here, const FeatureRooms& rooms, fl
 // Beyond the frame's right edge the network sees it as in a mirror.
 FN void mirror_light(const Looks& looks, Long count, const NewPicture& past, float* light) {
     for (Long x = count; x < past.size[1]; x++) {
-        __builtin_memcpy(light + 4 * x, light + 4 * Long(looks.seen_columns.at[x]), 4 * sizeof(float));
+        __builtin_memcpy(light + 4 * x, light + 4 * Long(looks.seen_columns.at[x]),
+                         4 * sizeof(float));
     }
 }
 
@@ -172,7 +181,8 @@ static Status feature_rows(Long first, Long last, const Looks& looks, const NewP
 // The same in 8 bits, without a plane between, with a border or without.
 static Status stored_feature_rows(Long first, Long last, const Looks& looks, const CodingOf& coding,
                                   const NewPicture& past, const View<byte, 4>& stored) {
-    const Long count = looks.held(past), words = stored.size[3] / WORD, height = looks.seen_rows.size[0];
+    const Long count = looks.held(past), words = stored.size[3] / WORD,
+               height = looks.seen_rows.size[0];
     const Long ring = (stored.size[1] - height) / 2;
     const FeatureRooms rooms(count, past.size[1], looks.warped.size[1]);
     const Room<float> planes(FEATURES * count);
@@ -189,32 +199,38 @@ static Status stored_feature_rows(Long first, Long last, const Looks& looks, con
         int* inner = pixels + ring * words;
         store_codes(planes.at, count, FEATURES, coding, count, turned.at, inner);
         for (Long x = count; x < looks.seen_columns.size[0]; x++) {
-            __builtin_memcpy(inner + words * x, inner + words * Long(looks.seen_columns.at[x]), WORD * words);
+            __builtin_memcpy(inner + words * x, inner + words * Long(looks.seen_columns.at[x]),
+                             WORD * words);
         }
         mirror_light(looks, count, past, light);
     }
     return DONE;
 }
 
-#define LOOKS Picture colour, Picture diffuse, Picture specular, Picture normal, Picture roughness, Picture depth,       \
-              Picture moved, Picture state, Picture last_depth, Picture warped, Places depth_scale, Given<Params> params, \
-              Given<Window> window, Picture keep, Places seen_rows, Places seen_columns
-#define LOOKED {colour, diffuse, specular, normal, roughness, depth, moved, state, last_depth, warped, *depth_scale.at, \
-                *params, *window, keep, seen_rows, seen_columns}
+#define LOOKS                                                                                      \
+    Picture colour, Picture diffuse, Picture specular, Picture normal, Picture roughness,          \
+        Picture depth, Picture moved, Picture state, Picture last_depth, Picture warped,           \
+        Places depth_scale, Given<Params> params, Given<Window> window, Picture keep,              \
+        Places seen_rows, Places seen_columns
+#define LOOKED                                                                                     \
+    {colour, diffuse, specular, normal, roughness, depth, moved, state, last_depth, warped,        \
+     *depth_scale.at, *params, *window, keep, seen_rows, seen_columns}
 
 static Status features(Long first, Long last, LOOKS, NewPicture past, View<float, 4> features) {
     return feature_rows(first, last, LOOKED, past, features);
 }
 EXPORT_ALONE(denoise_features, features)
 
-static Status stored_features(Long first, Long last, LOOKS, CodingOf coding, NewPicture past, View<byte, 4> stored) {
+static Status stored_features(Long first, Long last, LOOKS, CodingOf coding, NewPicture past,
+                              View<byte, 4> stored) {
     return stored_feature_rows(first, last, LOOKED, coding, past, stored);
 }
 EXPORT_ALONE(denoise_features_stored, stored_features)
 
 // Planes in 8 bits.
 
-static Status store_rows(Long first, Long last, View<const float, 4> planes, CodingOf coding, View<byte, 4> stored) {
+static Status store_rows(Long first, Long last, View<const float, 4> planes, CodingOf coding,
+                         View<byte, 4> stored) {
     const Long h = planes.size[2], w = planes.size[3], ring = (stored.size[1] - h) / 2;
     const Long words = stored.size[3] / WORD;
     const Room<int> turned(words * w);
@@ -224,7 +240,8 @@ static Status store_rows(Long first, Long last, View<const float, 4> planes, Cod
         int* pixels = (int*)stored(0, row);
         if (ring > 0) store_zeros(coding, stored.size[2], pixels);
         if (y < 0 || y >= h) continue;
-        store_codes(planes(0, 0, y), h * w, planes.size[1], coding, w, turned.at, pixels + ring * words);
+        store_codes(planes(0, 0, y), h * w, planes.size[1], coding, w, turned.at,
+                    pixels + ring * words);
     }
     return DONE;
 }
@@ -237,19 +254,20 @@ constexpr int CORNERS = 4;
 constexpr int CHANNELS = 11;
 
 template <int STEP>
-FN void picked_planes(const float* row, const int* columns, float low, float high, Long count, const ChannelRows& to,
-                      int channel) {
+FN void picked_planes(const float* row, const int* columns, float low, float high, Long count,
+                      const ChannelRows& to, int channel) {
     for (int c = 0; c < STEP; c++) {
         across(0, count, PIXELS(auto one, Long x) {
             typedef decltype(one) F;
-            store<F>(to(channel + c) + x, held<F>(gather<F, STEP>(row + c, columns + x), low, high));
+            store<F>(to(channel + c) + x,
+                     held<F>(gather<F, STEP>(row + c, columns + x), low, high));
         });
     }
 }
 
-static Status guide_rows(Long first, Long last, Picture diffuse, Picture specular, Picture normal, Picture roughness,
-                         Picture depth, Places depth_scale, Given<Window> window, Places seen_rows,
-                         Places seen_columns, View<float, 4> guides) {
+static Status guide_rows(Long first, Long last, Picture diffuse, Picture specular, Picture normal,
+                         Picture roughness, Picture depth, Places depth_scale, Given<Window> window,
+                         Places seen_rows, Places seen_columns, View<float, 4> guides) {
     const Long h = Long(window->height), w = Long(window->width), count = guides.size[3];
     const Long top = Long(window->top), left = Long(window->left);
     const float scale = *depth_scale.at;
@@ -264,7 +282,8 @@ static Status guide_rows(Long first, Long last, Picture diffuse, Picture specula
     for (Long row = first; row < last; row++) {
         const ChannelRows to = {guides(0, 0, row), guides.size[2] * count};
         for (int corner = 0; corner < CORNERS; corner++) {
-            const Long y = (4 * (top + Long(seen_rows.at[row])) + 1 + 2 * (corner / 2)) * depth.size[0] / (4 * h);
+            const Long y = (4 * (top + Long(seen_rows.at[row])) + 1 + 2 * (corner / 2))
+                           * depth.size[0] / (4 * h);
             const int *at = room.at + corner % 2 * count, channel = CHANNELS * corner;
             picked_planes<3>(diffuse(y), at, 0.0f, 2.0f, count, to, channel);
             picked_planes<3>(specular(y), at, 0.0f, 2.0f, count, to, channel + 3);
@@ -280,8 +299,9 @@ static Status guide_rows(Long first, Long last, Picture diffuse, Picture specula
 EXPORT_ALONE(denoise_guides, guide_rows)
 
 // Planes of what mirrors and glass show: albedo 0, normal 3.
-static Status mirrored_rows(Long first, Long last, Picture albedo, Picture normal, Given<Window> window,
-                            Places seen_rows, Places seen_columns, View<float, 4> mirrored) {
+static Status mirrored_rows(Long first, Long last, Picture albedo, Picture normal,
+                            Given<Window> window, Places seen_rows, Places seen_columns,
+                            View<float, 4> mirrored) {
     const Long count = mirrored.size[3], top = Long(window->top), left = Long(window->left);
     const Room<int> columns(count);
     if (!columns) return NO_MEMORY;
@@ -296,17 +316,20 @@ static Status mirrored_rows(Long first, Long last, Picture albedo, Picture norma
 }
 EXPORT_ALONE(denoise_mirrored, mirrored_rows)
 
-// How far the guides' reflectance is trusted, in cells: fully where its mean over a render pixel is the reflectance at
-// render size, less where that follows the detail, as with planes of one sample a pixel.
+// How far the guides' reflectance is trusted, in cells: fully where its mean over a render pixel is
+// the reflectance at render size, less where that follows the detail, as with planes of one sample
+// a pixel.
 
-// Memory of a row: the guides' reflectance and the render's, the difference's mean and square in each render pixel,
-// both summed over the rows of a cell; and the output pixels that each render pixel touches.
+// Memory of a row: the guides' reflectance and the render's, the difference's mean and square in
+// each render pixel, both summed over the rows of a cell; and the output pixels that each render
+// pixel touches.
 struct TrustRooms {
     Long count, out;
     Room<float> floats;
     Room<int> ints;
 
-    TrustRooms(Long count, Long out) : count(count), out(out), floats(9 * count + 3 * out), ints(2 * count) {}
+    TrustRooms(Long count, Long out)
+        : count(count), out(out), floats(9 * count + 3 * out), ints(2 * count) {}
     explicit operator bool() const { return bool(floats) && bool(ints); }
     float* own(int c) const { return floats.at + c * count; }
     float* mean(int c) const { return floats.at + (3 + c) * count; }
@@ -351,16 +374,18 @@ FN void add_judged(const TrustRooms& rooms, Long rows) {
             store<F>(rooms.mean(c) + x, F(0.0f));
         }
         store<F>(rooms.apart() + x, apart);
-        store<F>(rooms.spread() + x, load<F>(rooms.spread() + x) + load<F>(rooms.square() + x) * share);
+        store<F>(rooms.spread() + x,
+                 load<F>(rooms.spread() + x) + load<F>(rooms.square() + x) * share);
         store<F>(rooms.square() + x, F(0.0f));
     });
 }
 
-static Status trust_rows(Long first, Long last, Picture diffuse, Picture specular, Picture guide_diffuse,
-                         Picture guide_specular, Given<Window> window, Places part_rows, Places part_columns,
-                         NewPicture trust) {
+static Status trust_rows(Long first, Long last, Picture diffuse, Picture specular,
+                         Picture guide_diffuse, Picture guide_specular, Given<Window> window,
+                         Places part_rows, Places part_columns, NewPicture trust) {
     const Long h = Long(window->height), w = Long(window->width);
-    const Long height = guide_diffuse.size[0], width = guide_diffuse.size[1], left = Long(part_columns.at[0]);
+    const Long height = guide_diffuse.size[0], width = guide_diffuse.size[1],
+               left = Long(part_columns.at[0]);
     const Long rows = smaller<Long>(part_rows.size[0], h - Long(window->top));
     const Long columns = smaller<Long>(part_columns.size[0], w - Long(window->left));
     const Long begin = left * width / w, end = ((left + columns) * width + w - 1) / w;
@@ -381,11 +406,13 @@ static Status trust_rows(Long first, Long last, Picture diffuse, Picture specula
         const Long top = TRUST_CELL * row, bottom = smaller<Long>(top + TRUST_CELL, rows);
         for (Long x = 0; x < columns; x++) rooms.apart()[x] = rooms.spread()[x] = 0.0f;
         for (Long i = top; i < bottom; i++) {
-            const Long y = Long(part_rows.at[i]), upper = y * height / h, lower = ((y + 1) * height + h - 1) / h;
-            fill_tints(diffuse(y, left), specular(y, left), columns, rooms.own(0), rooms.own(1), rooms.own(2));
+            const Long y = Long(part_rows.at[i]), upper = y * height / h,
+                       lower = ((y + 1) * height + h - 1) / h;
+            fill_tints(diffuse(y, left), specular(y, left), columns, rooms.own(0), rooms.own(1),
+                       rooms.own(2));
             for (Long v = upper; v < lower; v++) {
-                fill_tints(guide_diffuse(v, begin), guide_specular(v, begin), end - begin, rooms.guide(0),
-                           rooms.guide(1), rooms.guide(2));
+                fill_tints(guide_diffuse(v, begin), guide_specular(v, begin), end - begin,
+                           rooms.guide(0), rooms.guide(1), rooms.guide(2));
                 add_guides(rooms, most);
             }
             add_judged(rooms, lower - upper);

@@ -1,21 +1,30 @@
-// The network's input and the reprojected accumulation: colour, diffuse_albedo, specular_albedo and normal (h, w, 3),
-// roughness and depth (h, w, 1), moved (th, tw, 2), state (h, w, 12), last_depth (h, w, 1), warped (out_th, out_tw, 3),
-// depth_scale (1,), params (4,), window (8,), keep, rows (hp,) and columns (wp,) of the part as the network sees them
-// -> past (th, tw, 4), whose count is -1 where the history lacks a pixel of the frame, and
-// features (1, 35, hp, wp): colour 0, accumulated colour 3, last output 6, diffuse albedo 9, specular albedo 12,
-// normal 15, roughness 18, depth 19, its change 20, valid history 21, sample count 22, jitter 23, length of motion 25,
-// inverse scale 26, hidden state 27. In half precision they are together, (1, hp, wp, 40).
+// The network's input and the reprojected accumulation: colour, diffuse_albedo, specular_albedo and
+// normal (h, w, 3), roughness and depth (h, w, 1), moved (th, tw, 2), state (h, w, 12), last_depth
+// (h, w, 1), warped (out_th, out_tw, 3), depth_scale (1,), params (4,), window (8,), keep, rows
+// (hp,) and columns (wp,) of the part as the network sees them -> past (th, tw, 4), whose count is
+// -1 where the history lacks a pixel of the frame, and
+// features (1, 35, hp, wp): colour 0, accumulated colour 3, last output 6, diffuse albedo 9,
+// specular albedo 12, normal 15, roughness 18, depth 19, its change 20, valid history 21, sample
+// count 22, jitter 23, length of motion 25, inverse scale 26, hidden state 27. In half precision
+// they are together, (1, hp, wp, 40).
 
 // Mean of the output pixels that render pixel (y, x) of the frame touches.
-__device__ inline Colour touched_mean(const View& warped, unsigned y, unsigned x, const Window& part) {
+__device__ inline Colour touched_mean(const View& warped, unsigned y, unsigned x,
+                                      const Window& part) {
     const unsigned h = part.h, w = part.w, height = part.height, width = part.width;
-    const int left = int(x * width / w) - part.out_left, right = int(((x + 1) * width + w - 1) / w) - part.out_left;
-    const int top = int(y * height / h) - part.out_top, bottom = int(((y + 1) * height + h - 1) / h) - part.out_top;
+    const int left = int(x * width / w) - part.out_left,
+              right = int(((x + 1) * width + w - 1) / w) - part.out_left;
+    const int top = int(y * height / h) - part.out_top,
+              bottom = int(((y + 1) * height + h - 1) / h) - part.out_top;
     if (is_doubled(part)) {  // four pixels, all read at once
-        const size_t upper = 3 * (size_t(top) * warped.size[1] + left) / 2, lower = upper + 3 * warped.size[1] / 2;
-        const Pair a = pair(warped, upper), b = pair(warped, upper + 1), c = pair(warped, upper + 2);
-        const Pair d = pair(warped, lower), e = pair(warped, lower + 1), f = pair(warped, lower + 2);
-        return {(a.x + b.y + d.x + e.y) * 0.25f, (a.y + c.x + d.y + f.x) * 0.25f, (b.x + c.y + e.x + f.y) * 0.25f};
+        const size_t upper = 3 * (size_t(top) * warped.size[1] + left) / 2,
+                     lower = upper + 3 * warped.size[1] / 2;
+        const Pair a = pair(warped, upper), b = pair(warped, upper + 1),
+                   c = pair(warped, upper + 2);
+        const Pair d = pair(warped, lower), e = pair(warped, lower + 1),
+                   f = pair(warped, lower + 2);
+        return {(a.x + b.y + d.x + e.y) * 0.25f, (a.y + c.x + d.y + f.x) * 0.25f,
+                (b.x + c.y + e.x + f.y) * 0.25f};
     }
     Colour sum = {0.0f, 0.0f, 0.0f};
     for (int j = top; j < bottom; j++) {
@@ -43,7 +52,8 @@ __device__ inline void put(float* to, const Colour& value) {
 }
 
 __device__ inline void put_bounded(float* to, const Colour& value, float low, float high) {
-    put(to, {clamped(value.r, low, high), clamped(value.g, low, high), clamped(value.b, low, high)});
+    put(to,
+        {clamped(value.r, low, high), clamped(value.g, low, high), clamped(value.b, low, high)});
 }
 
 __device__ inline void put_four(float* to, const Four& value) {
@@ -52,7 +62,8 @@ __device__ inline void put_four(float* to, const Four& value) {
 }
 
 // All channels of a pixel go to planes, or stay together in half precision.
-__device__ inline void keep_planes(const float* channels, const View& features, size_t pixel, size_t plane) {
+__device__ inline void keep_planes(const float* channels, const View& features, size_t pixel,
+                                   size_t plane) {
 #pragma unroll
     for (int i = 0; i < FEATURES; i++) features.at[i * plane + pixel] = channels[i];
 }
@@ -63,17 +74,20 @@ __device__ inline void keep_together(const float* channels, const View& packed, 
     for (int first = 0; first < FEATURES; first += 8) {
         Halves some;
 #pragma unroll
-        for (int i = 0; i < 8; i++) some.at[i] = first + i < FEATURES ? to_half(channels[first + i]) : 0;
+        for (int i = 0; i < 8; i++)
+            some.at[i] = first + i < FEATURES ? to_half(channels[first + i]) : 0;
         to[first / 8] = some;
     }
 }
 
-// This frame's colour of a channel without reflectance, log-encoded; `share` is one over the reflectance.
+// This frame's colour of a channel without reflectance, log-encoded; `share` is one over the
+// reflectance.
 __device__ inline float encoded_now(float value, float exposure, float share) {
     return log1p_of(fminf(clamped(value, 0.0f, MAX_FLOAT) * exposure * share, MAX_COLOUR));
 }
 
-// The same of the last output, which is log-encoded; what no frame can hold counts as the brightest.
+// The same of the last output, which is log-encoded; what no frame can hold counts as the
+// brightest.
 __device__ inline float encoded_last(float encoded, float share) {
     return log_encode(expm1_of(fminf(fmaxf(encoded, 0.0f), MOST_LOG)) * share);
 }
@@ -85,10 +99,11 @@ __device__ inline float depth_change(float before, float depth) {
 }
 
 template <bool TOGETHER>
-__device__ inline void prepare_features(View colour, View diffuse_albedo, View specular_albedo, View normal,
-                                        View roughness, View depth, View moved, View state, View last_depth,
-                                        View warped, View depth_scale, View params, View window, View keep,
-                                        View seen_rows, View seen_columns, View past, View features) {
+__device__ inline void prepare_features(View colour, View diffuse_albedo, View specular_albedo,
+                                        View normal, View roughness, View depth, View moved,
+                                        View state, View last_depth, View warped, View depth_scale,
+                                        View params, View window, View keep, View seen_rows,
+                                        View seen_columns, View past, View features) {
     const int height = seen_rows.size[0], width = seen_columns.size[0];
     PIXEL(width, height);
     const Window part = window_of(window);
@@ -96,13 +111,16 @@ __device__ inline void prepare_features(View colour, View diffuse_albedo, View s
     const int w = part.w, v = part.top + row, u = part.left + column;
     const size_t pixel = size_t(v) * w + u, seen = size_t(y) * width + x;
     // Everything is read before the first write, so that the reads wait together.
-    const float exposure = params.at[EXPOSURE], gain = params.at[GAIN], used = share_of(keep, row, column);
-    const float jitter_x = params.at[JITTER_X], jitter_y = params.at[JITTER_Y], scale = depth_scale.at[0];
+    const float exposure = params.at[EXPOSURE], gain = params.at[GAIN],
+                used = share_of(keep, row, column);
+    const float jitter_x = params.at[JITTER_X], jitter_y = params.at[JITTER_Y],
+                scale = depth_scale.at[0];
     const Colour now = three(colour, pixel), direction = three(normal, pixel);
     const Colour diffuse = three(diffuse_albedo, pixel), specular = three(specular_albedo, pixel);
     const float rough = roughness.at[pixel], z = clamped(depth.at[pixel], 0.0f, MAX_DEPTH);
     const Pair motion = pair(moved, size_t(row) * moved.size[1] + column);
-    const Recalled memory = recall(state, last_depth, float(u) + motion.x, float(v) + motion.y, used);
+    const Recalled memory = recall(state, last_depth, float(u) + motion.x, float(v) + motion.y,
+                                   used);
     const Colour mean = touched_mean(warped, v, u, part);
     const Colour factor = demodulation(diffuse_albedo, specular_albedo, v, u);
     const Colour share = {1.0f / factor.r, 1.0f / factor.g, 1.0f / factor.b};
@@ -113,8 +131,9 @@ __device__ inline void prepare_features(View colour, View diffuse_albedo, View s
              encoded_now(now.b, exposure, share.b)});
     put(to + 3, {log_encode(kept.r * memory.valid), log_encode(kept.g * memory.valid),
                  log_encode(kept.b * memory.valid)});
-    put(to + 6, {encoded_last(mean.r, memory.valid * share.r), encoded_last(mean.g, memory.valid * share.g),
-                 encoded_last(mean.b, memory.valid * share.b)});
+    put(to + 6,
+        {encoded_last(mean.r, memory.valid * share.r), encoded_last(mean.g, memory.valid * share.g),
+         encoded_last(mean.b, memory.valid * share.b)});
     put_bounded(to + 9, diffuse, 0.0f, 2.0f);
     put_bounded(to + 12, specular, 0.0f, 2.0f);
     put_bounded(to + 15, direction, -1.0f, 1.0f);
@@ -135,30 +154,36 @@ __device__ inline void prepare_features(View colour, View diffuse_albedo, View s
         four(past, size_t(y) * past.size[1] + x) = {kept.r, kept.g, kept.b, memory.mean.w};
 }
 
-extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, View specular_albedo, View normal,
-                                            View roughness, View depth, View moved, View state, View last_depth,
-                                            View warped, View depth_scale, View params, View window, View keep,
-                                            View seen_rows, View seen_columns, View past, View features) {
-    prepare_features<false>(colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
-                            warped, depth_scale, params, window, keep, seen_rows, seen_columns, past, features);
+extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, View specular_albedo,
+                                            View normal, View roughness, View depth, View moved,
+                                            View state, View last_depth, View warped,
+                                            View depth_scale, View params, View window, View keep,
+                                            View seen_rows, View seen_columns, View past,
+                                            View features) {
+    prepare_features<false>(colour, diffuse_albedo, specular_albedo, normal, roughness, depth,
+                            moved, state, last_depth, warped, depth_scale, params, window, keep,
+                            seen_rows, seen_columns, past, features);
 }
 
-extern "C" __global__ void denoise_features_half(View colour, View diffuse_albedo, View specular_albedo, View normal,
-                                                 View roughness, View depth, View moved, View state, View last_depth,
-                                                 View warped, View depth_scale, View params, View window, View keep,
-                                                 View seen_rows, View seen_columns, View past, View features) {
-    prepare_features<true>(colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
-                           warped, depth_scale, params, window, keep, seen_rows, seen_columns, past, features);
+extern "C" __global__ void denoise_features_half(
+    View colour, View diffuse_albedo, View specular_albedo, View normal, View roughness, View depth,
+    View moved, View state, View last_depth, View warped, View depth_scale, View params,
+    View window, View keep, View seen_rows, View seen_columns, View past, View features) {
+    prepare_features<true>(colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved,
+                           state, last_depth, warped, depth_scale, params, window, keep, seen_rows,
+                           seen_columns, past, features);
 }
 
-// Planes of what mirrors and glass show: denoising_albedo and denoising_normal (h, w, 3), window (8,), seen_rows (hp,),
-// seen_columns (wp,) -> mirrored (1, 6, hp, wp).
-extern "C" __global__ void denoise_mirrored(View denoising_albedo, View denoising_normal, View window, View seen_rows,
-                                            View seen_columns, View mirrored) {
+// Planes of what mirrors and glass show: denoising_albedo and denoising_normal (h, w, 3), window
+// (8,), seen_rows (hp,), seen_columns (wp,) -> mirrored (1, 6, hp, wp).
+extern "C" __global__ void denoise_mirrored(View denoising_albedo, View denoising_normal,
+                                            View window, View seen_rows, View seen_columns,
+                                            View mirrored) {
     const int height = seen_rows.size[0], width = seen_columns.size[0];
     PIXEL(width, height);
     const Window part = window_of(window);
-    const size_t pixel = size_t(part.top + int(seen_rows.at[y])) * part.w + part.left + int(seen_columns.at[x]);
+    const size_t pixel = size_t(part.top + int(seen_rows.at[y])) * part.w + part.left
+                         + int(seen_columns.at[x]);
     const Colour albedo = three(denoising_albedo, pixel), normal = three(denoising_normal, pixel);
     const size_t plane = size_t(height) * width;
     float* const to = mirrored.at + size_t(y) * width + x;
@@ -170,13 +195,14 @@ extern "C" __global__ void denoise_mirrored(View denoising_albedo, View denoisin
     to[5 * plane] = clamped(normal.b, -1.0f, 1.0f);
 }
 
-// The nearest guide pixel at each corner of a render pixel, as the network sees these: guide_diffuse_albedo,
-// guide_specular_albedo and guide_normal (height, width, 3), guide_roughness and guide_depth (height, width, 1),
-// depth_scale (1,), window (8,), seen_rows (hp,), seen_columns (wp,)
-// -> guides (1, 44, hp, wp), 11 channels a corner.
-extern "C" __global__ void denoise_guides(View guide_diffuse_albedo, View guide_specular_albedo, View guide_normal,
-                                          View guide_roughness, View guide_depth, View depth_scale, View window,
-                                          View seen_rows, View seen_columns, View guides) {
+// The nearest guide pixel at each corner of a render pixel, as the network sees these:
+// guide_diffuse_albedo, guide_specular_albedo and guide_normal (height, width, 3), guide_roughness
+// and guide_depth (height, width, 1), depth_scale (1,), window (8,), seen_rows (hp,), seen_columns
+// (wp,) -> guides (1, 44, hp, wp), 11 channels a corner.
+extern "C" __global__ void denoise_guides(View guide_diffuse_albedo, View guide_specular_albedo,
+                                          View guide_normal, View guide_roughness, View guide_depth,
+                                          View depth_scale, View window, View seen_rows,
+                                          View seen_columns, View guides) {
     const int height = guides.size[2], width = guides.size[3];
     PIXEL(width, height);
     const Window part = window_of(window);
@@ -213,12 +239,14 @@ extern "C" __global__ void denoise_guides(View guide_diffuse_albedo, View guide_
     }
 }
 
-// How far the guides' reflectance is trusted, in cells of 8x8 render pixels: less, the more of its detail is apart from
-// the reflectance of the render size. diffuse_albedo and specular_albedo (h, w, 3), guide_diffuse_albedo and
-// guide_specular_albedo (height, width, 3), window (8,), part_rows (th,), part_columns (tw,) -> trust (cells, cells, 1).
+// How far the guides' reflectance is trusted, in cells of 8x8 render pixels: less, the more of its
+// detail is apart from the reflectance of the render size. diffuse_albedo and specular_albedo (h,
+// w, 3), guide_diffuse_albedo and guide_specular_albedo (height, width, 3), window (8,), part_rows
+// (th,), part_columns (tw,) -> trust (cells, cells, 1).
 
-extern "C" __global__ void denoise_trust(View diffuse_albedo, View specular_albedo, View guide_diffuse_albedo,
-                                         View guide_specular_albedo, View window, View part_rows, View part_columns,
+extern "C" __global__ void denoise_trust(View diffuse_albedo, View specular_albedo,
+                                         View guide_diffuse_albedo, View guide_specular_albedo,
+                                         View window, View part_rows, View part_columns,
                                          View trust) {
     const int height = trust.size[0], width = trust.size[1];
     PIXEL(width, height);
@@ -240,8 +268,10 @@ extern "C" __global__ void denoise_trust(View diffuse_albedo, View specular_albe
             float square = 0.0f;
             for (int v = first; v < end; v++)
                 for (int u = start; u < stop; u++) {
-                    const Colour guide = demodulation(guide_diffuse_albedo, guide_specular_albedo, v, u);
-                    const float r = guide.r / own.r - 1.0f, g = guide.g / own.g - 1.0f, b = guide.b / own.b - 1.0f;
+                    const Colour guide = demodulation(guide_diffuse_albedo, guide_specular_albedo,
+                                                      v, u);
+                    const float r = guide.r / own.r - 1.0f, g = guide.g / own.g - 1.0f,
+                                b = guide.b / own.b - 1.0f;
                     mean = {mean.r + r, mean.g + g, mean.b + b};
                     square += r * r + g * g + b * b;
                 }

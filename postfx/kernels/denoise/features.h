@@ -8,7 +8,9 @@ constexpr float DOUBT = 0.7f;
 constexpr float FAINT = 1e-4f;
 
 // A value within bounds around 0; NaN is 0.
-template <class F> FN F held(F value, float low, float high) { return within<F>(known<F>(value), low, high); }
+template <class F> FN F held(F value, float low, float high) {
+    return within<F>(known<F>(value), low, high);
+}
 
 // Change of depth since the frame before, by its logarithm.
 template <class F> FN F depth_change(F before, F depth) {

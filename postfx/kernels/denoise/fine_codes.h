@@ -28,7 +28,8 @@ FN void open_fine_row(const Codes& codes, Long row, const Factors& factors, cons
                 const Scale left = scale_of(scaling, 4 * channel + 2 * lower);
                 const Scale right = scale_of(scaling, 4 * channel + 2 * lower + 1);
                 const Wide even = opened<Wide, meaning.is>(logit_of<Wide>(sums[2 * lower], left));
-                const Wide odd = opened<Wide, meaning.is>(logit_of<Wide>(sums[2 * lower + 1], right));
+                const Wide odd =
+                    opened<Wide, meaning.is>(logit_of<Wide>(sums[2 * lower + 1], right));
                 float* to = out + lower * 2 * w;
                 if (x + WIDE <= w) {
                     store_pairs<Wide>(to, even, odd);

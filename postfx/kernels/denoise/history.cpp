@@ -3,9 +3,9 @@
 
 typedef View<const float, 3> Picture;
 
-static Status history_rows(Long first, Long last, Picture history, Picture moved, Given<Params> params,
-                           Given<Window> window, Places out_rows, Places out_columns,
-                           View<float, 3> warped) {
+static Status history_rows(Long first, Long last, Picture history, Picture moved,
+                           Given<Params> params, Given<Window> window, Places out_rows,
+                           Places out_columns, View<float, 3> warped) {
     const Long height = history.size[0], width = 3 * out_columns.size[0];
     const Warper warper(out_columns, *window, moved.size[1], height, history.size[1]);
     if (!warper) return NO_MEMORY;

@@ -1,10 +1,10 @@
-// What a frame leaves, at another render size: state (h, w, 12), last_depth (h, w, 1), at_rows (height,),
-// at_columns (width,) -> resized (height, width, 12), resized_depth (height, width, 1). Bilinear between pixels that hold
-// something, depth of the nearest.
+// What a frame leaves, at another render size: state (h, w, 12), last_depth (h, w, 1), at_rows
+// (height,), at_columns (width,) -> resized (height, width, 12), resized_depth (height, width, 1).
+// Bilinear between pixels that hold something, depth of the nearest.
 
 // Four channels, weighted.
-__device__ inline Four weighted_four(const View& state, const size_t (&from)[4], const float (&share)[4], int group,
-                                     float scale) {
+__device__ inline Four weighted_four(const View& state, const size_t (&from)[4],
+                                     const float (&share)[4], int group, float scale) {
     Four sum = {0.0f, 0.0f, 0.0f, 0.0f};
     for (int i = 0; i < 4; i++) {
         const Four value = four(state, 3 * from[i] + group);
@@ -16,23 +16,26 @@ __device__ inline Four weighted_four(const View& state, const size_t (&from)[4],
     return {sum.x * scale, sum.y * scale, sum.z * scale, sum.w * scale};
 }
 
-extern "C" __global__ void denoise_resize(View state, View last_depth, View at_rows, View at_columns, View resized,
-                                          View resized_depth) {
+extern "C" __global__ void denoise_resize(View state, View last_depth, View at_rows,
+                                          View at_columns, View resized, View resized_depth) {
     PIXEL(resized.size[1], resized.size[0]);
     const int h = state.size[0], w = state.size[1];
-    const float row = at_rows.at[y], column = at_columns.at[x], ty = row - floorf(row), tx = column - floorf(column);
+    const float row = at_rows.at[y], column = at_columns.at[x], ty = row - floorf(row),
+                tx = column - floorf(column);
     const int top = int(floorf(row)), first = int(floorf(column));
     const size_t upper = size_t(within(top, h)) * w, lower = size_t(within(top + 1, h)) * w;
     const int left = within(first, w), right = within(first + 1, w);
     const size_t from[4] = {upper + left, upper + right, lower + left, lower + right};
-    float share[4] = {(1.0f - ty) * (1.0f - tx), (1.0f - ty) * tx, ty * (1.0f - tx), ty * tx}, total = 0.0f;
+    float share[4] = {(1.0f - ty) * (1.0f - tx), (1.0f - ty) * tx, ty * (1.0f - tx), ty * tx},
+          total = 0.0f;
     for (int i = 0; i < 4; i++) {
         if (!(four(state, 3 * from[i]).w > 0.0f)) share[i] = 0.0f;
         total += share[i];
     }
     const float scale = total > 0.5f ? 1.0f / total : 0.0f;
     const size_t pixel = size_t(y) * resized.size[1] + x;
-    const float depth = last_depth.at[size_t(within(int(rintf(row)), h)) * w + within(int(rintf(column)), w)];
+    const float depth =
+        last_depth.at[size_t(within(int(rintf(row)), h)) * w + within(int(rintf(column)), w)];
     const Four mean = weighted_four(state, from, share, 0, scale);
     const Four one = weighted_four(state, from, share, 1, scale);
     const Four other = weighted_four(state, from, share, 2, scale);
@@ -42,9 +45,9 @@ extern "C" __global__ void denoise_resize(View state, View last_depth, View at_r
     four(resized, 3 * pixel + 2) = other;
 }
 
-// The last output where its pixels are now, bicubic, edge repeated, rescaled where the exposure changed:
-// history (height, width, 3), moved (th, tw, 2), params (4,), window (8,), out_rows (out_th,), out_columns (out_tw,)
-// -> warped (out_th, out_tw, 3), log(1 + exposed).
+// The last output where its pixels are now, bicubic, edge repeated, rescaled where the exposure
+// changed: history (height, width, 3), moved (th, tw, 2), params (4,), window (8,), out_rows
+// (out_th,), out_columns (out_tw,) -> warped (out_th, out_tw, 3), log(1 + exposed).
 
 // Log-encoded colour, not below 0, after an exposure change; NaN stays NaN.
 __device__ inline float rescaled(float encoded, float gain) {
@@ -52,23 +55,28 @@ __device__ inline float rescaled(float encoded, float gain) {
     return gain == 1.0f ? held : log1pf(expm1f(held) * gain);
 }
 
-// A thread makes 2x2 pixels, which move alike where they have a render pixel in common. Most of a block's were about as
-// far away as its middle one: those that were so up to SLACK pixels find what they read in shared memory, the others read
-// the history.
-const int SLACK = 2, BEFORE_WIDE = 2 * ACROSS + 3 + 2 * SLACK, BEFORE_HIGH = 2 * DOWN + 3 + 2 * SLACK;
+// A thread makes 2x2 pixels, which move alike where they have a render pixel in common. Most of a
+// block's were about as far away as its middle one: those that were so up to SLACK pixels find what
+// they read in shared memory, the others read the history.
+const int SLACK = 2, BEFORE_WIDE = 2 * ACROSS + 3 + 2 * SLACK,
+          BEFORE_HIGH = 2 * DOWN + 3 + 2 * SLACK;
 
-extern "C" __global__ void __launch_bounds__(256, 4) denoise_history(View history, View moved, View params, View window,
-                                                                     View out_rows, View out_columns, View warped) {
+extern "C" __global__ void __launch_bounds__(256, 4)
+    denoise_history(View history, View moved, View params, View window, View out_rows,
+                    View out_columns, View warped) {
     __shared__ float tile[BEFORE_HIGH][3 * BEFORE_WIDE];
     __shared__ Pair staged[DOWN][3 * ACROSS];
     const Window part = window_of(window);
     const int rows = warped.size[0], columns = warped.size[1];
     const int first_y = 2 * DOWN * blockIdx.y, first_x = 2 * ACROSS * blockIdx.x;
     const auto before_at = [&](int y, int x) {
-        return before_of(min(part.out_top + y, part.height - 1), min(part.out_left + x, part.width - 1), part, moved);
+        return before_of(min(part.out_top + y, part.height - 1),
+                         min(part.out_left + x, part.width - 1), part, moved);
     };
-    const int y = first_y + 2 * threadIdx.y, x = min(first_x + 2 * int(threadIdx.x), (columns - 1) / 2 * 2);
-    const int down_by = min(DOWN, rows - 1 - first_y), right_by = min(ACROSS, columns - 1 - first_x);
+    const int y = first_y + 2 * threadIdx.y,
+              x = min(first_x + 2 * int(threadIdx.x), (columns - 1) / 2 * 2);
+    const int down_by = min(DOWN, rows - 1 - first_y),
+              right_by = min(ACROSS, columns - 1 - first_x);
     const Before middle = before_at(first_y + down_by, first_x + right_by), own = before_at(y, x);
     const int top = middle.top - down_by - SLACK, left = middle.left - right_by - SLACK;
     const bool whole = left >= 0 && left + BEFORE_WIDE <= part.width;
@@ -76,11 +84,13 @@ extern "C" __global__ void __launch_bounds__(256, 4) denoise_history(View histor
     for (int j = 0; j < BEFORE_HIGH; j += DOWN) {
         const int row = j + threadIdx.y;
         if (row >= BEFORE_HIGH) break;
-        const float* const line = history.at + size_t(3) * within(top + row, part.height) * part.width;
+        const float* const line = history.at
+                                  + size_t(3) * within(top + row, part.height) * part.width;
         if (whole) {
 #pragma unroll
             for (int i = 0; i < 3 * BEFORE_WIDE; i += ACROSS)
-                if (i + threadIdx.x < 3 * BEFORE_WIDE) tile[row][i + threadIdx.x] = line[3 * left + i + threadIdx.x];
+                if (i + threadIdx.x < 3 * BEFORE_WIDE)
+                    tile[row][i + threadIdx.x] = line[3 * left + i + threadIdx.x];
         } else {
 #pragma unroll 1
             for (int i = threadIdx.x; i < 3 * BEFORE_WIDE; i += ACROSS)
@@ -90,7 +100,8 @@ extern "C" __global__ void __launch_bounds__(256, 4) denoise_history(View histor
     __syncthreads();
     if (y >= rows) return;
     const int row = own.top - top, column = own.left - left;
-    const bool held = row >= 0 && row + 5 <= BEFORE_HIGH && column >= 0 && column + 5 <= BEFORE_WIDE;
+    const bool held = row >= 0 && row + 5 <= BEFORE_HIGH && column >= 0
+                      && column + 5 <= BEFORE_WIDE;
     Colour found[4] = {};
     if (held && is_doubled(part)) {
         const int places[4] = {0, 3, 6, 9};
@@ -110,9 +121,10 @@ extern "C" __global__ void __launch_bounds__(256, 4) denoise_history(View histor
             const Before one = before_at(y + k / 2, x + k % 2);
             const int j = one.top - top, i = one.left - left;
             const bool inside = j >= 0 && j + 4 <= BEFORE_HIGH && i >= 0 && i + 4 <= BEFORE_WIDE;
-            found[k] = moved_picture(inside ? tile[0] : history.at,
-                                     inside ? Size{BEFORE_HIGH, BEFORE_WIDE} : Size{part.height, part.width},
-                                     {one.right, one.down, inside ? j : one.top, inside ? i : one.left});
+            found[k] = moved_picture(
+                inside ? tile[0] : history.at,
+                inside ? Size{BEFORE_HIGH, BEFORE_WIDE} : Size{part.height, part.width},
+                {one.right, one.down, inside ? j : one.top, inside ? i : one.left});
         }
     }
     const float gain = params.at[GAIN];
@@ -120,15 +132,16 @@ extern "C" __global__ void __launch_bounds__(256, 4) denoise_history(View histor
     for (int k = 0; k < 2; k++) {
         if (y + k == rows) break;
         const Colour &one = found[2 * k], &two = found[2 * k + 1];
-        const float light[6] = {rescaled(one.r, gain), rescaled(one.g, gain), rescaled(one.b, gain),
-                                rescaled(two.r, gain), rescaled(two.g, gain), rescaled(two.b, gain)};
+        const float light[6] = {rescaled(one.r, gain), rescaled(one.g, gain),
+                                rescaled(one.b, gain), rescaled(two.r, gain),
+                                rescaled(two.g, gain), rescaled(two.b, gain)};
         put_pixels(staged[threadIdx.y], light, warped, y + k, x, first_x);
     }
 }
 
-// Motion, of smooth surfaces that of what they reflect: motion (h, w, 2), depth (h, w, 1), normal (h, w, 3),
-// roughness (h, w, 1), diffuse_albedo and specular_albedo (h, w, 3), hit_distance (h, w, 1), camera (27,) ->
-// reflected (h, w, 2). Sources are given in postfx/kernels/denoise/history.py.
+// Motion, of smooth surfaces that of what they reflect: motion (h, w, 2), depth (h, w, 1), normal
+// (h, w, 3), roughness (h, w, 1), diffuse_albedo and specular_albedo (h, w, 3), hit_distance (h, w,
+// 1), camera (27,) -> reflected (h, w, 2). Sources are given in postfx/kernels/denoise/history.py.
 
 struct Vector {
     float x, y, z;
@@ -140,13 +153,15 @@ __device__ inline Pair ray_of(const float* camera, int height, int width, int y,
             (float(y) + 0.5f + camera[JITTER + 1] - 0.5f * float(height)) / camera[FOCAL + 1]};
 }
 
-// Motion of a point at rest on a ray, at 1 / nearness along the view axis, and its z then over that now.
+// Motion of a point at rest on a ray, at 1 / nearness along the view axis, and its z then over that
+// now.
 __device__ inline Vector motion_at(const float* camera, const Pair& ray, float nearness) {
     const float* turn = camera + TURN;
     const float* shift = camera + SHIFT;
     const float x = ray.x * turn[0] + ray.y * turn[3] + turn[6] + shift[0] * nearness;
     const float y = ray.x * turn[1] + ray.y * turn[4] + turn[7] + shift[1] * nearness;
-    const float z = ray.x * turn[2] + ray.y * turn[5] + turn[8] + shift[2] * nearness, ahead = fmaxf(z, NEAREST);
+    const float z = ray.x * turn[2] + ray.y * turn[5] + turn[8] + shift[2] * nearness,
+                ahead = fmaxf(z, NEAREST);
     return {x / ahead * camera[FOCAL_THEN] - ray.x * camera[FOCAL],
             y / ahead * camera[FOCAL_THEN + 1] - ray.y * camera[FOCAL + 1], z};
 }
@@ -154,7 +169,8 @@ __device__ inline Vector motion_at(const float* camera, const Pair& ray, float n
 // A normal of length 1, zero where there is none.
 __device__ inline Vector unit(const View& normal, size_t pixel) {
     const float* n = normal.at + 3 * pixel;
-    const float length = sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), scale = length > 0.1f ? 1.0f / length : 0.0f;
+    const float length = sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]),
+                scale = length > 0.1f ? 1.0f / length : 0.0f;
     return {n[0] * scale, n[1] * scale, n[2] * scale};
 }
 
@@ -166,8 +182,10 @@ __device__ inline Vector minus(const Vector& a, const Vector& b) {
     return {a.x - b.x, a.y - b.y, a.z - b.z};
 }
 
-// Mean of one over the hit distance, over the 3x3 pixels of about the same depth that have one; -1 without any.
-__device__ inline float inverse_distance(const View& hit_distance, const View& depth, int y, int x) {
+// Mean of one over the hit distance, over the 3x3 pixels of about the same depth that have one; -1
+// without any.
+__device__ inline float inverse_distance(const View& hit_distance, const View& depth, int y,
+                                         int x) {
     const int h = depth.size[0], w = depth.size[1];
     const float z = depth.at[size_t(y) * w + x];
     float total = 0.0f;
@@ -184,7 +202,8 @@ __device__ inline float inverse_distance(const View& hit_distance, const View& d
 }
 
 // How much a surface bends outwards, at least 0; -1 at its edges.
-__device__ inline float curvature(const View& normal, const View& depth, const float* camera, int y, int x) {
+__device__ inline float curvature(const View& normal, const View& depth, const float* camera, int y,
+                                  int x) {
     const int h = depth.size[0], w = depth.size[1];
     const float z = depth.at[size_t(y) * w + x];
     const Vector here = unit(normal, size_t(y) * w + x);
@@ -193,7 +212,8 @@ __device__ inline float curvature(const View& normal, const View& depth, const f
     for (int axis = 0; axis < 2; axis++) {
         Vector place[2], facing[2];
         for (int side = 0; side < 2; side++) {
-            const int step = 2 * side - 1, j = within(y + step * (1 - axis), h), i = within(x + step * axis, w);
+            const int step = 2 * side - 1, j = within(y + step * (1 - axis), h),
+                      i = within(x + step * axis, w);
             const size_t pixel = size_t(j) * w + i;
             const Vector n = unit(normal, pixel);
             const float there = depth.at[pixel];
@@ -211,20 +231,23 @@ __device__ inline float curvature(const View& normal, const View& depth, const f
 }
 
 // Whether a pixel is smooth, and reflects more than it scatters.
-__device__ inline bool reflects(const View& diffuse, const View& specular, const View& roughness, size_t pixel) {
+__device__ inline bool reflects(const View& diffuse, const View& specular, const View& roughness,
+                                size_t pixel) {
     float share = 0.0f;
     for (int c = 0; c < 3; c++)
-        share += clamped(specular.at[3 * pixel + c], 0.0f, 1.0f) - clamped(diffuse.at[3 * pixel + c], 0.0f, 1.0f);
+        share += clamped(specular.at[3 * pixel + c], 0.0f, 1.0f)
+                 - clamped(diffuse.at[3 * pixel + c], 0.0f, 1.0f);
     return share > 0.0f && roughness.at[pixel] <= ROUGHEST;
 }
 
 extern "C" __global__ void denoise_reflections(View motion, View depth, View normal, View roughness,
-                                               View diffuse_albedo, View specular_albedo, View hit_distance,
-                                               View camera, View reflected) {
+                                               View diffuse_albedo, View specular_albedo,
+                                               View hit_distance, View camera, View reflected) {
     const int h = depth.size[0], w = depth.size[1];
     PIXEL(w, h);
     const size_t pixel = size_t(y) * w + x;
-    const Pair stored = pair(motion, pixel), own = {possible_motion(stored.x), possible_motion(stored.y)};
+    const Pair stored = pair(motion, pixel),
+               own = {possible_motion(stored.x), possible_motion(stored.y)};
     pair(reflected, pixel) = own;
     const float z = depth.at[pixel];
     if (!(hit_distance.at[pixel] > 0.0f && z > 0.0f && z < FARTHEST) ||
@@ -234,7 +257,8 @@ extern "C" __global__ void denoise_reflections(View motion, View depth, View nor
     const Vector still = motion_at(camera.at, ray, 1.0f / z);
     const float most = STILL + PART * fmaxf(fabsf(own.x), fabsf(own.y));
     if (!(fabsf(still.x - own.x) <= most && fabsf(still.y - own.y) <= most)) return;
-    const float bend = curvature(normal, depth, camera.at, y, x), mean = inverse_distance(hit_distance, depth, y, x);
+    const float bend = curvature(normal, depth, camera.at, y, x),
+                mean = inverse_distance(hit_distance, depth, y, x);
     if (bend < 0.0f || mean < 0.0f) return;
     const float smooth = 1.0f - clamped(roughness.at[pixel], 0.0f, 1.0f);
     const float inverse = mean / (smooth * (sqrtf(smooth) + 1.0f - smooth)) + 2.0f * bend;
@@ -243,8 +267,8 @@ extern "C" __global__ void denoise_reflections(View motion, View depth, View nor
     if (moved.z > 1e-3f) pair(reflected, pixel) = {moved.x, moved.y};
 }
 
-// The mask of what is in front of opaque things: colour, opaque_colour (h, w, 3), difference (3,), which is exposure,
-// scale and threshold -> reactive (h, w, 1).
+// The mask of what is in front of opaque things: colour, opaque_colour (h, w, 3), difference (3,),
+// which is exposure, scale and threshold -> reactive (h, w, 1).
 
 // Exposed light as a display shows it, 0 to 1.
 __device__ inline float seen(float value, float exposure) {
@@ -252,7 +276,8 @@ __device__ inline float seen(float value, float exposure) {
     return sqrtf(light / (1.0f + light));
 }
 
-extern "C" __global__ void denoise_reactive(View colour, View opaque_colour, View difference, View reactive) {
+extern "C" __global__ void denoise_reactive(View colour, View opaque_colour, View difference,
+                                            View reactive) {
     const int width = reactive.size[1];
     PIXEL(width, reactive.size[0]);
     const int here = y * width + x;
@@ -273,15 +298,17 @@ extern "C" __global__ void denoise_spread(View reactive, View next_reactive) {
     for (int j = -1; j <= 1; j++) {
 #pragma unroll
         for (int i = -1; i <= 1; i++)
-            most = fmaxf(most, clamped(reactive.at[within(y + j, height) * width + within(x + i, width)], 0.0f, 1.0f));
+            most = fmaxf(most,
+                         clamped(reactive.at[within(y + j, height) * width + within(x + i, width)],
+                                 0.0f, 1.0f));
     }
     next_reactive.at[y * width + x] = most;
 }
 
-// How much of the history each pixel of a part uses: reactive and last_reactive (h, w, 1), moved (th, tw, 2),
-// part_rows (th,), part_columns (tw,) -> keep (th, tw, 1).
-extern "C" __global__ void denoise_keep(View reactive, View last_reactive, View moved, View part_rows,
-                                        View part_columns, View keep) {
+// How much of the history each pixel of a part uses: reactive and last_reactive (h, w, 1), moved
+// (th, tw, 2), part_rows (th,), part_columns (tw,) -> keep (th, tw, 1).
+extern "C" __global__ void denoise_keep(View reactive, View last_reactive, View moved,
+                                        View part_rows, View part_columns, View keep) {
     const int width = keep.size[1], h = reactive.size[0], w = reactive.size[1];
     PIXEL(width, keep.size[0]);
     const float v = part_rows.at[y], u = part_columns.at[x];

@@ -1,5 +1,5 @@
-// The last output where its pixels are now: bicubic, edge repeated, never negative. NaN stays NaN: a
-// pixel that is blended with it keeps its own colour.
+// The last output where its pixels are now: bicubic, edge repeated, never negative. NaN stays NaN:
+// a pixel that is blended with it keeps its own colour.
 #pragma once
 #include "../number.h"
 #include "denoise.h"
@@ -49,8 +49,8 @@ FN void warp_edge(const Pixels& picture, const Moved<float>& moved, Long y, Long
     for (int c = 0; c < 3; c++) found[c] = larger<float>(0.0f, sums[c]);
 }
 
-// Two pixels beside one another with the same motion, as six numbers; two more mean nothing. Sixteen
-// numbers of a row are five pixels; the sums of columns are put together from them.
+// Two pixels beside one another with the same motion, as six numbers; two more mean nothing.
+// Sixteen numbers of a row are five pixels; the sums of columns are put together from them.
 typedef float Eight __attribute__((ext_vector_type(8)));
 typedef float Sixteen __attribute__((ext_vector_type(16)));
 
@@ -86,8 +86,9 @@ FN Eight warp_two(const Pixels& picture, const Moved<float>& moved, Long start) 
                        + load_many<Sixteen>(from + line) * moved.down[1]
                        + load_many<Sixteen>(from + 2 * line) * moved.down[2]
                        + load_many<Sixteen>(from + 3 * line) * moved.down[3];
-    const Eight found = eight_from<0>(sums) * moved.across[0] + eight_from<3>(sums) * moved.across[1]
-                      + eight_from<6>(sums) * moved.across[2] + eight_from<9>(sums) * moved.across[3];
+    const Eight found =
+        eight_from<0>(sums) * moved.across[0] + eight_from<3>(sums) * moved.across[1]
+        + eight_from<6>(sums) * moved.across[2] + eight_from<9>(sums) * moved.across[3];
     const Eight zero = 0.0f;
     return zero > found ? zero : found;
 }

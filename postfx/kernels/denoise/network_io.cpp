@@ -58,7 +58,8 @@ static Status open_rows(Long first, Long last, Halves raw, Heads heads) {
             with_meaning(level_meaning(channel), PIXELS(auto meaning) {
                 across(0, w, PIXELS(auto one, Long x) {
                     typedef decltype(one) F;
-                    store<F>(out + x, opened<F, meaning.is>(channel_of<F>(turned.at, channel, w, x)));
+                    store<F>(out + x,
+                             opened<F, meaning.is>(channel_of<F>(turned.at, channel, w, x)));
                 });
             });
         }
@@ -82,7 +83,8 @@ static Status open_fine_rows(Long first, Long last, Halves raw, Heads fine) {
             with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
                 across(0, w, PIXELS(auto one, Long x) {
                     typedef decltype(one) F;
-                    store_pairs<F>(out + 2 * x, opened<F, meaning.is>(channel_of<F>(left, channel, w, x)),
+                    store_pairs<F>(out + 2 * x,
+                                   opened<F, meaning.is>(channel_of<F>(left, channel, w, x)),
                                    opened<F, meaning.is>(channel_of<F>(right, channel, w, x)));
                 });
             });

@@ -1,7 +1,8 @@
 // Channels of a pixel together, in half precision; zeros up to a multiple of eight.
 extern "C" __global__ void __launch_bounds__(256) denoise_pack(View planes, View packed) {
     PIXEL(packed.size[2], packed.size[1]);
-    const size_t plane = size_t(planes.size[2]) * planes.size[3], at = size_t(y) * packed.size[2] + x;
+    const size_t plane = size_t(planes.size[2]) * planes.size[3],
+                 at = size_t(y) * packed.size[2] + x;
     const float* const from = planes.at + at;
     Halves* const to = halves(packed) + at * (packed.size[3] / 8);
     for (int first = 0; first < packed.size[3]; first += 8) {
@@ -31,7 +32,8 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_half(View raw, Vi
     }
 }
 
-// Activations of the fine head, from channels last, four phases a pixel, to planes, both in half precision.
+// Activations of the fine head, from channels last, four phases a pixel, to planes, both in half
+// precision.
 extern "C" __global__ void __launch_bounds__(256) denoise_open_fine_half(View raw, View fine) {
     PIXEL(fine.size[3], fine.size[2]);
     const size_t plane = size_t(fine.size[2]) * fine.size[3];
@@ -45,21 +47,27 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_fine_half(View ra
         for (int i = 0; i < 8; i++) {
             const int channel = first + i;
             const float logit = from_half(some.at[i]);
-            to[channel * plane] = to_half(channel < BLEND ? weight_of(logit)
-                                                          : channel < MEMORY ? gate_of(logit) : tanhf(logit));
+            to[channel * plane] = to_half(channel < BLEND    ? weight_of(logit)
+                                          : channel < MEMORY ? gate_of(logit)
+                                                             : tanhf(logit));
         }
     }
 }
 
-// Activations of the fine head, from planes that hold the four phases of each channel one after the other.
+// Activations of the fine head, from planes that hold the four phases of each channel one after the
+// other.
 extern "C" __global__ void __launch_bounds__(256) denoise_open_phased(View phased, View fine) {
     PIXEL(fine.size[3], fine.size[2]);
-    const size_t plane = size_t(fine.size[2]) * fine.size[3], part = size_t(phased.size[2]) * phased.size[3];
-    const float* const from = phased.at + (2 * (y % 2) + x % 2) * part + size_t(y / 2) * phased.size[3] + x / 2;
+    const size_t plane = size_t(fine.size[2]) * fine.size[3],
+                 part = size_t(phased.size[2]) * phased.size[3];
+    const float* const from = phased.at + (2 * (y % 2) + x % 2) * part
+                              + size_t(y / 2) * phased.size[3] + x / 2;
     float* const to = fine.at + size_t(y) * fine.size[3] + x;
     for (int channel = 0; channel < FINE; channel++) {
         const float logit = from[4 * channel * part];
-        to[channel * plane] = channel < BLEND ? weight_of(logit) : channel < MEMORY ? gate_of(logit) : tanhf(logit);
+        to[channel * plane] = channel < BLEND    ? weight_of(logit)
+                              : channel < MEMORY ? gate_of(logit)
+                                                 : tanhf(logit);
     }
 }
 
@@ -71,15 +79,17 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_logits(View logit
     float* const to = fine.at + at;
     for (int channel = 0; channel < FINE; channel++) {
         const float logit = clamped(from[channel * plane], -STEEPEST, STEEPEST);
-        to[channel * plane] = channel < BLEND ? weight_of(logit) : channel < MEMORY ? gate_of(logit) : tanhf(logit);
+        to[channel * plane] = channel < BLEND    ? weight_of(logit)
+                              : channel < MEMORY ? gate_of(logit)
+                                                 : tanhf(logit);
     }
 }
 
-// The expected squared error of a part's pixels: log_error (1, 1, hp, wp), part_rows (th,), part_columns (tw,)
-// -> error (th, tw, 1).
+// The expected squared error of a part's pixels: log_error (1, 1, hp, wp), part_rows (th,),
+// part_columns (tw,) -> error (th, tw, 1).
 extern "C" __global__ void denoise_open_error(View log_error, View part_rows, View part_columns,
                                                                         View error) {
     PIXEL(error.size[1], error.size[0]);
-    error.at[size_t(y) * error.size[1] + x] = 
-        expf(clamped(log_error.at[size_t(y) * log_error.size[3] + x], LEAST_LOG_ERROR, MOST_LOG_ERROR));
+    error.at[size_t(y) * error.size[1] + x] = expf(
+        clamped(log_error.at[size_t(y) * log_error.size[3] + x], LEAST_LOG_ERROR, MOST_LOG_ERROR));
 }

@@ -1,4 +1,5 @@
-// Rows of the output: lost detail restored, tiles assembled into the frame, and a blend by strength.
+// Rows of the output: lost detail restored, tiles assembled into the frame, and a blend by
+// strength.
 #include "output.h"
 #include "../rows.h"
 
@@ -13,7 +14,8 @@ constexpr int POWER = 1;
 constexpr int HELD_POWER = 2;
 constexpr int FIRST = 3;
 constexpr int SUMS = FIRST + LAGS;
-constexpr float LIMIT = 3.0f;  // times a tile's root mean square, to which larger differences are held
+// times a tile's root mean square, to which larger differences are held
+constexpr float LIMIT = 3.0f;
 constexpr float SPREAD_NOISE = 2.25f;
 constexpr float TINY_POWER = 1e-12f;
 struct Lag {
@@ -29,17 +31,19 @@ struct Removed {
     Long rows, width;
 };
 
-FN void fill_removed(const Picture& colour, const Picture& denoised, Long top, float exposure, const Removed& removed,
-                     float* out) {
+FN void fill_removed(const Picture& colour, const Picture& denoised, Long top, float exposure,
+                     const Removed& removed, float* out) {
     for (Long y = 0; y < removed.rows; y++) {
         const float *noisy = colour(top + y), *clean = denoised(top + y);
         across(0, removed.width, PIXELS(auto one, Long x) {
             typedef decltype(one) F;
             const auto luminance = PIXELS(const float* row) {
                 const float* from = row + 3 * x;
-                return luminance_of<F>(pick<F, 3>(from), pick<F, 3>(from + 1), pick<F, 3>(from + 2), exposure);
+                return luminance_of<F>(pick<F, 3>(from), pick<F, 3>(from + 1), pick<F, 3>(from + 2),
+                                       exposure);
             };
-            store<F>(out + y * removed.width + x, seen_difference<F>(luminance(noisy), luminance(clean)));
+            store<F>(out + y * removed.width + x,
+                     seen_difference<F>(luminance(noisy), luminance(clean)));
         });
     }
 }
@@ -61,7 +65,8 @@ FN void multiply_rows(const Removed& removed, Lag lag, float* total) {
     });
 }
 
-// Sums of the columns of every tile, without those whose neighbour lies in another, per whole tile of pairs.
+// Sums of the columns of every tile, without those whose neighbour lies in another, per whole tile
+// of pairs.
 FN void sum_tiles(const float* total, Long width, Lag lag, Long tiles, float* sums) {
     const int apart = lag.right < 0 ? -lag.right : lag.right;
     const float scale = float(double(TILE * TILE) / double((TILE - lag.down) * (TILE - apart)));
@@ -83,8 +88,8 @@ FN bool has_judged(const Picture& judged, Long row) {
 }
 
 // Sums over the removed part of each tile; all are 0 where a tile is not judged.
-static Status judge_rows(Long first, Long last, Picture colour, Picture denoised, Places params, Picture judged,
-                         NewPicture sums) {
+static Status judge_rows(Long first, Long last, Picture colour, Picture denoised, Places params,
+                         Picture judged, NewPicture sums) {
     const Long h = colour.size[0], w = colour.size[1], tiles = sums.size[1];
     const Room<float> room((TILE + 1) * w);
     if (!room) return NO_MEMORY;
@@ -134,10 +139,12 @@ struct Ramp {
 constexpr Ramp STRUCTURE = {0.45f, 0.8f}, CLEAN = {0.35f, 0.55f};
 // By the natural logarithm of 10^-5.6 and 10^-6.4; 10^-4.2 and 10^-3.5; 10^-1.4 and 10^-1.8.
 constexpr double TEN = 2.302585092994046;
-constexpr Ramp INVISIBLE = {float(5.6 * TEN), float(6.4 * TEN)}, FILTERED = {float(-4.2 * TEN), float(-3.5 * TEN)};
+constexpr Ramp INVISIBLE = {float(5.6 * TEN), float(6.4 * TEN)},
+               FILTERED = {float(-4.2 * TEN), float(-3.5 * TEN)};
 constexpr Ramp QUIET = {float(1.4 * TEN), float(1.8 * TEN)};
 
-// Power, noise of the structure and correlations around a tile; neighbours count by 1 2 1 both ways.
+// Power, noise of the structure and correlations around a tile; neighbours count by 1 2 1 both
+// ways.
 struct Around {
     float power, noise, correlation[LAGS];
 };
@@ -152,7 +159,8 @@ FN Around gather_tile(const Picture& sums, Long y, Long x) {
     }
     const float count = larger<float>(spread[COUNT], 1.0f);  // 0 if nothing around is judged
     Around found = {spread[POWER] / count, SPREAD_NOISE * LAGS / count, {}};
-    for (int k = 0; k < LAGS; k++) found.correlation[k] = spread[FIRST + k] / (spread[HELD_POWER] + TINY_POWER);
+    for (int k = 0; k < LAGS; k++)
+        found.correlation[k] = spread[FIRST + k] / (spread[HELD_POWER] + TINY_POWER);
     return found;
 }
 
@@ -167,9 +175,9 @@ FN float detail_of(const Around& tile, const float (&common)[NEAR]) {
     return larger<float>(STRUCTURE.at(root_of(larger<float>(structure, 0.0f))), faint);
 }
 
-// Share of each tile's difference to give back; every band of rows judges the whole frame for itself. `evidence` for
-// detail is 1 when nothing is known. Below 1 it scales every tile's share; it always scales the share of detail by which
-// the whole frame counts as clean.
+// Share of each tile's difference to give back; every band of rows judges the whole frame for
+// itself. `evidence` for detail is 1 when nothing is known. Below 1 it scales every tile's share;
+// it always scales the share of detail by which the whole frame counts as clean.
 static Status detail_rows(Long first, Long last, Picture sums, Places evidence, NewPicture detail) {
     const Long height = sums.size[0], width = sums.size[1];
     const Room<Around> tiles(height * width);
@@ -183,7 +191,8 @@ static Status detail_rows(Long first, Long last, Picture sums, Places evidence, 
         total += weights.at[i];
         all += own[POWER];
         pixels += own[COUNT];
-        for (int k = 0; k < NEAR; k++) correlations[k] += weights.at[i] * tiles.at[i].correlation[k];
+        for (int k = 0; k < NEAR; k++)
+            correlations[k] += weights.at[i] * tiles.at[i].correlation[k];
     }
     const float loud = log_of<float>(float(all / larger<double>(pixels, 1.0)) + TINY_POWER);
     const float quiet = QUIET.at(-loud) * smaller<float>(*evidence.at, 1.0f);
@@ -238,7 +247,8 @@ struct Shares {
     }
 
     // A row from one picture to another, whose light is held within what a picture may have.
-    template <bool HELD> FN_MEMBER void blend(const float* from, const float* to, float* out) const {
+    template <bool HELD> FN_MEMBER void blend(const float* from, const float* to,
+                                              float* out) const {
         across(0, width * channels, PIXELS(auto one, Long i) {
             typedef decltype(one) F;
             const F end = load<F>(to + i), held = HELD ? within<F>(end, 0.0f, MAX_FLOAT) : end;
@@ -258,7 +268,8 @@ FN Tiles tiles_at(Long position, Long count) {
 }
 
 // From the result to the input by the share of detail, linear between the tiles' centres.
-static Status restore_rows(Long first, Long last, Picture colour, Picture denoised, Picture detail, NewPicture output) {
+static Status restore_rows(Long first, Long last, Picture colour, Picture denoised, Picture detail,
+                           NewPicture output) {
     const Long width = output.size[1], tiles = detail.size[1];
     const Shares shares(width, output.size[2]);
     const Room<float> across_by(width);
@@ -290,8 +301,8 @@ static Status restore_rows(Long first, Long last, Picture colour, Picture denois
 EXPORT(denoise_restore, restore_rows)
 
 // From the plain picture to the denoised one by strength times amount.
-static Status strength_rows(Long first, Long last, Picture denoised, Picture plain, Picture strength, Places amount,
-                            NewPicture output) {
+static Status strength_rows(Long first, Long last, Picture denoised, Picture plain,
+                            Picture strength, Places amount, NewPicture output) {
     const float factor = within<float>(*amount.at, 0.0f, 1.0f);
     const Shares shares(output.size[1], output.size[2]);
     if (!shares) return NO_MEMORY;
@@ -307,7 +318,8 @@ static Status strength_rows(Long first, Long last, Picture denoised, Picture pla
 }
 EXPORT_ALONE(denoise_strength, strength_rows)
 
-// Tiles: of each its usable area, then the area where it comes before all others. The first of several is written last.
+// Tiles: of each its usable area, then the area where it comes before all others. The first of
+// several is written last.
 struct Area {
     float top, left, bottom, right;
 };
@@ -315,9 +327,11 @@ struct TilePlace {
     float y, x;
     Area areas[2];
 };
-static void assemble_rows(Long first, Long last, View<const float, 4> tiles, View<const float, 2> places,
-                          Places frame_rows, Places frame_columns, NewPicture picture) {
-    const Long columns = frame_columns.size[0], left = Long(frame_columns.at[0]), channels = tiles.size[3];
+static void assemble_rows(Long first, Long last, View<const float, 4> tiles,
+                          View<const float, 2> places, Places frame_rows, Places frame_columns,
+                          NewPicture picture) {
+    const Long columns = frame_columns.size[0], left = Long(frame_columns.at[0]),
+               channels = tiles.size[3];
     for (Long row = first; row < last; row++) {
         const Long y = Long(frame_rows.at[row]);
         float* out = picture(row);

@@ -1,6 +1,7 @@
-// Sums over what was removed in tiles of 16x16: colour, denoised (h, w, 3), params (4,), judged (tiles_high, tiles_wide,
-// 1) -> sums (tiles_high, tiles_wide, 11): pixels, power, power once held, products at 8 lags; all are 0 where a tile is
-// not judged. Blocks stride over rows of 8 tiles.
+// Sums over what was removed in tiles of 16x16: colour, denoised (h, w, 3), params (4,), judged
+// (tiles_high, tiles_wide,
+// 1) -> sums (tiles_high, tiles_wide, 11): pixels, power, power once held, products at 8 lags; all
+// are 0 where a tile is not judged. Blocks stride over rows of 8 tiles.
 const int GROUP = 8, LAGS = SUMS - FIRST;
 const int PITCH = TILE + 1;  // rows begin in different banks
 
@@ -12,7 +13,8 @@ __device__ inline float light_of(const float* pixel, float exposure) {
     return 0.2126f * r + 0.7152f * g + 0.0722f * b;
 }
 
-// What was removed as it is seen: times the slope of sqrt(y / (1 + y)) at the result, within [-1, 1].
+// What was removed as it is seen: times the slope of sqrt(y / (1 + y)) at the result, within [-1,
+// 1].
 __device__ inline float removed_at(const float* noisy, const float* denoised, float exposure) {
     const float clean = light_of(denoised, exposure), seen = fmaxf(clean, DARK);
     const float slope = 0.5f / (sqrtf(seen * (1.0f + seen)) * (1.0f + seen));
@@ -23,12 +25,14 @@ __device__ inline float held_within(float value, float limit) {
     return fminf(fmaxf(value, -limit), limit);
 }
 
-// Sum over a row of products of `own` and the pixels `shift` right of each in another row; both ends lie in the tile.
+// Sum over a row of products of `own` and the pixels `shift` right of each in another row; both
+// ends lie in the tile.
 template <int SHIFT>
 __device__ inline float across(const float own[TILE], const float other[TILE]) {
     float sum = 0.0f;
 #pragma unroll
-    for (int i = SHIFT < 0 ? -SHIFT : 0; i < (SHIFT < 0 ? TILE : TILE - SHIFT); i++) sum += own[i] * other[i + SHIFT];
+    for (int i = SHIFT < 0 ? -SHIFT : 0; i < (SHIFT < 0 ? TILE : TILE - SHIFT); i++)
+        sum += own[i] * other[i + SHIFT];
     return sum * (float(TILE) / (TILE - (SHIFT < 0 ? -SHIFT : SHIFT)));  // per whole row of pairs
 }
 
@@ -70,13 +74,16 @@ __device__ inline float sum_of_rows(const float* rows) {
     return sum;
 }
 
-extern "C" __global__ void denoise_judge(View colour, View denoised, View params, View judged, View sums) {
-    __shared__ float removed[GROUP][TILE * PITCH], power[GROUP][PITCH], rows[GROUP][1 + LAGS][PITCH];
+extern "C" __global__ void denoise_judge(View colour, View denoised, View params, View judged,
+                                         View sums) {
+    __shared__ float removed[GROUP][TILE * PITCH], power[GROUP][PITCH],
+        rows[GROUP][1 + LAGS][PITCH];
     const int h = colour.size[0], w = colour.size[1], tiles_wide = sums.size[1];
     const int groups_wide = (tiles_wide + GROUP - 1) / GROUP, groups = groups_wide * sums.size[0];
     const int threads = blockDim.x * blockDim.y, thread = threadIdx.y * blockDim.x + threadIdx.x;
     const float exposure = params.at[EXPOSURE];
-    for (int group = blockIdx.y * gridDim.x + blockIdx.x; group < groups; group += gridDim.x * gridDim.y) {
+    for (int group = blockIdx.y * gridDim.x + blockIdx.x; group < groups;
+         group += gridDim.x * gridDim.y) {
         const int tile_y = group / groups_wide, tile_x = GROUP * (group - tile_y * groups_wide);
 #pragma unroll 4
         for (int i = thread; i < TILE * TILE * GROUP; i += threads) {
@@ -101,7 +108,8 @@ extern "C" __global__ void denoise_judge(View colour, View denoised, View params
             if (tile_x + tile >= tiles_wide) continue;
             const float all = sum_of_rows(power[tile]);
             float found[1 + LAGS];
-            sum_row(removed[tile] + row * PITCH, row, LIMIT * sqrtf(all / count), found);  // fireflies are held there
+            // fireflies are held there
+            sum_row(removed[tile] + row * PITCH, row, LIMIT * sqrtf(all / count), found);
 #pragma unroll
             for (int k = 0; k <= LAGS; k++) rows[tile][k][row] = found[k];
             if (row > 0) continue;
@@ -113,15 +121,18 @@ extern "C" __global__ void denoise_judge(View colour, View denoised, View params
         for (int i = thread; i < GROUP * (1 + LAGS); i += threads) {
             const int tile = i / (1 + LAGS), k = i % (1 + LAGS);
             if (tile_x + tile < tiles_wide)
-                sums.at[(tile_y * tiles_wide + tile_x + tile) * SUMS + HELD_POWER + k] = sum_of_rows(rows[tile][k]);
+                sums.at[(tile_y * tiles_wide + tile_x + tile) * SUMS + HELD_POWER + k] =
+                    sum_of_rows(rows[tile][k]);
         }
     }
 }
 
-// Share of each tile's difference to give back: sums (tiles_high, tiles_wide, 11), evidence (1,) -> detail (tiles_high,
-// tiles_wide, 1). What the frame has in common needs all tiles, so the first block strides over them and others end.
+// Share of each tile's difference to give back: sums (tiles_high, tiles_wide, 11), evidence (1,) ->
+// detail (tiles_high, tiles_wide, 1). What the frame has in common needs all tiles, so the first
+// block strides over them and others end.
 const int TOTALS = 3 + NEAR;
-const int HIGH = 8, WIDE = 32, AREA_PITCH = (WIDE + 2) * SUMS;  // tiles that are read at once, and a border of one
+// tiles that are read at once, and a border of one
+const int HIGH = 8, WIDE = 32, AREA_PITCH = (WIDE + 2) * SUMS;
 const int MOST_THREADS = 1024;
 
 struct Tile {
@@ -133,24 +144,28 @@ __device__ inline float ramp(float value, float low, float high) {
 }
 
 // Reads an area of tiles and its border; those beyond the frame are zeros and so do not count.
-__device__ inline void read_area(const View& sums, int top, int left, float* area, int thread, int threads) {
+__device__ inline void read_area(const View& sums, int top, int left, float* area, int thread,
+                                 int threads) {
     __syncthreads();
     for (int i = thread; i < (HIGH + 2) * AREA_PITCH; i += threads) {
-        const int y = top + i / AREA_PITCH - 1, column = (left - 1) * SUMS + i % AREA_PITCH, width = sums.size[1] * SUMS;
+        const int y = top + i / AREA_PITCH - 1, column = (left - 1) * SUMS + i % AREA_PITCH,
+                  width = sums.size[1] * SUMS;
         const bool inside = y >= 0 && y < sums.size[0] && column >= 0 && column < width;
         area[i] = inside ? sums.at[y * width + column] : 0.0f;
     }
     __syncthreads();
 }
 
-// Power, noise of the structure and correlations around a tile; neighbours count by 1 2 1 both ways.
+// Power, noise of the structure and correlations around a tile; neighbours count by 1 2 1 both
+// ways.
 __device__ inline Tile gather(const float* tile) {
     float spread[SUMS];
 #pragma unroll
     for (int k = 0; k < SUMS; k++) {
         const float* const at = tile + k;
         spread[k] = 4.0f * at[0] + 2.0f * (at[-SUMS] + at[SUMS] + at[-AREA_PITCH] + at[AREA_PITCH])
-            + (at[-AREA_PITCH - SUMS] + at[-AREA_PITCH + SUMS] + at[AREA_PITCH - SUMS] + at[AREA_PITCH + SUMS]);
+                    + (at[-AREA_PITCH - SUMS] + at[-AREA_PITCH + SUMS] + at[AREA_PITCH - SUMS]
+                       + at[AREA_PITCH + SUMS]);
     }
     const float count = fmaxf(spread[COUNT], 1.0f);  // 0 if nothing around is judged
     Tile found = {spread[POWER] / count, SPREAD_NOISE * LAGS / count, {}};
@@ -168,7 +183,8 @@ __device__ inline float detail_of(const Tile& tile, const float common[NEAR]) {
         const float own = tile.correlation[k] - (k < NEAR ? common[k] : 0.0f);
         structure += own * own;
     }
-    const float faint = ramp(-logf(tile.power + TINY_POWER), -logf(INVISIBLE_HIGH), -logf(INVISIBLE_LOW));
+    const float faint = ramp(-logf(tile.power + TINY_POWER), -logf(INVISIBLE_HIGH),
+                             -logf(INVISIBLE_LOW));
     return fmaxf(ramp(sqrtf(fmaxf(structure, 0.0f)), STRUCTURE_LOW, STRUCTURE_HIGH), faint);
 }
 
@@ -184,7 +200,8 @@ __device__ inline float block_sum(float value, float* partial, int thread, int t
     return partial[0];
 }
 
-extern "C" __global__ void __launch_bounds__(MOST_THREADS) denoise_detail(View sums, View evidence, View detail) {
+extern "C" __global__ void __launch_bounds__(MOST_THREADS)
+    denoise_detail(View sums, View evidence, View detail) {
     __shared__ float area[(HIGH + 2) * AREA_PITCH], partial[MOST_THREADS];
     if (blockIdx.x + blockIdx.y > 0) return;
     const int height = sums.size[0], width = sums.size[1];
@@ -195,7 +212,8 @@ extern "C" __global__ void __launch_bounds__(MOST_THREADS) denoise_detail(View s
             read_area(sums, top, left, area, thread, threads);
             for (int i = thread; i < HIGH * WIDE; i += threads) {
                 if (top + i / WIDE >= height || left + i % WIDE >= width) continue;
-                const float* const tile = area + (i / WIDE + 1) * AREA_PITCH + (i % WIDE + 1) * SUMS;
+                const float* const tile = area + (i / WIDE + 1) * AREA_PITCH
+                                          + (i % WIDE + 1) * SUMS;
                 const Tile found = gather(tile);
                 const float weight = sqrtf(found.power) * tile[0];
                 totals[0] += tile[1];
@@ -208,9 +226,11 @@ extern "C" __global__ void __launch_bounds__(MOST_THREADS) denoise_detail(View s
     }
 #pragma unroll
     for (int k = 0; k < TOTALS; k++) totals[k] = block_sum(totals[k], partial, thread, threads);
-    const float power = totals[0] / fmaxf(totals[1], 1.0f), total = totals[2] + TINY_POWER, loud = logf(power + TINY_POWER);
+    const float power = totals[0] / fmaxf(totals[1], 1.0f), total = totals[2] + TINY_POWER,
+                loud = logf(power + TINY_POWER);
     const float filtered = ramp(loud, logf(FILTERED_LOW), logf(FILTERED_HIGH));
-    const float quiet = ramp(-loud, -logf(LOUD_HIGH), -logf(LOUD_LOW)) * fminf(evidence.at[0], 1.0f);
+    const float quiet = ramp(-loud, -logf(LOUD_HIGH), -logf(LOUD_LOW))
+                        * fminf(evidence.at[0], 1.0f);
     float common[NEAR], share = 0.0f;
 #pragma unroll
     for (int k = 0; k < NEAR; k++) common[k] = filtered * fmaxf(totals[3 + k] / total, 0.0f);
@@ -220,7 +240,8 @@ extern "C" __global__ void __launch_bounds__(MOST_THREADS) denoise_detail(View s
             for (int i = thread; i < HIGH * WIDE; i += threads) {
                 const int y = top + i / WIDE, x = left + i % WIDE;
                 if (y >= height || x >= width) continue;
-                const float* const tile = area + (i / WIDE + 1) * AREA_PITCH + (i % WIDE + 1) * SUMS;
+                const float* const tile = area + (i / WIDE + 1) * AREA_PITCH
+                                          + (i % WIDE + 1) * SUMS;
                 const Tile found = gather(tile);
                 const float own = quiet * detail_of(found, common);
                 share += own * sqrtf(found.power) * tile[0];
@@ -230,10 +251,12 @@ extern "C" __global__ void __launch_bounds__(MOST_THREADS) denoise_detail(View s
     }
     share = block_sum(share, partial, thread, threads) / total;
     const float clean = ramp(share * evidence.at[0], CLEAN_LOW, CLEAN_HIGH);
-    for (int i = thread; i < height * width; i += threads) detail.at[i] += (1.0f - detail.at[i]) * clean;
+    for (int i = thread; i < height * width; i += threads)
+        detail.at[i] += (1.0f - detail.at[i]) * clean;
 }
 
-// Gives detail back: colour, denoised (h, w, 3), detail (tiles_high, tiles_wide, 1) -> output (h, w, 3).
+// Gives detail back: colour, denoised (h, w, 3), detail (tiles_high, tiles_wide, 1) -> output (h,
+// w, 3).
 
 struct Between {
     int first, second;
@@ -254,23 +277,27 @@ extern "C" __global__ void denoise_restore(View colour, View denoised, View deta
     const float* const top = detail.at + row.first * detail.size[1];
     const float* const bottom = detail.at + row.second * detail.size[1];
     const float upper = top[column.first] + (top[column.second] - top[column.first]) * column.share;
-    const float lower = bottom[column.first] + (bottom[column.second] - bottom[column.first]) * column.share;
+    const float lower = bottom[column.first]
+                        + (bottom[column.second] - bottom[column.first]) * column.share;
     const float share = upper + (lower - upper) * row.share;
     const int channels = output.size[2], here = channels * (y * width + x);
     for (int c = 0; c < channels; c++) {
-        const float clean = denoised.at[here + c], noisy = clamped(colour.at[here + c], 0.0f, MAX_FLOAT);
-        output.at[here + c] = share == 1.0f ? noisy : clean + (noisy - clean) * share;  // exact where all is detail
+        const float clean = denoised.at[here + c],
+                    noisy = clamped(colour.at[here + c], 0.0f, MAX_FLOAT);
+        // exact where all is detail
+        output.at[here + c] = share == 1.0f ? noisy : clean + (noisy - clean) * share;
     }
 }
 
-// A picture from what was computed in parts of it: tiles (n, th, tw, c), places (n, 10): origin, what may be used, what
-// is used before others; frame_rows (rows,), frame_columns (columns,) -> picture (rows, columns, c), 0 where no tile is.
+// A picture from what was computed in parts of it: tiles (n, th, tw, c), places (n, 10): origin,
+// what may be used, what is used before others; frame_rows (rows,), frame_columns (columns,) ->
+// picture (rows, columns, c), 0 where no tile is.
 __device__ inline bool is_within(const float* box, int y, int x) {
     return y >= box[0] && x >= box[1] && y < box[2] && x < box[3];
 }
 
-extern "C" __global__ void denoise_assemble(View tiles, View places, View frame_rows, View frame_columns,
-                                            View picture) {
+extern "C" __global__ void denoise_assemble(View tiles, View places, View frame_rows,
+                                            View frame_columns, View picture) {
     PIXEL(picture.size[1], picture.size[0]);
     const int v = int(frame_rows.at[y]), u = int(frame_columns.at[x]), channels = picture.size[2];
     int owner = -1;
@@ -285,8 +312,10 @@ extern "C" __global__ void denoise_assemble(View tiles, View places, View frame_
     for (int c = 0; c < channels; c++) to[c] = owner < 0 ? 0.0f : from[c];
 }
 
-// Leaves the noise in by strength: denoised, plain (h, w, 3), strength (h, w, 1), amount (1,) -> output (h, w, 3).
-extern "C" __global__ void denoise_strength(View denoised, View plain, View strength, View amount, View output) {
+// Leaves the noise in by strength: denoised, plain (h, w, 3), strength (h, w, 1), amount (1,) ->
+// output (h, w, 3).
+extern "C" __global__ void denoise_strength(View denoised, View plain, View strength, View amount,
+                                            View output) {
     const int width = output.size[1];
     PIXEL(width, output.size[0]);
     const int here = y * width + x;
@@ -295,6 +324,7 @@ extern "C" __global__ void denoise_strength(View denoised, View plain, View stre
     for (int c = 0; c < channels; c++) {
         const int at = channels * here + c;
         const float noisy = plain.at[at], clean = denoised.at[at];
-        output.at[at] = share == 1.0f ? clean : noisy + (clean - noisy) * share;  // both ends are exact
+        // both ends are exact
+        output.at[at] = share == 1.0f ? clean : noisy + (clean - noisy) * share;
     }
 }

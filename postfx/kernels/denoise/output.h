@@ -3,7 +3,8 @@
 #include "../number.h"
 #include "denoise.h"
 
-constexpr float DARK = 1e-3f;  // exposed luminance below which smaller differences are no more visible
+// exposed luminance below which smaller differences are no more visible
+constexpr float DARK = 1e-3f;
 
 // Exposed luminance, within what the network sees.
 template <class F> FN F luminance_of(F red, F green, F blue, float exposure) {
@@ -21,4 +22,6 @@ template <class F> FN F seen_difference(F noisy, F clean) {
 }
 
 // From one value to another; both ends are exact.
-template <class F> FN F blended_by(F from, F to, F share) { return share == 1.0f ? to : from + (to - from) * share; }
+template <class F> FN F blended_by(F from, F to, F share) {
+    return share == 1.0f ? to : from + (to - from) * share;
+}

@@ -4,7 +4,8 @@
 #include "upsample_rows.h"
 #include "warp.h"
 
-// Reflectance of a part that has another one than the picture. Columns beyond the frame repeat its last one.
+// Reflectance of a part that has another one than the picture. Columns beyond the frame repeat its
+// last one.
 static void reflectance_rows(Long first, Long last, Picture diffuse, Picture specular, Places rows,
                              Places columns, NewPicture factor) {
     const Long w = columns.size[0], left = Long(columns.at[0]);
@@ -43,7 +44,8 @@ struct Recalled {
             typedef decltype(one) F;
             const F px = within<F>(ramp<F>(float(left + x), 1.0f) + pick<F, 2>(moved + 2 * x), 0.0f,
                                    float(width - 1));
-            const F py = within<F>(float(v) + pick<F, 2>(moved + 2 * x + 1), 0.0f, float(height - 1));
+            const F py = within<F>(float(v) + pick<F, 2>(moved + 2 * x + 1), 0.0f,
+                                   float(height - 1));
             const F at_x = smaller<F>(floor_of(px), F(float(width > 1 ? width - 2 : 0)));
             const F at_y = smaller<F>(floor_of(py), F(float(height > 1 ? height - 2 : 0)));
             store<F>(right + x, px - at_x);
@@ -56,14 +58,16 @@ struct Recalled {
         const Long beside = width > 1 ? 3 : 0, below = height > 1 ? 3 * width : 0;
         const float tx = right[x], ty = lower[x];
         const Four top = load_pixel(at, end) * (1.0f - tx) + load_pixel(at + beside, end) * tx;
-        const Four bottom = load_pixel(at + below, end) * (1.0f - tx) + load_pixel(at + below + beside, end) * tx;
+        const Four bottom = load_pixel(at + below, end) * (1.0f - tx)
+                            + load_pixel(at + below + beside, end) * tx;
         return top * (1.0f - ty) + bottom * ty;
     }
 };
 
-static Status accumulate_rows(Long first, Long last, Picture part, Given<Coding> coding, Picture factor,
-                              Picture past, Picture moved, Picture last_part, FineHead fine,
-                              Given<Window> window, NewPicture next_part, NewPicture level) {
+static Status accumulate_rows(Long first, Long last, Picture part, Given<Coding> coding,
+                              Picture factor, Picture past, Picture moved, Picture last_part,
+                              FineHead fine, Given<Window> window, NewPicture next_part,
+                              NewPicture level) {
     const Long h = part.size[0], w = part.size[1], th = next_part.size[0], tw = next_part.size[1];
     const Long top = Long(window->top), left = Long(window->left), width = level.size[2];
     const Long rows = smaller<Long>(th, h - top), columns = smaller<Long>(tw, w - left);
@@ -87,14 +91,16 @@ static Status accumulate_rows(Long first, Long last, Picture part, Given<Coding>
             const Four found = counts[4 * x] > 0.0f ? recalled.sample(x) : Four{};
             __builtin_memcpy(before + 3 * x, &found, sizeof found);
         }
-        const float *values = part(top + y, left), *divisor = factor(y), *distrust = fine(0, DISTRUST, y);
+        const float *values = part(top + y, left), *divisor = factor(y),
+                    *distrust = fine(0, DISTRUST, y);
         float *mean = next_part(y), *const planes[3] = {level(0, y), level(1, y), level(2, y)};
         across(0, held, PIXELS(auto one, Long x) {
             typedef decltype(one) F;
             const F share = newer_share<F>(pick<F, 4>(past(y) + 4 * x + 3), load<F>(distrust + x));
             F found[3];
             for (int c = 0; c < 3; c++) {
-                const F now = coded<F>(pick<F, 3>(values + 3 * x + c), pick<F, 3>(divisor + 3 * x + c), *coding);
+                const F now = coded<F>(pick<F, 3>(values + 3 * x + c),
+                                       pick<F, 3>(divisor + 3 * x + c), *coding);
                 found[c] = accumulated<F>(now, pick<F, 3>(before + 3 * x + c), share);
                 store<F>(planes[c] + x, found[c]);
             }
@@ -181,10 +187,12 @@ static Status light_rows(Long first, Long last, Picture radiance, FineHead fine,
                 light_at<decltype(one)>(row, AtCentre{row, weights, x}, rooms, enlarged);
             });
         } else {
-            const Columns columns = {rooms.index.at, rooms.lean(), rooms.near(), rooms.wide(), width};
+            const Columns columns = {rooms.index.at, rooms.lean(), rooms.near(), rooms.wide(),
+                                     width};
             const float lower = lean_of(at.offset);
             across(0, width, PIXELS(auto one, Long x) {
-                light_at<decltype(one)>(row, Anywhere{row, columns, down, lower, x}, rooms, enlarged);
+                light_at<decltype(one)>(row, Anywhere{row, columns, down, lower, x}, rooms,
+                                        enlarged);
             });
         }
         // Rows that keep nothing, or where nothing moves, need no reprojection.
@@ -230,9 +238,9 @@ FN void fill_covers(const Picture& reached, Long y, Long height, Long width, flo
     }
 }
 
-// Parts in the proportions that they have to each other if they are complete, when each counts as having the same where
-// none has light; else to the whole, which was filtered like them. Parts that are no part of the picture stay as they
-// were filtered: nothing tells their light.
+// Parts in the proportions that they have to each other if they are complete, when each counts as
+// having the same where none has light; else to the whole, which was filtered like them. Parts that
+// are no part of the picture stay as they were filtered: nothing tells their light.
 template <bool COVERED, bool COMPLETE>
 FN void balance_row(const View<const float, 4>& parts, const float* covers, const float* whole,
                     const float* picture, Long y, const View<float, 4>& balanced) {
@@ -257,7 +265,8 @@ FN void balance_row(const View<const float, 4>& parts, const float* covers, cons
 }
 
 template <bool COVERED>
-FN void keep_row(const View<const float, 4>& parts, const float* covers, Long y, const View<float, 4>& balanced) {
+FN void keep_row(const View<const float, 4>& parts, const float* covers, Long y,
+                 const View<float, 4>& balanced) {
     const Long width = 3 * parts.size[2];
     for (Long k = 0; k < parts.size[0]; k++) {
         across(0, width, PIXELS(auto one, Long i) {
@@ -268,8 +277,9 @@ FN void keep_row(const View<const float, 4>& parts, const float* covers, Long y,
     }
 }
 
-static Status balance_rows(Long first, Long last, View<const float, 4> parts, Picture reached, Picture whole,
-                           Picture picture, Places complete, View<float, 4> balanced) {
+static Status balance_rows(Long first, Long last, View<const float, 4> parts, Picture reached,
+                           Picture whole, Picture picture, Places complete,
+                           View<float, 4> balanced) {
     const Long height = parts.size[1], width = parts.size[2];
     const bool covered = reached.size[1] > 1, alone = complete.at[0] > 0.0f;
     const bool beyond = complete.at[0] < 0.0f;
@@ -280,7 +290,8 @@ static Status balance_rows(Long first, Long last, View<const float, 4> parts, Pi
         if (covered) fill_covers(reached, y, height, width, covers.at);
         if (covered && beyond) keep_row<true>(parts, covers.at, y, balanced);
         else if (beyond) keep_row<false>(parts, covers.at, y, balanced);
-        else if (covered && alone) balance_row<true, true>(parts, covers.at, all, target, y, balanced);
+        else if (covered && alone)
+            balance_row<true, true>(parts, covers.at, all, target, y, balanced);
         else if (covered) balance_row<true, false>(parts, covers.at, all, target, y, balanced);
         else if (alone) balance_row<false, true>(parts, covers.at, all, target, y, balanced);
         else balance_row<false, false>(parts, covers.at, all, target, y, balanced);
@@ -291,7 +302,8 @@ EXPORT_ALONE(denoise_balance, balance_rows)
 
 // Values of a plane from filtered ones. Planes of one channel were filtered as three.
 template <int CHANNELS>
-FN void decode_rows(Long first, Long last, const Picture& filtered, const Decoding& by, const NewPicture& plane) {
+FN void decode_rows(Long first, Long last, const Picture& filtered, const Decoding& by,
+                    const NewPicture& plane) {
     for (Long y = first; y < last; y++) {
         const float* from = filtered(y);
         float* out = plane(y);
@@ -299,10 +311,12 @@ FN void decode_rows(Long first, Long last, const Picture& filtered, const Decodi
             typedef decltype(one) F;
             F found[3];
             if (by.kind < 0.0f) {
-                found[0] = distance_of<F>(pick<F, 3>(from + 3 * x), pick<F, 3>(from + 3 * x + 1), by);
+                found[0] = distance_of<F>(pick<F, 3>(from + 3 * x), pick<F, 3>(from + 3 * x + 1),
+                                          by);
                 found[1] = found[2] = found[0];
             } else {
-                for (int c = 0; c < CHANNELS; c++) found[c] = decoded<F>(pick<F, 3>(from + 3 * x + c), by);
+                for (int c = 0; c < CHANNELS; c++)
+                    found[c] = decoded<F>(pick<F, 3>(from + 3 * x + c), by);
             }
             if (by.kind > 0.0f) {
                 F square = F(0.0f);
@@ -310,18 +324,21 @@ FN void decode_rows(Long first, Long last, const Picture& filtered, const Decodi
                 const F scale = scale_to_one<F>(square);
                 for (int c = 0; c < CHANNELS; c++) found[c] *= scale;
             }
-            if constexpr (CHANNELS == 3) store_triples<F>(out + 3 * x, found[0], found[1], found[2]);
+            if constexpr (CHANNELS == 3)
+                store_triples<F>(out + 3 * x, found[0], found[1], found[2]);
             else store<F>(out + x, found[0]);
         });
     }
 }
 
-static void decode_three(Long first, Long last, Picture filtered, Given<Decoding> by, NewPicture plane) {
+static void decode_three(Long first, Long last, Picture filtered, Given<Decoding> by,
+                         NewPicture plane) {
     decode_rows<3>(first, last, filtered, *by, plane);
 }
 EXPORT_ALONE(denoise_decode, decode_three)
 
-static void decode_one(Long first, Long last, Picture filtered, Given<Decoding> by, NewPicture plane) {
+static void decode_one(Long first, Long last, Picture filtered, Given<Decoding> by,
+                       NewPicture plane) {
     decode_rows<1>(first, last, filtered, *by, plane);
 }
 EXPORT_ALONE(denoise_decode_one, decode_one)

@@ -1,28 +1,31 @@
-// Reflectance of a part that has another one than the picture: diffuse_albedo and specular_albedo (h, w, 3), part_rows
-// (th,), part_columns (tw,) -> factor (th, tw, 3).
-extern "C" __global__ void denoise_reflectance(View diffuse_albedo, View specular_albedo, View part_rows,
-                                               View part_columns, View factor) {
+// Reflectance of a part that has another one than the picture: diffuse_albedo and specular_albedo
+// (h, w, 3), part_rows (th,), part_columns (tw,) -> factor (th, tw, 3).
+extern "C" __global__ void denoise_reflectance(View diffuse_albedo, View specular_albedo,
+                                               View part_rows, View part_columns, View factor) {
     const int width = factor.size[1];
     PIXEL(width, factor.size[0]);
-    const Colour found = demodulation(diffuse_albedo, specular_albedo, int(part_rows.at[y]), int(part_columns.at[x]));
+    const Colour found = demodulation(diffuse_albedo, specular_albedo, int(part_rows.at[y]),
+                                      int(part_columns.at[x]));
     float* const to = factor.at + 3 * (size_t(y) * width + x);
     to[0] = found.r;
     to[1] = found.g;
     to[2] = found.b;
 }
 
-// Running mean of a part of the picture by the picture's weights: part (h, w, 3), coding (3,), factor (th, tw, 3),
-// past (th, tw, 4), moved (th, tw, 2), last_part (h, w, 3), fine (1, 80, hp, wp), window (8,)
-// -> next_part (th, tw, 3), part_level (3, hp, wp).
-__device__ inline float recalled(const float* last, const size_t (&from)[4], int c, float tx, float ty) {
+// Running mean of a part of the picture by the picture's weights: part (h, w, 3), coding (3,),
+// factor (th, tw, 3), past (th, tw, 4), moved (th, tw, 2), last_part (h, w, 3), fine (1, 80, hp,
+// wp), window (8,) -> next_part (th, tw, 3), part_level (3, hp, wp).
+__device__ inline float recalled(const float* last, const size_t (&from)[4], int c, float tx,
+                                 float ty) {
     const float top = last[from[0] + c] + (last[from[1] + c] - last[from[0] + c]) * tx;
     const float bottom = last[from[2] + c] + (last[from[3] + c] - last[from[2] + c]) * tx;
     return top + (bottom - top) * ty;
 }
 
 template <class Number>
-__device__ inline void accumulate_part(View part, View coding, View factor, View past, View moved, View last_part,
-                                       View fine, View window, View next_part, View part_level) {
+__device__ inline void accumulate_part(View part, View coding, View factor, View past, View moved,
+                                       View last_part, View fine, View window, View next_part,
+                                       View part_level) {
     const int height = part_level.size[1], width = part_level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -39,17 +42,20 @@ __device__ inline void accumulate_part(View part, View coding, View factor, View
     }
     const float* const divisor = factor.at + 3 * pixel;
     const float count = past.at[4 * pixel + 3], share = 1.0f / (fmaxf(count, 0.0f) + 1.0f);
-    const float alpha = share + (1.0f - share) * as_float(numbers<Number>(fine)[DISTRUST * plane + here]);
+    const float alpha = share
+                        + (1.0f - share) * as_float(numbers<Number>(fine)[DISTRUST * plane + here]);
     const bool held = count > 0.0f;
     const float px = held ? fminf(fmaxf(u + moved.at[2 * pixel], 0.0f), float(w - 1)) : 0.0f;
     const float py = held ? fminf(fmaxf(v + moved.at[2 * pixel + 1], 0.0f), float(h - 1)) : 0.0f;
-    const int left = int(px), upper = int(py), right = min(left + 1, w - 1), lower = min(upper + 1, h - 1);
+    const int left = int(px), upper = int(py), right = min(left + 1, w - 1),
+              lower = min(upper + 1, h - 1);
     const size_t from[4] = {3 * (size_t(upper) * w + left), 3 * (size_t(upper) * w + right),
                             3 * (size_t(lower) * w + left), 3 * (size_t(lower) * w + right)};
     const float* const values = part.at + 3 * (size_t(v) * w + u);
     for (int c = 0; c < 3; c++) {
         const float value = clamped(values[c], -MAX_FLOAT, MAX_FLOAT);
-        const float now = fminf(fmaxf(value - coding.at[0], 0.0f) * coding.at[1] / divisor[c], coding.at[2]);
+        const float now = fminf(fmaxf(value - coding.at[0], 0.0f) * coding.at[1] / divisor[c],
+                                coding.at[2]);
         const float before = held ? recalled(last_part.at, from, c, px - left, py - upper) : now;
         const float mixed = held ? before + (now - before) * alpha : now;
         const float mean = mixed <= MAX_FLOAT ? mixed : now;
@@ -58,22 +64,25 @@ __device__ inline void accumulate_part(View part, View coding, View factor, View
     }
 }
 
-extern "C" __global__ void denoise_accumulate_part(View part, View coding, View factor, View past, View moved,
-                                                   View last_part, View fine, View window, View next_part,
-                                                   View part_level) {
-    accumulate_part<float>(part, coding, factor, past, moved, last_part, fine, window, next_part, part_level);
+extern "C" __global__ void denoise_accumulate_part(View part, View coding, View factor, View past,
+                                                   View moved, View last_part, View fine,
+                                                   View window, View next_part, View part_level) {
+    accumulate_part<float>(part, coding, factor, past, moved, last_part, fine, window, next_part,
+                           part_level);
 }
 
-extern "C" __global__ void denoise_accumulate_part_half(View part, View coding, View factor, View past, View moved,
-                                                        View last_part, View fine, View window, View next_part,
+extern "C" __global__ void denoise_accumulate_part_half(View part, View coding, View factor,
+                                                        View past, View moved, View last_part,
+                                                        View fine, View window, View next_part,
                                                         View part_level) {
-    accumulate_part<Half>(part, coding, factor, past, moved, last_part, fine, window, next_part, part_level);
+    accumulate_part<Half>(part, coding, factor, past, moved, last_part, fine, window, next_part,
+                          part_level);
 }
 
-// Parts as parts of the picture: parts (n, H, W, 3), reached (n, h, w) or (n, 1, 1), whole and picture (H, W, 3),
-// complete (1,) -> balanced (n, H, W, 3).
-extern "C" __global__ void denoise_balance(View parts, View reached, View whole, View picture, View complete,
-                                           View balanced) {
+// Parts as parts of the picture: parts (n, H, W, 3), reached (n, h, w) or (n, 1, 1), whole and
+// picture (H, W, 3), complete (1,) -> balanced (n, H, W, 3).
+extern "C" __global__ void denoise_balance(View parts, View reached, View whole, View picture,
+                                           View complete, View balanced) {
     const int count = parts.size[0], height = parts.size[1], width = parts.size[2];
     PIXEL(width, height);
     const size_t stride = 3 * size_t(height) * width, pixel = 3 * (size_t(y) * width + x);
@@ -82,9 +91,11 @@ extern "C" __global__ void denoise_balance(View parts, View reached, View whole,
     const float* const cover = reached.at + size_t(y) * h / height * w + size_t(x) * w / width;
     for (int c = 0; c < 3; c++) {
         float total = 0.0f;
-        for (int k = 0; k < count; k++) total += parts.at[k * stride + pixel + c] * cover[size_t(k) * h * w];
+        for (int k = 0; k < count; k++)
+            total += parts.at[k * stride + pixel + c] * cover[size_t(k) * h * w];
         const float dark = alone ? fmaxf(DARKEST - total, 0.0f) : 0.0f;
-        const float light = alone ? total + count * dark : fmaxf(fmaxf(total, whole.at[pixel + c]), DARKEST);
+        const float light = alone ? total + count * dark
+                                  : fmaxf(fmaxf(total, whole.at[pixel + c]), DARKEST);
         const float ratio = beyond ? 1.0f : picture.at[pixel + c] / light;
         for (int k = 0; k < count; k++) {
             const size_t at = k * stride + pixel + c;
@@ -93,9 +104,11 @@ extern "C" __global__ void denoise_balance(View parts, View reached, View whole,
     }
 }
 
-// A plane from what was filtered: filtered (H, W, 3), decoding (5,): factor, shift, bounds, kind: vectors that get length 1
-// above 0, distances below 0, by their reciprocal and coverage -> plane (H, W, c).
-__device__ inline void decode(const View& filtered, const View& decoding, const View& plane, int y, int x) {
+// A plane from what was filtered: filtered (H, W, 3), decoding (5,): factor, shift, bounds, kind:
+// vectors that get length 1 above 0, distances below 0, by their reciprocal and coverage -> plane
+// (H, W, c).
+__device__ inline void decode(const View& filtered, const View& decoding, const View& plane, int y,
+                              int x) {
     const int channels = plane.size[2];
     const size_t pixel = size_t(y) * plane.size[1] + x;
     const float* const by = decoding.at;
@@ -103,7 +116,8 @@ __device__ inline void decode(const View& filtered, const View& decoding, const 
     if (by[4] < 0.0f) {
         for (int c = 0; c < channels; c++) {
             const float covered = filtered.at[3 * pixel + 1];
-            const float distance = fminf(fmaxf(covered / fmaxf(filtered.at[3 * pixel], DARKEST), by[2]), by[3]);
+            const float distance = fminf(
+                fmaxf(covered / fmaxf(filtered.at[3 * pixel], DARKEST), by[2]), by[3]);
             to[c] = covered >= 0.5f ? distance * by[0] : by[1];
         }
         return;

@@ -29,8 +29,9 @@ template <class F> FN F accumulated(F now, F before, F share) {
     return mixed <= MAX_FLOAT ? mixed : now;
 }
 
-// What a filtered value is multiplied by, what is added, and its bounds; above 0, `kind` is vectors, which get length
-// 1, below 0 distances, whose reciprocal and coverage were filtered: `shift` then stands for none.
+// What a filtered value is multiplied by, what is added, and its bounds; above 0, `kind` is
+// vectors, which get length 1, below 0 distances, whose reciprocal and coverage were filtered:
+// `shift` then stands for none.
 struct Decoding {
     float scale, shift, low, high, kind;
 };

@@ -5,7 +5,8 @@
 typedef View<const float, 3> Picture;
 typedef View<float, 3> NewPicture;
 
-// Harmonic mean depth of all hits, 1 without any. Sixteen sums are kept at every level, so that all give the same bits.
+// Harmonic mean depth of all hits, 1 without any. Sixteen sums are kept at every level, so that all
+// give the same bits.
 constexpr int SUMS = 16;
 typedef float Depths __attribute__((ext_vector_type(SUMS)));
 typedef double Sums __attribute__((ext_vector_type(SUMS)));
@@ -37,16 +38,19 @@ static void scale_rows(Long, Long, Picture depth, View<float, 1> scale) {
 }
 EXPORT(denoise_scale, scale_rows)
 
-// Motion of the nearest of 3x3 pixels that is clearly nearer, the first of equals; else the pixel's own.
-static Status dilate_rows(Long first, Long last, Picture motion, Picture depth, Places rows, Places columns,
-                          NewPicture moved) {
-    const Long h = depth.size[0], w = depth.size[1], left = Long(columns.at[0]), width = moved.size[1];
+// Motion of the nearest of 3x3 pixels that is clearly nearer, the first of equals; else the pixel's
+// own.
+static Status dilate_rows(Long first, Long last, Picture motion, Picture depth, Places rows,
+                          Places columns, NewPicture moved) {
+    const Long h = depth.size[0], w = depth.size[1], left = Long(columns.at[0]),
+               width = moved.size[1];
     const Long count = smaller<Long>(width, w - left), line = count + 2;
     const Long before = left > 0 ? 1 : 0, after = left + count < w ? 1 : 0;
     const Room<float> lines(3 * line);
     const Room<int> found(count);
     if (!lines || !found) return NO_MEMORY;
-    for (Long i = 0; i < 3 * line; i++) lines.at[i] = __builtin_inff();  // pixels beyond the picture are never nearer
+    // pixels beyond the picture are never nearer
+    for (Long i = 0; i < 3 * line; i++) lines.at[i] = __builtin_inff();
     for (Long row = first; row < last; row++) {
         const Long y = Long(rows.at[row]);
         for (int j = 0; j < 3; j++) {
@@ -70,7 +74,8 @@ static Status dilate_rows(Long first, Long last, Picture motion, Picture depth, 
         });
         const float* from = motion(y, left);
         float* out = moved(row);
-        for (Long x = 0; x < count; x++) __builtin_memcpy(out + 2 * x, from + 2 * (x + found.at[x]), 2 * sizeof(float));
+        for (Long x = 0; x < count; x++)
+            __builtin_memcpy(out + 2 * x, from + 2 * (x + found.at[x]), 2 * sizeof(float));
         across_once(0, 2 * count, PIXELS(auto one, Long i) {
             typedef decltype(one) F;
             store<F>(out + i, possible_motion<F>(load<F>(out + i)));
@@ -81,10 +86,10 @@ static Status dilate_rows(Long first, Long last, Picture motion, Picture depth, 
 }
 EXPORT(denoise_dilate, dilate_rows)
 
-// Mean reflectance of the frame's cells from the one before the part's first row and column on; the frame's first and
-// last cells repeat beyond it.
-static Status mean_rows(Long first, Long last, Picture diffuse, Picture specular, Places rows, Places columns,
-                        NewPicture means) {
+// Mean reflectance of the frame's cells from the one before the part's first row and column on; the
+// frame's first and last cells repeat beyond it.
+static Status mean_rows(Long first, Long last, Picture diffuse, Picture specular, Places rows,
+                        Places columns, NewPicture means) {
     const Long h = diffuse.size[0], w = diffuse.size[1], cells = means.size[1];
     const Long top = Long(rows.at[0]) / TRUST_CELL - 1, left = Long(columns.at[0]) / TRUST_CELL - 1;
     const Long down = (h - 1) / TRUST_CELL + 1, across_it = (w - 1) / TRUST_CELL + 1;
@@ -94,7 +99,8 @@ static Status mean_rows(Long first, Long last, Picture diffuse, Picture specular
     if (!room) return NO_MEMORY;
     float* const sums[3] = {room.at, room.at + (end - begin), room.at + 2 * (end - begin)};
     for (Long row = first; row < last; row++) {
-        const Long upper = clip(top + row, down) * TRUST_CELL, lower = smaller<Long>(upper + TRUST_CELL, h);
+        const Long upper = clip(top + row, down) * TRUST_CELL,
+                   lower = smaller<Long>(upper + TRUST_CELL, h);
         for (Long i = 0; i < 3 * (end - begin); i++) room.at[i] = 0.0f;
         for (Long y = upper; y < lower; y++) {
             const float *some = diffuse(y, begin), *others = specular(y, begin);
@@ -107,7 +113,8 @@ static Status mean_rows(Long first, Long last, Picture diffuse, Picture specular
             });
         }
         for (Long column = 0; column < cells; column++) {
-            const Long start = clip(left + column, across_it) * TRUST_CELL, stop = smaller<Long>(start + TRUST_CELL, w);
+            const Long start = clip(left + column, across_it) * TRUST_CELL,
+                       stop = smaller<Long>(start + TRUST_CELL, w);
             const float share = 1.0f / float((lower - upper) * (stop - start));
             for (int c = 0; c < 3; c++) {
                 float total = 0.0f;
@@ -120,8 +127,8 @@ static Status mean_rows(Long first, Long last, Picture diffuse, Picture specular
 }
 EXPORT(denoise_means, mean_rows)
 
-// Where a pixel of a side lies among the frame's cells: the two whose centres are around it, from a first one on, and
-// how far it is from the one before it.
+// Where a pixel of a side lies among the frame's cells: the two whose centres are around it, from a
+// first one on, and how far it is from the one before it.
 struct Between {
     int before, after;
     float share;
@@ -130,7 +137,8 @@ FN Between cells_around(Long at, Long size, Long first) {
     const Long last = (size - 1) / TRUST_CELL;
     const float place = within<float>((float(at) + 0.5f) / TRUST_CELL - 0.5f, 0.0f, float(last));
     const Long before = Long(place);
-    return {int(before - first), int(smaller<Long>(before + 1, last) - first), place - float(before)};
+    return {int(before - first), int(smaller<Long>(before + 1, last) - first),
+            place - float(before)};
 }
 
 // Mean reflectance around each pixel of a row, for planes that are doubted.
@@ -148,7 +156,9 @@ struct Surroundings {
             share.at[x] = at.share;
         }
     }
-    explicit operator bool() const { return bool(line) && bool(share) && bool(before) && bool(after); }
+    explicit operator bool() const {
+        return bool(line) && bool(share) && bool(before) && bool(after);
+    }
 
     // The means at a row of the frame, between two rows of cells.
     FN_MEMBER void find(const Picture& means, Long y, Long h, Long top) const {
@@ -156,7 +166,8 @@ struct Surroundings {
         const float *upper = means(at.before), *lower = means(at.after);
         for (Long i = 0; i < cells; i++) {
             for (int c = 0; c < 3; c++) {
-                line.at[c * cells + i] = upper[3 * i + c] + (lower[3 * i + c] - upper[3 * i + c]) * at.share;
+                line.at[c * cells + i] = upper[3 * i + c]
+                                         + (lower[3 * i + c] - upper[3 * i + c]) * at.share;
             }
         }
     }
@@ -172,12 +183,14 @@ FN void clear(float* row, Long from, Long to) {
     for (Long i = from; i < to; i++) row[i] = 0.0f;
 }
 
-// Running mean of colour without reflectance; the level has it and its importance, planar. A state of zeros is unknown.
-// It is so at the part's edges within the frame, because all pixels of the last output that are read around a known one
-// must be known, too. Of the fine head, the last channels are enough.
-static Status accumulate_rows(Long first, Long last, Picture colour, Picture diffuse, Picture specular, Picture means,
-                              Picture depth, Picture past, View<const float, 4> fine, Given<Params> params,
-                              Given<Window> window, NewPicture state, NewPicture next_depth, NewPicture level,
+// Running mean of colour without reflectance; the level has it and its importance, planar. A state
+// of zeros is unknown. It is so at the part's edges within the frame, because all pixels of the
+// last output that are read around a known one must be known, too. Of the fine head, the last
+// channels are enough.
+static Status accumulate_rows(Long first, Long last, Picture colour, Picture diffuse,
+                              Picture specular, Picture means, Picture depth, Picture past,
+                              View<const float, 4> fine, Given<Params> params, Given<Window> window,
+                              NewPicture state, NewPicture next_depth, NewPicture level,
                               NewPicture factor) {
     const Long h = colour.size[0], w = colour.size[1], th = past.size[0], tw = past.size[1];
     const Long top = Long(window->top), left = Long(window->left), skipped = FINE - fine.size[1];
@@ -196,7 +209,8 @@ static Status accumulate_rows(Long first, Long last, Picture colour, Picture dif
         if (held == 0) continue;
         const Long v = top + y;
         if (doubts) around.find(means, v, h, top);
-        const float *rgb = colour(v, left), *some = diffuse(v, left), *others = specular(v, left), *before = past(y);
+        const float *rgb = colour(v, left), *some = diffuse(v, left), *others = specular(v, left),
+                    *before = past(y);
         const float* z = depth(v, left);
         float *kept = state(y), *by = factor(y), *far = next_depth(y);
         const auto head = [&](int channel) { return fine(0, channel - skipped, y); };
@@ -225,8 +239,8 @@ static Status accumulate_rows(Long first, Long last, Picture colour, Picture dif
             store<F>(level(3, y) + x, found.importance);
             store<F>(far + x, load<F>(z + x));
             UNROLL for (int i = 0; i < STATE; i += 4) {
-                spread_four<STATE>(kept + STATE * x + i, found.state[i], found.state[i + 1], found.state[i + 2],
-                                   found.state[i + 3]);
+                spread_four<STATE>(kept + STATE * x + i, found.state[i], found.state[i + 1],
+                                   found.state[i + 2], found.state[i + 3]);
             }
         });
         if ((y == 0 && top > 0) || (y == th - 1 && under)) {

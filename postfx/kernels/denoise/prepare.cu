@@ -3,7 +3,8 @@ __device__ inline bool is_hit(float z) {
     return z > 0.0f && z < FARTHEST;
 }
 
-// Sum of 1 / z over four depths; a product of fractions needs one division, and 4 factors of 1e-6 to 1e9 stay normal.
+// Sum of 1 / z over four depths; a product of fractions needs one division, and 4 factors of 1e-6
+// to 1e9 stay normal.
 __device__ inline float nearness(const Four& depth) {
     const bool a = is_hit(depth.x), b = is_hit(depth.y), c = is_hit(depth.z), d = is_hit(depth.w);
     const float p = a ? fmaxf(depth.x, NEAREST) : 1.0f, q = b ? fmaxf(depth.y, NEAREST) : 1.0f;
@@ -17,7 +18,8 @@ __device__ inline int hits_of(const Four& depth) {
 }
 
 // Adds what the threads of a block have, in a fixed order; the first thread's are the sums.
-__device__ inline void sum_in_block(double (&near)[SUMMING], int (&hits)[SUMMING], double own_near, int own_hits) {
+__device__ inline void sum_in_block(double (&near)[SUMMING], int (&hits)[SUMMING], double own_near,
+                                    int own_hits) {
     const int thread = threadIdx.x;
     near[thread] = own_near;
     hits[thread] = own_hits;
@@ -30,11 +32,13 @@ __device__ inline void sum_in_block(double (&near)[SUMMING], int (&hits)[SUMMING
 }
 
 // Each block sums some of the pixels. The last one to end adds the blocks' sums, in their order.
-extern "C" __global__ void __launch_bounds__(SUMMING, 2) denoise_scale(View depth, View depth_scale, View between) {
+extern "C" __global__ void __launch_bounds__(SUMMING, 2)
+    denoise_scale(View depth, View depth_scale, View between) {
     __shared__ double near[SUMMING];
     __shared__ int hits[SUMMING];
     __shared__ bool is_last;
-    const int thread = threadIdx.x, block = blockIdx.y, first = block * SUMMING + thread, step = gridDim.y * SUMMING;
+    const int thread = threadIdx.x, block = blockIdx.y, first = block * SUMMING + thread,
+              step = gridDim.y * SUMMING;
     const int count = depth.size[0] * depth.size[1], fours = count / 4;
     double sum = 0.0;
     int seen = 0;
@@ -70,11 +74,11 @@ extern "C" __global__ void __launch_bounds__(SUMMING, 2) denoise_scale(View dept
     *ended = 0;
 }
 
-// Motion of a clearly nearer neighbour in 3x3, else its own: motion (h, w, 2), depth (h, w, 1), part_rows (th,),
-// part_columns (tw,) -> moved (th, tw, 2).
+// Motion of a clearly nearer neighbour in 3x3, else its own: motion (h, w, 2), depth (h, w, 1),
+// part_rows (th,), part_columns (tw,) -> moved (th, tw, 2).
 
-extern "C" __global__ void denoise_dilate(View motion, View depth, View part_rows, View part_columns,
-                                          View moved) {
+extern "C" __global__ void denoise_dilate(View motion, View depth, View part_rows,
+                                          View part_columns, View moved) {
     PIXEL(moved.size[1], moved.size[0]);
     const int height = depth.size[0], width = depth.size[1];
     const int v = int(part_rows.at[y]), u = int(part_columns.at[x]), here = v * width + u;
@@ -91,27 +95,33 @@ extern "C" __global__ void denoise_dilate(View motion, View depth, View part_row
         }
     }
     const Pair found = pair(motion, at);
-    pair(moved, size_t(y) * moved.size[1] + x) = {possible_motion(found.x), possible_motion(found.y)};
+    pair(moved, size_t(y) * moved.size[1] + x) = {possible_motion(found.x),
+                                                  possible_motion(found.y)};
 }
 
-// Mean reflectance in cells of 8x8 pixels of the frame, from the one before the part's first row and column on; the
-// frame's first and last cells repeat beyond it: diffuse_albedo and specular_albedo (h, w, 3), part_rows (th,),
-// part_columns (tw,) -> means (cells, cells, 3).
+// Mean reflectance in cells of 8x8 pixels of the frame, from the one before the part's first row
+// and column on; the frame's first and last cells repeat beyond it: diffuse_albedo and
+// specular_albedo (h, w, 3), part_rows (th,), part_columns (tw,) -> means (cells, cells, 3).
 // Eight neighbouring threads sum a column of a cell each; a block makes some cells of a row.
-extern "C" __global__ void __launch_bounds__(SUMMING, 2) denoise_means(View diffuse_albedo, View specular_albedo,
-                                                                    View part_rows, View part_columns, View means) {
+extern "C" __global__ void __launch_bounds__(SUMMING, 2)
+    denoise_means(View diffuse_albedo, View specular_albedo, View part_rows, View part_columns,
+                  View means) {
     const int h = diffuse_albedo.size[0], w = diffuse_albedo.size[1], cells = SUMMING / TRUST_CELL;
-    const int top = int(part_rows.at[0]) / TRUST_CELL - 1, left = int(part_columns.at[0]) / TRUST_CELL - 1;
+    const int top = int(part_rows.at[0]) / TRUST_CELL - 1,
+              left = int(part_columns.at[0]) / TRUST_CELL - 1;
     const int groups = (means.size[1] + cells - 1) / cells, all = groups * means.size[0];
     for (int group = blockIdx.y; group < all; group += gridDim.y) {
         const int y = group / groups, x = (group - y * groups) * cells + threadIdx.x / TRUST_CELL;
-        const int first = within(top + y, (h - 1) / TRUST_CELL + 1) * TRUST_CELL, end = min(first + TRUST_CELL, h);
-        const int start = within(left + x, (w - 1) / TRUST_CELL + 1) * TRUST_CELL, stop = min(start + TRUST_CELL, w);
+        const int first = within(top + y, (h - 1) / TRUST_CELL + 1) * TRUST_CELL,
+                  end = min(first + TRUST_CELL, h);
+        const int start = within(left + x, (w - 1) / TRUST_CELL + 1) * TRUST_CELL,
+                  stop = min(start + TRUST_CELL, w);
         const int u = start + threadIdx.x % TRUST_CELL;
         Colour sum = {0.0f, 0.0f, 0.0f};
 #pragma unroll
         for (int j = 0; j < TRUST_CELL; j++) {
-            const Colour own = demodulation(diffuse_albedo, specular_albedo, min(first + j, h - 1), min(u, w - 1));
+            const Colour own = demodulation(diffuse_albedo, specular_albedo, min(first + j, h - 1),
+                                            min(u, w - 1));
             if (first + j < end && u < stop) sum = {sum.r + own.r, sum.g + own.g, sum.b + own.b};
         }
         sum = {sum_of_eight(sum.r), sum_of_eight(sum.g), sum_of_eight(sum.b)};
@@ -124,8 +134,8 @@ extern "C" __global__ void __launch_bounds__(SUMMING, 2) denoise_means(View diff
     }
 }
 
-// Where a pixel of a side lies among the frame's cells: the two whose centres are around it, from the first of `means`
-// on, and how far it is from the one before it.
+// Where a pixel of a side lies among the frame's cells: the two whose centres are around it, from
+// the first of `means` on, and how far it is from the one before it.
 struct Between {
     int before, after;
     float share;
@@ -138,9 +148,10 @@ __device__ inline Between cells_around(int at, int size, int first) {
     return {before - first, min(before + 1, last) - first, place - before};
 }
 
-// Reflectance brought towards its mean around a pixel of the frame, as far as it is not trusted (1 to -1).
-__device__ inline Colour doubted(const Colour& own, const View& means, int v, int u, int h, int w, const Window& part,
-                                 float trust) {
+// Reflectance brought towards its mean around a pixel of the frame, as far as it is not trusted (1
+// to -1).
+__device__ inline Colour doubted(const Colour& own, const View& means, int v, int u, int h, int w,
+                                 const Window& part, float trust) {
     const Between down = cells_around(v, h, part.top / TRUST_CELL - 1);
     const Between across = cells_around(u, w, part.left / TRUST_CELL - 1);
     const float *const above = means.at + 3 * down.before * means.size[1];
@@ -154,27 +165,32 @@ __device__ inline Colour doubted(const Colour& own, const View& means, int v, in
         mean[c] = first + (second - first) * across.share;
     }
     const float share = 0.5f - 0.5f * trust;
-    const float doubt = share >= 0.0f && share <= 1.0f ? share : 0.0f;  // a broken answer doubts nothing
-    return {own.r - (own.r - mean[0]) * doubt, own.g - (own.g - mean[1]) * doubt, own.b - (own.b - mean[2]) * doubt};
+    // a broken answer doubts nothing
+    const float doubt = share >= 0.0f && share <= 1.0f ? share : 0.0f;
+    return {own.r - (own.r - mean[0]) * doubt, own.g - (own.g - mean[1]) * doubt,
+            own.b - (own.b - mean[2]) * doubt};
 }
 
-// Running mean of demodulated colour: colour, diffuse_albedo and specular_albedo (h, w, 3), means (cells, cells, 3), one
-// cell where planes are not doubted, depth (h, w, 1), past (th, tw, 4), fine (1, 80, hp, wp), params (4,), window (8,)
-// -> next_state (th, tw, 12), next_depth (th, tw, 1), level (4, hp, wp), which is the mean with its importance, and
-// factor (th, tw, 3), the reflectance. All are zero beyond the frame.
+// Running mean of demodulated colour: colour, diffuse_albedo and specular_albedo (h, w, 3), means
+// (cells, cells, 3), one cell where planes are not doubted, depth (h, w, 1), past (th, tw, 4), fine
+// (1, 80, hp, wp), params (4,), window (8,) -> next_state (th, tw, 12), next_depth (th, tw, 1),
+// level (4, hp, wp), which is the mean with its importance, and factor (th, tw, 3), the
+// reflectance. All are zero beyond the frame.
 __device__ inline float size_of(const Four& value) {
     return fabsf(value.x) + fabsf(value.y) + fabsf(value.z) + fabsf(value.w);
 }
 
 template <class Number>
 __device__ inline Four hidden_four(const Number* first, size_t plane) {
-    return {as_float(first[0]), as_float(first[plane]), as_float(first[2 * plane]), as_float(first[3 * plane])};
+    return {as_float(first[0]), as_float(first[plane]), as_float(first[2 * plane]),
+            as_float(first[3 * plane])};
 }
 
 template <class Number>
-__device__ inline void accumulate(View colour, View diffuse_albedo, View specular_albedo, View means, View depth,
-                                  View past, View fine, View params, View window, View next_state, View next_depth,
-                                  View level, View factor) {
+__device__ inline void accumulate(View colour, View diffuse_albedo, View specular_albedo,
+                                  View means, View depth, View past, View fine, View params,
+                                  View window, View next_state, View next_depth, View level,
+                                  View factor) {
     const int height = level.size[1], width = level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -195,14 +211,17 @@ __device__ inline void accumulate(View colour, View diffuse_albedo, View specula
     const float* rgb = colour.at + 3 * source;
     const Number* head = numbers<Number>(fine) + here;
     const float exposure = params.at[EXPOSURE], z = depth.at[source];
-    const float distrust = as_float(head[DISTRUST * plane]), importance = as_float(head[IMPORTANCE * plane]);
+    const float distrust = as_float(head[DISTRUST * plane]),
+                importance = as_float(head[IMPORTANCE * plane]);
     const Four before = four(past, pixel);
-    const Four hidden[2] = {hidden_four(head + MEMORY * plane, plane), hidden_four(head + (MEMORY + 4) * plane, plane)};
+    const Four hidden[2] = {hidden_four(head + MEMORY * plane, plane),
+                            hidden_four(head + (MEMORY + 4) * plane, plane)};
     Colour by = demodulation(diffuse_albedo, specular_albedo, part.top + y, part.left + x);
     if (means.size[0] > 1)
         by = doubted(by, means, part.top + y, part.left + x, colour.size[0], colour.size[1], part,
                      as_float(head[PLANE_TRUST * plane]));
-    const float share = 1.0f / (fmaxf(before.w, 0.0f) + 1.0f), alpha = share + (1.0f - share) * distrust;
+    const float share = 1.0f / (fmaxf(before.w, 0.0f) + 1.0f),
+                alpha = share + (1.0f - share) * distrust;
     const Colour light = light_without(rgb, by, exposure);
     const float r = light.r, g = light.g, b = light.b;
     const Four mean = {before.x + (r - before.x) * alpha, before.y + (g - before.y) * alpha,
@@ -229,16 +248,20 @@ __device__ inline void accumulate(View colour, View diffuse_albedo, View specula
     to[3 * plane] = whole ? importance : 1.0f;
 }
 
-extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, View specular_albedo, View means,
-                                              View depth, View past, View fine, View params, View window,
-                                              View next_state, View next_depth, View level, View factor) {
-    accumulate<float>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine, params, window, next_state,
-                      next_depth, level, factor);
+extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo,
+                                              View specular_albedo, View means, View depth,
+                                              View past, View fine, View params, View window,
+                                              View next_state, View next_depth, View level,
+                                              View factor) {
+    accumulate<float>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine, params,
+                      window, next_state, next_depth, level, factor);
 }
 
-extern "C" __global__ void denoise_accumulate_half(View colour, View diffuse_albedo, View specular_albedo, View means,
-                                                   View depth, View past, View fine, View params, View window,
-                                                   View next_state, View next_depth, View level, View factor) {
-    accumulate<Half>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine, params, window, next_state,
-                     next_depth, level, factor);
+extern "C" __global__ void denoise_accumulate_half(View colour, View diffuse_albedo,
+                                                   View specular_albedo, View means, View depth,
+                                                   View past, View fine, View params, View window,
+                                                   View next_state, View next_depth, View level,
+                                                   View factor) {
+    accumulate<Half>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine, params,
+                     window, next_state, next_depth, level, factor);
 }

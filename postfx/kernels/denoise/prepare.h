@@ -2,7 +2,8 @@
 #pragma once
 #include "window.h"
 
-constexpr float CLEARLY = 0.9f;        // share of a pixel's depth below which a neighbour is clearly nearer
+// share of a pixel's depth below which a neighbour is clearly nearer
+constexpr float CLEARLY = 0.9f;
 constexpr float MOST_MOTION = 1e5f;    // pixels a frame, more than a picture can have
 
 // Motion of a pixel; what no motion can be, such as NaN, becomes 0.
@@ -11,8 +12,8 @@ template <class F> FN F possible_motion(F value) {
     return value > -MOST_MOTION ? held : zero;
 }
 
-// Reflectance brought towards the mean around a pixel, as far as it is not trusted (1 to -1). A broken answer doubts
-// nothing.
+// Reflectance brought towards the mean around a pixel, as far as it is not trusted (1 to -1). A
+// broken answer doubts nothing.
 template <class F> FN F doubted(F own, F mean, F trust) {
     const F zero = F(0.0f), share = 0.5f - 0.5f * trust;
     const F known_share = share <= 1.0f ? share : zero;
@@ -23,7 +24,8 @@ template <class F> FN F doubted(F own, F mean, F trust) {
 template <class F> struct Light {
     F rgb[3];
 };
-template <class F> FN Light<F> light_of(const F (&colour)[3], const F (&reflectance)[3], float exposure) {
+template <class F> FN Light<F> light_of(const F (&colour)[3], const F (&reflectance)[3],
+                                        float exposure) {
     Light<F> light;
     F brightest = F(MAX_COLOUR);
     for (int c = 0; c < 3; c++) {
@@ -40,8 +42,8 @@ template <class F> struct Accumulated {
     F state[STATE], level[3], importance;
 };
 
-// A running mean of light; where it or the network's answer is broken, this frame's light alone, and nothing for the
-// next one.
+// A running mean of light; where it or the network's answer is broken, this frame's light alone,
+// and nothing for the next one.
 template <class F>
 FN Accumulated<F> accumulate(const Light<F>& light, const F (&past)[4], F distrust, F importance,
                              const F (&hidden)[HIDDEN]) {
@@ -58,7 +60,8 @@ FN Accumulated<F> accumulate(const Light<F>& light, const F (&past)[4], F distru
         found.state[c] = past[c] + (light.rgb[c] - past[c]) * alpha;
         total += size_of<F>(found.state[c]);
     }
-    for (int c = 0; c < 3; c++) found.level[c] = total <= MOST_STATE ? found.state[c] : light.rgb[c];
+    for (int c = 0; c < 3; c++)
+        found.level[c] = total <= MOST_STATE ? found.state[c] : light.rgb[c];
     found.importance = total <= MOST_STATE ? importance : one;
     for (int i = 0; i < STATE; i++) found.state[i] = total <= MOST_STATE ? found.state[i] : zero;
     return found;

@@ -6,7 +6,8 @@
 typedef View<const float, 3> Planes;
 typedef View<float, 3> NewPlanes;
 
-// Pooling: cells begin at given rows and columns of the finer level; pixels beyond it have no weight.
+// Pooling: cells begin at given rows and columns of the finer level; pixels beyond it have no
+// weight.
 
 FN bool is_beyond(const Planes& planes, Long y, Long x) {
     return y < 0 || y >= planes.size[1] || x < 0 || x >= planes.size[2];
@@ -39,8 +40,9 @@ FN void pool_cell(const Planes& finer, const Planes& weights, Long v, Long u, Ne
     store<F>(importance(0, y) + x, cell.importance);
 }
 
-static void pool_rows(Long first, Long last, Planes finer, Planes finer_importance, Places finer_rows,
-                      Places finer_columns, NewPlanes level, NewPlanes importance) {
+static void pool_rows(Long first, Long last, Planes finer, Planes finer_importance,
+                      Places finer_rows, Places finer_columns, NewPlanes level,
+                      NewPlanes importance) {
     const Long h = finer.size[1], w = finer.size[2], width = level.size[2];
     const Long left = Long(finer_columns.at[0]);
     const Long begin = left < 0 ? 1 : 0;
@@ -49,7 +51,8 @@ static void pool_rows(Long first, Long last, Planes finer, Planes finer_importan
         const Long row = Long(finer_rows.at[y]);
         const bool whole = row >= 0 && row + 1 < h && begin < end;
         const auto edge = [&](Long x) {
-            pool_cell<float, true>(finer, finer_importance, row, left + 2 * x, level, importance, y, x);
+            pool_cell<float, true>(finer, finer_importance, row, left + 2 * x, level, importance, y,
+                                   x);
         };
         if (whole) {
             across(begin, end, PIXELS(auto one, Long x) {
@@ -63,8 +66,8 @@ static void pool_rows(Long first, Long last, Planes finer, Planes finer_importan
 }
 EXPORT(denoise_pool, pool_rows)
 
-// All rows of a level; for each row and column, the row and column of the coarser level that it lies
-// in is given. Of the fine head, the last channels are enough.
+// All rows of a level; for each row and column, the row and column of the coarser level that it
+// lies in is given. Of the fine head, the last channels are enough.
 static void mix_rows(Long first, Long last, Planes coarse, Planes level, View<const float, 4> heads,
                      Places coarse_rows, Places coarse_columns, NewPlanes mixed) {
     const Long channels = heads.size[1], w = mixed.size[2];
@@ -81,7 +84,8 @@ static void mix_rows(Long first, Long last, Planes coarse, Planes level, View<co
                 store<F>(out + x, mixed_pixel<F>(each_twice<F>(below + (x + second) / 2),
                                                  load<F>(own + x), load<F>(shares + x)));
             };
-            const Long even = w > second ? w - (w - second) % WIDE : w;  // vectors begin with a cell
+            // vectors begin with a cell
+            const Long even = w > second ? w - (w - second) % WIDE : w;
             for (Long x = 0; x < second; x++) pixels(float(), x);
             for (Long x = second; x < even; x += WIDE) pixels(Wide(), x);
             for (Long x = even; x < w; x++) pixels(float(), x);
@@ -122,8 +126,8 @@ FN void filter_planes(const Planes& mixed, const float* weights, Long step, Long
     }
 }
 
-static void filter_rows(Long first, Long last, Planes mixed, View<const float, 4> heads, Places area,
-                        NewPlanes filtered) {
+static void filter_rows(Long first, Long last, Planes mixed, View<const float, 4> heads,
+                        Places area, NewPlanes filtered) {
     const Long step = heads.size[2] * heads.size[3];
     for (Long y = first; y < last; y++) {
         filter_planes(mixed, heads(0, 0, y), step, y, area, filtered);
@@ -150,8 +154,8 @@ static Status filter_codes_rows(Long first, Long last, Planes mixed, Codes codes
 }
 EXPORT(denoise_filter_codes, filter_codes_rows)
 
-// Filtered colour times reflectance: a border of repeated pixels lies around it, and rows and columns
-// of the part that lie beyond the frame repeat its last ones.
+// Filtered colour times reflectance: a border of repeated pixels lies around it, and rows and
+// columns of the part that lie beyond the frame repeat its last ones.
 
 ONCE void remodulate_planes(Long first, Long last, const Planes& filtered,
                             const View<const float, 3>& factor, const Places& part_rows,
@@ -184,8 +188,9 @@ static void remodulate_rows(Long first, Long last, Planes filtered, View<const f
 EXPORT(denoise_remodulate, remodulate_rows)
 
 // Filtered colour, then the same times reflectance.
-static void remodulate_both_rows(Long first, Long last, Planes filtered, View<const float, 3> factor,
-                                 Places part_rows, Places part_columns, NewPlanes both) {
+static void remodulate_both_rows(Long first, Long last, Planes filtered,
+                                 View<const float, 3> factor, Places part_rows, Places part_columns,
+                                 NewPlanes both) {
     remodulate_planes(first, last, filtered, factor, part_rows, part_columns, both, 0, false);
     remodulate_planes(first, last, filtered, factor, part_rows, part_columns, both, 3, true);
 }

@@ -9,12 +9,14 @@ struct Pool {
         total = 0.25f * (weights[0] + weights[1] + weights[2] + weights[3]);
     }
     __device__ float mean(const float (&values)[4]) const {
-        return 0.25f / fmaxf(total, LEAST_IMPORTANCE) * (weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
-                                         + weights[3] * values[3]);
+        return 0.25f / fmaxf(total, LEAST_IMPORTANCE)
+               * (weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
+                  + weights[3] * values[3]);
     }
 };
 
-// A cell whose first pixel is at (top, left) of a level, and where in a plane its pixels are. Those beyond have no weight.
+// A cell whose first pixel is at (top, left) of a level, and where in a plane its pixels are. Those
+// beyond have no weight.
 __device__ inline Pool pool_of(const View& importance, int top, int left, size_t (&there)[4]) {
     const int height = importance.size[1], width = importance.size[2];
     Pool found;
@@ -24,16 +26,18 @@ __device__ inline Pool pool_of(const View& importance, int top, int left, size_t
         there[i] = size_t(within(v, height)) * width + within(u, width);
         const bool held = v >= 0 && v < height && u >= 0 && u < width;
         const float weight = held ? importance.at[there[i]] : 0.0f;
-        found.weights[i] = held && weight < LEAST_IMPORTANCE ? LEAST_IMPORTANCE : weight;  // NaN stays
+        // NaN stays
+        found.weights[i] = held && weight < LEAST_IMPORTANCE ? LEAST_IMPORTANCE : weight;
     }
     found.weigh();
     return found;
 }
 
-// finer (planes, about 2 hp, about 2 wp), finer_importance (1, the same), rows (hp,) and columns (wp,) of them that cells
-// begin at, -1 before the first -> level (planes, hp, wp), importance (1, hp, wp).
-extern "C" __global__ void denoise_pool(View finer, View finer_importance, View rows, View columns, View level,
-                                        View importance) {
+// finer (planes, about 2 hp, about 2 wp), finer_importance (1, the same), rows (hp,) and columns
+// (wp,) of them that cells begin at, -1 before the first -> level (planes, hp, wp), importance (1,
+// hp, wp).
+extern "C" __global__ void denoise_pool(View finer, View finer_importance, View rows, View columns,
+                                        View level, View importance) {
     const int height = level.size[1], width = level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, fine = size_t(finer.size[1]) * finer.size[2];
@@ -42,19 +46,21 @@ extern "C" __global__ void denoise_pool(View finer, View finer_importance, View 
     const Pool pool = pool_of(finer_importance, int(rows.at[y]), int(columns.at[x]), there);
     for (int k = 0; k < level.size[0]; k++) {
         const float* const from = finer.at + k * fine;
-        level.at[k * plane + here] = pool.mean({from[there[0]], from[there[1]], from[there[2]], from[there[3]]});
+        level.at[k * plane + here] =
+            pool.mean({from[there[0]], from[there[1]], from[there[2]], from[there[3]]});
     }
     importance.at[here] = pool.total;
 }
 
-// All levels: finer (planes, hp, wp), finer_importance (1, hp, wp), firsts (8,), in which row of a finer level the first cell
-// begins, 0 or -1, then in which column -> four levels (planes, ...) and their importance (1, ...). A block makes 16x16 cells
-// of the first level and what lies above them.
+// All levels: finer (planes, hp, wp), finer_importance (1, hp, wp), firsts (8,), in which row of a
+// finer level the first cell begins, 0 or -1, then in which column -> four levels (planes, ...) and
+// their importance (1, ...). A block makes 16x16 cells of the first level and what lies above them.
 const int TREE = 16, LAST = 4;
 
 extern "C" __global__ void __launch_bounds__(BLOCK, 4)
-denoise_pools(View finer, View finer_importance, View firsts, View level1, View level2, View level3, View level4,
-              View importance1, View importance2, View importance3, View importance4) {
+    denoise_pools(View finer, View finer_importance, View firsts, View level1, View level2,
+                  View level3, View level4, View importance1, View importance2, View importance3,
+                  View importance4) {
     __shared__ float cells[LAST - 1][4][TREE][TREE];
     const View levels[LAST] = {level1, level2, level3, level4};
     const View totals[LAST] = {importance1, importance2, importance3, importance4};
@@ -77,7 +83,8 @@ denoise_pools(View finer, View finer_importance, View firsts, View level1, View 
             int top = first_row + TREE * (tree / wide), left = first_column + TREE * (tree % wide);
 #pragma unroll
             for (int level = 0; level < LAST; level++) {
-                const int side = TREE >> level, j = thread / side, i = thread % side, y = top + j, x = left + i;
+                const int side = TREE >> level, j = thread / side, i = thread % side, y = top + j,
+                          x = left + i;
                 const int height = levels[level].size[1], width = levels[level].size[2];
                 if (j < side) {
                     float found[4];
@@ -89,18 +96,21 @@ denoise_pools(View finer, View finer_importance, View firsts, View level1, View 
 #pragma unroll
                         for (int c = 0; c < 3; c++) {
                             const float* const from = finer.at + (k + min(c, planes - 1)) * plane;
-                            found[c] = pool.mean({from[there[0]], from[there[1]], from[there[2]], from[there[3]]});
+                            found[c] = pool.mean(
+                                {from[there[0]], from[there[1]], from[there[2]], from[there[3]]});
                         }
                         found[3] = pool.total;
                     } else {
                         const auto& from = cells[level - 1];
                         Pool pool;
-                        for (int n = 0; n < 4; n++) pool.weights[n] = from[3][2 * j + n / 2][2 * i + n % 2];
+                        for (int n = 0; n < 4; n++)
+                            pool.weights[n] = from[3][2 * j + n / 2][2 * i + n % 2];
                         pool.weigh();
 #pragma unroll
                         for (int c = 0; c < 3; c++)
                             found[c] = pool.mean({from[c][2 * j][2 * i], from[c][2 * j][2 * i + 1],
-                                                  from[c][2 * j + 1][2 * i], from[c][2 * j + 1][2 * i + 1]});
+                                                  from[c][2 * j + 1][2 * i],
+                                                  from[c][2 * j + 1][2 * i + 1]});
                         found[3] = pool.total;
                     }
                     if (y >= 0 && y < height && x >= 0 && x < width) {
@@ -133,49 +143,57 @@ struct Trusted {
     size_t here, below;
 };
 
-// coarse (planes, about hp / 2, about wp / 2), level (planes, hp, wp), heads (1, 26 or more, hp, wp), rows (hp,) and
-// columns (wp,) of coarse that pixels lie in.
+// coarse (planes, about hp / 2, about wp / 2), level (planes, hp, wp), heads (1, 26 or more, hp,
+// wp), rows (hp,) and columns (wp,) of coarse that pixels lie in.
 template <class Number>
-__device__ inline Trusted trusted_at(const View& coarse, const View& level, const View& heads, const View& rows,
-                                     const View& columns, int y, int x) {
+__device__ inline Trusted trusted_at(const View& coarse, const View& level, const View& heads,
+                                     const View& rows, const View& columns, int y, int x) {
     // The full head has the channel elsewhere than the short ones of the coarser levels.
-    const size_t channel = heads.size[1] > KERNEL + 1 ? MIX : KERNEL, here = size_t(y) * level.size[2] + x;
+    const size_t channel = heads.size[1] > KERNEL + 1 ? MIX : KERNEL,
+                 here = size_t(y) * level.size[2] + x;
     return {as_float(numbers<Number>(heads)[channel * level.size[1] * level.size[2] + here]), here,
             size_t(int(rows.at[y])) * coarse.size[2] + int(columns.at[x])};
 }
 
-__device__ inline float mixed_at(const View& coarse, const View& level, const Trusted& by, int plane) {
+__device__ inline float mixed_at(const View& coarse, const View& level, const Trusted& by,
+                                 int plane) {
     const float from = coarse.at[size_t(plane) * coarse.size[1] * coarse.size[2] + by.below];
-    return from + (level.at[size_t(plane) * level.size[1] * level.size[2] + by.here] - from) * by.own;
+    return from
+           + (level.at[size_t(plane) * level.size[1] * level.size[2] + by.here] - from) * by.own;
 }
 
 // The above -> mixed (planes, hp, wp).
 template <class Number>
-__device__ inline void mix(View coarse, View level, View heads, View rows, View columns, View mixed) {
+__device__ inline void mix(View coarse, View level, View heads, View rows, View columns,
+                           View mixed) {
     PIXEL(mixed.size[2], mixed.size[1]);
     const Trusted by = trusted_at<Number>(coarse, level, heads, rows, columns, y, x);
     for (int k = 0; k < mixed.size[0]; k++)
-        mixed.at[size_t(k) * mixed.size[1] * mixed.size[2] + by.here] = mixed_at(coarse, level, by, k);
+        mixed.at[size_t(k) * mixed.size[1] * mixed.size[2] + by.here] = mixed_at(coarse, level, by,
+                                                                                 k);
 }
 
-extern "C" __global__ void denoise_mix(View coarse, View level, View heads, View rows, View columns, View mixed) {
+extern "C" __global__ void denoise_mix(View coarse, View level, View heads, View rows, View columns,
+                                       View mixed) {
     mix<float>(coarse, level, heads, rows, columns, mixed);
 }
 
-extern "C" __global__ void denoise_mix_half(View coarse, View level, View heads, View rows, View columns, View mixed) {
+extern "C" __global__ void denoise_mix_half(View coarse, View level, View heads, View rows,
+                                            View columns, View mixed) {
     mix<Half>(coarse, level, heads, rows, columns, mixed);
 }
 
-// The 5x5 kernel of a level, which is mixed with the coarser one before, if it MIXES: as above, heads (1, 25 or more, hp,
-// wp), area (2,) -> filtered (planes, hp, wp), which `put` takes by threes. A block's pixels and two around them lie in
-// shared memory.
+// The 5x5 kernel of a level, which is mixed with the coarser one before, if it MIXES: as above,
+// heads (1, 25 or more, hp, wp), area (2,) -> filtered (planes, hp, wp), which `put` takes by
+// threes. A block's pixels and two around them lie in shared memory.
 const int WIDE = ACROSS + 2 * REACH, HIGH = DOWN + 2 * REACH;
 
 template <class Number, bool MIXES, class Put>
-__device__ inline void filter(const View& coarse, const View& level, const View& heads, const View& rows,
-                              const View& columns, const View& area, Put put) {
+__device__ inline void filter(const View& coarse, const View& level, const View& heads,
+                              const View& rows, const View& columns, const View& area, Put put) {
     __shared__ float tile[3][HIGH][WIDE];
-    const int height = level.size[1], width = level.size[2], bottom = int(area.at[0]), right = int(area.at[1]);
+    const int height = level.size[1], width = level.size[2], bottom = int(area.at[0]),
+              right = int(area.at[1]);
     const int top = blockIdx.y * DOWN, left = blockIdx.x * ACROSS;
     const int y = top + threadIdx.y, x = left + threadIdx.x;
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -196,10 +214,13 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
             const int n = first + threadIdx.y * ACROSS + threadIdx.x;
             if (n >= HIGH * WIDE) break;
             const int j = n / WIDE, i = n % WIDE, v = top + j - REACH, u = left + i - REACH;
-            const bool is_there = v >= 0 && v < height && u >= 0 && u < width, held = is_there && v < bottom && u < right;
+            const bool is_there = v >= 0 && v < height && u >= 0 && u < width,
+                       held = is_there && v < bottom && u < right;
             Trusted by = {0.0f, size_t(v) * width + u, 0};
-            if (MIXES && is_there) by = trusted_at<Number>(coarse, level, heads, rows, columns, v, u);
-            const float *own = level.at + k * plane + by.here, *below = coarse.at + k * coarse_plane + by.below;
+            if (MIXES && is_there)
+                by = trusted_at<Number>(coarse, level, heads, rows, columns, v, u);
+            const float *own = level.at + k * plane + by.here,
+                        *below = coarse.at + k * coarse_plane + by.below;
 #pragma unroll
             for (int c = 0; c < 3; c++) {
                 float value = 0.0f;
@@ -219,14 +240,18 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
         const auto add_taps = [&](bool all) {
 #pragma unroll
             for (int i = 0; i < SIDE * SIDE; i++) {  // taps beyond the picture do not count
-                const int j = threadIdx.y + i / SIDE, n = threadIdx.x + i % SIDE, v = top + j - REACH, u = left + n - REACH;
-                const bool counts = all || (y < bottom && x < right && v >= 0 && v < bottom && u >= 0 && u < right);
+                const int j = threadIdx.y + i / SIDE, n = threadIdx.x + i % SIDE,
+                          v = top + j - REACH, u = left + n - REACH;
+                const bool counts =
+                    all || (y < bottom && x < right && v >= 0 && v < bottom && u >= 0 && u < right);
                 const float weight = counts ? as_float(read[i]) : 0.0f;
                 total += weight;
                 add(sum, {tile[0][j][n], tile[1][j][n], tile[2][j][n]}, weight);
             }
         };
-        if (top >= REACH && top + DOWN + REACH <= bottom && left >= REACH && left + ACROSS + REACH <= right) add_taps(true);
+        if (top >= REACH && top + DOWN + REACH <= bottom && left >= REACH
+            && left + ACROSS + REACH <= right)
+            add_taps(true);
         else add_taps(false);
         const float share = over_one(total);
         put(k, second, y, x, Colour{sum.r * share, sum.g * share, sum.b * share});
@@ -234,8 +259,9 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
 }
 
 template <class Number, bool MIXES>
-__device__ inline void filter_level(const View& coarse, const View& level, const View& heads, const View& rows,
-                                    const View& columns, const View& area, const View& filtered) {
+__device__ inline void filter_level(const View& coarse, const View& level, const View& heads,
+                                    const View& rows, const View& columns, const View& area,
+                                    const View& filtered) {
     const size_t plane = size_t(filtered.size[1]) * filtered.size[2];
     filter<Number, MIXES>(coarse, level, heads, rows, columns, area,
                           [&](int k, int second, int y, int x, const Colour& light) {
@@ -246,63 +272,68 @@ __device__ inline void filter_level(const View& coarse, const View& level, const
     });
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter(View mixed, View heads, View area,
-                                                                      View filtered) {
+extern "C" __global__ void __launch_bounds__(BLOCK, 3)
+    denoise_filter(View mixed, View heads, View area, View filtered) {
     filter_level<float, false>({}, mixed, heads, {}, {}, area, filtered);
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_half(View mixed, View heads, View area,
-                                                                           View filtered) {
+extern "C" __global__ void __launch_bounds__(BLOCK, 3)
+    denoise_filter_half(View mixed, View heads, View area, View filtered) {
     filter_level<Half, false>({}, mixed, heads, {}, {}, area, filtered);
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_mixed(View coarse, View level, View heads,
-                                                                            View rows, View columns, View area,
-                                                                            View filtered) {
+extern "C" __global__ void __launch_bounds__(BLOCK, 3)
+    denoise_filter_mixed(View coarse, View level, View heads, View rows, View columns, View area,
+                         View filtered) {
     filter_level<float, true>(coarse, level, heads, rows, columns, area, filtered);
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_mixed_half(View coarse, View level, View heads,
-                                                                                 View rows, View columns, View area,
-                                                                                 View filtered) {
+extern "C" __global__ void __launch_bounds__(BLOCK, 3)
+    denoise_filter_mixed_half(View coarse, View level, View heads, View rows, View columns,
+                              View area, View filtered) {
     filter_level<Half, true>(coarse, level, heads, rows, columns, area, filtered);
 }
 
-// The finest level, then times reflectance, a border of repeated pixels around it: the same, factor (th, tw, 3) -> radiance
-// (3, th + 2, tw + 2). Pixels at an edge of the picture also write those beyond it.
+// The finest level, then times reflectance, a border of repeated pixels around it: the same, factor
+// (th, tw, 3) -> radiance (3, th + 2, tw + 2). Pixels at an edge of the picture also write those
+// beyond it.
 template <class Number>
-__device__ inline void filter_shaded(const View& coarse, const View& level, const View& heads, const View& rows,
-                                     const View& columns, const View& area, const View& factor, const View& radiance) {
+__device__ inline void filter_shaded(const View& coarse, const View& level, const View& heads,
+                                     const View& rows, const View& columns, const View& area,
+                                     const View& factor, const View& radiance) {
     const int bottom = int(area.at[0]) - 1, right = int(area.at[1]) - 1;
     const int width = radiance.size[2], last_row = radiance.size[1] - 1, last_column = width - 1;
     const size_t plane = size_t(radiance.size[1]) * width;
-    filter<Number, true>(coarse, level, heads, rows, columns, area, [&](int, int, int y, int x, const Colour& light) {
-        if (y > bottom || x > right) return;
-        const float* const by = factor.at + 3 * (size_t(y) * factor.size[1] + x);
-        const Colour shaded = {light.r * by[0], light.g * by[1], light.b * by[2]};
-        for (int v = y ? y + 1 : 0; v <= (y < bottom ? y + 1 : last_row); v++)
-            for (int u = x ? x + 1 : 0; u <= (x < right ? x + 1 : last_column); u++) {
-                float* const to = radiance.at + size_t(v) * width + u;
-                to[0] = shaded.r;
-                to[plane] = shaded.g;
-                to[2 * plane] = shaded.b;
-            }
-    });
+    filter<Number, true>(
+        coarse, level, heads, rows, columns, area,
+        [&](int, int, int y, int x, const Colour& light) {
+            if (y > bottom || x > right) return;
+            const float* const by = factor.at + 3 * (size_t(y) * factor.size[1] + x);
+            const Colour shaded = {light.r * by[0], light.g * by[1], light.b * by[2]};
+            for (int v = y ? y + 1 : 0; v <= (y < bottom ? y + 1 : last_row); v++)
+                for (int u = x ? x + 1 : 0; u <= (x < right ? x + 1 : last_column); u++) {
+                    float* const to = radiance.at + size_t(v) * width + u;
+                    to[0] = shaded.r;
+                    to[plane] = shaded.g;
+                    to[2 * plane] = shaded.b;
+                }
+        });
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_shaded(View coarse, View level, View heads,
-                                                                             View rows, View columns, View area,
-                                                                             View factor, View radiance) {
+extern "C" __global__ void __launch_bounds__(BLOCK, 3)
+    denoise_filter_shaded(View coarse, View level, View heads, View rows, View columns, View area,
+                          View factor, View radiance) {
     filter_shaded<float>(coarse, level, heads, rows, columns, area, factor, radiance);
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_shaded_half(View coarse, View level, View heads,
-                                                                                  View rows, View columns, View area,
-                                                                                  View factor, View radiance) {
+extern "C" __global__ void __launch_bounds__(BLOCK, 3)
+    denoise_filter_shaded_half(View coarse, View level, View heads, View rows, View columns,
+                               View area, View factor, View radiance) {
     filter_shaded<Half>(coarse, level, heads, rows, columns, area, factor, radiance);
 }
 
-// Filtered colour times reflectance, a border of repeated pixels around it; before that, in `BOTH`, the colour itself.
+// Filtered colour times reflectance, a border of repeated pixels around it; before that, in `BOTH`,
+// the colour itself.
 template <bool BOTH>
 __device__ inline void remodulate(const View& filtered, const View& factor, const View& part_rows,
                                   const View& part_columns, const View& radiance) {
@@ -310,7 +341,8 @@ __device__ inline void remodulate(const View& filtered, const View& factor, cons
     PIXEL(width, height);
     const int v = int(part_rows.at[within(y - 1, height - 2)]) - int(part_rows.at[0]);
     const int u = int(part_columns.at[within(x - 1, width - 2)]) - int(part_columns.at[0]);
-    const size_t from = size_t(filtered.size[1]) * filtered.size[2], there = size_t(v) * filtered.size[2] + u;
+    const size_t from = size_t(filtered.size[1]) * filtered.size[2],
+                 there = size_t(v) * filtered.size[2] + u;
     const float* const by = factor.at + 3 * (size_t(v) * factor.size[1] + u);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
 #pragma unroll
@@ -321,36 +353,41 @@ __device__ inline void remodulate(const View& filtered, const View& factor, cons
     }
 }
 
-// filtered (3, hp, wp), factor (th, tw, 3), part_rows (th,), part_columns (tw,) -> radiance (3, th + 2, tw + 2),
-// exposed linear.
-extern "C" __global__ void denoise_remodulate(View filtered, View factor, View part_rows, View part_columns,
-                                              View radiance) {
+// filtered (3, hp, wp), factor (th, tw, 3), part_rows (th,), part_columns (tw,) -> radiance (3,
+// th + 2, tw + 2), exposed linear.
+extern "C" __global__ void denoise_remodulate(View filtered, View factor, View part_rows,
+                                              View part_columns, View radiance) {
     remodulate<false>(filtered, factor, part_rows, part_columns, radiance);
 }
 
 // The same -> radiance (6, th + 2, tw + 2).
-extern "C" __global__ void denoise_remodulate_both(View filtered, View factor, View part_rows, View part_columns,
-                                                   View radiance) {
+extern "C" __global__ void denoise_remodulate_both(View filtered, View factor, View part_rows,
+                                                   View part_columns, View radiance) {
     remodulate<true>(filtered, factor, part_rows, part_columns, radiance);
 }
 
-// The means of samples as the finest level of what is filtered: next_samples (2 h, 2 w, 1), part_rows (th,), part_columns
-// (tw,), seen_rows (hp,), seen_columns (wp,) -> level (1, hp, wp), 0 beyond the part.
-extern "C" __global__ void denoise_alpha_level(View next_samples, View part_rows, View part_columns, View seen_rows,
-                                               View seen_columns, View level) {
+// The means of samples as the finest level of what is filtered: next_samples (2 h, 2 w, 1),
+// part_rows (th,), part_columns (tw,), seen_rows (hp,), seen_columns (wp,) -> level (1, hp, wp), 0
+// beyond the part.
+extern "C" __global__ void denoise_alpha_level(View next_samples, View part_rows, View part_columns,
+                                               View seen_rows, View seen_columns, View level) {
     const int width = level.size[2];
     PIXEL(width, level.size[1]);
     const bool held = y < part_rows.size[0] && x < part_columns.size[0];
-    level.at[size_t(y) * width + x] = held ? pixel_mean(next_samples, int(part_rows.at[y]), int(part_columns.at[x]),
-                                                        next_samples.size[1] / 2) : 0.0f;
+    level.at[size_t(y) * width + x] = held ? pixel_mean(next_samples, int(part_rows.at[y]),
+                                                        int(part_columns.at[x]),
+                                                        next_samples.size[1] / 2)
+                                           : 0.0f;
 }
 
-// Filtered alpha at output size, by the picture's weights of 3x3 pixels: filtered (1, hp, wp), fine (1, 80, hp, wp),
-// part_rows (th,), part_columns (tw,), params (4,), window (8,), near (cells, cells), out_rows (out_th,), out_columns
-// (out_tw,) -> enlarged (out_th, out_tw, 1). Where nothing is near, that of the pixel itself.
+// Filtered alpha at output size, by the picture's weights of 3x3 pixels: filtered (1, hp, wp), fine
+// (1, 80, hp, wp), part_rows (th,), part_columns (tw,), params (4,), window (8,), near (cells,
+// cells), out_rows (out_th,), out_columns (out_tw,) -> enlarged (out_th, out_tw, 1). Where nothing
+// is near, that of the pixel itself.
 template <class Number>
-__device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, View part_columns, View params, View window,
-                                     View near, View out_rows, View out_columns, View enlarged) {
+__device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, View part_columns,
+                                     View params, View window, View near, View out_rows,
+                                     View out_columns, View enlarged) {
     const int width = enlarged.size[1];
     PIXEL(width, enlarged.size[0]);
     const Window part = window_of(window);
@@ -363,9 +400,11 @@ __device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, V
         *to = clamped(filtered.at[size_t(row) * line + column], 0.0f, 1.0f);
         return;
     }
-    const float right = fminf(fmaxf(2.0f * u + 0.5f, 0.0f), 1.0f), lower = fminf(fmaxf(2.0f * v + 0.5f, 0.0f), 1.0f);
+    const float right = fminf(fmaxf(2.0f * u + 0.5f, 0.0f), 1.0f),
+                lower = fminf(fmaxf(2.0f * v + 0.5f, 0.0f), 1.0f);
     const bool at_corner = (right == 0.0f || right == 1.0f) && (lower == 0.0f || lower == 1.0f);
-    const size_t plane = size_t(fine.size[2]) * fine.size[3], corner = (2 * int(lower) + int(right)) * plane;
+    const size_t plane = size_t(fine.size[2]) * fine.size[3],
+                 corner = (2 * int(lower) + int(right)) * plane;
     const Number* const head = numbers<Number>(fine) + size_t(row) * fine.size[3] + column;
     float sum = 0.0f, total = TINY;
     for (int j = 0; j < 3; j++) {
@@ -374,7 +413,8 @@ __device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, V
         for (int i = 0; i < 3; i++) {
             const float prior = across * gauss(i - 1 + params.at[JITTER_X] - u);
             const Number* const tap = head + (TAP_WEIGHTS + 4 * (3 * j + i)) * plane;
-            const float own = at_corner ? as_float(tap[corner]) : between_corners(tap, plane, right, lower);
+            const float own = at_corner ? as_float(tap[corner])
+                                        : between_corners(tap, plane, right, lower);
             const float weight = own * prior;
             total += weight;
             sum += weight * from[within(column + i - 1, w)];
@@ -383,14 +423,18 @@ __device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, V
     *to = clamped(sum / total, 0.0f, 1.0f);
 }
 
-extern "C" __global__ void denoise_enlarge_alpha(View filtered, View fine, View part_rows, View part_columns,
-                                                 View params, View window, View near, View out_rows,
-                                                 View out_columns, View enlarged) {
-    enlarge_alpha<float>(filtered, fine, part_rows, part_columns, params, window, near, out_rows, out_columns, enlarged);
+extern "C" __global__ void denoise_enlarge_alpha(View filtered, View fine, View part_rows,
+                                                 View part_columns, View params, View window,
+                                                 View near, View out_rows, View out_columns,
+                                                 View enlarged) {
+    enlarge_alpha<float>(filtered, fine, part_rows, part_columns, params, window, near, out_rows,
+                         out_columns, enlarged);
 }
 
-extern "C" __global__ void denoise_enlarge_alpha_half(View filtered, View fine, View part_rows, View part_columns,
-                                                      View params, View window, View near, View out_rows,
-                                                      View out_columns, View enlarged) {
-    enlarge_alpha<Half>(filtered, fine, part_rows, part_columns, params, window, near, out_rows, out_columns, enlarged);
+extern "C" __global__ void denoise_enlarge_alpha_half(View filtered, View fine, View part_rows,
+                                                      View part_columns, View params, View window,
+                                                      View near, View out_rows, View out_columns,
+                                                      View enlarged) {
+    enlarge_alpha<Half>(filtered, fine, part_rows, part_columns, params, window, near, out_rows,
+                        out_columns, enlarged);
 }

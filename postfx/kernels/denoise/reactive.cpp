@@ -11,13 +11,13 @@ template <class F> FN F shown(F light, float exposure) {
     return root_of(held / (1.0f + held));
 }
 
-// The mask of what is in front of opaque things: the largest channel's difference of the two colours as seen, times the
-// scale, at most 1; 0 below the threshold.
+// The mask of what is in front of opaque things: the largest channel's difference of the two
+// colours as seen, times the scale, at most 1; 0 below the threshold.
 struct Difference {
     float exposure, scale, threshold;
 };
-static void reactive_rows(Long first, Long last, Picture colour, Picture opaque, Given<Difference> difference,
-                          NewPicture reactive) {
+static void reactive_rows(Long first, Long last, Picture colour, Picture opaque,
+                          Given<Difference> difference, NewPicture reactive) {
     for (Long y = first; y < last; y++) {
         const float *all = colour(y), *behind = opaque(y);
         float* out = reactive(y);
@@ -63,8 +63,8 @@ static Status spread_rows(Long first, Long last, Picture reactive, NewPicture ne
 EXPORT(denoise_spread, spread_rows)
 
 // How much of the history each pixel of a part uses.
-static Status keep_rows(Long first, Long last, Picture reactive, Picture last_reactive, Picture moved, Places rows,
-                        Places columns, NewPicture keep) {
+static Status keep_rows(Long first, Long last, Picture reactive, Picture last_reactive,
+                        Picture moved, Places rows, Places columns, NewPicture keep) {
     const float bottom = float(reactive.size[0] - 1), right = float(reactive.size[1] - 1);
     const int w = int(reactive.size[1]);
     const Long width = keep.size[1];
@@ -79,7 +79,8 @@ static Status keep_rows(Long first, Long last, Picture reactive, Picture last_re
             typedef decltype(one) F;
             const F px = nearest_of(load<F>(columns.at + x) + pick<F, 2>(motion + 2 * x));
             const F py = nearest_of(y + pick<F, 2>(motion + 2 * x + 1));
-            store_int<F>(from.at + x, whole(within<F>(py, 0.0f, bottom)) * w + whole(within<F>(px, 0.0f, right)));
+            store_int<F>(from.at + x, whole(within<F>(py, 0.0f, bottom)) * w
+                                          + whole(within<F>(px, 0.0f, right)));
             const F now = within<F>(gather<F>(own, here.at + x), 0.0f, 1.0f);
             store<F>(out + x, 1.0f - larger<F>(gather<F>(last_reactive.at, from.at + x), now));
         });
@@ -88,16 +89,17 @@ static Status keep_rows(Long first, Long last, Picture reactive, Picture last_re
 }
 EXPORT(denoise_keep, keep_rows)
 
-// A state at another render size: bilinear, edge repeated, and depth of the nearest pixel. Pixels whose count is 0 are
-// unknown and have no weight. Where they would have half of it, the result is unknown.
+// A state at another render size: bilinear, edge repeated, and depth of the nearest pixel. Pixels
+// whose count is 0 are unknown and have no weight. Where they would have half of it, the result is
+// unknown.
 typedef float Eight __attribute__((ext_vector_type(8)));
 template <class Vector> FN Vector load_state(const float* at) {
     Vector x;
     __builtin_memcpy(&x, at, sizeof x);
     return x;
 }
-static void resize_rows(Long first, Long last, Picture state, Picture last_depth, Places rows, Places columns,
-                        NewPicture resized, NewPicture resized_depth) {
+static void resize_rows(Long first, Long last, Picture state, Picture last_depth, Places rows,
+                        Places columns, NewPicture resized, NewPicture resized_depth) {
     const Long h = state.size[0], w = state.size[1];
     for (Long y = first; y < last; y++) {
         const float top = floor_of(rows.at[y]), ty = rows.at[y] - top;
@@ -106,8 +108,10 @@ static void resize_rows(Long first, Long last, Picture state, Picture last_depth
         for (Long x = 0; x < resized.size[1]; x++) {
             const float left = floor_of(columns.at[x]), tx = columns.at[x] - left;
             const Long here = STATE * clip(Long(left), w), beside = STATE * clip(Long(left) + 1, w);
-            const float* const from[4] = {upper + here, upper + beside, lower + here, lower + beside};
-            float share[4] = {(1.0f - ty) * (1.0f - tx), (1.0f - ty) * tx, ty * (1.0f - tx), ty * tx};
+            const float* const from[4] = {upper + here, upper + beside, lower + here,
+                                          lower + beside};
+            float share[4] = {(1.0f - ty) * (1.0f - tx), (1.0f - ty) * tx, ty * (1.0f - tx),
+                              ty * tx};
             float total = 0.0f;
             for (int i = 0; i < 4; i++) {
                 share[i] = from[i][3] > 0.0f ? share[i] : 0.0f;

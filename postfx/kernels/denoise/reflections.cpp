@@ -1,12 +1,13 @@
 // Motion of what smooth surfaces reflect, pixel by pixel: few are smooth.
 #include "reflections.h"
 
-static void reflection_rows(Long first, Long last, Picture motion, Picture depth, Picture normal, Picture roughness,
-                            Picture diffuse, Picture specular, Picture hit_distance, Given<Camera> camera,
-                            View<float, 3> reflected) {
+static void reflection_rows(Long first, Long last, Picture motion, Picture depth, Picture normal,
+                            Picture roughness, Picture diffuse, Picture specular,
+                            Picture hit_distance, Given<Camera> camera, View<float, 3> reflected) {
     const Surfaces surfaces = {depth, normal, hit_distance, *camera};
     for (Long y = first; y < last; y++) {
-        const float *from = motion(y), *hit = hit_distance(y), *far = depth(y), *rough = roughness(y);
+        const float *from = motion(y), *hit = hit_distance(y), *far = depth(y),
+                    *rough = roughness(y);
         const float *some = diffuse(y), *others = specular(y);
         float* out = reflected(y);
         across(0, 2 * depth.size[1], PIXELS(auto one, Long i) {
@@ -19,8 +20,11 @@ static void reflection_rows(Long first, Long last, Picture motion, Picture depth
             if (!reflects(some + 3 * x, others + 3 * x, rough[x])) continue;
             const Vector ray = surfaces.ray(y, x), still = camera->motion(ray, 1.0f / z);
             const float own_x = out[2 * x], own_y = out[2 * x + 1];
-            const float most = STILL + PART * larger<float>(size_of<float>(own_x), size_of<float>(own_y));
-            if (!(size_of<float>(still.x - own_x) <= most && size_of<float>(still.y - own_y) <= most)) continue;
+            const float most = STILL
+                               + PART * larger<float>(size_of<float>(own_x), size_of<float>(own_y));
+            if (!(size_of<float>(still.x - own_x) <= most
+                  && size_of<float>(still.y - own_y) <= most))
+                continue;
             const float bend = surfaces.curvature(y, x), mean = surfaces.inverse_distance(y, x);
             if (bend < 0.0f || mean < 0.0f) continue;
             const float smooth = 1.0f - within<float>(rough[x], 0.0f, 1.0f);

@@ -8,7 +8,8 @@ typedef View<const float, 3> Picture;
 constexpr float ROUGHEST = 0.3f;  // up to which a surface shows an image that is worth following
 constexpr float STEP = 0.1f;      // most relative difference in depth of neighbours on one surface
 constexpr float BEND = 0.9f;      // least cosine between their normals
-constexpr float STILL = 0.25f;    // pixels, and share of the motion, by which the motion of a surface at rest
+// pixels, and share of the motion, by which the motion of a surface at rest
+constexpr float STILL = 0.25f;
 constexpr float PART = 0.05f;     // may differ from the camera's
 
 struct Vector {
@@ -18,16 +19,19 @@ FN Vector operator-(Vector a, Vector b) { return {a.x - b.x, a.y - b.y, a.z - b.
 FN Vector operator*(Vector a, float by) { return {a.x * by, a.y * by, a.z * by}; }
 FN float dot(Vector a, Vector b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 
-// Focal length now and then, jitter, the turn and shift from now to then, and the axes of the world now.
+// Focal length now and then, jitter, the turn and shift from now to then, and the axes of the world
+// now.
 struct Camera {
     float focal_x, focal_y, then_x, then_y, jitter_x, jitter_y;
     Vector turn[3], shift, world[3];
 
     Vector to_world(Vector v) const {
-        return {dot(v, {world[0].x, world[1].x, world[2].x}), dot(v, {world[0].y, world[1].y, world[2].y}),
+        return {dot(v, {world[0].x, world[1].x, world[2].x}),
+                dot(v, {world[0].y, world[1].y, world[2].y}),
                 dot(v, {world[0].z, world[1].z, world[2].z})};
     }
-    // Motion of a point at rest on a ray, at 1 / nearness along the view axis, and its z then over that now.
+    // Motion of a point at rest on a ray, at 1 / nearness along the view axis, and its z then over
+    // that now.
     Vector motion(Vector ray, float nearness) const {
         const float x = ray.x * turn[0].x + ray.y * turn[1].x + turn[2].x + shift.x * nearness;
         const float y = ray.x * turn[0].y + ray.y * turn[1].y + turn[2].y + shift.y * nearness;
@@ -47,7 +51,8 @@ struct Surfaces {
     // Direction through a pixel's sample, 1 along the view axis.
     Vector ray(Long y, Long x) const {
         return {(float(x) + 0.5f + camera.jitter_x - 0.5f * float(width())) / camera.focal_x,
-                (float(y) + 0.5f + camera.jitter_y - 0.5f * float(height())) / camera.focal_y, 1.0f};
+                (float(y) + 0.5f + camera.jitter_y - 0.5f * float(height())) / camera.focal_y,
+                1.0f};
     }
     // The normal with length 1; zero if it has none.
     Vector unit(Long y, Long x) const {
@@ -56,7 +61,8 @@ struct Surfaces {
         const float length = root_of(dot(found, found));
         return found * (length > 0.1f ? 1.0f / length : 0.0f);
     }
-    // Mean of one over the hit distance, over the 3x3 pixels of about the same depth that have one; -1 without any.
+    // Mean of one over the hit distance, over the 3x3 pixels of about the same depth that have one;
+    // -1 without any.
     float inverse_distance(Long y, Long x) const {
         const float z = *depth(y, x);
         float total = 0.0f;
@@ -80,10 +86,12 @@ struct Surfaces {
             Vector place[2], facing[2];
             for (int side = 0; side < 2; side++) {
                 const Long step = 2 * side - 1;
-                const Long j = clip(y + step * (1 - axis), height()), i = clip(x + step * axis, width());
+                const Long j = clip(y + step * (1 - axis), height()),
+                           i = clip(x + step * axis, width());
                 const float there = *depth(j, i);
                 facing[side] = unit(j, i);
-                if (!(size_of<float>(there - z) <= STEP * z && dot(facing[side], here) >= BEND)) return -1.0f;
+                if (!(size_of<float>(there - z) <= STEP * z && dot(facing[side], here) >= BEND))
+                    return -1.0f;
                 place[side] = ray(j, i) * there;
             }
             const Vector along = place[1] - place[0];

@@ -2,12 +2,14 @@
 #pragma once
 #include "../rows.h"
 
-constexpr int WORD = 4;  // codes that are put together as one whole number, the first in its lowest bits
+// codes that are put together as one whole number, the first in its lowest bits
+constexpr int WORD = 4;
 
 // Each channel's factor and its code of zero.
 typedef View<const float, 2> CodingOf;
 
-// NaN gets the code of zero. The product is rounded before the sum, as the portable definition does.
+// NaN gets the code of zero. The product is rounded before the sum, as the portable definition
+// does.
 template <class F> FN typename Of<F>::Int code_of(F value, float scale, float zero) {
     _Pragma("clang fp contract(off)");
     return whole(within<F>(known<F>(value) * scale + zero + 0.5f, 0.0f, 255.0f));
@@ -29,11 +31,12 @@ FN void store_zeros(const CodingOf& coding, Long count, int* pixels) {
 
 // Words of one to four planes of a row, which lie a step apart; codes of zero stand in `nothing`.
 template <int PLANES>
-FN void store_word(const float* planes, Long step, const float* scales, const float* zeros, int nothing, Long count,
-                   int* to) {
+FN void store_word(const float* planes, Long step, const float* scales, const float* zeros,
+                   int nothing, Long count, int* to) {
     across(0, count, PIXELS(auto one, Long x) {
         typedef decltype(one) F;
-        typename Of<F>::Int word = typename Of<F>::Int(PLANES < WORD ? nothing & -1 << 8 * PLANES : 0);
+        typename Of<F>::Int word = typename Of<F>::Int(PLANES < WORD ? nothing & -1 << 8 * PLANES
+                                                                     : 0);
         UNROLL for (int i = 0; i < PLANES; i++) {
             word |= code_of<F>(load<F>(planes + i * step + x), scales[i], zeros[i]) << 8 * i;
         }
@@ -49,14 +52,15 @@ template <int WORDS> FN void turn_words(const int* turned, Long words, Long coun
     }
 }
 
-// Codes of a row of planes, which lie a step apart; further channels get codes of zero. `turned` has room for a word of
-// each pixel's channels.
-FN void store_codes(const float* planes, Long step, Long channels, const CodingOf& coding, Long count,
-                    int* turned, int* pixels) {
+// Codes of a row of planes, which lie a step apart; further channels get codes of zero. `turned`
+// has room for a word of each pixel's channels.
+FN void store_codes(const float* planes, Long step, Long channels, const CodingOf& coding,
+                    Long count, int* turned, int* pixels) {
     const Long words = coding.size[1] / WORD;
     for (Long k = 0; k < words; k++) {
         const Long first = WORD * k, left = channels - first;
-        const float *from = planes + first * step, *scales = coding(0) + first, *zeros = coding(1) + first;
+        const float *from = planes + first * step, *scales = coding(0) + first,
+                    *zeros = coding(1) + first;
         const int nothing = zero_word(coding, first);
         int* to = turned + k * count;
         if (left >= 4) store_word<4>(from, step, scales, zeros, nothing, count, to);

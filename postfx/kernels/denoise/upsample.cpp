@@ -1,5 +1,5 @@
-// Rows of the enlargement. Its six kernels differ in where the head comes from and in what reflectance
-// radiance is multiplied by.
+// Rows of the enlargement. Its six kernels differ in where the head comes from and in what
+// reflectance radiance is multiplied by.
 #include "upsample_rows.h"
 #include "fine_codes.h"
 #include "tints.h"
@@ -23,7 +23,8 @@ struct Heads {
     Room<float> made;
     mutable Long pair = -1;
 
-    explicit Heads(const FineHead& fine) : fine(fine), codes(), factors(), scaling(), turned(0), made(0) {}
+    explicit Heads(const FineHead& fine)
+        : fine(fine), codes(), factors(), scaling(), turned(0), made(0) {}
     Heads(const Codes& codes, const Factors& factors, const Scaling& scaling)
         : fine(), codes(codes), factors(factors), scaling(scaling), turned(room_for(codes)),
           made(MIX * 4 * codes.size[2]) {}
@@ -48,7 +49,8 @@ FN float place_of(Place at, Long size) {
 }
 
 // How far each pixel of a row of the output trusts the guides, linear between cells.
-static void fill_trust(const Picture& cells, float place, const float* places, Long width, float* out) {
+static void fill_trust(const Picture& cells, float place, const float* places, Long width,
+                       float* out) {
     const Long upper = Long(place), lower = clip(upper + 1, cells.size[0]);
     const float share = place - float(upper);
     for (Long x = 0; x < width; x++) {
@@ -61,7 +63,8 @@ static void fill_trust(const Picture& cells, float place, const float* places, L
     }
 }
 
-// The guides' reflectance in a row of the output, planar; beyond the frame the last one is repeated.
+// The guides' reflectance in a row of the output, planar; beyond the frame the last one is
+// repeated.
 static void fill_guides(const Guides& guides, Long y, Long left, const Rooms& rooms) {
     const Long held = smaller<Long>(rooms.width, guides.diffuse.size[1] - left);
     const float *some = guides.diffuse(y, left), *others = guides.specular(y, left);
@@ -120,7 +123,8 @@ FN void row_anywhere(const Row& row, const Distances& distances, float lower, co
     });
 }
 
-FN void blend_row(const Rooms& rooms, const float* warped, float darken, float* history, float* output) {
+FN void blend_row(const Rooms& rooms, const float* warped, float darken, float* history,
+                  float* output) {
     across(0, rooms.width, PIXELS(auto one, Long x) {
         typedef decltype(one) F;
         const F trust = load<F>(rooms.trust() + x);
@@ -129,13 +133,13 @@ FN void blend_row(const Rooms& rooms, const float* warped, float darken, float* 
             kept[c] = blended<F>(load<F>(rooms.rgb(c) + x), pick<F, 3>(warped + 3 * x + c), trust);
         }
         store_triples<F>(history + 3 * x, kept[0], kept[1], kept[2]);
-        store_triples<F>(output + 3 * x, expm1_of<F>(kept[0]) * darken, expm1_of<F>(kept[1]) * darken,
-                         expm1_of<F>(kept[2]) * darken);
+        store_triples<F>(output + 3 * x, expm1_of<F>(kept[0]) * darken,
+                         expm1_of<F>(kept[1]) * darken, expm1_of<F>(kept[2]) * darken);
     });
 }
 
-// Any of the kernels: fill(y, at) makes the guides of a row. Where it is the render pixels' OWN, the
-// output has the render's size, and a compiler need not make the other ways.
+// Any of the kernels: fill(y, at) makes the guides of a row. Where it is the render pixels' OWN,
+// the output has the render's size, and a compiler need not make the other ways.
 template <Reflectance BY, class Fill>
 FN Status upsample_rows(Long first, Long last, const Upsample& given, const Heads& heads,
                         const Rooms& rooms, const Fill& fill) {
@@ -161,7 +165,8 @@ FN Status upsample_rows(Long first, Long last, const Upsample& given, const Head
         } else if constexpr (BY != OWN) {
             row_anywhere<BY>(row, down, lean_of(at.offset), rooms);
         }
-        blend_row(rooms, given.warped(n), 1.0f / given.params.exposure, given.history(n), given.output(n));
+        blend_row(rooms, given.warped(n), 1.0f / given.params.exposure, given.history(n),
+                  given.output(n));
     }
     return DONE;
 }
@@ -191,9 +196,9 @@ static Status guided_rows(Long first, Long last, const Upsample& given, const Gu
     });
 }
 
-// The same planes at the size of the render. Where samples lie at the centres of pixels, those without
-// reflectance are weighed and then multiplied by the pixels' own: texture is not resampled. Else those
-// with it are, and multiplied by 1.
+// The same planes at the size of the render. Where samples lie at the centres of pixels, those
+// without reflectance are weighed and then multiplied by the pixels' own: texture is not resampled.
+// Else those with it are, and multiplied by 1.
 static Status unscaled_rows(Long first, Long last, Upsample given, const Picture& factor,
                             const Heads& heads) {
     const bool resampled = given.params.jitter_x != 0 || given.params.jitter_y != 0;
@@ -208,7 +213,8 @@ static Status unscaled_rows(Long first, Long last, Upsample given, const Picture
 
 // The kernels.
 
-#define LAST Given<Params> params, Given<Window> window, Picture keep, NewPicture output, NewPicture history
+#define LAST                                                                                       \
+    Given<Params> params, Given<Window> window, Picture keep, NewPicture output, NewPicture history
 #define BETWEEN Picture moved, Picture past, Picture warped
 #define GIVEN {{radiance, moved, past, *params, *window, keep}, warped, output, history}
 
@@ -217,14 +223,14 @@ static Status plain(Long first, Long last, Picture radiance, FineHead fine, BETW
 }
 EXPORT_ALONE(denoise_upsample, plain)
 
-static Status guided(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, Picture diffuse,
-                     Picture specular, Picture trust, LAST) {
+static Status guided(Long first, Long last, Picture radiance, FineHead fine, BETWEEN,
+                     Picture diffuse, Picture specular, Picture trust, LAST) {
     return guided_rows(first, last, GIVEN, {diffuse, specular, trust}, Heads(fine));
 }
 EXPORT_ALONE(denoise_upsample_guided, guided)
 
-static Status unscaled(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, Picture factor,
-                       LAST) {
+static Status unscaled(Long first, Long last, Picture radiance, FineHead fine, BETWEEN,
+                       Picture factor, LAST) {
     return unscaled_rows(first, last, GIVEN, factor, Heads(fine));
 }
 EXPORT_ALONE(denoise_upsample_unscaled, unscaled)
@@ -242,7 +248,8 @@ struct AtPixel {
     template <class F> FN_MEMBER F column() const { return ramp<F>(float(row.left + x), 1.0f); }
 };
 
-static Status picture(Long first, Long last, View<const float, 4> picture, FineHead controls, BETWEEN, LAST) {
+static Status picture(Long first, Long last, View<const float, 4> picture, FineHead controls,
+                      BETWEEN, LAST) {
     const Picture planes = {picture.at, {picture.size[1], picture.size[2], picture.size[3]}};
     const Samples given = {planes, moved, past, *params, *window, keep};
     const Rooms rooms(output.size[1], moved.size[1]);
@@ -273,9 +280,10 @@ static Status plain_codes(Long first, Long last, Picture radiance, Codes codes, 
 EXPORT_ALONE(denoise_upsample_codes, plain_codes)
 
 static Status guided_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
-                           Scaling scaling, BETWEEN, Picture diffuse, Picture specular, Picture trust,
-                           LAST) {
-    return guided_rows(first, last, GIVEN, {diffuse, specular, trust}, Heads(codes, factors, scaling));
+                           Scaling scaling, BETWEEN, Picture diffuse, Picture specular,
+                           Picture trust, LAST) {
+    return guided_rows(first, last, GIVEN, {diffuse, specular, trust},
+                       Heads(codes, factors, scaling));
 }
 EXPORT_ALONE(denoise_upsample_guided_codes, guided_codes)
 

@@ -1,4 +1,5 @@
-// An output pixel before the history: log-encoded colour, sharpened, and how much of the history it keeps.
+// An output pixel before the history: log-encoded colour, sharpened, and how much of the history it
+// keeps.
 struct Enlarged {
     Colour colour;
     float kept;
@@ -13,14 +14,16 @@ struct Guide {
 // Normalised weights of the samples at -1, 0 and 1 plus `offset` for the softened picture.
 __device__ inline void wide_gauss(float offset, float weights[3]) {
     const float scale = -0.5f * LOG2_E, before = exp2_of(scale * (offset - 1.0f) * (offset - 1.0f));
-    const float here = exp2_of(scale * offset * offset), after = exp2_of(scale * (offset + 1.0f) * (offset + 1.0f));
+    const float here = exp2_of(scale * offset * offset),
+                after = exp2_of(scale * (offset + 1.0f) * (offset + 1.0f));
     const float share = over_one(before + here + after);
     weights[0] = before * share;
     weights[1] = here * share;
     weights[2] = after * share;
 }
 
-// Radiance that is multiplied BY something is without reflectance, then with that of the render size.
+// Radiance that is multiplied BY something is without reflectance, then with that of the render
+// size.
 enum Multiplied { BY_NOTHING, BY_GUIDES, BY_OWN };
 
 // A sample's light at an output pixel; `plane` is the size of a channel.
@@ -35,9 +38,11 @@ __device__ inline Colour light_at(const float* sample, int plane, const Guide& g
             own.b + (whole.b - own.b) * guide.trust};
 }
 
-// The mean of light, sharpened and encoded, which LINEAR light is not; and how much of the history it keeps.
+// The mean of light, sharpened and encoded, which LINEAR light is not; and how much of the history
+// it keeps.
 template <bool LINEAR>
-__device__ inline Enlarged finished(const Colour& sum, const Colour& soft, float total, float sharpen, float kept) {
+__device__ inline Enlarged finished(const Colour& sum, const Colour& soft, float total,
+                                    float sharpen, float kept) {
     const float share = over_one(total);
     const Colour mean = {sum.r * share, sum.g * share, sum.b * share};
     if (LINEAR) return {mean, kept};
@@ -53,22 +58,25 @@ __device__ inline bool was_inside(float x, float y, const Window& part) {
     return x >= -0.5f && x <= part.width - 0.5f && y >= -0.5f && y <= part.height - 0.5f;
 }
 
-// An output pixel at any scale, from 3x3 samples by predicted weight and distance; x and y count the frame's pixels.
+// An output pixel at any scale, from 3x3 samples by predicted weight and distance; x and y count
+// the frame's pixels.
 template <class Number, Multiplied BY = BY_NOTHING, bool LINEAR = false>
-__device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
-                                    const View& moved, const View& past, const View& params, const View& keep,
-                                    const Guide& guide = {}) {
+__device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance,
+                                    const View& fine, const View& moved, const View& past,
+                                    const View& params, const View& keep, const Guide& guide = {}) {
     const int w = part.w, h = part.h, width = part.width, height = part.height;
     float u, v;
     const int column = within(centre(x, w, width, u) - part.left, moved.size[1]);
     const int row = within(centre(y, h, height, v) - part.top, moved.size[0]);
-    const float right = fminf(fmaxf(2.0f * u + 0.5f, 0.0f), 1.0f), lower = fminf(fmaxf(2.0f * v + 0.5f, 0.0f), 1.0f);
+    const float right = fminf(fmaxf(2.0f * u + 0.5f, 0.0f), 1.0f),
+                lower = fminf(fmaxf(2.0f * v + 0.5f, 0.0f), 1.0f);
     u = params.at[JITTER_X] - u;
     v = params.at[JITTER_Y] - v;
     float wide_x[3], wide_y[3];
     wide_gauss(u, wide_x);
     wide_gauss(v, wide_y);
-    const size_t plane = size_t(fine.size[2]) * fine.size[3];  // 80 of them may hold more than 2^31 numbers
+    // 80 of them may hold more than 2^31 numbers
+    const size_t plane = size_t(fine.size[2]) * fine.size[3];
     const Number* const head = numbers<Number>(fine) + size_t(row) * fine.size[3] + column;
     const int picture = radiance.size[1] * radiance.size[2];
     const float* const samples = radiance.at + row * radiance.size[2] + column;
@@ -91,18 +99,22 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
     const float blend = between_corners(head + BLEND * plane, plane, right, lower);
     const float sharpen = between_corners(head + SHARPEN * plane, plane, right, lower);
     const int at = row * moved.size[1] + column;
-    const float px = x + moved.at[2 * at] * (float(width) / w), py = y + moved.at[2 * at + 1] * (float(height) / h);
+    const float px = x + moved.at[2 * at] * (float(width) / w),
+                py = y + moved.at[2 * at + 1] * (float(height) / h);
     const bool held = was_inside(px, py, part) && past.at[4 * at + 3] >= 0.0f;
-    return finished<LINEAR>(sum, soft, total, sharpen, held ? share_of(keep, row, column) * (1.0f - blend) : 0.0f);
+    return finished<LINEAR>(sum, soft, total, sharpen,
+                            held ? share_of(keep, row, column) * (1.0f - blend) : 0.0f);
 }
 
-// The four output pixels of a render pixel then, from that at (y, x) on, row by row: the same with each pixel's own
-// weights.
+// The four output pixels of a render pixel then, from that at (y, x) on, row by row: the same with
+// each pixel's own weights.
 template <class Number, Multiplied BY = BY_NOTHING, bool LINEAR = false>
-__device__ inline void enlarged_four(int x, int y, const Window& part, const View& radiance, const View& fine,
-                                     const View& moved, const View& past, const View& params, const View& keep,
-                                     const Guide (&guides)[4], Enlarged (&found)[4]) {
-    const int column = within(x / 2 - part.left, moved.size[1]), row = within(y / 2 - part.top, moved.size[0]);
+__device__ inline void enlarged_four(int x, int y, const Window& part, const View& radiance,
+                                     const View& fine, const View& moved, const View& past,
+                                     const View& params, const View& keep, const Guide (&guides)[4],
+                                     Enlarged (&found)[4]) {
+    const int column = within(x / 2 - part.left, moved.size[1]),
+              row = within(y / 2 - part.top, moved.size[0]);
     const size_t plane = size_t(fine.size[2]) * fine.size[3];
     const Number* const head = numbers<Number>(fine) + size_t(row) * fine.size[3] + column;
     const int picture = radiance.size[1] * radiance.size[2];
@@ -110,7 +122,8 @@ __device__ inline void enlarged_four(int x, int y, const Window& part, const Vie
     float narrow_x[2][3], narrow_y[2][3], wide_x[2][3], wide_y[2][3];
 #pragma unroll
     for (int k = 0; k < 2; k++) {
-        const float offset = k ? 0.25f : -0.25f, u = params.at[JITTER_X] - offset, v = params.at[JITTER_Y] - offset;
+        const float offset = k ? 0.25f : -0.25f, u = params.at[JITTER_X] - offset,
+                    v = params.at[JITTER_Y] - offset;
         wide_gauss(u, wide_x[k]);
         wide_gauss(v, wide_y[k]);
 #pragma unroll
@@ -127,7 +140,8 @@ __device__ inline void enlarged_four(int x, int y, const Window& part, const Vie
         const float* const sample = samples + i / 3 * radiance.size[2] + i % 3;
 #pragma unroll
         for (int k = 0; k < 4; k++) {
-            const float weight = as_float(tap[k * plane]) * (narrow_y[k / 2][i / 3] * narrow_x[k % 2][i % 3]);
+            const float weight = as_float(tap[k * plane])
+                                 * (narrow_y[k / 2][i / 3] * narrow_x[k % 2][i % 3]);
             const Colour light = light_at<BY>(sample, picture, guides[k]);
             total[k] += weight;
             add(sum[k], light, weight);
@@ -140,9 +154,12 @@ __device__ inline void enlarged_four(int x, int y, const Window& part, const Vie
     const float share = share_of(keep, row, column);
 #pragma unroll
     for (int k = 0; k < 4; k++) {
-        const float blend = as_float(head[(BLEND + k) * plane]), sharpen = as_float(head[(SHARPEN + k) * plane]);
-        const bool held = was_held && was_inside(x + k % 2 + motion.x * 2.0f, y + k / 2 + motion.y * 2.0f, part);
-        found[k] = finished<LINEAR>(sum[k], soft[k], total[k], sharpen, held ? share * (1.0f - blend) : 0.0f);
+        const float blend = as_float(head[(BLEND + k) * plane]),
+                    sharpen = as_float(head[(SHARPEN + k) * plane]);
+        const bool held =
+            was_held && was_inside(x + k % 2 + motion.x * 2.0f, y + k / 2 + motion.y * 2.0f, part);
+        found[k] = finished<LINEAR>(sum[k], soft[k], total[k], sharpen,
+                                    held ? share * (1.0f - blend) : 0.0f);
     }
 }
 
@@ -153,9 +170,10 @@ __device__ inline float blended(float current, float kept, float before) {
 }
 
 // A pixel blended with the history, which is kept, and decoded.
-__device__ inline void blend_pixel(const Enlarged& found, size_t pixel, const View& params, const View& warped,
-                                   const View& output, const View& history) {
-    const float darken = 1.0f / params.at[EXPOSURE], current[3] = {found.colour.r, found.colour.g, found.colour.b};
+__device__ inline void blend_pixel(const Enlarged& found, size_t pixel, const View& params,
+                                   const View& warped, const View& output, const View& history) {
+    const float darken = 1.0f / params.at[EXPOSURE],
+                current[3] = {found.colour.r, found.colour.g, found.colour.b};
 #pragma unroll
     for (int c = 0; c < 3; c++) {
         const size_t at = 3 * pixel + c;
@@ -165,14 +183,16 @@ __device__ inline void blend_pixel(const Enlarged& found, size_t pixel, const Vi
     }
 }
 
-// Two pixels beside each other in every thread of a row: the first thread's begin at `first`, an even pixel, from where on
-// the row has `left` ones.
-__device__ inline void blend_two(const Enlarged& one, const Enlarged& two, size_t first, int left, const View& params,
-                                 const View& warped, const View& output, const View& history,
-                                 Pair (&staged)[3 * ACROSS]) {
+// Two pixels beside each other in every thread of a row: the first thread's begin at `first`, an
+// even pixel, from where on the row has `left` ones.
+__device__ inline void blend_two(const Enlarged& one, const Enlarged& two, size_t first, int left,
+                                 const View& params, const View& warped, const View& output,
+                                 const View& history, Pair (&staged)[3 * ACROSS]) {
     const float darken = 1.0f / params.at[EXPOSURE];
-    const float current[6] = {one.colour.r, one.colour.g, one.colour.b, two.colour.r, two.colour.g, two.colour.b};
-    const int place = min(2 * int(threadIdx.x), left - 2);  // others read what the last one reads, and write nothing
+    const float current[6] = {one.colour.r, one.colour.g, one.colour.b,
+                              two.colour.r, two.colour.g, two.colour.b};
+    // others read what the last one reads, and write nothing
+    const int place = min(2 * int(threadIdx.x), left - 2);
     Pair light[3], shown[3];
 #pragma unroll
     for (int i = 0; i < 3; i++) light[i] = pair(warped, 3 * (first + place) / 2 + i);
@@ -186,65 +206,76 @@ __device__ inline void blend_two(const Enlarged& one, const Enlarged& two, size_
     put_row(staged, shown, &pair(output, 3 * first / 2), 3 * left / 2);
 }
 
-// A thread makes 2x2 pixels of the output, of which `guide_at` tells what guides say: at once where they have a render
-// pixel in common.
+// A thread makes 2x2 pixels of the output, of which `guide_at` tells what guides say: at once where
+// they have a render pixel in common.
 template <class Number, Multiplied BY, class GuideAt>
-__device__ inline void resolve(const Window& part, GuideAt guide_at, const View& radiance, const View& fine,
-                               const View& moved, const View& past, const View& warped, const View& params,
-                               const View& keep, const View& output, const View& next_history) {
+__device__ inline void resolve(const Window& part, GuideAt guide_at, const View& radiance,
+                               const View& fine, const View& moved, const View& past,
+                               const View& warped, const View& params, const View& keep,
+                               const View& output, const View& next_history) {
     __shared__ Pair staged[DOWN][3 * ACROSS];
     const int height = output.size[0], width = output.size[1], start = 2 * ACROSS * blockIdx.x;
     const int y = 2 * (blockIdx.y * DOWN + threadIdx.y), x = start + 2 * threadIdx.x;
     if (y >= height) return;
     if (is_doubled(part)) {
-        const int v = min(part.out_top + y, part.height - 2), u = min(part.out_left + x, part.width - 2);
-        const Guide guides[4] = {guide_at(v, u), guide_at(v, u + 1), guide_at(v + 1, u), guide_at(v + 1, u + 1)};
+        const int v = min(part.out_top + y, part.height - 2),
+                  u = min(part.out_left + x, part.width - 2);
+        const Guide guides[4] = {guide_at(v, u), guide_at(v, u + 1), guide_at(v + 1, u),
+                                 guide_at(v + 1, u + 1)};
         Enlarged found[4];
-        enlarged_four<Number, BY>(u, v, part, radiance, fine, moved, past, params, keep, guides, found);
+        enlarged_four<Number, BY>(u, v, part, radiance, fine, moved, past, params, keep, guides,
+                                  found);
         const size_t first = size_t(y) * width + start;
         Pair(&own)[3 * ACROSS] = staged[threadIdx.y];
-        blend_two(found[0], found[1], first, width - start, params, warped, output, next_history, own);
-        blend_two(found[2], found[3], first + width, width - start, params, warped, output, next_history, own);
+        blend_two(found[0], found[1], first, width - start, params, warped, output, next_history,
+                  own);
+        blend_two(found[2], found[3], first + width, width - start, params, warped, output,
+                  next_history, own);
         return;
     }
 #pragma unroll 1
     for (int k = 0; k < 4; k++) {
         const int j = y + k / 2, i = x + k % 2;
         if (j >= height || i >= width) continue;
-        const int v = min(part.out_top + j, part.height - 1), u = min(part.out_left + i, part.width - 1);
-        const Enlarged found = enlarged<Number, BY>(u, v, part, radiance, fine, moved, past, params, keep,
-                                                    guide_at(v, u));
+        const int v = min(part.out_top + j, part.height - 1),
+                  u = min(part.out_left + i, part.width - 1);
+        const Enlarged found = enlarged<Number, BY>(u, v, part, radiance, fine, moved, past, params,
+                                                    keep, guide_at(v, u));
         blend_pixel(found, size_t(j) * width + i, params, warped, output, next_history);
     }
 }
 
-// Enlarges, sharpens and blends with the past: radiance (3, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2),
-// past (th, tw, 4), warped (out_th, out_tw, 3), params (4,), window (8,), keep -> output, next_history
-// (out_th, out_tw, 3).
+// Enlarges, sharpens and blends with the past: radiance (3, th + 2, tw + 2), fine (1, 80, hp, wp),
+// moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3), params (4,), window (8,),
+// keep -> output, next_history (out_th, out_tw, 3).
 template <class Number>
-__device__ inline void upsample(View radiance, View fine, View moved, View past, View warped, View params, View window,
-                                View keep, View output, View next_history) {
+__device__ inline void upsample(View radiance, View fine, View moved, View past, View warped,
+                                View params, View window, View keep, View output,
+                                View next_history) {
     const Window part = window_of(window);
-    resolve<Number, BY_NOTHING>(part, [](int, int) { return Guide{}; }, radiance, fine, moved, past, warped, params,
-                                keep, output, next_history);
+    resolve<Number, BY_NOTHING>(
+        part, [](int, int) { return Guide{}; }, radiance, fine, moved, past, warped, params, keep,
+        output, next_history);
 }
 
 extern "C" __global__ void __launch_bounds__(256, 2)
-denoise_upsample(View radiance, View fine, View moved, View past, View warped, View params, View window, View keep,
-                 View output, View next_history) {
-    upsample<float>(radiance, fine, moved, past, warped, params, window, keep, output, next_history);
+    denoise_upsample(View radiance, View fine, View moved, View past, View warped, View params,
+                     View window, View keep, View output, View next_history) {
+    upsample<float>(radiance, fine, moved, past, warped, params, window, keep, output,
+                    next_history);
 }
 
 extern "C" __global__ void __launch_bounds__(256, 2)
-denoise_upsample_half(View radiance, View fine, View moved, View past, View warped, View params, View window, View keep,
-                      View output, View next_history) {
+    denoise_upsample_half(View radiance, View fine, View moved, View past, View warped, View params,
+                          View window, View keep, View output, View next_history) {
     upsample<Half>(radiance, fine, moved, past, warped, params, window, keep, output, next_history);
 }
 
-// Enlarges radiance without reflectance times the guides', as far as these are trusted, and for the rest with that of the
-// render size; sharpens it and blends with the past: radiance (6, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2),
-// past (th, tw, 4), warped (out_th, out_tw, 3), guide_diffuse_albedo, guide_specular_albedo (height, width, 3), trust
-// (cells, cells, 1), params (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
+// Enlarges radiance without reflectance times the guides', as far as these are trusted, and for the
+// rest with that of the render size; sharpens it and blends with the past: radiance (6, th + 2,
+// tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3),
+// guide_diffuse_albedo, guide_specular_albedo (height, width, 3), trust (cells, cells, 1), params
+// (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
 
 // Where an output pixel's centre lies among the cells along a side, from centre to centre.
 __device__ inline float place_of(int position, int size, int out_size, int first, int count) {
@@ -257,7 +288,9 @@ __device__ inline float place_of(int position, int size, int out_size, int first
 __device__ inline float trusted(const View& trust, float down, float across) {
     const int upper = int(down), lower = min(upper + 1, trust.size[0] - 1);
     const int left = int(across), right = min(left + 1, trust.size[1] - 1);
-    const float *const above = trust.at + upper * trust.size[1], *const below = trust.at + lower * trust.size[1];
+    const float *const above = trust.at + upper * trust.size[1], *const below =
+                                                                     trust.at
+                                                                     + lower * trust.size[1];
     const float high = above[left] + (above[right] - above[left]) * (across - left);
     const float low = below[left] + (below[right] - below[left]) * (across - left);
     return high + (low - high) * (down - upper);
@@ -265,77 +298,96 @@ __device__ inline float trusted(const View& trust, float down, float across) {
 
 template <class Number>
 __device__ inline void upsample_guided(View radiance, View fine, View moved, View past, View warped,
-                                       View guide_diffuse_albedo, View guide_specular_albedo, View trust, View params,
-                                       View window, View keep, View output, View next_history) {
+                                       View guide_diffuse_albedo, View guide_specular_albedo,
+                                       View trust, View params, View window, View keep, View output,
+                                       View next_history) {
     const Window part = window_of(window);
     const auto guide_at = [&](int v, int u) -> Guide {
         return {demodulation(guide_diffuse_albedo, guide_specular_albedo, v, u),
                 trusted(trust, place_of(v, part.h, part.height, part.top, moved.size[0]),
                         place_of(u, part.w, part.width, part.left, moved.size[1]))};
     };
-    resolve<Number, BY_GUIDES>(part, guide_at, radiance, fine, moved, past, warped, params, keep, output, next_history);
+    resolve<Number, BY_GUIDES>(part, guide_at, radiance, fine, moved, past, warped, params, keep,
+                               output, next_history);
 }
 
 extern "C" __global__ void __launch_bounds__(256, 2)
-denoise_upsample_guided(View radiance, View fine, View moved, View past, View warped, View guide_diffuse_albedo,
-                        View guide_specular_albedo, View trust, View params, View window, View keep, View output,
-                        View next_history) {
-    upsample_guided<float>(radiance, fine, moved, past, warped, guide_diffuse_albedo, guide_specular_albedo, trust,
-                           params, window, keep, output, next_history);
+    denoise_upsample_guided(View radiance, View fine, View moved, View past, View warped,
+                            View guide_diffuse_albedo, View guide_specular_albedo, View trust,
+                            View params, View window, View keep, View output, View next_history) {
+    upsample_guided<float>(radiance, fine, moved, past, warped, guide_diffuse_albedo,
+                           guide_specular_albedo, trust, params, window, keep, output,
+                           next_history);
 }
 
 extern "C" __global__ void __launch_bounds__(256, 2)
-denoise_upsample_guided_half(View radiance, View fine, View moved, View past, View warped, View guide_diffuse_albedo,
-                             View guide_specular_albedo, View trust, View params, View window, View keep, View output,
-                             View next_history) {
-    upsample_guided<Half>(radiance, fine, moved, past, warped, guide_diffuse_albedo, guide_specular_albedo, trust,
-                          params, window, keep, output, next_history);
+    denoise_upsample_guided_half(View radiance, View fine, View moved, View past, View warped,
+                                 View guide_diffuse_albedo, View guide_specular_albedo, View trust,
+                                 View params, View window, View keep, View output,
+                                 View next_history) {
+    upsample_guided<Half>(radiance, fine, moved, past, warped, guide_diffuse_albedo,
+                          guide_specular_albedo, trust, params, window, keep, output, next_history);
 }
 
-// At the render size, where samples lie at the centres of the output's pixels: radiance without reflectance, which is
-// multiplied after they are weighed, so that texture of one pixel is not resampled; else radiance that already holds it.
-// radiance (6, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3),
-// factor (th, tw, 3), params (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
+// At the render size, where samples lie at the centres of the output's pixels: radiance without
+// reflectance, which is multiplied after they are weighed, so that texture of one pixel is not
+// resampled; else radiance that already holds it. radiance (6, th + 2, tw + 2), fine (1, 80, hp,
+// wp), moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3), factor (th, tw, 3), params
+// (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
 template <class Number>
-__device__ inline void upsample_unscaled(View radiance, View fine, View moved, View past, View warped, View factor,
-                                         View params, View window, View keep, View output, View next_history) {
+__device__ inline void upsample_unscaled(View radiance, View fine, View moved, View past,
+                                         View warped, View factor, View params, View window,
+                                         View keep, View output, View next_history) {
     const int height = output.size[0], width = output.size[1];
     PIXEL(width, height);
     const Window part = window_of(window);
-    const int v = min(part.out_top + y, part.height - 1), u = min(part.out_left + x, part.width - 1);
+    const int v = min(part.out_top + y, part.height - 1),
+              u = min(part.out_left + x, part.width - 1);
     const bool centred = params.at[JITTER_X] == 0.0f && params.at[JITTER_Y] == 0.0f;
-    const float* const by = factor.at + 3 * (size_t(within(v - part.top, factor.size[0])) * factor.size[1]
-                                             + within(u - part.left, factor.size[1]));
+    const float* const by = factor.at
+                            + 3
+                                  * (size_t(within(v - part.top, factor.size[0])) * factor.size[1]
+                                     + within(u - part.left, factor.size[1]));
     const Guide guide = {centred ? Colour{by[0], by[1], by[2]} : Colour{1.0f, 1.0f, 1.0f}, 1.0f};
     View seen = radiance;
     if (!centred) seen.at += 3 * size_t(radiance.size[1]) * radiance.size[2];
-    const Enlarged found = enlarged<Number, BY_OWN>(u, v, part, seen, fine, moved, past, params, keep, guide);
+    const Enlarged found = enlarged<Number, BY_OWN>(u, v, part, seen, fine, moved, past, params,
+                                                    keep, guide);
     blend_pixel(found, y * width + x, params, warped, output, next_history);
 }
 
-extern "C" __global__ void denoise_upsample_unscaled(View radiance, View fine, View moved, View past, View warped,
-                                                     View factor, View params, View window, View keep, View output,
-                                                     View next_history) {
-    upsample_unscaled<float>(radiance, fine, moved, past, warped, factor, params, window, keep, output, next_history);
+extern "C" __global__ void denoise_upsample_unscaled(View radiance, View fine, View moved,
+                                                     View past, View warped, View factor,
+                                                     View params, View window, View keep,
+                                                     View output, View next_history) {
+    upsample_unscaled<float>(radiance, fine, moved, past, warped, factor, params, window, keep,
+                             output, next_history);
 }
 
-extern "C" __global__ void denoise_upsample_unscaled_half(View radiance, View fine, View moved, View past, View warped,
-                                                          View factor, View params, View window, View keep, View output,
-                                                          View next_history) {
-    upsample_unscaled<Half>(radiance, fine, moved, past, warped, factor, params, window, keep, output, next_history);
+extern "C" __global__ void denoise_upsample_unscaled_half(View radiance, View fine, View moved,
+                                                          View past, View warped, View factor,
+                                                          View params, View window, View keep,
+                                                          View output, View next_history) {
+    upsample_unscaled<Half>(radiance, fine, moved, past, warped, factor, params, window, keep,
+                            output, next_history);
 }
 
-// A picture that the network gives itself, blended with the past: picture (1, 3, hp, wp), log-encoded, controls
-// (1, 11, hp, wp), of which the first is the picture's share, moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw,
-// 3), params (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
-extern "C" __global__ void denoise_blend_picture(View picture, View controls, View moved, View past, View warped,
-                                                 View params, View window, View keep, View output, View next_history) {
+// A picture that the network gives itself, blended with the past: picture (1, 3, hp, wp),
+// log-encoded, controls (1, 11, hp, wp), of which the first is the picture's share, moved (th, tw,
+// 2), past (th, tw, 4), warped (out_th, out_tw, 3), params (4,), window (8,), keep -> output,
+// next_history (out_th, out_tw, 3).
+extern "C" __global__ void denoise_blend_picture(View picture, View controls, View moved, View past,
+                                                 View warped, View params, View window, View keep,
+                                                 View output, View next_history) {
     const int height = output.size[0], width = output.size[1];
     PIXEL(width, height);
     const Window part = window_of(window);
-    const int v = min(part.out_top + y, part.height - 1), u = min(part.out_left + x, part.width - 1);
-    const int row = within(v - part.top, moved.size[0]), column = within(u - part.left, moved.size[1]);
-    const size_t plane = size_t(picture.size[2]) * picture.size[3], at = size_t(row) * picture.size[3] + column;
+    const int v = min(part.out_top + y, part.height - 1),
+              u = min(part.out_left + x, part.width - 1);
+    const int row = within(v - part.top, moved.size[0]),
+              column = within(u - part.left, moved.size[1]);
+    const size_t plane = size_t(picture.size[2]) * picture.size[3],
+                 at = size_t(row) * picture.size[3] + column;
     const float* const motion = moved.at + 2 * (row * moved.size[1] + column);
     const bool held = was_inside(u + motion[0], v + motion[1], part)
                       && past.at[4 * (row * moved.size[1] + column) + 3] >= 0.0f;
@@ -345,20 +397,24 @@ extern "C" __global__ void denoise_blend_picture(View picture, View controls, Vi
     blend_pixel(found, size_t(y) * width + x, params, warped, output, next_history);
 }
 
-// Enlarges light of n parts of the picture and blends it with the last outputs, where their pixels are now, all linear:
-// radiance (3 n, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2), past (th, tw, 4), last (n, height, width, 3),
-// params (4,), window (8,), keep, out_rows (out_th,), out_columns (out_tw,) -> light (n, out_th, out_tw, 3).
+// Enlarges light of n parts of the picture and blends it with the last outputs, where their pixels
+// are now, all linear: radiance (3 n, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2),
+// past (th, tw, 4), last (n, height, width, 3), params (4,), window (8,), keep, out_rows (out_th,),
+// out_columns (out_tw,) -> light (n, out_th, out_tw, 3).
 __device__ inline float blended_light(float current, float kept, float before, float darken) {
-    const float now = current <= MAX_FLOAT ? current * darken : 0.0f, held = before < 0.0f ? 0.0f : before;
+    const float now = current <= MAX_FLOAT ? current * darken : 0.0f,
+                held = before < 0.0f ? 0.0f : before;
     const float mixed = now + (held - now) * kept;  // NaN, which is not below 0, is recognised
     return mixed <= MAX_FLOAT ? fmaxf(mixed, 0.0f) : now;
 }
 
 // One pixel of a part; `to` is the part's first one.
-__device__ inline void blend_light(const Enlarged& found, int v, int u, const Window& part, const float* picture,
-                                   const View& moved, float darken, float* to) {
+__device__ inline void blend_light(const Enlarged& found, int v, int u, const Window& part,
+                                   const float* picture, const View& moved, float darken,
+                                   float* to) {
     Colour before = {0.0f, 0.0f, 0.0f};
-    if (found.kept > 0.0f) before = moved_picture(picture, {part.height, part.width}, before_of(v, u, part, moved));
+    if (found.kept > 0.0f)
+        before = moved_picture(picture, {part.height, part.width}, before_of(v, u, part, moved));
     to[0] = blended_light(found.colour.r, found.kept, before.r, darken);
     to[1] = blended_light(found.colour.g, found.kept, before.g, darken);
     to[2] = blended_light(found.colour.b, found.kept, before.b, darken);
@@ -366,10 +422,12 @@ __device__ inline void blend_light(const Enlarged& found, int v, int u, const Wi
 
 // A thread makes 2x2 pixels: at once where they have a render pixel in common.
 template <class Number>
-__device__ inline void upsample_light(View radiance, View fine, View moved, View past, View last, View params,
-                                      View window, View keep, View out_rows, View out_columns, View light) {
+__device__ inline void upsample_light(View radiance, View fine, View moved, View past, View last,
+                                      View params, View window, View keep, View out_rows,
+                                      View out_columns, View light) {
     const int height = light.size[1], width = light.size[2];
-    const int y = 2 * (blockIdx.y * blockDim.y + threadIdx.y), x = 2 * (blockIdx.x * blockDim.x + threadIdx.x);
+    const int y = 2 * (blockIdx.y * blockDim.y + threadIdx.y),
+              x = 2 * (blockIdx.x * blockDim.x + threadIdx.x);
     if (y >= height || x >= width) return;
     const Window part = window_of(window);
     const float darken = 1.0f / params.at[EXPOSURE];
@@ -380,9 +438,11 @@ __device__ inline void upsample_light(View radiance, View fine, View moved, View
         const float* const picture = last.at + size_t(3) * k * part.height * part.width;
         float* const to = light.at + 3 * ((size_t(k) * height + y) * width + x);
         if (doubled) {
-            const int v = min(int(out_rows.at[y]), part.height - 2), u = min(int(out_columns.at[x]), part.width - 2);
+            const int v = min(int(out_rows.at[y]), part.height - 2),
+                      u = min(int(out_columns.at[x]), part.width - 2);
             Enlarged found[4];
-            enlarged_four<Number, BY_NOTHING, true>(u, v, part, samples, fine, moved, past, params, keep, {}, found);
+            enlarged_four<Number, BY_NOTHING, true>(u, v, part, samples, fine, moved, past, params,
+                                                    keep, {}, found);
 #pragma unroll
             for (int i = 0; i < 4; i++)
                 blend_light(found[i], v + i / 2, u + i % 2, part, picture, moved, darken,
@@ -393,21 +453,25 @@ __device__ inline void upsample_light(View radiance, View fine, View moved, View
         for (int i = 0; i < 4; i++) {
             if (y + i / 2 >= height || x + i % 2 >= width) continue;
             const int v = int(out_rows.at[y + i / 2]), u = int(out_columns.at[x + i % 2]);
-            const Enlarged found = enlarged<Number, BY_NOTHING, true>(u, v, part, samples, fine, moved, past, params,
-                                                                      keep);
-            blend_light(found, v, u, part, picture, moved, darken, to + 3 * (size_t(i / 2) * width + i % 2));
+            const Enlarged found = enlarged<Number, BY_NOTHING, true>(u, v, part, samples, fine,
+                                                                      moved, past, params, keep);
+            blend_light(found, v, u, part, picture, moved, darken,
+                        to + 3 * (size_t(i / 2) * width + i % 2));
         }
     }
 }
 
 extern "C" __global__ void __launch_bounds__(256, 2)
-denoise_upsample_light(View radiance, View fine, View moved, View past, View last, View params, View window, View keep,
-                       View out_rows, View out_columns, View light) {
-    upsample_light<float>(radiance, fine, moved, past, last, params, window, keep, out_rows, out_columns, light);
+    denoise_upsample_light(View radiance, View fine, View moved, View past, View last, View params,
+                           View window, View keep, View out_rows, View out_columns, View light) {
+    upsample_light<float>(radiance, fine, moved, past, last, params, window, keep, out_rows,
+                          out_columns, light);
 }
 
 extern "C" __global__ void __launch_bounds__(256, 2)
-denoise_upsample_light_half(View radiance, View fine, View moved, View past, View last, View params, View window,
-                            View keep, View out_rows, View out_columns, View light) {
-    upsample_light<Half>(radiance, fine, moved, past, last, params, window, keep, out_rows, out_columns, light);
+    denoise_upsample_light_half(View radiance, View fine, View moved, View past, View last,
+                                View params, View window, View keep, View out_rows,
+                                View out_columns, View light) {
+    upsample_light<Half>(radiance, fine, moved, past, last, params, window, keep, out_rows,
+                         out_columns, light);
 }

@@ -7,8 +7,8 @@
 #include "window.h"
 
 constexpr int TAPS = 9;
-// Reflectance that radiance is multiplied by: none; the guides', as far as they are trusted; that of
-// the render pixels.
+// Reflectance that radiance is multiplied by: none; the guides', as far as they are trusted; that
+// of the render pixels.
 enum Reflectance { NONE, GUIDED, OWN };
 
 // The head's channels of a row of pixels.
@@ -149,8 +149,8 @@ template <class F> struct Lit {
     F rgb[3], trust;
 };
 
-// How much of the history it keeps: nothing where it lay beyond the border, or where the history does
-// not hold it.
+// How much of the history it keeps: nothing where it lay beyond the border, or where the history
+// does not hold it.
 template <class F, class At> FN F trust_of(const Row& row, const At& at) {
     const F px = at.template column<F>() + at.template render<F, 2>(row.moved) * row.across;
     const F py = F(row.y) + at.template render<F, 2>(row.moved + 1) * row.down;
@@ -163,7 +163,8 @@ template <class F, class At> FN F trust_of(const Row& row, const At& at) {
     return count >= 0.0f ? kept : zero;
 }
 
-template <class F, Reflectance BY, class At> FN Lit<F> upsample_pixel(const Row& row, const At& at) {
+template <class F, Reflectance BY, class At> FN Lit<F> upsample_pixel(const Row& row,
+                                                                      const At& at) {
     constexpr int PLANES = BY == GUIDED ? 6 : 3;
     F sums[PLANES] = {}, soft[PLANES] = {};
     F total = F(TINY);

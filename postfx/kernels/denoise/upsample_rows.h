@@ -1,4 +1,5 @@
-// What rows of every enlargement share: columns of the output, and where a row lies among the render's.
+// What rows of every enlargement share: columns of the output, and where a row lies among the
+// render's.
 #pragma once
 #include "upsample.h"
 #include "../rows.h"
@@ -7,7 +8,9 @@ typedef View<const float, 3> Picture;
 typedef View<float, 3> NewPicture;
 typedef View<const float, 4> FineHead;
 
-FN Head head_of(const FineHead& fine, Long y) { return {fine(0, 0, y), fine.size[2] * fine.size[3]}; }
+FN Head head_of(const FineHead& fine, Long y) {
+    return {fine(0, 0, y), fine.size[2] * fine.size[3]};
+}
 
 // What is enlarged; `radiance` has the planes that are looked at.
 struct Samples {

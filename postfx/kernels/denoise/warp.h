@@ -28,10 +28,11 @@ struct MovedRow {
 // Whole numbers of a motion beyond any picture would not fit.
 FN Long whole_of(float x) { return Long(within<float>(x, -1e8f, 1e8f)); }
 
-// The column of a render pixel's output pixels if there are one or two, beside one another, with room
-// behind them for eight numbers; else one that lies in no picture.
+// The column of a render pixel's output pixels if there are one or two, beside one another, with
+// room behind them for eight numbers; else one that lies in no picture.
 FN float first_of_pair(const float* columns, Long first, Long last, Long end) {
-    const bool pair = last - first == 1 || (last - first == 2 && columns[first + 1] == columns[first] + 1);
+    const bool pair = last - first == 1
+                      || (last - first == 2 && columns[first + 1] == columns[first] + 1);
     return pair && first + 3 <= end ? columns[first] : -1e9f;
 }
 

@@ -3,7 +3,8 @@
 
 constexpr float LEAST = 1e-4f;  // weight of a frame that does not show a point
 constexpr float LITTLE = 1e-3f;  // weight below which a frame does not count
-constexpr float ALIKE = 0.0025f;  // difference, squared, from which a path counts less beside others
+// difference, squared, from which a path counts less beside others
+constexpr float ALIKE = 0.0025f;
 constexpr float UNSURE = 0.2f;  // stands for the difference where only one frame shows a point
 constexpr float TINY = 1e-6f;  // light below which nothing counts
 constexpr float NEARER = 0.1f;  // relative difference in depth of two surfaces
@@ -66,8 +67,8 @@ FN Four apart(const float* one, const float* other) {
     return magnitude(numbers_at<Four>(other) - numbers_at<Four>(one));
 }
 
-// Marks cells that follow one path with those to the right and below by 1, and by 2 where it changes
-// evenly, as on what turns.
+// Marks cells that follow one path with those to the right and below by 1, and by 2 where it
+// changes evenly, as on what turns.
 static void join_rows(Long first, Long last, NewField cells) {
     const Long rows = cells.size[0], columns = cells.size[1];
     const Field known = {cells.at, {rows, columns, NUMBERS}};
@@ -112,8 +113,8 @@ FN Cells between_cells(Long position, float size, Long count) {
     return {first, smaller<Long>(first + 1, count - 1), float(at - double(first))};
 }
 
-// What is mixed. numbers: time, pixels of a cell, light that counts as dark, whether anything is not
-// known, and how much of both ends of a path motion is.
+// What is mixed. numbers: time, pixels of a cell, light that counts as dark, whether anything is
+// not known, and how much of both ends of a path motion is.
 struct Mix {
     float time, scale, dim, masked, by_first, by_last;
 };
@@ -239,7 +240,8 @@ struct Row {
                            by.down_after, by.across_after);
     }
     FN_MEMBER Colour mean_of(const Shares& by, const Colour& before, const Colour& after) const {
-        return {by.before * before.r + by.after * after.r, by.before * before.g + by.after * after.g,
+        return {by.before * before.r + by.after * after.r,
+                by.before * before.g + by.after * after.g,
                 by.before * before.b + by.after * after.b};
     }
 
@@ -373,7 +375,8 @@ struct Row {
 
     // Colours of those pixels that are NaN, by what their listed paths show. Shares in the mixture
     // become those of what is shown, and the path of a pixel the one that counts most. A path whose
-    // surface lies behind one that both frames show there by another path keeps a part of its share.
+    // surface lies behind one that both frames show there by another path keeps a part of its
+    // share.
     void mix(float* row) const {
         const Listed* next = listed.at;
         for (Long x = 0; x < w; x++) {

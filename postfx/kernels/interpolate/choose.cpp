@@ -180,8 +180,9 @@ struct Candidate {
     Source source;
 };
 
-// Chooses between the paths of one cell. Paths are tried one by one: `best` is the misfit of the one
-// that is taken, -2 as long as nothing was compared, as many cells have no other path around them.
+// Chooses between the paths of one cell. Paths are tried one by one: `best` is the misfit of the
+// one that is taken, -2 as long as nothing was compared, as many cells have no other path around
+// them.
 struct Chooser {
     const Choice& of;
     Long row, column;
@@ -224,7 +225,8 @@ struct Chooser {
         return {is_last ? path_by(flow, time, time - 1.0f) : path_by(flow, -time, 1.0f - time),
                 depth, FLOW};
     }
-    // The path of what is reflected: there, the motion is that of the place to which the path leads.
+    // The path of what is reflected: there, the motion is that of the place to which the path
+    // leads.
     FN_MEMBER Candidate from_mirror() const {
         const float time = of.numbers->time, scale = of.numbers->scale;
         const Path path = path_by(of.mirrored(row, column), time, time - 1.0f);
@@ -304,8 +306,8 @@ struct Chooser {
     }
 };
 
-// The path of each cell: its own, or another one around it or of the flow that fits much better. The
-// last two numbers are left.
+// The path of each cell: its own, or another one around it or of the flow that fits much better.
+// The last two numbers are left.
 static void choose_rows(Long first, Long last, Choice of, NewField cells) {
     const float scale = of.numbers->scale;
     const double middle = double(float(0.5 * (scale - 1.0f)));

@@ -56,7 +56,8 @@ FN Four pixel_of(Sixteen row, int pixel) {
 FN Colour weigh_taps(const float* at, Long stride, Four down, Four across) {
     FUSED;
     const Sixteen a = numbers_at<Sixteen>(at), b = numbers_at<Sixteen>(at + stride);
-    const Sixteen c = numbers_at<Sixteen>(at + 2 * stride), d = numbers_at<Sixteen>(at + 3 * stride);
+    const Sixteen c = numbers_at<Sixteen>(at + 2 * stride),
+                  d = numbers_at<Sixteen>(at + 3 * stride);
     const Sixteen column = a * down[0] + b * down[1] + c * down[2] + d * down[3];
     Four value = pixel_of(column, 0) * across[0] + pixel_of(column, 1) * across[1]
                + pixel_of(column, 2) * across[2] + pixel_of(column, 3) * across[3];
@@ -111,9 +112,9 @@ static inline Colour colour_at(const Field& picture, double y, double x, float s
             cubic_one(picture, at, down, across, 2)};
 }
 
-// Where a path of a pixel leads: pixels, across and down in both frames, those before the places and
-// the nearest ones; and weights of taps, across and down in both. What waits for places is loaded in
-// loops of its own, which overlap more.
+// Where a path of a pixel leads: pixels, across and down in both frames, those before the places
+// and the nearest ones; and weights of taps, across and down in both. What waits for places is
+// loaded in loops of its own, which overlap more.
 struct Ends {
     int before[2], after[2], near_before[2], near_after[2];
 };

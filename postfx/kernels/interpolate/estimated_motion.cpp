@@ -7,7 +7,8 @@ constexpr float TURN[3] = {0.2f, 0.28f, 0.12f};  // weights of a normal's number
 constexpr float LARGEST = 10.0f;  // what is larger is not finite
 constexpr Long AROUND = 3;  // pixels over which misfits are taken, each way
 constexpr float DEPTH_MISS = 1e10f;  // depth of what hits nothing
-constexpr float NEAREST = 1e-3f;  // depth of the point a frame ago: behind the camera, it leads far away
+// depth of the point a frame ago: behind the camera, it leads far away
+constexpr float NEAREST = 1e-3f;
 
 // Means of step x step pixels of the root of the albedo and of a turn of the normal; a plane of 1x1
 // is absent.

@@ -7,7 +7,8 @@ constexpr float SAME = 0.05f;  // the same of one point between two frames
 
 typedef View<const byte, 2> Lengths;
 
-// Rows `first` to `last` - 1 and columns likewise, of the 3x3 pixels around one that lie in a plane.
+// Rows `first` to `last` - 1 and columns likewise, of the 3x3 pixels around one that lie in a
+// plane.
 struct Around {
     Long top, end, left, right;
     Around(Long y, Long x, Long h, Long w)

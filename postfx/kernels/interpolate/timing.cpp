@@ -4,7 +4,8 @@
 constexpr float ALIKE = 0.04f;  // relative difference in depth of what is one surface
 constexpr float STILL = 0.01f;  // pixels below which a path stands still
 constexpr float STEADY = 8.0f;  // times as bright light may become in four frames to be the same
-constexpr float MEAN = 0.1f;  // share of it by which a pixel may differ from the mean of both frames
+// share of it by which a pixel may differ from the mean of both frames
+constexpr float MEAN = 0.1f;
 constexpr float SPARK = 60.0f;  // times as bright as the other frame and what is around it
 constexpr float SHOWN = 32.0f;  // the same from when a spark's light is summed
 constexpr int DARKER = 5;  // of eight directions in which it must be dark around a spark

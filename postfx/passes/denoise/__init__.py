@@ -1,4 +1,5 @@
-"""Neural denoised upscaler: noisy planes in, clean colour at the same size or a larger one out, steady over time."""
+"""Neural denoised upscaler: noisy planes in, clean colour at the same size or a larger one out,
+steady over time."""
 
 from __future__ import annotations
 
@@ -40,7 +41,13 @@ from postfx.passes.denoise.models import (
     unscaled_remarks,
     validate_tag,
 )
-from postfx.passes.denoise.options import Size, output_size, parse_reactive, validate_scale, validate_size
+from postfx.passes.denoise.options import (
+    Size,
+    output_size,
+    parse_reactive,
+    validate_scale,
+    validate_size,
+)
 from postfx.passes.denoise.parts import checked_parts, has_noisy_alpha
 from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES, passthrough_roles
 from postfx.passes.denoise.tiling import Sizes, active_cells, whole_tiles
@@ -48,8 +55,8 @@ from postfx.repeats import ONE_SEED, Alike, FrameMemory, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 
 READ_PLANES = tuple(ABSENT)
-NO_NETWORKS = ("the package onnxruntime is missing, so the classical filter stands in for the network, and more noise "
-               "stays: install it, or accept that by the model classic")
+NO_NETWORKS = ("the package onnxruntime is missing, so the classical filter stands in for the "
+               "network, and more noise stays: install it, or accept that by the model classic")
 ALONE = "no motion vectors, so every frame is denoised alone and may flicker"
 """A remark, before what helps."""
 SHARPENING = Role.DIFFUSE_ALBEDO, Role.NORMAL, Role.DEPTH
@@ -72,69 +79,83 @@ class DenoiseUpscale(Pass):
     It needs only colour, and reads the other planes that a frame has.
 
     Options:
-        scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 1 without guides.
-        size: width and height of the output, in place of a scale; frames may change their size, and the history goes
-            on.
-        model: tag of the network, 's', 'm' or 'l', which runs in the device's fast precision, or with one: 'm.fp32',
-            'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own network, 'nets/mine.onnx', with its card
-            beside it, and mine.guides.onnx and mine.1x.onnx if they exist; or 'classic', a filter without a network,
-            on a CPU and for frames without parts.
-        library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its variants are; None for the
-            networks that come with postfx.
-        budget: milliseconds that a frame may take on the device, None for no limit. Where `model` is too slow,
-            smaller networks of its precision run ('s' below 'm', 's' and 'm' below 'l'), or 'classic'; the history
-            goes on.
-        strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength` sets
-            it pixel by pixel, and both are multiplied; no network runs where it is 0.
-        parts: names of the frames' parts that are denoised with the picture, or `postfx.frame.Part` for those that are
-            not light. Light of one group keeps its sum.
-        part_filters: 'picture' filters parts like the picture; 'own' runs the network on each part that is light,
-            which takes as long as the picture for each.
-        alpha: whether alpha is denoised with the picture, where it is neither 0 nor 1; else it is only resampled.
-        error: whether to add the plane `error`: the squared error that the network expects of each pixel of the
-            denoised colour, in code values of a display (x / (1 + x) of exposed light, sRGB); 0 where no network ran.
-        reactive: where the history is not used, for things that move without motion vectors, such as particles:
-            'plane', the plane `reactive`; 'difference', where colour differs from the plane `opaque_colour`; 'auto',
-            the first of the two that the frame has; 'none'. scale= and threshold= may follow, as in
-            'auto,scale=4,threshold=0.05'.
+        scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 1
+            without guides.
+        size: width and height of the output, in place of a scale; frames may change their size, and
+            the history goes on.
+        model: tag of the network, 's', 'm' or 'l', which runs in the device's fast precision, or
+            with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own
+            network, 'nets/mine.onnx', with its card beside it, and mine.guides.onnx and
+            mine.1x.onnx if they exist; or 'classic', a filter without a network, on a CPU and for
+            frames without parts.
+        library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
+            variants are; None for the networks that come with postfx.
+        budget: milliseconds that a frame may take on the device, None for no limit. Where `model`
+            is too slow, smaller networks of its precision run ('s' below 'm', 's' and 'm' below
+            'l'), or 'classic'; the history goes on.
+        strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The
+            plane `strength` sets it pixel by pixel, and both are multiplied; no network runs where
+            it is 0.
+        parts: names of the frames' parts that are denoised with the picture, or `postfx.frame.Part`
+            for those that are not light. Light of one group keeps its sum.
+        part_filters: 'picture' filters parts like the picture; 'own' runs the network on each part
+            that is light, which takes as long as the picture for each.
+        alpha: whether alpha is denoised with the picture, where it is neither 0 nor 1; else it is
+            only resampled.
+        error: whether to add the plane `error`: the squared error that the network expects of each
+            pixel of the denoised colour, in code values of a display (x / (1 + x) of exposed light,
+            sRGB); 0 where no network ran.
+        reactive: where the history is not used, for things that move without motion vectors, such
+            as particles: 'plane', the plane `reactive`; 'difference', where colour differs from the
+            plane `opaque_colour`; 'auto', the first of the two that the frame has; 'none'. scale=
+            and threshold= may follow, as in 'auto,scale=4,threshold=0.05'.
 
-    Where a shot has light outside the gamut, which is negative in the frames' primaries, it is denoised in wider ones
-    and converted back. On a GPU negative light counts as 0.
+    Where a shot has light outside the gamut, which is negative in the frames' primaries, it is
+    denoised in wider ones and converted back. On a GPU negative light counts as 0.
 
-    A transparency overlay is only resampled; the pass `overlay` composites. The plane `later` is handed on
-    to the pass `both_ways`, and the plane `partner`, resampled, to the pass `mix_partner`.
+    A transparency overlay is only resampled; the pass `overlay` composites. The plane `later` is
+    handed on to the pass `both_ways`, and the plane `partner`, resampled, to the pass
+    `mix_partner`.
 
-    A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. At render
-    size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion plane every frame stands alone. So does one
-    whose noise is that of the frame before, as with one seed for all: a history would take the noise for detail.
+    A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides``
+    reads them. At render size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion
+    plane every frame stands alone. So does one whose noise is that of the frame before, as with one
+    seed for all: a history would take the noise for detail.
 
-    Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a strength outside 0 to 1, a budget that
-    is not above 0, a model that is chosen automatically and an error that no network predicts, FrameError for a frame
-    whose output would not be 1 to 3 times as large, GuideError for guides of another size than the output's.
+    Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a strength outside 0
+    to 1, a budget that is not above 0, a model that is chosen automatically and an error that no
+    network predicts, FrameError for a frame whose output would not be 1 to 3 times as large,
+    GuideError for guides of another size than the output's.
     """
 
     name: ClassVar[str] = "denoise_upscale"
 
-    def __init__(self, scale: float | None = None, *, size: Sequence[int] | None = None, model: str = "m",
+    def __init__(self, scale: float | None = None, *, size: Sequence[int] | None = None,
+                 model: str = "m",
                  strength: float = 1.0, budget: float | None = None, reactive: str = "auto",
-                 parts: Sequence[Part | str] = (), part_filters: str = "picture", alpha: bool = True,
-                 error: bool = False, library: Library | str | Path | None = None, **unknown: Never) -> None:
-        super().__init__(scale=scale, size=size, model=model, strength=strength, budget=budget, reactive=reactive,
-                         parts=parts, part_filters=part_filters, alpha=alpha, error=error, library=library, **unknown)
+                 parts: Sequence[Part | str] = (), part_filters: str = "picture",
+                 alpha: bool = True, error: bool = False,
+                 library: Library | str | Path | None = None, **unknown: Never) -> None:
+        super().__init__(scale=scale, size=size, model=model, strength=strength, budget=budget,
+                         reactive=reactive, parts=parts, part_filters=part_filters, alpha=alpha,
+                         error=error, library=library, **unknown)
         self.scale = validate_scale(scale)
         self.size = validate_size(size, self.scale)
         self.strength = float(strength)
         if not 0 <= self.strength <= 1:
-            raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not {self.strength:g}: give one of them")
+            raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not "
+                                  f"{self.strength:g}: give one of them")
         self.budget = None if budget is None else float(budget)
         if self.budget is not None and not self.budget > 0:
-            raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a budget above 0")
+            raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a "
+                                  "budget above 0")
         self._mask = parse_reactive(str(reactive))
         self._parts, self._alpha, self._error = checked_parts(parts), bool(alpha), bool(error)
         if part_filters not in PART_FILTERS:
             raise PassOptionError(f"pass '{self.name}' has no part filters '{part_filters}': give "
                                   f"{' or '.join(PART_FILTERS)}")
-        self._own = [part.name for part in self._parts if part.is_light and part_filters == PART_FILTERS[1]]
+        self._own = [part.name
+                     for part in self._parts if part.is_light and part_filters == PART_FILTERS[1]]
         self._used: str | None = None
         self._cameras, self._repeats = Cameras(), RepeatDetector()
         self._memory = FrameMemory()
@@ -150,7 +171,8 @@ class DenoiseUpscale(Pass):
             raise PassOptionError("model 'classic' filters no parts: give a network, or no parts")
 
     def _falls_back(self, tag: str) -> bool:
-        """Whether the classical filter stands in for a network, because nothing runs networks here."""
+        """Whether the classical filter stands in for a network, because nothing runs networks
+        here."""
         return not has_networks() and "/" not in tag and CLASSIC in family(tag) and not self._parts
 
     def reflect(self, spec: FrameSpec) -> Reflection:
@@ -162,15 +184,18 @@ class DenoiseUpscale(Pass):
         output = FrameSpec(size.width, size.height, written)
         lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
         guides = GUIDE_ROLES if self._reads_guides(spec) else lost
-        planes = (*READ_PLANES, Role.STRENGTH, *self._reactive_planes(spec)) if self.strength else ()
+        planes = ((*READ_PLANES, Role.STRENGTH, *self._reactive_planes(spec)) if self.strength
+                  else ())
         planes += tuple(MIRRORED_ROLES) if planes and self._reads_mirrored(spec) else ()
         planes += (Role.SPECULAR_HIT_DISTANCE,) if planes and can_follow(spec) else ()
         demanded = self._mask.demands() if self.strength else ()
         kept = [role for role in carried if role not in spec.guide_roles]
-        guides = (*(guides if self.strength else ()), *(role for role in carried if role in spec.guide_roles))
+        guides = (*(guides if self.strength else ()),
+                  *(role for role in carried if role in spec.guide_roles))
         optional = tuple(dict.fromkeys((*planes, *kept)))
-        return Reflection(reads=(Role.COLOUR, *demanded), may_read=optional, writes=written, output=output,
-                          may_read_guides=guides, notes=self._notes(spec), parts=self._read_parts(spec))
+        return Reflection(reads=(Role.COLOUR, *demanded), may_read=optional, writes=written,
+                          output=output, may_read_guides=guides, notes=self._notes(spec),
+                          parts=self._read_parts(spec))
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         if not self.strength:
@@ -178,7 +203,8 @@ class DenoiseUpscale(Pass):
         seen = {*spec.roles, *spec.guide_roles}
         lost = [str(role).replace("_", " ") for role in SHARPENING if role not in seen]
         can_be_estimated = any(map(spec.has, (Role.DIFFUSE_ALBEDO, Role.NORMAL)))
-        remedy = "--motion auto estimates them" if can_be_estimated else "render them, or albedo to estimate them from"
+        remedy = ("--motion auto estimates them" if can_be_estimated
+                  else "render them, or albedo to estimate them from")
         alone = f"{ALONE}: {remedy}"
         found = [NO_NETWORKS] if self._is_fallback else []
         found += [] if spec.has(Role.MOTION) else [alone]
@@ -193,8 +219,9 @@ class DenoiseUpscale(Pass):
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         if self._tag == CLASSIC and self.strength and not runs_classic(device):
-            raise DeviceError(f"model 'classic' has no kernels for this device, '{device.name}': give the device cpu "
-                              "with compiled kernels, the device cuda, or a network")
+            raise DeviceError(f"model 'classic' has no kernels for this device, '{device.name}': "
+                              "give the device cpu with compiled kernels, the device cuda, or a "
+                              "network")
         self._device, self._output = device, self.reflect(spec).output
         self._savings = Savings()
         self._memory.forget()
@@ -207,7 +234,8 @@ class DenoiseUpscale(Pass):
             if self.size:  # so that files of a frame are the same wherever a run begins
                 endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
                 tags = self._tags_for(spec, runs_classic(device))
-                name_models(device, (model_of(tag, ending, device) for tag in tags for ending in endings))
+                name_models(device,
+                            (model_of(tag, ending, device) for tag in tags for ending in endings))
             reactive = self._mask.role(spec) is not None
             sizes = Sizes(spec.height, spec.width, *size)
             self._history = History(device, sizes, reactive)
@@ -221,7 +249,8 @@ class DenoiseUpscale(Pass):
         before = self._spec
         if before is None:
             return False
-        alike = replace(before, width=spec.width, height=spec.height, guides=spec.guides)  # at 1x fewer guides are read
+        # at 1x fewer guides are read
+        alike = replace(before, width=spec.width, height=spec.height, guides=spec.guides)
         if not self.size or spec != alike or self.reflect(spec).output != self._output:
             return False
         if self.strength and tuple(self._models(spec)) != self._tags:
@@ -230,7 +259,8 @@ class DenoiseUpscale(Pass):
             self._savings.note_resize(spec in self._sizes)
             if self._ladder:
                 self._ladder.note_resize(spec.width * spec.height / (before.width * before.height))
-        self._ready, self._spec = self._sizes.get_or_make(spec, partial(self._made_ready, spec)), spec
+        self._ready, self._spec = (self._sizes.get_or_make(spec, partial(self._made_ready, spec)),
+                                   spec)
         return True
 
     def _made_ready(self, spec: FrameSpec) -> ReadyNetwork | ReadyPlain:
@@ -239,15 +269,16 @@ class DenoiseUpscale(Pass):
             return ReadyPlain(self._device, spec, size, self._parts)
         models, guided = self._models(spec), self._is_guided(spec)
         models |= self._alpha_models(spec, models)
-        return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength, self._mask,
-                            self._parts, self._alpha, self._part_history, self._error)
+        return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength,
+                            self._mask, self._parts, self._alpha, self._part_history, self._error)
 
     def _tags_for(self, spec: FrameSpec, has_classic: bool = True) -> tuple[str, ...]:
         """Tags to choose from for frames of a spec, fastest first; one without a budget."""
         smaller = family(self._tag)[:-1] if self.budget else ()
         if self._parts or self._error or not has_classic:  # it filters no parts
             smaller = tuple(tag for tag in smaller if tag != CLASSIC)
-        return (*(tag for tag in smaller if has_model(model_of(tag, self._ending(spec)))), self._tag)
+        return (*(tag for tag in smaller if has_model(model_of(tag, self._ending(spec)))),
+                self._tag)
 
     def _ending(self, spec: FrameSpec) -> str:
         return UNSCALED if self._is_render_size(spec) else GUIDED * self._is_guided(spec)
@@ -255,7 +286,8 @@ class DenoiseUpscale(Pass):
     def _models(self, spec: FrameSpec) -> dict[str, str]:
         """The networks to choose from for frames of a spec, by their short tags."""
         tags, ending = self._tags_for(spec, runs_classic(self._device)), self._ending(spec)
-        return {short_tag(tag): model_of(tag, ending, self._device, bool(self._parts)) for tag in tags}
+        return {short_tag(tag): model_of(tag, ending, self._device, bool(self._parts))
+                for tag in tags}
 
     def _alpha_models(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
         """The network that noisy alpha takes instead, by its tag, where one of the ``models`` has
@@ -295,25 +327,29 @@ class DenoiseUpscale(Pass):
     def history(self) -> dict[str, np.ndarray]:
         if not (self.strength and self._fresh):
             return {}
-        known = {"exposure": np.array(self._exposure, np.float64), f"{NETWORK_PREFIX}{self._used}": np.array(1, np.int64),
+        known = {"exposure": np.array(self._exposure, np.float64),
+                 f"{NETWORK_PREFIX}{self._used}": np.array(1, np.int64),
                  WIDER: np.array(self._wider, np.int64)}
         known |= {f"{REPEATS}{name}": array for name, array in self._repeats.history().items()}
-        return known | self._cameras.snapshot() | self._history.snapshot() | self._part_history.snapshot()
+        return (known | self._cameras.snapshot() | self._history.snapshot()
+                | self._part_history.snapshot())
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         self._fresh = bool(history)
         self._memory.forget()
         if self._fresh:
-            self._exposure, self._wider = float(history["exposure"]), bool(history.get(WIDER, False))
+            self._exposure, self._wider = (float(history["exposure"]),
+                                           bool(history.get(WIDER, False)))
             if not isinstance(self._ready, ReadyNetwork):
                 raise KeyError(f"pass '{self.name}' has no history at strength 0")
-            self._used = next(iter(key.removeprefix(NETWORK_PREFIX) for key in history if key.startswith(NETWORK_PREFIX)), "")
+            self._used = next(iter(key.removeprefix(NETWORK_PREFIX)
+                                   for key in history if key.startswith(NETWORK_PREFIX)), "")
             self._history.use(self._ready.models[self._used])
             self._history.recall(history)
             self._part_history.recall(history)
             self._cameras.recall(history)
-            self._repeats.recall({name.removeprefix(REPEATS): array for name, array in history.items()
-                                  if name.startswith(REPEATS)})
+            self._repeats.recall({name.removeprefix(REPEATS): array
+                                  for name, array in history.items() if name.startswith(REPEATS)})
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
@@ -328,13 +364,15 @@ class DenoiseUpscale(Pass):
         if isinstance(ready, ReadyNetwork) and ready.error:
             frame.set(Role.ERROR, ready.error.encode(commands, frame))
         ready.passthrough.encode(commands, frame)
-        for role in (*READ_PLANES, *MIRRORED_ROLES, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
+        for role in (*READ_PLANES, *MIRRORED_ROLES, Role.STRENGTH, Role.REACTIVE,
+                     Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
             if not self._output.has(role):
                 frame.tensors.pop(role, None)
         frame.guides.clear()
         frame.spec, frame.jitter = self._output, (0.0, 0.0)
 
-    def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame, ready: ReadyNetwork) -> Tensor:
+    def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame,
+                        ready: ReadyNetwork) -> Tensor:
         """The denoised colour, blended by strength; the history stays fully denoised."""
         cells = self._active(frame, ready)
         savings = self._savings if not frame.history_only else Savings()
@@ -385,19 +423,23 @@ class DenoiseUpscale(Pass):
         filtered = ready.layers if self._used != CLASSIC and model not in ready.pictures else None
         if ready.layers and not filtered:  # alpha is only resampled
             ready.layers.skip()
-        layers, written = filtered.begin(commands, frame, planes, params, keep) if filtered else ([], {})
+        layers, written = (filtered.begin(commands, frame, planes, params, keep) if filtered
+                           else ([], {}))
         rows = ready.frames.rows(band, cells)
         if ready.strength and not (filtered or ready.restore):
             written = ready.strength.begin(frame, rows)
         written |= ready.error.written if ready.error else {}
-        colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers, written)
+        colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers,
+                                                written)
         own_runs = filtered.own_runs(frame, planes, params, keep) if filtered else ()
         for name, seen, own_params, output in own_runs:
             ready.own[name].use(model)
             own_still = still and own_params[GAIN] == params[GAIN]
-            ready.own[name].encode(commands, seen, own_params, keep, own_still, band, (), {"output": output})
+            ready.own[name].encode(commands, seen, own_params, keep, own_still, band, (),
+                                   {"output": output})
         self._fresh, self._exposure = not frame.unusable, frame.exposure_factor
-        colour = ready.restore.encode(commands, frame, colour, rows, cells) if ready.restore else colour
+        colour = (ready.restore.encode(commands, frame, colour, rows, cells) if ready.restore
+                  else colour)
         if ready.strength:
             colour = ready.strength.encode(commands, frame, colour, rows, savings.note_unblended)
         if filtered:
@@ -408,9 +450,10 @@ class DenoiseUpscale(Pass):
         return colour
 
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
-        """What a frame is beside the one before. Only what is denoised alone, from planes of the host, depends on
-        nothing but the frame."""
-        alone = not (keep or self.budget or frame.is_away or frame.unusable or ready.layers or ready.error)
+        """What a frame is beside the one before. Only what is denoised alone, from planes of the
+        host, depends on nothing but the frame."""
+        alone = not (keep or self.budget or frame.is_away or frame.unusable or ready.layers
+                     or ready.error)
         if not alone or not frame.tensors.keys() == frame.host_planes.keys() or ready.reflections:
             self._memory.forget()
             return Alike.OTHER
@@ -424,7 +467,8 @@ class DenoiseUpscale(Pass):
         """Record a copy of a frame's picture, for frames that are the same."""
         if self._result is None or self._result.shape != colour.shape:
             self._result = self._device.heap.tensor("picture of the same frames", colour.shape)
-        copier = self._device.host_state("keep", ("colour",), ("output",), lambda seen, kept: np.copyto(kept, seen))
+        copier = self._device.host_state("keep", ("colour",), ("output",),
+                                         lambda seen, kept: np.copyto(kept, seen))
         commands.run(copier, "keep", colour=colour, output=self._result)
 
     def _tell_of_alpha(self) -> None:
@@ -435,8 +479,10 @@ class DenoiseUpscale(Pass):
                             "the picture alone; fix: --no-alpha-denoise keeps alpha as it is")
             self._has_told_of_alpha = True
 
-    def _widen(self, commands: CommandBuffer, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> None:
-        """Go on in wider primaries to the end of the shot where a frame's light needs them, the history too."""
+    def _widen(self, commands: CommandBuffer, frame: ResidentFrame, ready: ReadyNetwork,
+               keep: bool) -> None:
+        """Go on in wider primaries to the end of the shot where a frame's light needs them, the
+        history too."""
         if not self._wider and ready.wider.help(frame):
             if keep:
                 self.recall(widen_history(self.history(), self._parts))
@@ -445,8 +491,8 @@ class DenoiseUpscale(Pass):
             ready.wider.widen(commands, frame)
 
     def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray | None:
-        """Where the frame's strength is not 0, as squares of 4 pixels, or as tiles if these are judged; None if that
-        is unknown."""
+        """Where the frame's strength is not 0, as squares of 4 pixels, or as tiles if these are
+        judged; None if that is unknown."""
         if Role.STRENGTH not in frame.host_planes:
             return None
         cells = active_cells(frame.host_planes[Role.STRENGTH])
@@ -454,7 +500,8 @@ class DenoiseUpscale(Pass):
         return whole_tiles(cells) if judges else cells
 
     def _is_repeated(self, frame: ResidentFrame) -> bool:
-        """Whether a frame's noise is that of the frame before. Not looked for where frames come on a GPU."""
+        """Whether a frame's noise is that of the frame before. Not looked for where frames come on
+        a GPU."""
         planes = frame.host_planes
         if frame.is_away or not {Role.COLOUR, Role.MOTION} <= planes.keys():
             return False
@@ -472,35 +519,41 @@ class DenoiseUpscale(Pass):
         return frame.is_blank(Role.MOTION)
 
     def _check_error(self, spec: FrameSpec) -> None:
-        """PassOptionError where the error is asked for and a network of frames of this spec does not predict it."""
+        """PassOptionError where the error is asked for and a network of frames of this spec does
+        not predict it."""
         if not self._error:
             return
         if not self.strength:
-            raise PassOptionError("strength 0 runs no network, so none predicts the error: leave one of the two out")
+            raise PassOptionError("strength 0 runs no network, so none predicts the error: leave "
+                                  "one of the two out")
         for tag in self._tags_for(spec):
             if not predicts_error(model_of(tag, self._ending(spec), filters=bool(self._parts))):
-                raise PassOptionError(f"model '{short_tag(tag)}' does not predict its error at this size: "
-                                      f"{self._error_remedy()}")
+                raise PassOptionError(f"model '{short_tag(tag)}' does not predict its error at "
+                                      f"this size: {self._error_remedy()}")
 
     def _check_enlargement(self, spec: FrameSpec) -> None:
-        """PassOptionError where frames of this spec are enlarged and a network gives the picture itself."""
+        """PassOptionError where frames of this spec are enlarged and a network gives the picture
+        itself."""
         if not self.strength or self._is_render_size(spec):
             return
         for tag in self._tags_for(spec):
             if gives_picture(model_of(tag, self._ending(spec))):
-                raise PassOptionError(f"model '{short_tag(tag)}' denoises at the render's size and does not enlarge: "
-                                      "give scale 1, or another model")
+                raise PassOptionError(f"model '{short_tag(tag)}' denoises at the render's size and "
+                                      "does not enlarge: give scale 1, or another model")
 
     def _error_remedy(self) -> str:
-        """What to do about it: a network that predicts it at the render size, where one comes with postfx."""
+        """What to do about it: a network that predicts it at the render size, where one comes with
+        postfx."""
         able = [tag for tag in family(LARGEST_TAG) if predicts_error(model_of(tag, UNSCALED))]
-        return f"give model '{able[-1]}' and scale 1, or leave the error out" if able else "leave the error out"
+        return (f"give model '{able[-1]}' and scale 1, or leave the error out" if able
+                else "leave the error out")
 
     def _reads_mirrored(self, spec: FrameSpec) -> bool:
-        """Whether a network reads the planes that follow mirrors and glass; where frames may change their size, for
-        any of their sizes."""
+        """Whether a network reads the planes that follow mirrors and glass; where frames may change
+        their size, for any of their sizes."""
         endings = ("", UNSCALED) if self.size else (self._ending(spec),)
-        return any(reads_mirrored(model_of(tag, ending)) for tag in self._tags_for(spec) for ending in endings)
+        return any(reads_mirrored(model_of(tag, ending)) for tag in self._tags_for(spec)
+                   for ending in endings)
 
     def _read_parts(self, spec: FrameSpec) -> tuple[str, ...]:
         """Names of the parts; FrameError for a part that the frame lacks."""
@@ -508,13 +561,15 @@ class DenoiseUpscale(Pass):
         for name in names:
             if name not in spec.part_names:
                 held = ", ".join(spec.part_names) or "none"
-                raise FrameError(f"{spec.source or 'frame'}: no part '{name}': its parts are {held}")
+                raise FrameError(f"{spec.source or 'frame'}: no part '{name}': its parts are "
+                                 f"{held}")
         return names
 
     def _notes(self, spec: FrameSpec) -> tuple[str, ...]:
         notes = [f"stays {self.size} where frames change their size"] if self.size else []
         notes += [f"own filters: {', '.join(self._own)}"] if self.strength and self._own else []
-        notes += ["smooth reflections move by their hit distance"] if self.strength and can_follow(spec) else []
+        notes += (["smooth reflections move by their hit distance"]
+                  if self.strength and can_follow(spec) else [])
         return tuple(notes)
 
     def _output_size(self, spec: FrameSpec) -> Size:
@@ -525,7 +580,8 @@ class DenoiseUpscale(Pass):
         return (role,) if role else ()
 
     def _reads_guides(self, spec: FrameSpec) -> bool:
-        """Whether a network does; at render size it is better with the planes, which have the samples of the colour."""
+        """Whether a network does; at render size it is better with the planes, which have the
+        samples of the colour."""
         return self._has_guided_model() and not self._is_render_size(spec)
 
     def _is_guided(self, spec: FrameSpec) -> bool:
@@ -538,13 +594,16 @@ class DenoiseUpscale(Pass):
         return self._output_size(spec) == (spec.height, spec.width)
 
     def _guide_remarks(self, spec: FrameSpec) -> list[str]:
-        if spec.guides is None or (spec.guide_roles and not set(spec.guide_roles) & set(GUIDE_ROLES)):
+        if (spec.guides is None
+            or (spec.guide_roles and not set(spec.guide_roles) & set(GUIDE_ROLES))):
             return []
         if not self._has_guided_model():
-            return [f"model '{short_tag(self._tag)}' does not read guides: they only stand in for missing planes"]
+            return [f"model '{short_tag(self._tag)}' does not read guides: they only stand in for "
+                    "missing planes"]
         if self._is_render_size(spec):
             return ["guides of the render size only stand in for missing planes"]
-        rough = [str(role) for role in GUIDE_ROLES if spec.has(role) and role not in spec.guide_roles]
+        rough = [str(role)
+                 for role in GUIDE_ROLES if spec.has(role) and role not in spec.guide_roles]
         return [f"edges are less exact without the guides {', '.join(rough)}"] if rough else []
 
 
@@ -554,7 +613,8 @@ WARM_UP = 1
 
 @dataclass
 class Kind:
-    """Frames of one kind: how many, the share of pixels that the network processed, and milliseconds of later ones."""
+    """Frames of one kind: how many, the share of pixels that the network processed, and
+    milliseconds of later ones."""
 
     frames: int = 0
     share: float = 0.0
@@ -562,17 +622,20 @@ class Kind:
 
 
 class Savings:
-    """Counts frames by how much work they needed. For each frame, call `begin`, then `note_time`."""
+    """Counts frames by how much work they needed. For each frame, call `begin`, then
+    `note_time`."""
 
     def __init__(self) -> None:
-        self._kinds = {name: Kind() for name in ("whole", "tiles", "lit", "nothing", "empty", "same")}
-        self._alone = self._still = self._resized = self._known = self._full = self._hazy = self._repeats = 0
+        self._kinds = {name: Kind()
+                       for name in ("whole", "tiles", "lit", "nothing", "empty", "same")}
+        self._alone = self._still = self._resized = self._known = 0
+        self._full = self._hazy = self._repeats = 0
         self._now = "whole"
         self._unfollowed: Counter[str] = Counter()
 
     def begin(self, share: float, has_history: bool, is_still: bool, lit: bool = False) -> None:
-        """Begin a frame; the network processes this share of it: `lit`: of what is not black, else of what has
-        strength."""
+        """Begin a frame; the network processes this share of it: `lit`: of what is not black, else
+        of what has strength."""
         self._now = "whole" if share == 1 else "nothing" if not share else "lit" if lit else "tiles"
         kind = self._kinds[self._now]
         kind.frames += 1
@@ -621,32 +684,40 @@ class Savings:
         """Work left out, each with the reason and the time saved."""
         found = []
         nothing, empty, same = (self._kinds[name] for name in ("nothing", "empty", "same"))
-        for kind, why in ((self._kinds["tiles"], "strength is 0 there"), (self._kinds["lit"], "all is black there")):
+        for kind, why in ((self._kinds["tiles"], "strength is 0 there"),
+                          (self._kinds["lit"], "all is black there")):
             if kind.frames:
                 part = 100 * kind.share / kind.frames
                 found.append((f"network outside of {part:.0f} % of {_count(kind.frames)}",
                               f"{why}; {self._saved(kind)}"))
         if nothing.frames:
-            found.append((f"network for {_count(nothing.frames)}", f"strength is 0 everywhere; {self._saved(nothing)}"))
+            found.append((f"network for {_count(nothing.frames)}",
+                          f"strength is 0 everywhere; {self._saved(nothing)}"))
         if empty.frames:
-            found.append((f"network for {_count(empty.frames)}", f"all is black; {self._saved(empty)}"))
+            found.append((f"network for {_count(empty.frames)}",
+                          f"all is black; {self._saved(empty)}"))
         if same.frames:
             found.append((f"network for {_count(same.frames)}",
                           f"all is as in the frame before; {self._saved(same)}"))
         if self._full:
-            found.append((f"blend with the input for {_count(self._full)}", "strength is 1 everywhere"))
+            found.append((f"blend with the input for {_count(self._full)}",
+                          "strength is 1 everywhere"))
         if self._alone:
-            found.append((f"history for {_count(self._alone)}", "first frame, cut, or no motion vectors"))
+            found.append((f"history for {_count(self._alone)}",
+                          "first frame, cut, or no motion vectors"))
         if self._repeats:
-            found.append((f"history for {_count(self._repeats)}", "noise is that of the frame before"))
+            found.append((f"history for {_count(self._repeats)}",
+                          "noise is that of the frame before"))
         if self._still:
-            found.append((f"reprojection of the last output for {_count(self._still)}", "nothing moves"))
+            found.append((f"reprojection of the last output for {_count(self._still)}",
+                          "nothing moves"))
         if self._hazy:
             found.append((f"depth and albedo of {_count(self._hazy)}", "depth is noise, as in fog"))
-        found += [(f"motion of reflections for {_count(frames)}", why) for why, frames in self._unfollowed.items()]
+        found += [(f"motion of reflections for {_count(frames)}", why)
+                  for why, frames in self._unfollowed.items()]
         if self._resized:
-            found.append((f"preparation at {self._known} of {_count(self._resized, 'change')} of size",
-                          "frames of these sizes were there before"))
+            found.append((f"preparation at {self._known} of {_count(self._resized, 'change')} of "
+                          "size", "frames of these sizes were there before"))
         return tuple(found)
 
     def _saved(self, kind: Kind) -> str:

@@ -2,9 +2,9 @@
 
     planes.py      brings planes and guides to the sizes that are read, makes the reactive mask;
                    history.py finds the motion of reflections
-    FRAME_STEPS    run once a frame
-    WINDOW_STEPS   take the picture of each window through a network; or CLASSIC_STEPS do, without one
-    LAYER_STEPS    filter what lies beside the picture in the same window, and so do ALPHA_STEPS
+    FRAME_NEEDS    runs once a frame
+    WINDOW_STEPS   take the picture of each window through a network; CLASSIC_STEPS do so without one
+    LAYER_STEPS    filter what lies beside the picture in the same window, and so does ALPHA
     frame.py       puts windows together
     planes.py      gives detail back, blends with the input by strength, corrects alpha, resamples
                    what passes through
@@ -24,8 +24,8 @@ A step runs where all of its words hold, and none of those behind `unless`:
     gpu        a GPU fuses some filters
     shaded     it fuses the last filter and the reflectance, too
     plain, guides, unscaled, given
-               what ends the window: colour is enlarged with its reflectance, or gets that of guides,
-               or stays at the render size, or the network gives the picture itself
+               what ends the window: colour is enlarged with its reflectance, or gets that of
+               guides, or stays at the render size, or the network gives the picture itself
     filtered   a layer has light of its own to filter, unlike the whole picture beside parts
     divided    a layer is divided by its own reflectance
 """
@@ -197,8 +197,8 @@ WINDOW_STEPS: dict[str, Steps] = {
     NETWORK_LABEL: (),
     "filter": ACCUMULATE_AND_FILTER,
     "upsample": ENLARGE}
-"""The picture of a window, by the labels of encoders. In between its network runs, with what packs and
-opens."""
+"""The picture of a window, by the labels of encoders. In between its network runs, with what packs
+and opens."""
 LAYER_STEPS: dict[str, Steps] = {"parts": (
     each(REFLECT, "filtered divided"),
     each(ACCUMULATE_PART, "filtered"),
@@ -219,13 +219,13 @@ CLASSIC_STEPS: dict[str, Steps] = {
 
 Buffers = Mapping[str, Tensor]
 WHOLE_FORM, HALF_FORM, CODED_FORM = range(3)
-"""Forms of the fine head: in float32, in half precision beside such a network on a GPU, and made row by row in the
-kernels that read it, which leaves its last channels alone in memory."""
+"""Forms of the fine head: in float32, in half precision beside such a network on a GPU, and made
+row by row in the kernels that read it, which leaves its last channels alone in memory."""
 MOST_PLACES = 64
 """Windows of one size whose positions stay on the device."""
 TOGETHER = 3
-"""Layers that are filtered at once: of each further one the weights are not read from memory again, but its
-intermediate results take memory."""
+"""Layers that are filtered at once: of each further one the weights are not read from memory again,
+but its intermediate results take memory."""
 
 
 class Each(NamedTuple):
@@ -240,8 +240,8 @@ ONCE = (Each(),)
 
 def run_steps(commands: CommandBuffer, table: Mapping[str, Steps], words: frozenset[str],
               buffers: Buffers, half: bool = False, each: Sequence[Each] = ONCE) -> None:
-    """Record the steps of a table that run where these words hold, on these buffers; in `half` precision
-    where a kernel has that form."""
+    """Record the steps of a table that run where these words hold, on these buffers; in `half`
+    precision where a kernel has that form."""
     for label, steps in table.items():
         for one in steps:
             kernel = IN_HALF.get(one.kernel, one.kernel) if half else one.kernel
@@ -268,9 +268,10 @@ class Layer:
     """A layer beside the picture that a window's filters run on.
 
     Attributes:
-        name: the filters write 'light NAME', and 'next_part NAME' unless the layer is the picture itself.
-        tensors: what the filters read of this frame, by binding. Without a 'part' the picture's radiance is enlarged
-            once more; without albedos the part has the picture's reflectance.
+        name: the filters write 'light NAME', and 'next_part NAME' unless the layer is the picture
+            itself.
+        tensors: what the filters read of this frame, by binding. Without a 'part' the picture's
+            radiance is enlarged once more; without albedos the part has the picture's reflectance.
         alone: whether it has no history in this frame, though the picture may have one.
         last: the stack (n, height, width, 3) that holds its last output.
         stack: the stack that its output goes to, where a window is the whole frame.
@@ -294,8 +295,8 @@ class WindowGraph:
     """The networks, and the buffers of the tables' steps, for windows of one size.
 
     A guided one's models also read guides. A reactive one can use masks of how much history counts.
-    Models that doubt planes also read their mean. Where layers are filtered, too, the `whole` fine head is
-    kept for them.
+    Models that doubt planes also read their mean. Where layers are filtered, too, the `whole` fine
+    head is kept for them.
     """
 
     def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
@@ -307,8 +308,8 @@ class WindowGraph:
         for state in states.values():
             check_bindings(state)
         self._forms = {
-            model: HALF_FORM if is_half(state) else CODED_FORM if state.products and not whole else WHOLE_FORM
-            for model, state in states.items()}
+            model: HALF_FORM if is_half(state) else CODED_FORM
+            if state.products and not whole else WHOLE_FORM for model, state in states.items()}
         self._places: LRUCache[Window, dict[str, Tensor]] = LRUCache(MOST_PLACES)
         between = cache(self._new)  # of several networks only one runs in a frame
         self._heads = {model: self._heads_of(state, self._forms[model], between)
@@ -330,7 +331,8 @@ class WindowGraph:
         may = SOMETIMES - (frozenset() if reactive else {"masked"})
         for model, words in self._words.items():
             some = may if ERROR in self._heads[model] else may - {ERROR}
-            device.make_ready(*kernels_of(WINDOW_STEPS, words | some, self._forms[model] == HALF_FORM))
+            device.make_ready(*kernels_of(WINDOW_STEPS, words | some,
+                                          self._forms[model] == HALF_FORM))
         if CLASSIC_MODEL in models:
             device.make_ready(*kernels_of(CLASSIC_STEPS, may))
         self._layer_buffers: dict[int, dict[str, Tensor]] = {}
@@ -340,12 +342,13 @@ class WindowGraph:
         """Record the work on a window of this graph's size.
 
         Args:
-            tensors: the frame's planes, its history, whatever exists once a frame, and the outputs, by the kernels'
-                names.
-            moves: whether the last output has to be warped to this frame. If not, it is read as it is, in a window of
-                the whole frame, because it is in place already or does not matter.
-            masked: whether the reactive masks of this frame and the last say how much of the history each pixel keeps.
-                If not, one number says it for all.
+            tensors: the frame's planes, its history, whatever exists once a frame, and the outputs,
+                by the kernels' names.
+            moves: whether the last output has to be warped to this frame. If not, it is read as it
+                is, in a window of the whole frame, because it is in place already or does not
+                matter.
+            masked: whether the reactive masks of this frame and the last say how much of the
+                history each pixel keeps. If not, one number says it for all.
             layers: what is filtered beside the picture.
 
         The expected error is written where `tensors` has a place for it.
@@ -417,13 +420,16 @@ class WindowGraph:
         unscaled = (frame.h, frame.w) == (frame.height, frame.width)
         if PICTURE in self._heads[model]:
             return GIVEN
-        return GUIDES_KIND if self._guided else UNSCALED_KIND if unscaled and model in self._doubting else PLAIN
+        return (GUIDES_KIND if self._guided else UNSCALED_KIND
+                if unscaled and model in self._doubting else PLAIN)
 
     def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
         return self._device.heap.transient(name, shape, dtype)
 
-    def _heads_of(self, network: PipelineState, form: int, between: Callable[..., Tensor]) -> dict[str, Tensor]:
-        """The heads that the filters read, by name; for levels that the network does not compute, their constants."""
+    def _heads_of(self, network: PipelineState, form: int,
+                  between: Callable[..., Tensor]) -> dict[str, Tensor]:
+        """The heads that the filters read, by name; for levels that the network does not compute,
+        their constants."""
         shapes, products = heads_of(network), f"{PRODUCTS}fine"
         dtype = "float16" if form == HALF_FORM else "float32"
         if form == CODED_FORM:
@@ -438,7 +444,8 @@ class WindowGraph:
             heads["fine"] = heads[CONTROLS_NAME]
         for name, values in alike_heads(network).items():
             size = (1, values.shape[1], *self._window.level(int(name[-1])))
-            heads[name] = upload(self._device.heap, name, np.broadcast_to(values, size).astype(dtype), dtype)
+            heads[name] = upload(self._device.heap, name,
+                                 np.broadcast_to(values, size).astype(dtype), dtype)
         return heads
 
     def _common_buffers(self, reactive: bool) -> dict[str, Tensor]:
@@ -446,40 +453,45 @@ class WindowGraph:
         rows, columns, out = self._window.rows, self._window.columns, self._window.out
         cells = (-(-side // TRUST_CELL) for side in (rows, columns))
         shapes: dict[str, tuple[int, ...]] = {
-            "moved": (rows, columns, 2), "past": (rows, columns, 4), "warped": (out.rows, out.columns, 3),
-            "factor": (rows, columns, 3)}
+            "moved": (rows, columns, 2), "past": (rows, columns, 4),
+            "warped": (out.rows, out.columns, 3), "factor": (rows, columns, 3)}
         shapes |= {"means": (*means_size(rows, columns), 3)} if self._doubting else {}
         shapes |= {"trust": (*cells, 1)} if self._guided else {}
         shapes |= {"keep": (rows, columns, 1)} if reactive else {}
         made = {name: self._new(name, shape) for name, shape in shapes.items()}
-        return made | {"no means": upload(self._device.heap, "no means", np.zeros((1, 1, 3), np.float32))}
+        return made | {"no means": upload(self._device.heap, "no means",
+                                          np.zeros((1, 1, 3), np.float32))}
 
     def _pyramid_buffers(self, accumulated: Tensor) -> dict[str, Tensor]:
         """Buffers of the steps behind the network."""
         level, size = self._window.level, (self._window.rows + 2, self._window.columns + 2)
         made = {"level 0": accumulated, "pool 0": accumulated.view("light 0", (3, *level(0))),
-                "importance 0": accumulated.view("importance 0", (1, *level(0)), 3 * math.prod(level(0)))}
-        made |= {f"importance {i}": self._new(f"importance {i}", (1, *level(i))) for i in range(1, LEVELS + 1)}
+                "importance 0": accumulated.view("importance 0", (1, *level(0)),
+                                                 3 * math.prod(level(0)))}
+        made |= {f"importance {i}": self._new(f"importance {i}", (1, *level(i)))
+                 for i in range(1, LEVELS + 1)}
         made |= {f"radiance {end}": self._new(f"radiance {end}", (3 if end == PLAIN else 6, *size))
                  for end in set(self._ends.values()) - {GIVEN}}
         return made | self._levels(3)
 
     def _levels(self, channels: int) -> dict[str, Tensor]:
         """Levels of the pyramid above the first, mixed and filtered ones."""
-        counts = {"pool": range(1, LEVELS + 1), "mixed": range(LEVELS), "filtered": range(LEVELS + 1)}
+        counts = {"pool": range(1, LEVELS + 1), "mixed": range(LEVELS),
+                  "filtered": range(LEVELS + 1)}
         return {f"{name} {i}": self._new(f"{name} {i}", (channels, *self._window.level(i)))
                 for name, levels in counts.items() for i in levels}
 
     def _layers_of(self, count: int, channels: int) -> dict[str, Tensor]:
-        """Buffers for as many layers, made when as many are first filtered at once: of alpha, with one channel, or of
-        light."""
+        """Buffers for as many layers, made when as many are first filtered at once: of alpha, with
+        one channel, or of light."""
         if count * channels not in self._layer_buffers:
             rows, columns = self._window.rows, self._window.columns
             made = self._layer_buffers[count * channels] = {
                 "pool 0": self._new("level of layers", (count * channels, *self._window.level(0))),
                 **self._levels(count * channels)}
             if channels == 3:
-                made["radiance"] = self._new("radiance of parts", (3 * count, rows + 2, columns + 2))
+                made["radiance"] = self._new("radiance of parts",
+                                             (3 * count, rows + 2, columns + 2))
                 made["factor"] = self._new("factors of parts", (count, rows, columns, 3))
         return self._layer_buffers[count * channels]
 
@@ -493,8 +505,10 @@ class WindowGraph:
     @cached_property
     def _nothing(self) -> dict[str, Tensor]:
         """In place of a history, for layers without one."""
-        arrays = {"past": np.zeros(self._made["past"].shape, np.float32), "keep": np.zeros((1, 1, 1), np.float32)}
-        return {name: upload(self._device.heap, f"no {name}", array) for name, array in arrays.items()}
+        arrays = {"past": np.zeros(self._made["past"].shape, np.float32),
+                  "keep": np.zeros((1, 1, 1), np.float32)}
+        return {name: upload(self._device.heap, f"no {name}", array)
+                for name, array in arrays.items()}
 
     def _shaded(self, model: str) -> Tensor:
         """The picture's radiance with the reflectance of the render size."""
@@ -506,7 +520,8 @@ class WindowGraph:
     def _place(self, window: Window) -> dict[str, Tensor]:
         """Tensors that describe a window to the kernels, by buffer: see `Window.places`."""
         return self._places.get_or_make(window, lambda: {
-            name: upload(self._device.heap, name, array) for name, array in window.places().items()})
+            name: upload(self._device.heap, name, array)
+            for name, array in window.places().items()})
 
 
 def _together(layers: Sequence[Layer], most: int) -> list[list[Layer]]:

@@ -20,7 +20,8 @@ from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.tiling import Rows, Shape, Sizes
 from postfx.runtime import CommandBuffer, Device, Tensor
 
-NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth", "last_reactive": "next_reactive"}
+NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth",
+        "last_reactive": "next_reactive"}
 """Tensor of the last frame that kernels read -> tensor that they write for the next one."""
 STATE_CHANNELS = {"state": 4 + HIDDEN, "last_depth": 1}
 """For tensors of render size."""
@@ -32,7 +33,8 @@ class Room:
 
     def __init__(self, device: Device, pixels: int, channels: Mapping[str, int]) -> None:
         self.pixels, self._channels = pixels, channels
-        self._memory = {name: make_zeros(device, name, (pixels * count,)) for name, count in channels.items()}
+        self._memory = {name: make_zeros(device, name, (pixels * count,))
+                        for name, count in channels.items()}
         self._views: LRUCache[Shape, dict[str, Tensor]] = LRUCache(MOST_SIZES)
 
     def of(self, size: Shape) -> dict[str, Tensor]:
@@ -40,18 +42,21 @@ class Room:
         return self._views.get_or_make(size, partial(self._view, size))
 
     def _view(self, size: Shape) -> dict[str, Tensor]:
-        return {name: memory.view(name, (*size, self._channels[name])) for name, memory in self._memory.items()}
+        return {name: memory.view(name, (*size, self._channels[name]))
+                for name, memory in self._memory.items()}
 
 
 class History:
-    """The last output, accumulated state, depth and reactive mask: one set, which each frame replaces, until a frame
-    needs the last one to its end; from then on two sets that alternate.
+    """The last output, accumulated state, depth and reactive mask: one set, which each frame
+    replaces, until a frame needs the last one to its end; from then on two sets that alternate.
 
-    The output keeps its size. The rest has its frame's render size, and is resampled when the next frame has another.
+    The output keeps its size. The rest has its frame's render size, and is resampled when the next
+    frame has another.
     """
 
     def __init__(self, device: Device, sizes: Sizes, reactive: bool) -> None:
-        self._device, self._size, self._output = device, (sizes.h, sizes.w), (sizes.height, sizes.width)
+        self._device, self._size, self._output = (device, (sizes.h, sizes.w),
+                                                  (sizes.height, sizes.width))
         self._channels = STATE_CHANNELS | ({"last_reactive": 1} if reactive else {})
         self._outputs = [self._make_output()]
         self._rooms = self._make_rooms()
@@ -70,8 +75,9 @@ class History:
         self._model = model
 
     def turn(self, commands: CommandBuffer, size: Shape, keep: bool, apart: bool) -> None:
-        """Begin a frame of this render size: the tensors written last become the history. Their content is only defined
-        if the history is not kept. `apart`: the frame needs them to its end."""
+        """Begin a frame of this render size: the tensors written last become the history. Their
+        content is only defined if the history is not kept. `apart`: the frame needs them to its
+        end."""
         if self.is_replaced and (apart or size != self._size):
             self._rooms = [*self._make_rooms(), *self._rooms]
             self._held *= 2
@@ -93,8 +99,8 @@ class History:
             self._resize(commands, before)
 
     def cover(self, rows: Rows) -> Rows:
-        """Call once a frame, which leaves something in these rows only. Returns the rows to write: also those in which
-        an earlier frame left something."""
+        """Call once a frame, which leaves something in these rows only. Returns the rows to write:
+        also those in which an earlier frame left something."""
         before, self._held[-1] = self._held[-1], rows
         return min(rows[0], before[0]), max(rows[1], before[1])
 
@@ -111,7 +117,8 @@ class History:
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Between two frames: the history by the kernels' names, and its render size."""
-        return {"size": np.array(self._size, np.int64)} | {name: tensor.content() for name, tensor in self.next.items()}
+        return {"size": np.array(self._size, np.int64)} | {name: tensor.content()
+                                                           for name, tensor in self.next.items()}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
         """Between two frames: replace the history by `kept`."""
@@ -124,7 +131,8 @@ class History:
             tensor.upload(kept[name])
 
     def _make_rooms(self) -> list[Room]:
-        return [Room(self._device, self._size[0] * self._size[1], self._channels) for _ in self._outputs]
+        return [Room(self._device, self._size[0] * self._size[1], self._channels)
+                for _ in self._outputs]
 
     def _make_output(self) -> Tensor:
         return make_zeros(self._device, "history", (*self._output, 3))
@@ -138,15 +146,16 @@ class History:
         after, (height, width) = self._rooms[0].of(self._size), before["last_depth"].shape[:2]
         rows, columns = (self._device.wrap(name, positions(old, new)) for name, old, new in
                          (("at_rows", height, self._size[0]), ("at_columns", width, self._size[1])))
-        commands.run(RESIZE, "resize", state=before["state"], last_depth=before["last_depth"], at_rows=rows,
+        commands.run(RESIZE, "resize", state=before["state"], last_depth=before["last_depth"],
+                     at_rows=rows,
                      at_columns=columns, resized=after["state"], resized_depth=after["last_depth"])
         if "last_reactive" in before:
-            commands.run(RESAMPLE, "resize", image=before["last_reactive"], rows=rows, columns=columns,
-                         output=after["last_reactive"])
+            commands.run(RESAMPLE, "resize", image=before["last_reactive"], rows=rows,
+                         columns=columns, output=after["last_reactive"])
 
     def _forget_hidden(self) -> None:
-        """Another network cannot read the hidden state. Zeros in its place are what every network knows from first
-        frames."""
+        """Another network cannot read the hidden state. Zeros in its place are what every network
+        knows from first frames."""
         state = self._rooms[-1].of(self._size)["state"]
         values = state.download()
         values[..., -HIDDEN:] = 0
@@ -174,16 +183,20 @@ class LayerHistory:
     """The last output of a layer and its accumulated values, in two sets used in turn.
 
     Attributes:
-        frames: how many frames the layer ran in since it last had no history; 0 if the last one left nothing.
-        resized: whether the frame before had another size: then only the output and accumulated values go on.
+        frames: how many frames the layer ran in since it last had no history; 0 if the last one
+            left nothing.
+        resized: whether the frame before had another size: then only the output and accumulated
+            values go on.
     """
 
     def __init__(self, device: Device, name: str, output: Size, outputs: Sequence[Tensor] = (),
                  channels: Mapping[str, int] = MappingProxyType({})) -> None:
-        """`channels`: tensors of render size that a frame leaves to the next, in place of its output and values."""
+        """`channels`: tensors of render size that a frame leaves to the next, in place of its
+        output and values."""
         self._device, self._channels = device, dict(channels) or {"last_part": 3}
         size = (1, 1, 1) if channels else (*output, 3)
-        self._outputs = list(outputs) or [make_zeros(device, f"last {name}", size) for _ in range(2)]
+        self._outputs = list(outputs) or [make_zeros(device, f"last {name}", size)
+                                          for _ in range(2)]
         self._rooms: list[Room] = []
         self._size: Shape = (0, 0)
         self.frames, self.resized = 0, False
@@ -252,11 +265,13 @@ class LayerHistory:
     def _resize(self, commands: CommandBuffer, before: Tensor) -> None:
         rows, columns = (self._device.wrap(name, positions(old, new)) for name, old, new in
                          zip(("at_rows", "at_columns"), before.shape, self._size, strict=False))
-        commands.run(RESAMPLE, "resize", image=before, rows=rows, columns=columns, output=self.last["last_part"])
+        commands.run(RESAMPLE, "resize", image=before, rows=rows, columns=columns,
+                     output=self.last["last_part"])
 
 
 def places_of(parts: Sequence[Part]) -> dict[str, int]:
-    """Places of layers in a stack: the whole picture if there are lights, these group by group, then other planes."""
+    """Places of layers in a stack: the whole picture if there are lights, these group by group,
+    then other planes."""
     lights = [part.name for part in parts if part.is_light]
     planes = [part.name for part in parts if not part.is_light and part.kind != FACTOR]
     return {name: i for i, name in enumerate([WHOLE, *lights, *planes] if lights else planes)}
@@ -276,11 +291,14 @@ class PartHistory:
 
     def __init__(self, device: Device, output: Size, parts: Sequence[Part],
                  own: Mapping[str, History] = MappingProxyType({})) -> None:
-        self._device, self._output, self.own, self.stops = device, output, own, dict.fromkeys(own, 0.0)
+        self._device, self._output, self.own, self.stops = (device, output, own,
+                                                            dict.fromkeys(own, 0.0))
         self.ran: tuple[str, ...] = ()
         places = places_of(parts)
-        self.stacks = [make_zeros(device, "parts", (len(places), *output, 3)) for _ in range(2)] if places else []
-        self.layers = {name: LayerHistory(device, name, output, [one_of(stack, i) for stack in self.stacks])
+        self.stacks = ([make_zeros(device, "parts", (len(places), *output, 3)) for _ in range(2)]
+                       if places else [])
+        self.layers = {name: LayerHistory(device, name, output,
+                                          [one_of(stack, i) for stack in self.stacks])
                        for name, i in places.items()}
 
     def layer(self, name: str) -> LayerHistory:
@@ -302,9 +320,12 @@ class PartHistory:
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Between two frames: the values that the last one left, by 'part NAME of a layer'."""
-        kept = {name: layer.snapshot() for name, layer in self.layers.items() if name not in self.own}
-        kept |= {name: self.own[name].snapshot() | {"stops": np.array(self.stops[name])} for name in self.ran}
-        return {f"part {key} of {name}": array for name, arrays in kept.items() for key, array in arrays.items()}
+        kept = {name: layer.snapshot()
+                for name, layer in self.layers.items() if name not in self.own}
+        kept |= {name: self.own[name].snapshot() | {"stops": np.array(self.stops[name])}
+                 for name in self.ran}
+        return {f"part {key} of {name}": array for name, arrays in kept.items()
+                for key, array in arrays.items()}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
         """Between two frames: replace the values that the last one left by those `kept`."""
@@ -325,7 +346,8 @@ class PartHistory:
 
 def some_of(stack: Tensor, first: int, count: int) -> Tensor:
     """Pictures of a stack (n, height, width, 3), or planes of one (n, height, width); no copy."""
-    return stack.view(f"{stack.name} from {first}", (count, *stack.shape[1:]), first * math.prod(stack.shape[1:]))
+    return stack.view(f"{stack.name} from {first}", (count, *stack.shape[1:]),
+                      first * math.prod(stack.shape[1:]))
 
 
 def one_of(stack: Tensor, i: int) -> Tensor:
@@ -338,11 +360,13 @@ def alone(picture: Tensor) -> Tensor:
     return picture.view(picture.name, (1, *picture.shape))
 
 
-NEEDS = (Role.MOTION, Role.DEPTH, Role.NORMAL, Role.ROUGHNESS, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+NEEDS = (Role.MOTION, Role.DEPTH, Role.NORMAL, Role.ROUGHNESS, Role.DIFFUSE_ALBEDO,
+         Role.SPECULAR_ALBEDO)
 """Without one of these the hit distance is of no use."""
 
 AXES = ((-1, -1, 1), (1, -1, -1), (1, -1, 1))
-"""Signs that turn x, y and z of cameras into the picture's (x right, y down, z forward): for Mitsuba, OpenGL, pbrt."""
+"""Signs that turn x, y and z of cameras into the picture's (x right, y down, z forward): for
+Mitsuba, OpenGL, pbrt."""
 
 SAMPLES = 24
 """Pixels along a side whose motion tells which axes a camera has."""
@@ -354,7 +378,8 @@ NO_FIT = "worldToCamera, field of view and depth do not give the motion that the
 
 
 class Camera(NamedTuple):
-    """A frame's camera: world to camera (4, 4), row vectors; horizontal field of view in degrees."""
+    """A frame's camera: world to camera (4, 4), row vectors; horizontal field of view in
+    degrees."""
 
     matrix: np.ndarray
     fov_x: float
@@ -362,18 +387,21 @@ class Camera(NamedTuple):
     @classmethod
     def of(cls, frame: ResidentFrame) -> Camera | None:
         """None where the frame does not know it."""
-        if frame.world_to_camera is None or not frame.fov_x or abs(np.linalg.det(frame.world_to_camera)) < 1e-12:
+        if (frame.world_to_camera is None or not frame.fov_x
+            or abs(np.linalg.det(frame.world_to_camera)) < 1e-12):
             return None
         return cls(frame.world_to_camera, frame.fov_x)
 
 
 def can_follow(spec: FrameSpec) -> bool:
-    """Whether frames of a spec have the planes for the motion of reflections, some possibly as guides."""
+    """Whether frames of a spec have the planes for the motion of reflections, some possibly as
+    guides."""
     return spec.has(Role.SPECULAR_HIT_DISTANCE) and all(spec.has(role) for role in NEEDS)
 
 
 class Reflections:
-    """Replaces the motion of smooth surfaces with a hit distance by the motion of their virtual image."""
+    """Replaces the motion of smooth surfaces with a hit distance by the motion of their virtual
+    image."""
 
     def __init__(self, device: Device, spec: FrameSpec) -> None:
         self._camera = device.heap.tensor("camera", (CAMERA,))
@@ -382,11 +410,13 @@ class Reflections:
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, params: np.ndarray | None,
                planes: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        """Record the work, unless `params` are None; returns the planes, with this motion for the frame's own."""
+        """Record the work, unless `params` are None; returns the planes, with this motion for the
+        frame's own."""
         if params is None:
             return planes
         self._camera.upload(params)
-        commands.run(REFLECTIONS, "reflections", camera=self._camera, hit_distance=frame[Role.SPECULAR_HIT_DISTANCE],
+        commands.run(REFLECTIONS, "reflections", camera=self._camera,
+                     hit_distance=frame[Role.SPECULAR_HIT_DISTANCE],
                      reflected=self._output, **{str(role): planes[role] for role in NEEDS})
         return {**planes, "motion": self._output}
 
@@ -403,13 +433,15 @@ class Cameras:
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Between two frames: the last camera and its facts."""
-        return {"camera": self._last.matrix, "fov_x": np.array(self._last.fov_x, np.float64)} if self._last else {}
+        return ({"camera": self._last.matrix, "fov_x": np.array(self._last.fov_x, np.float64)}
+                if self._last else {})
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
         """Between two frames: replace these facts by `kept`."""
         self._last = Camera(kept["camera"], float(kept["fov_x"])) if "camera" in kept else None
 
-    def step(self, frame: ResidentFrame, moves: bool, tell: Callable[[str], None]) -> np.ndarray | None:
+    def step(self, frame: ResidentFrame, moves: bool,
+             tell: Callable[[str], None]) -> np.ndarray | None:
         """The kernel's parameters for a frame, float32 (27,); None if it has nothing to do.
 
         Args:
@@ -443,17 +475,20 @@ def _best_params(frame: ResidentFrame, now: Camera, then: Camera) -> np.ndarray 
     return tried[best].astype(np.float32) if errors[best] <= 1 else None
 
 
-def _params(frame: ResidentFrame, now: Camera, then: Camera, axes: tuple[int, int, int]) -> np.ndarray:
+def _params(frame: ResidentFrame, now: Camera, then: Camera,
+            axes: tuple[int, int, int]) -> np.ndarray:
     signs, change = np.diag(axes).astype(float), np.linalg.inv(now.matrix) @ then.matrix
     aspect = pixel_aspect(frame.metadata)
     focal = [side / 2 / math.tan(math.radians(camera.fov_x) / 2) for camera in (now, then)
              for side in (frame.spec.width, frame.spec.width * aspect)]
     turn, shift = signs @ change[:3, :3] @ signs, change[3, :3] @ signs
-    return np.concatenate([focal, frame.jitter, turn.ravel(), shift, (now.matrix[:3, :3] @ signs).ravel()])
+    return np.concatenate([focal, frame.jitter, turn.ravel(), shift,
+                           (now.matrix[:3, :3] @ signs).ravel()])
 
 
 def _misfit(frame: ResidentFrame, params: np.ndarray) -> float:
-    """Median over some pixels of the difference from the motion of surfaces at rest, in units of the tolerance."""
+    """Median over some pixels of the difference from the motion of surfaces at rest, in units of
+    the tolerance."""
     depth, motion = frame.host_planes[Role.DEPTH], frame.host_planes[Role.MOTION]
     height, width = depth.shape[:2]
     rows = np.linspace(0, height - 1, min(height, SAMPLES)).astype(int)[:, None]
@@ -462,8 +497,10 @@ def _misfit(frame: ResidentFrame, params: np.ndarray) -> float:
     hit = (z > 0) & (z < DEPTH_MISS) & np.isfinite(moved).all(-1)
     if not hit.any():
         return math.inf
-    at = np.stack(np.broadcast_arrays(columns, rows), -1) + 0.5 + params[4:6] - (width / 2, height / 2)
+    at = np.stack(np.broadcast_arrays(columns, rows), -1) + 0.5 + params[4:6] - (width / 2,
+                                                                                 height / 2)
     ray = np.concatenate([at / params[:2], np.ones((*z.shape, 1))], -1)[hit]
     place = ray @ params[6:15].reshape(3, 3) + params[15:18] / z[hit][:, None]
-    error = np.abs(place[:, :2] / np.maximum(place[:, 2:], 1e-6) * params[2:4] - at[hit] - moved[hit]).max(-1)
+    error = np.abs(place[:, :2] / np.maximum(place[:, 2:], 1e-6) * params[2:4] - at[hit]
+                   - moved[hit]).max(-1)
     return float(np.median(error / (MOST_OFF + PART_OFF * np.abs(moved[hit]).max(-1))))

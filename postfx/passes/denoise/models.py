@@ -1,4 +1,5 @@
-"""Networks of the denoised upscaler: from a tag to the model that runs, and which of several fits a time budget."""
+"""Networks of the denoised upscaler: from a tag to the model that runs, and which of several fits a
+time budget."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from postfx.runtime.convolutions import Head
 
 PASS = "denoise_upscale"
 HEADS = {"raw_fine": Head("fine", FINE, BLEND, MEMORY, side=2)} | {
-    f"raw_level{level}": Head(f"level{level}", KERNEL + 1, KERNEL, KERNEL + 1) for level in range(1, LEVELS + 1)}
+    f"raw_level{level}": Head(f"level{level}", KERNEL + 1, KERNEL, KERNEL + 1)
+    for level in range(1, LEVELS + 1)}
 """Outputs that a GPU gives after their activations: weights of filters, shares, and states."""
 EXACT_SUFFIX, FILE = ".fp32", ".onnx"
 """Suffixes of a tag: for the network as trained, in float32, and for one in a file."""
@@ -26,7 +28,8 @@ SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has th
 CLASSIC = "classic"
 """Tag, and name in place of a model, of the classical filter, which runs without a network."""
 STAND_INS = {"l": "m"}
-"""Networks without a variant for the render size, and the network whose variant is taken there, as it is better."""
+"""Networks without a variant for the render size, and the network whose variant is taken there, as
+it is better."""
 
 
 def exact(tag: str) -> str:
@@ -35,19 +38,22 @@ def exact(tag: str) -> str:
 
 
 def split_ending(name: str) -> tuple[str, str]:
-    """A tag or a model's name without its special ending, and the ending: 'm.int8.1x' -> 'm.int8', '.1x'."""
+    """A tag or a model's name without its special ending, and the ending: 'm.int8.1x' -> 'm.int8',
+    '.1x'."""
     ending = next((one for one in SPECIAL if name.endswith(one)), "")
     return name.removesuffix(ending), ending
 
 
-# A tag is a plain word for a network that comes with postfx, FOLDER/TAG for one of another library, or FILE.onnx for
-# this very file. Names of models follow: 'denoise_upscale.m', 'FOLDER/denoise_upscale.m', 'FOLDER/mine.onnx'.
+# A tag is a plain word for a network that comes with postfx, FOLDER/TAG for one of another library,
+# or FILE.onnx for this very file. Names of models follow: 'denoise_upscale.m',
+# 'FOLDER/denoise_upscale.m', 'FOLDER/mine.onnx'.
 
 
 def validate_tag(model: str, library: Library | None = None) -> str:
     """The tag for the options `model` and `library`.
 
-    Raises PassOptionError for a network that is chosen automatically, ModelError for one that does not exist.
+    Raises PassOptionError for a network that is chosen automatically, ModelError for one that does
+    not exist.
     """
     path = Path(os.path.expanduser(model))
     word = path.stem if model.endswith(FILE) else model
@@ -57,15 +63,17 @@ def validate_tag(model: str, library: Library | None = None) -> str:
         raise PassOptionError(f"model '{model}' runs {SPECIAL[ending]}: give the model '{there}'")
     if model.endswith(FILE):
         if library is not None:
-            raise PassOptionError(f"model '{model}' is a file, which needs no library: leave library out")
+            raise PassOptionError(f"model '{model}' is a file, which needs no library: leave "
+                                  "library out")
         if not os.path.isfile(path):
-            raise ModelError(f"model '{model}': no such file: check the path and its rights; 'postfx models' lists "
-                             "those that need none")
+            raise ModelError(f"model '{model}': no such file: check the path and its rights; "
+                             "'postfx models' lists those that need none")
         return str(path.absolute())
     if library is None or model == CLASSIC:
         return model
     if library.trust:
-        raise PassOptionError(f"the denoised upscaler takes no networks on trust: give it {library.folders[0]} alone")
+        raise PassOptionError("the denoised upscaler takes no networks on trust: give it "
+                              f"{library.folders[0]} alone")
     found = library.path(f"{PASS}.{model.removesuffix(EXACT_SUFFIX)}")
     return f"{found.absolute().parent}/{model}"
 
@@ -78,16 +86,20 @@ def short_tag(tag: str) -> str:
 def find_model(model: str) -> tuple[Library, str]:
     """The library of a model, and its name there."""
     path = Path(model)
-    return (Library(path.parent), path.name.removesuffix(FILE)) if "/" in model else (Library(), model)
+    return ((Library(path.parent), path.name.removesuffix(FILE)) if "/" in model
+            else (Library(), model))
 
 
-def model_of(tag: str, ending: str = "", device: Device | None = None, filters: bool = False) -> str:
-    """Name of the model for a tag: 'm.fp32' -> 'denoise_upscale.m', 'm.int8' -> 'denoise_upscale.m.int8'.
+def model_of(tag: str, ending: str = "", device: Device | None = None,
+             filters: bool = False) -> str:
+    """Name of the model for a tag: 'm.fp32' -> 'denoise_upscale.m', 'm.int8' ->
+    'denoise_upscale.m.int8'.
 
-    Without a precision, a tag means the device's fast one if it exists (int8 on a CPU, fp16 on a GPU), else float32.
-    Without a device it means the float32 model, which every such tag has. If a tag has no network for the render size,
-    its stand-in's runs, or else the plain one. So it does where the network must predict ``filters``, which other
-    pictures need, too, and gives the picture alone.
+    Without a precision, a tag means the device's fast one if it exists (int8 on a CPU, fp16 on a
+    GPU), else float32. Without a device it means the float32 model, which every such tag has. If a
+    tag has no network for the render size, its stand-in's runs, or else the plain one. So it does
+    where the network must predict ``filters``, which other pictures need, too, and gives the
+    picture alone.
     """
     if ending != UNSCALED:
         return _named(tag, ending, device)
@@ -147,13 +159,14 @@ def runs_classic(device: Device) -> bool:
 
 
 def grid_of(models: Iterable[str]) -> int:
-    """Render pixels along a side of a cell of the coarsest level that any of these models computes: sides of their
-    input are multiples of it."""
+    """Render pixels along a side of a cell of the coarsest level that any of these models computes:
+    sides of their input are multiples of it."""
     return max(_grid(_card(model).get("outputs", {})) for model in models)
 
 
 def doubts_planes(model: str) -> bool:
-    """Whether a model's network says how far each pixel's planes are trusted, in its last hidden channel."""
+    """Whether a model's network says how far each pixel's planes are trusted, in its last hidden
+    channel."""
     return bool(_card(model).get("config", {}).get("trust"))
 
 
@@ -168,19 +181,21 @@ def predicts_error(model: str) -> bool:
 
 
 def gives_picture(model: str) -> bool:
-    """Whether a model's network gives the picture itself, and no filters that parts and alpha could pass, too."""
+    """Whether a model's network gives the picture itself, and no filters that parts and alpha could
+    pass, too."""
     return "picture" in _card(model).get("outputs", {})
 
 
 def blanks_volumes(model: str) -> bool:
-    """Whether depth and albedo are left out for a model where they show what lies behind a volume."""
+    """Whether depth and albedo are left out for a model where they show what lies behind a
+    volume."""
     return bool(_card(model).get("blanks_volumes", True))
 
 
 HALOS, GUIDED_HALO = {CLASSIC: 40, "s": 56, "m": 44, "l": 48}, 96
-"""Render pixels that a network must see around active ones so that the result differs by less than 1e-3 from that of
-the whole frame: by model size, the largest for other models, and for models that read guides. docs/lab/denoiser.md
-lists the differences. A card's own "halo" comes before them."""
+"""Render pixels that a network must see around active ones so that the result differs by less than
+1e-3 from that of the whole frame: by model size, the largest for other models, and for models that
+read guides. docs/lab/denoiser.md lists the differences. A card's own "halo" comes before them."""
 
 
 def halo_of(models: Iterable[str]) -> int:
@@ -189,8 +204,8 @@ def halo_of(models: Iterable[str]) -> int:
 
 
 NETWORK_REACHES_PX, GUIDED_REACH = {CLASSIC: 72, "s": 136, "m": 64, "l": 64}, 224
-"""Render pixels that a network sees around each at most, counted by its convolutions: nothing farther away changes a
-bit of what it gives."""
+"""Render pixels that a network sees around each at most, counted by its convolutions: nothing
+farther away changes a bit of what it gives."""
 
 
 def reach_of(models: Iterable[str]) -> int:
@@ -208,8 +223,8 @@ def _reach(model: str) -> int:
 
 
 def seamless(models: Iterable[str]) -> int:
-    """Halo of tiles side by side. A measured one is larger than around masks, as every seam shows: with it integer
-    networks agree, too, frame after frame."""
+    """Halo of tiles side by side. A measured one is larger than around masks, as every seam shows:
+    with it integer networks agree, too, frame after frame."""
     return max(_halo_in_card(model) or _halo(model) * 4 // 3 for model in models)
 
 
@@ -234,14 +249,16 @@ def _card(model: str) -> dict[str, Any]:
 
 
 def _grid(outputs: Mapping[str, Mapping[str, Any]]) -> int:
-    levels = [int(name[-1]) for name, facts in outputs.items() if "level" in name and not facts.get("constant")]
+    levels = [int(name[-1])
+              for name, facts in outputs.items() if "level" in name and not facts.get("constant")]
     return 1 << max(levels, default=LEVELS)
 
 
 def load_network(device: Device, model: str, dims: Mapping[str, int]) -> PipelineState:
     """A model, ready for the given sizes of its free dimensions."""
     library, name = find_model(model)
-    return device.pipeline_state(library, name, dims, heads=HEADS, codes=device.runs_rows and has_byte_products())
+    return device.pipeline_state(library, name, dims, heads=HEADS,
+                                 codes=device.runs_rows and has_byte_products())
 
 
 def name_models(device: Device, models: Iterable[str]) -> None:
@@ -251,37 +268,41 @@ def name_models(device: Device, models: Iterable[str]) -> None:
 
 
 FAMILY = {CLASSIC: 0.5, "s": 1.0, "m": 3.5, "l": 5.0}
-"""The classical filter and networks by size, fastest first, and about how many times as long as 's' each takes in
-float32."""
+"""The classical filter and networks by size, fastest first, and about how many times as long as 's'
+each takes in float32."""
 
 FAST = {CLASSIC: 0.5, "s": 1.0, "m": 2.1, "l": 2.8}
 """The same in integers or half precision."""
 
 ROOM = 0.85
-"""Share of the budget that a slower network may be expected to take; the rest keeps it from going back at once."""
+"""Share of the budget that a slower network may be expected to take; the rest keeps it from going
+back at once."""
 
 WEIGHT = 0.3
 """Weight of the last frame in the running mean of a network's time."""
 
 PATIENCE, MOST_PATIENCE = 2, 256
-"""Frames in a row that must allow a slower network: at first, and at most after it was too slow again and again."""
+"""Frames in a row that must allow a slower network: at first, and at most after it was too slow
+again and again."""
 
 STEADY = 64
 """Frames on a slower rung after which its being too slow before is forgotten."""
 
 TOO_LONG = 2
-"""Frames in a row over the budget before a faster network is taken: one may be another program's fault."""
+"""Frames in a row over the budget before a faster network is taken: one may be another program's
+fault."""
 
 
 def family(tag: str) -> tuple[str, ...]:
-    """Tags up to this one, fastest first, of its precision: 'm.int8' -> 'classic', 's.int8', 'm.int8'. Other tags stand
-    alone, and so do those of other libraries."""
+    """Tags up to this one, fastest first, of its precision: 'm.int8' -> 'classic', 's.int8',
+    'm.int8'. Other tags stand alone, and so do those of other libraries."""
     folder, slash, word = tag.rpartition("/")
     size, dot, precision = word.partition(".")
     if size not in FAMILY or tag.endswith(FILE) or tag == CLASSIC:
         return (tag,)
     sizes = list(FAMILY)[: list(FAMILY).index(size) + 1]
-    return tuple(one if one == CLASSIC else f"{folder}{slash}{one}{dot}{precision}" for one in sizes)
+    return tuple(one if one == CLASSIC else f"{folder}{slash}{one}{dot}{precision}"
+                 for one in sizes)
 
 
 def cost(model: str) -> float:
@@ -300,7 +321,8 @@ class Ladder:
         costs: about how long each rung takes, in any unit, fastest first; only their ratios count.
         budget: milliseconds that a frame may take.
         first: the rung to start at.
-        most_patience: frames in a row at most that must allow a slower rung which was too slow before.
+        most_patience: frames in a row at most that must allow a slower rung which was too slow
+            before.
 
     Attributes:
         rung: what to run next.
@@ -316,14 +338,15 @@ class Ladder:
         self._go(first)
 
     def note_time(self, milliseconds: float) -> None:
-        """Tell how long the last frame took; a rung's first frame is not counted, since it prepares what later ones
-        find ready."""
+        """Tell how long the last frame took; a rung's first frame is not counted, since it prepares
+        what later ones find ready."""
         self._frames += 1
         if self._frames > 1:
             before = self._time or milliseconds
             self._time = before + WEIGHT * (milliseconds - before)
             self._over = self._over + 1 if milliseconds > self._budget else 0
-            self._fits = self._fits + 1 if self._best(ROOM * self._budget) > self.rung and not self._over else 0
+            self._fits = (self._fits + 1
+                          if self._best(ROOM * self._budget) > self.rung and not self._over else 0)
             self._decide(milliseconds)
 
     def note_resize(self, ratio: float) -> None:
@@ -343,7 +366,8 @@ class Ladder:
     def _best(self, limit: float) -> int:
         """The slowest rung that is expected to stay within a limit."""
         unit = self._time / self._costs[self.rung]
-        return max((rung for rung, cost in enumerate(self._costs) if unit * cost <= limit), default=0)
+        return max((rung for rung, cost in enumerate(self._costs) if unit * cost <= limit),
+                   default=0)
 
     def _go(self, rung: int) -> None:
         self._climbed = rung > self.rung

@@ -34,25 +34,31 @@ from postfx.runtime.tensor import TensorHeap
 PACKED, RAW = "packed_", "raw_"
 """Prefix of the names of inputs and outputs in half precision, channels last."""
 PHASED_FINE = "phased_fine"
-"""The fine head in float32 before its activations, with the four phases of each channel in a row."""
+"""The fine head in float32 before its activations, with the four phases of each channel in a
+row."""
 FINE_LOGITS = "fine_logits"
-"""The fine head in float32 before its activations, of a network whose last level has the render size."""
+"""The fine head in float32 before its activations, of a network whose last level has the render
+size."""
 ERROR = "error"
 """The logarithm of each pixel's expected squared error."""
 PICTURE, CONTROLS_NAME = "picture", "controls"
-"""Outputs of a network that gives the picture itself, log(1 + exposed light), and controls it and the history."""
+"""Outputs of a network that gives the picture itself, log(1 + exposed light), and controls it and
+the history."""
 STORED, CODING = "stored_", "coding_"
-"""Prefixes of the names of 8-bit inputs, channels last, and of the constants that tell how they are coded."""
+"""Prefixes of the names of 8-bit inputs, channels last, and of the constants that tell how they are
+coded."""
 PRODUCTS, SCALING = "products_", "scaling_"
 """Prefixes of the names of integer outputs, (C, h * w), and of the constants that scale them."""
 CODES_NAME = "codes_"
 """Prefix of the names of 8-bit outputs, channels last, of which kernels make such products."""
 RING = 1
-"""Border in pixels around 8-bit inputs, for networks whose first convolution reads beyond the picture."""
+"""Border in pixels around 8-bit inputs, for networks whose first convolution reads beyond the
+picture."""
 MADE = (PACKED, RAW, PHASED_FINE, FINE_LOGITS, STORED, PRODUCTS, CODES_NAME)
 CHANNELS = {"features": FEATURES, "guides": GUIDES, "mirrored": MIRRORED}
 FEATURE_PARTS = {"first_features": 32, "last_features": FEATURES - 32}
-"""Feature channels that float32 networks read as inputs of their own: a CPU is fastest with few, or multiples of 16."""
+"""Feature channels that float32 networks read as inputs of their own: a CPU is fastest with few, or
+multiples of 16."""
 
 
 Run = tuple[Kernel, dict[str, Tensor]]
@@ -60,7 +66,8 @@ Run = tuple[Kernel, dict[str, Tensor]]
 
 
 def free_dimensions(size: tuple[int, int]) -> dict[str, int]:
-    """Networks' names for height and width: of the features, and of features with a border of one pixel."""
+    """Networks' names for height and width: of the features, and of features with a border of one
+    pixel."""
     (h, w), ring = size, 2 * RING
     return {"height": h, "width": w, "ringed_height": h + ring, "ringed_width": w + ring}
 
@@ -102,7 +109,8 @@ def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
     counts |= {output: len(product.factors) for output, product in state.products.items()}
     for output, count in counts.items():
         name = output.removeprefix(PRODUCTS)
-        heads[name] = (1, FINE, *seen) if name == "fine" else (1, count, *(side >> int(name[-1]) for side in seen))
+        heads[name] = ((1, FINE, *seen) if name == "fine"
+                       else (1, count, *(side >> int(name[-1]) for side in seen)))
     for binding in state.bindings:
         name, size = binding.name.removeprefix(RAW), state.shapes[binding.name]
         if binding.name == PHASED_FINE:
@@ -115,48 +123,63 @@ def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
 
 
 def check_bindings(state: PipelineState) -> None:
-    """ModelError for a network that is not a denoiser. Kernels prepare its inputs and take its outputs by name."""
+    """ModelError for a network that is not a denoiser. Kernels prepare its inputs and take its
+    outputs by name."""
     coded = re.compile(f"^({PACKED}|{RAW}|{STORED}|{PRODUCTS}|{CODES_NAME})")
     plain = {binding.name: coded.sub("", binding.name) for binding in state.bindings}
     reads = {b.name for b in state.bindings if b.access == "read"}
     strange = [name for name in reads if plain[name] not in (*CHANNELS, *FEATURE_PARTS)]
     gives = {plain[b.name] for b in state.bindings if b.access == "write"} | set(state.constants)
-    if strange or "features" not in seen_by(state) or not {"fine", PHASED_FINE, FINE_LOGITS, PICTURE} & gives:
-        raise ModelError(f"model '{state.name}' is not a denoiser: it reads {', '.join(sorted(reads)) or 'nothing'} "
-                         f"and gives {', '.join(sorted(gives)) or 'nothing'}; training.denoise.export makes one")
+    if (strange or "features" not in seen_by(state)
+        or not {"fine", PHASED_FINE, FINE_LOGITS, PICTURE} & gives):
+        raise ModelError(f"model '{state.name}' is not a denoiser: it reads "
+                         f"{', '.join(sorted(reads)) or 'nothing'} and gives "
+                         f"{', '.join(sorted(gives)) or 'nothing'}; training.denoise.export makes "
+                         "one")
 
 
 def alike_heads(state: PipelineState) -> dict[str, np.ndarray]:
-    """Heads of the levels that a network does not compute, (1, C, 1, 1) by name: one value for all pixels."""
-    return {name: array for name, array in state.constants.items() if not name.startswith((CODING, SCALING))}
+    """Heads of the levels that a network does not compute, (1, C, 1, 1) by name: one value for all
+    pixels."""
+    return {name: array
+            for name, array in state.constants.items() if not name.startswith((CODING, SCALING))}
 
 
 class Network:
-    """A network that reads `seen` and writes `heads`, both by name; `new` makes the tensors in between.
+    """A network that reads `seen` and writes `heads`, both by name; `new` makes the tensors in
+    between.
 
     Attributes:
-        stored: what a CPU's kernel for features writes in 8 bits, by its bindings; empty for other networks.
-        coded: what other kernels make the fine head of, by their bindings, if the network leaves it to them.
+        stored: what a CPU's kernel for features writes in 8 bits, by its bindings; empty for other
+            networks.
+        coded: what other kernels make the fine head of, by their bindings, if the network leaves it
+            to them.
     """
 
-    def __init__(self, state: PipelineState, seen: Mapping[str, Tensor], heads: Mapping[str, Tensor],
+    def __init__(self, state: PipelineState, seen: Mapping[str, Tensor],
+                 heads: Mapping[str, Tensor],
                  new: Callable[[str, tuple[int, ...], str], Tensor]) -> None:
-        unmarked = [binding.name for binding in state.bindings if binding.name.startswith((CODING, SCALING))]
+        unmarked = [binding.name
+                    for binding in state.bindings if binding.name.startswith((CODING, SCALING))]
         if unmarked:
-            raise ModelError(f"network '{state.name}': no card beside it marks {', '.join(unmarked)} as constant; take "
-                             "the card that it was made with, or make both again with training.denoise.quantise")
+            raise ModelError(f"network '{state.name}': no card beside it marks "
+                             f"{', '.join(unmarked)} as constant; take the card that it was made "
+                             "with, or make both again with training.denoise.quantise")
         made = {b.name: heads.get(b.name) or new(b.name, state.shapes[b.name], b.dtype)
                 for b in state.bindings if b.name.startswith(MADE)}
-        constants = {name: upload(state.device.heap, name, array) for name, array in state.constants.items()
+        constants = {name: upload(state.device.heap, name, array)
+                     for name, array in state.constants.items()
                      if name.startswith((CODING, SCALING))}
         known = {**parts_of(seen["features"]), **seen, **heads, **made}
-        self._state, self._tensors = state, {binding.name: known[binding.name] for binding in state.bindings}
+        self._state, self._tensors = state, {binding.name: known[binding.name]
+                                             for binding in state.bindings}
         packed = [name for name in made if name.startswith((PACKED, STORED)) and name not in seen]
         self.stored = dict[str, Tensor]()
         if codes_features(state):
             packed.remove(name := f"{STORED}features")
             self.stored = {"coding": constants[f"{CODING}features"], "stored": made[name]}
-        closed = [name for name in made if name.startswith((RAW, PHASED_FINE, FINE_LOGITS, PRODUCTS))]
+        closed = [name
+                  for name in made if name.startswith((RAW, PHASED_FINE, FINE_LOGITS, PRODUCTS))]
         self._before = [_packer(state, made[name], constants, seen) for name in packed]
         openers = [_openers(state, made[name], constants, heads) for name in closed]
         self.coded: dict[str, Tensor] = {}
@@ -185,7 +208,8 @@ def _packer(state: PipelineState, packed: Tensor, constants: Mapping[str, Tensor
         return _run(state, PACK, planes=seen[packed.name.removeprefix(PACKED)], packed=packed)
     name = packed.name.removeprefix(STORED)
     kernel = STORE if packed.shape[1] == seen[name].shape[2] else STORE_RINGED
-    return _run(state, kernel, planes=seen[name], coding=constants[f"{CODING}{name}"], stored=packed)
+    return _run(state, kernel, planes=seen[name], coding=constants[f"{CODING}{name}"],
+                stored=packed)
 
 
 def upload(heap: TensorHeap, name: str, array: np.ndarray, dtype: str = "float32") -> Tensor:
@@ -197,7 +221,8 @@ def upload(heap: TensorHeap, name: str, array: np.ndarray, dtype: str = "float32
 
 def _openers(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor],
              heads: Mapping[str, Tensor]) -> list[Run]:
-    """Kernels to run in turn. Of products behind the fine head in one memory, some take the place of those before."""
+    """Kernels to run in turn. Of products behind the fine head in one memory, some take the place
+    of those before."""
     if closed.name not in heads:
         return [_opener(state, closed, constants, heads)]
     fine, (_, count, rows, columns), runs = heads["fine"], heads["fine"].shape, []
@@ -211,11 +236,13 @@ def _openers(state: PipelineState, closed: Tensor, constants: Mapping[str, Tenso
     return runs
 
 
-def _code_opener(state: PipelineState, head: Tensor, coded: Mapping[str, Tensor], fine: bool) -> Run:
+def _code_opener(state: PipelineState, head: Tensor, coded: Mapping[str, Tensor],
+                 fine: bool) -> Run:
     if not fine:
         return _run(state, OPEN_CODES, **coded, heads=head)
     _, count, rows, columns = head.shape
-    return _run(state, OPEN_FINE_CODES, **coded, fine=head.view("fine", (1, count, rows // 2, 2, columns)))
+    return _run(state, OPEN_FINE_CODES, **coded,
+                fine=head.view("fine", (1, count, rows // 2, 2, columns)))
 
 
 def _opener(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor],
@@ -229,7 +256,8 @@ def _opener(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor
     if closed.name.startswith(RAW):
         return _run(state, OPEN, raw=closed, heads=heads[closed.name.removeprefix(RAW)])
     name = closed.name.removeprefix(PRODUCTS)
-    head, scaling, (rows, columns) = heads[name], constants[f"{SCALING}{name}"], heads[name].shape[2:]
+    head, scaling, (rows,
+                    columns) = heads[name], constants[f"{SCALING}{name}"], heads[name].shape[2:]
     if name != "fine":
         products = closed.view(closed.name, head.shape)
         return _run(state, OPEN_PRODUCTS, products=products, scaling=scaling, heads=head)

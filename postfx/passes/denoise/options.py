@@ -1,5 +1,5 @@
-"""What the options of the denoised upscaler mean: the output's size, the render's within a frame time, and how the
-reactive mask is made."""
+"""What the options of the denoised upscaler mean: the output's size, the render's within a frame
+time, and how the reactive mask is made."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from postfx.passes.denoise.models import Ladder
 
 LEAST_SCALE, MOST_SCALE, USUAL_SCALE = 1.0, 3.0, 1.0
 ASPECT = 0.01
-"""Share of a side by which frames may be off the output's aspect, if that is more than a pixel: sizes are often
-multiples of 8."""
+"""Share of a side by which frames may be off the output's aspect, if that is more than a pixel:
+sizes are often multiples of 8."""
 
 
 class Size(NamedTuple):
@@ -36,12 +36,14 @@ def validate_scale(scale: float | None) -> float | None:
         found = math.nan
     if found is not None and not LEAST_SCALE <= found <= MOST_SCALE:
         shown = f"{found:g}" if isinstance(scale, int | float) else repr(scale)
-        raise PassOptionError(f"pass 'denoise_upscale' scales by 1 to 3, not {shown}: give a scale in between")
+        raise PassOptionError(f"pass 'denoise_upscale' scales by 1 to 3, not {shown}: give a scale "
+                              "in between")
     return found
 
 
 def validate_size(size: Sequence[int] | None, scale: float | None) -> Size | None:
-    """The option `size`, width and height; PassOptionError for an impossible size, and for a size beside a scale."""
+    """The option `size`, width and height; PassOptionError for an impossible size, and for a size
+    beside a scale."""
     if size is None:
         return None
     try:
@@ -49,38 +51,45 @@ def validate_size(size: Sequence[int] | None, scale: float | None) -> Size | Non
     except (TypeError, ValueError, OverflowError):
         is_size = False
     if not is_size:
-        raise PassOptionError(f"pass 'denoise_upscale' cannot make the size {size}: give width and height in pixels")
+        raise PassOptionError(f"pass 'denoise_upscale' cannot make the size {size}: give width and "
+                              "height in pixels")
     if scale is not None:
         raise PassOptionError("pass 'denoise_upscale' has a scale and a size: give one of them")
     return Size(int(size[1]), int(size[0]))
 
 
 def output_size(spec: FrameSpec, scale: float | None, size: Size | None) -> Size:
-    """The given size; or the guides', if the scale leads there, rounded or cut; or the scaled size, rounded.
+    """The given size; or the guides', if the scale leads there, rounded or cut; or the scaled size,
+    rounded.
 
-    Raises FrameError for a frame that cannot have the given size, GuideError for guides of another size.
+    Raises FrameError for a frame that cannot have the given size, GuideError for guides of another
+    size.
     """
     if size:
         return _fixed(spec, size)
-    scaled = Size(round(spec.height * (scale or USUAL_SCALE)), round(spec.width * (scale or USUAL_SCALE)))
+    scaled = Size(round(spec.height * (scale or USUAL_SCALE)),
+                  round(spec.width * (scale or USUAL_SCALE)))
     return _guided(spec, spec.guides, scale, scaled) if spec.guides else scaled
 
 
 def _fixed(spec: FrameSpec, size: Size) -> Size:
     found = f"{spec.source or 'frame'}: {spec.width}x{spec.height}"
     wide, high = spec.height * size.width / size.height, spec.width * size.height / size.width
-    if abs(high - spec.height) > max(1, ASPECT * high) and abs(wide - spec.width) > max(1, ASPECT * wide):
+    if (abs(high - spec.height) > max(1, ASPECT * high)
+        and abs(wide - spec.width) > max(1, ASPECT * wide)):
         fitting = Size(round(high), spec.width)
-        raise FrameError(f"{found} has another aspect than the output, {size}: render it at {fitting}, or give a size "
-                         "of its aspect (both with all overscan)")
-    if not all(side <= outer <= MOST_SCALE * side for side, outer in ((spec.height, size.height), (spec.width, size.width))):
+        raise FrameError(f"{found} has another aspect than the output, {size}: render it at "
+                         f"{fitting}, or give a size of its aspect (both with all overscan)")
+    if not all(side <= outer <= MOST_SCALE * side
+               for side, outer in ((spec.height, size.height), (spec.width, size.width))):
         least = Size(*(-(-side // int(MOST_SCALE)) for side in size))
-        raise FrameError(f"{found} cannot become {size}, which is 1 to 3 times as large as what it is made of: render "
-                         f"it at {least} to {size}")
+        raise FrameError(f"{found} cannot become {size}, which is 1 to 3 times as large as what it "
+                         f"is made of: render it at {least} to {size}")
     guides = spec.guides
     if guides and (guides.height, guides.width) != size:
         found = f"{guides.source or 'frame'}: guides are {guides.width}x{guides.height}"
-        raise GuideError(f"{found}, the output is {size}: render them at its size, or leave the size out")
+        raise GuideError(f"{found}, the output is {size}: render them at its size, or leave the "
+                         "size out")
     return size
 
 
@@ -95,20 +104,22 @@ def _guided(spec: FrameSpec, guides: GuideSpec, scale: float | None, scaled: Siz
         fix = f"leave the scale out, or render them at {scaled} for a scale of {scale:g}"
         fits = all(outer in (round(side * scale), int(side * scale)) for outer, side in sides)
     if not fits:
-        found = f"guides are {guides.width}x{guides.height}, the colour is {spec.width}x{spec.height}"
+        found = (f"guides are {guides.width}x{guides.height}, the colour is "
+                 f"{spec.width}x{spec.height}")
         raise GuideError(f"{guides.source or 'frame'}: {found}: {fix}")
     return Size(guides.height, guides.width)
 
 
 PATIENT = 8
-"""Frames in a row at most that must allow a larger render size; the history goes on, unlike between networks."""
+"""Frames in a row at most that must allow a larger render size; the history goes on, unlike between
+networks."""
 
 
 class RenderSize:
     """Chooses the size to render the next frame at, so that frames take the wanted time.
 
-    The pass has the option `size` and its history goes on when frames change their size, so a renderer may ask for a
-    size before every frame and tell afterwards how long all of it took.
+    The pass has the option `size` and its history goes on when frames change their size, so a
+    renderer may ask for a size before every frame and tell afterwards how long all of it took.
 
     Args:
         size: width and height of the output.
@@ -123,27 +134,33 @@ class RenderSize:
     Raises PassOptionError for an impossible size, time or range.
     """
 
-    def __init__(self, size: Sequence[int], milliseconds: float, least: float = 1 / MOST_SCALE, most: float = 1.0,
-                 count: int = 9, fixed: float = 0.2) -> None:
+    def __init__(self, size: Sequence[int], milliseconds: float, least: float = 1 / MOST_SCALE,
+                 most: float = 1.0, count: int = 9, fixed: float = 0.2) -> None:
         if not 1 / MOST_SCALE <= least <= most <= 1 or count < 1 or not 0 <= fixed < 1:
-            raise PassOptionError(f"render sizes from {least:g} to {most:g} of the output in {count} steps: give a "
-                                  "range within 1/3 and 1, and 1 step or more")
+            raise PassOptionError(f"render sizes from {least:g} to {most:g} of the output in "
+                                  f"{count} steps: give a range within 1/3 and 1, and 1 step or "
+                                  "more")
         if not milliseconds > 0:
             raise PassOptionError(f"a frame cannot take {milliseconds:g} ms: give a time above 0")
         whole = validate_size(size, None)
         assert whole is not None  # as a size is given
-        shares = [most - (most - least) * step / max(count - 1, 1) for step in reversed(range(count))]
+        shares = [most - (most - least) * step / max(count - 1, 1)
+                  for step in reversed(range(count))]
         self.sizes = [(max(round(share * whole.width), -(-whole.width // int(MOST_SCALE))),
-                       max(round(share * whole.height), -(-whole.height // int(MOST_SCALE)))) for share in shares]
-        parts = [width * height / (self.sizes[-1][0] * self.sizes[-1][1]) for width, height in self.sizes]
-        self._ladder = Ladder([fixed + (1 - fixed) * part for part in parts], milliseconds, most_patience=PATIENT)
+                       max(round(share * whole.height), -(-whole.height // int(MOST_SCALE))))
+                      for share in shares]
+        parts = [width * height / (self.sizes[-1][0] * self.sizes[-1][1])
+                 for width, height in self.sizes]
+        self._ladder = Ladder([fixed + (1 - fixed) * part for part in parts], milliseconds,
+                              most_patience=PATIENT)
 
     def choose(self) -> tuple[int, int]:
         """Width and height to render the next frame at."""
         return self.sizes[self._ladder.rung]
 
     def note_time(self, milliseconds: float) -> None:
-        """Tell how long the frame of the last choice took. A first frame of a size does not count."""
+        """Tell how long the frame of the last choice took. A first frame of a size does not
+        count."""
         self._ladder.note_time(milliseconds)
 
 
@@ -158,7 +175,8 @@ class ReactiveOption:
 
     Attributes:
         kind: one of `SOURCES`.
-        scale: factor of the difference of the two displayed colours, each within 0..1; the mask is clipped to 1.
+        scale: factor of the difference of the two displayed colours, each within 0..1; the mask is
+            clipped to 1.
         threshold: below this difference the mask is 0.
     """
 
@@ -167,7 +185,8 @@ class ReactiveOption:
     threshold: float = 0.05
 
     def role(self, spec: FrameSpec) -> Role | None:
-        """The plane from which the mask is made; None without one, or without motion and so without a history."""
+        """The plane from which the mask is made; None without one, or without motion and so without
+        a history."""
         found = [role for role in SOURCES[self.kind] if spec.has(role)]
         return found[0] if found and spec.has(Role.MOTION) else None
 
@@ -179,15 +198,17 @@ class ReactiveOption:
         """How the mask is made, for the user."""
         role = self.role(spec)
         if role is Role.OPAQUE_COLOUR:
-            return (f"reactive mask from the difference of colour and {role}: times {self.scale:g}, "
-                    f"0 below {self.threshold:g}",)
+            return (f"reactive mask from the difference of colour and {role}: times "
+                    f"{self.scale:g}, 0 below {self.threshold:g}",)
         return (f"reactive mask from the AOV '{role}'",) if role else ()
 
 
 def parse_reactive(text: str) -> ReactiveOption:
-    """The option from a text: auto, plane, difference or none, then scale= and threshold=, separated by commas.
+    """The option from a text: auto, plane, difference or none, then scale= and threshold=,
+    separated by commas.
 
-    'difference,scale=8,threshold=0.02' marks faint smoke, too. Raises PassOptionError for anything else.
+    'difference,scale=8,threshold=0.02' marks faint smoke, too. Raises PassOptionError for anything
+    else.
     """
     kind, *pairs = [word.strip() for word in text.split(",")]
     if kind not in SOURCES:
@@ -202,5 +223,6 @@ def parse_reactive(text: str) -> ReactiveOption:
         except ValueError:
             numbers[name] = -1.0
         if not numbers[name] >= 0:
-            raise PassOptionError(f"reactive '{text}': '{pair}' needs a number from 0 on, e.g. {name}=0.1")
+            raise PassOptionError(f"reactive '{text}': '{pair}' needs a number from 0 on, e.g. "
+                                  f"{name}=0.1")
     return ReactiveOption(kind, **numbers)

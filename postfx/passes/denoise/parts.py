@@ -33,16 +33,19 @@ from postfx.sampling import three_by_three
 PART_SUM_TOLERANCE = 2e-3
 """Parts are all of the picture if their sum differs by less than this share of its light."""
 BEYOND = 1.5
-"""How many times that share they must be brighter than it in places to be no parts of it: halves are rounded."""
+"""How many times that share they must be brighter than it in places to be no parts of it: halves
+are rounded."""
 SAMPLED_ROW_STEP = 8
 """One row in so many is looked at for that."""
 DENSE, DENSER = 0.6, 0.8
-"""Shares of lit pixels around lit ones from which a part counts as a surface's and not as sparse light."""
+"""Shares of lit pixels around lit ones from which a part counts as a surface's and not as sparse
+light."""
 LARGEST_FLOAT = float(np.finfo(np.float32).max)
 BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST_FLOAT, LARGEST_FLOAT), "mist": (0.0, 1.0)}
 """Bounds of the values of planes by kind; other kinds begin at 0 and have no upper bound."""
 DEPTH = "depth"
-"""Kind of a plane of distances: their reciprocals are filtered, and separately which pixels have a distance."""
+"""Kind of a plane of distances: their reciprocals are filtered, and separately which pixels have a
+distance."""
 FARTHEST_DISTANCE = 1e9
 """Distances from here on stand for none."""
 EMISSION = "emission"
@@ -55,13 +58,16 @@ REFLECTANCE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 SURFACE = tuple(role for role in ABSENT if role is not Role.MOTION)
 """Planes that tell of the surface that is seen."""
 FOG = "scatter"
-"""Kind of light without reflectance: of fog, unless a file divides it by a colour, as that of glass."""
+"""Kind of light without reflectance: of fog, unless a file divides it by a colour, as that of
+glass."""
 SURFACES = dict(zip(("diffuse", "specular"), REFLECTANCE_ROLES, strict=True))
-"""Reflectance that light is divided by while it is filtered, by kind: the picture's for 'light', nothing for others."""
+"""Reflectance that light is divided by while it is filtered, by kind: the picture's for 'light',
+nothing for others."""
 
 
 def checked_parts(parts: Sequence[Part | str]) -> tuple[Part, ...]:
-    """The option `parts`: names alone stand for light. FrameError for a name that is there twice."""
+    """The option `parts`: names alone stand for light. FrameError for a name that is there
+    twice."""
     found = tuple(Part(part) if isinstance(part, str) else part for part in parts)
     names = [part.name for part in found]
     twice = [name for name in names if names.count(name) > 1]
@@ -84,8 +90,8 @@ class Layers:
     Every frame goes through `begin`, the windows' kernels, and `finish`; or through `resample`.
     """
 
-    def __init__(self, device: Device, spec: FrameSpec, output: Size, parts: Sequence[Part], alpha: bool,
-                 history: PartHistory) -> None:
+    def __init__(self, device: Device, spec: FrameSpec, output: Size, parts: Sequence[Part],
+                 alpha: bool, history: PartHistory) -> None:
         self._device, self._spec, self._output, self._history = device, spec, output, history
         self._parts = {part.name: part for part in parts}
         if alpha:
@@ -95,18 +101,22 @@ class Layers:
         self._groups = _groups_of(parts)
         self._places = places_of(parts)
         new = device.heap.tensor
-        self._params, self._exposed, self._exposure = new("part params", (4,)), new("whole params", (4,)), 1.0
-        self._nothing = make_zeros(device, "no reflectance", (*self._render, 3) if self._parts else (1,))
+        self._params, self._exposed, self._exposure = (new("part params", (4,)),
+                                                       new("whole params", (4,)), 1.0)
+        self._nothing = make_zeros(device, "no reflectance",
+                                   (*self._render, 3) if self._parts else (1,))
         self._made: dict[str, Tensor] = {}
         self._codings = {name: new(f"coding {name}", (3,)) for name in self._parts}
         self._decodings = {name: new(f"decoding {name}", (5,)) for name in self._parts}
         self._complete = {group.first: new("complete", (1,)) for group in self._groups}
-        self._everywhere = {group.first: new("everywhere", (len(group.names), 1, 1)) for group in self._groups}
+        self._everywhere = {group.first: new("everywhere", (len(group.names), 1, 1))
+                            for group in self._groups}
         for tensor in self._everywhere.values():
             tensor.fill(1)
         self._reached = dict(self._everywhere)
-        self._plain, self._plain_alpha = (Resampler(device, f"plain {name}", role, self._render, output)
-                                          for name, role in (("part", Role.COLOUR), ("alpha", Role.ALPHA)))
+        self._plain, self._plain_alpha = (Resampler(
+            device, f"plain {name}", role, self._render, output
+        ) for name, role in (("part", Role.COLOUR), ("alpha", Role.ALPHA)))
         self._copies: dict[str, Tensor] = {}
         self._identity = new("as it is", (5,))
         self._identity.upload([1.0, 0.0, -LARGEST_FLOAT, LARGEST_FLOAT, 0.0])
@@ -114,10 +124,10 @@ class Layers:
         self._raw: dict[str, Tensor] = {}
         self._alpha = Alpha(device, spec, output) if alpha else None
 
-    def begin(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor], params: np.ndarray,
-              keep: bool) -> tuple[list[Layer], dict[str, Tensor]]:
-        """The tensors that the kernels read and write, by 'light NAME' and the like, with the picture's output if there
-        is light."""
+    def begin(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
+              params: np.ndarray, keep: bool) -> tuple[list[Layer], dict[str, Tensor]]:
+        """The tensors that the kernels read and write, by 'light NAME' and the like, with the
+        picture's output if there is light."""
         for plain in (self._plain, self._plain_alpha):
             plain.aim(frame.jitter)
         self._exposure = float(params[EXPOSURE])
@@ -135,22 +145,27 @@ class Layers:
                 continue
             fresh = history.turn(commands, self._render, keep)
             if name == ALPHA_LAYER and self._alpha:
-                tensors = {"params": self._params, **self._alpha.gather(commands, frame, planes, history, fresh)}
+                tensors = {"params": self._params,
+                           **self._alpha.gather(commands, frame, planes, history, fresh)}
                 targets[f"light {name}"] = self._alpha.enlarged
-                runs.append(Layer(name, tensors, True, self._alpha.enlarged, self._alpha.enlarged, 0))
+                runs.append(Layer(name, tensors, True, self._alpha.enlarged, self._alpha.enlarged,
+                                  0))
                 continue
             output, part = history.output, history.next["last_part"]
             tensors = {"params": self._exposed if name == WHOLE else self._params}
             if name != WHOLE:
-                tensors |= {"last_part": history.last["last_part"], **self._inputs(name, frame, planes)}
+                tensors |= {"last_part": history.last["last_part"],
+                            **self._inputs(name, frame, planes)}
                 targets[f"next_part {name}"] = part
-            last, stack, place = alone(history.last["history"]), alone(output), self._places.get(name, 0)
+            last, stack, place = (alone(history.last["history"]), alone(output),
+                                  self._places.get(name, 0))
             if name in self._places:
                 last, stack = self._history.stacks
             if self._is_light(name):
                 stack = self._stack("blended")
             targets[f"light {name}"] = one_of(stack, place)
-            runs.append(Layer(name, tensors, not fresh or self._kind(name) in MOVING, last, stack, place))
+            runs.append(Layer(name, tensors, not fresh or self._kind(name) in MOVING, last, stack,
+                              place))
         if self._groups:
             targets["output"] = one_of(self._history.stacks[1], 0)
             whole = self._history.layers[WHOLE]
@@ -165,7 +180,8 @@ class Layers:
 
     def own_runs(self, frame: ResidentFrame, planes: Mapping[str, Tensor], params: np.ndarray,
                  keep: bool) -> Iterator[tuple[str, dict[str, Tensor], np.ndarray, Tensor]]:
-        """What the network itself runs on in this frame: name, planes, params, and where the output goes."""
+        """What the network itself runs on in this frame: name, planes, params, and where the output
+        goes."""
         self._history.ran = tuple(name for name in self._history.own if name in self._runs)
         for name in self._history.ran:
             part = self._raw[name] = self._three(name, frame)
@@ -174,20 +190,23 @@ class Layers:
             own = params.copy()
             own[EXPOSURE] *= 2.0 ** stops[name]
             own[GAIN] *= 2.0 ** (stops[name] - before) if keep else 1.0
-            yield (name, {**planes, str(Role.COLOUR): part, **self._own_reflectance(name, planes)}, own,
-                   one_of(self._stack("blended"), self._places[name]))
+            yield (name, {**planes, str(Role.COLOUR): part, **self._own_reflectance(name, planes)},
+                   own, one_of(self._stack("blended"), self._places[name]))
 
-    def finish(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, picture: Tensor,
+    def finish(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor,
+               picture: Tensor,
                restore: Restore | None, strength: Strength | None, rows: Rows) -> None:
         """Record the work that makes the frame's parts and alpha from the kernels' outputs.
 
         Args:
             denoised: the picture as the network made it.
-            picture: as it leaves the pass, with detail given back and blended with the input in `rows`.
+            picture: as it leaves the pass, with detail given back and blended with the input in
+                `rows`.
         """
         for group in self._groups:
             whole = one_of(self._stack("blended"), 0) if WHOLE in self._runs else denoised
-            self._balance(commands, group, self._stack("blended"), whole, denoised, self._history.stacks[1])
+            self._balance(commands, group, self._stack("blended"), whole, denoised,
+                          self._history.stacks[1])
         restoring = restore is not None and restore.acts_on(frame)
         blending = strength is not None and not strength.is_full(frame)
         values = {}
@@ -202,17 +221,21 @@ class Layers:
                 value = self._decoded(commands, name, value)
             raw = frame[Role.ALPHA] if is_alpha else self._raw[name]
             if restore and restoring and self._kind(name) not in SIGNED:
-                place = self._between(f"restored {name}", value.shape[2]) if blending else self._finished(name)
+                place = (self._between(f"restored {name}", value.shape[2]) if blending
+                         else self._finished(name))
                 value = restore.encode_part(commands, raw, value, place)
             if strength and blending:
                 plain = self._plain_alpha if is_alpha else self._plain
-                value = strength.encode_part(commands, raw, value, rows, plain, self._finished(name))
+                value = strength.encode_part(commands, raw, value, rows, plain,
+                                             self._finished(name))
             values[name] = value
-        values |= {name: self._resampled(commands, frame, name) for name in self._parts if self._kind(name) == FACTOR}
+        values |= {name: self._resampled(commands, frame, name)
+                   for name in self._parts if self._kind(name) == FACTOR}
         self._leave_all(commands, frame, values, picture, restoring or blending)
 
     def resample(self, commands: CommandBuffer, frame: ResidentFrame, picture: Tensor) -> None:
-        """Record the work that only resamples the parts to output size, as for a picture that is only resampled."""
+        """Record the work that only resamples the parts to output size, as for a picture that is
+        only resampled."""
         for group in self._groups:
             self._complete[group.first].upload([_completeness(frame, group.names)])
         self._reached = dict(self._everywhere)
@@ -225,34 +248,42 @@ class Layers:
 
     def _resampled(self, commands: CommandBuffer, frame: ResidentFrame, name: str) -> Tensor:
         output = self._finished(name)
-        self._plain.run(commands, "plain", self._three(name, frame), [(output, (0, self._output.height))])
+        self._plain.run(commands, "plain", self._three(name, frame),
+                        [(output, (0, self._output.height))])
         return output
 
-    def _leave_all(self, commands: CommandBuffer, frame: ResidentFrame, values: Mapping[str, Tensor], picture: Tensor,
-                   changed: bool) -> None:
-        """Put layers into the frame, light so that it adds up to a picture that was `changed` once more."""
+    def _leave_all(self, commands: CommandBuffer, frame: ResidentFrame,
+                   values: Mapping[str, Tensor], picture: Tensor, changed: bool) -> None:
+        """Put layers into the frame, light so that it adds up to a picture that was `changed` once
+        more."""
         for group in self._groups if changed else ():
-            self._balance(commands, group, self._stack("finished"), picture, picture, self._stack("balanced"))
+            self._balance(commands, group, self._stack("finished"), picture, picture,
+                          self._stack("balanced"))
         for name, value in values.items():
             again = changed and self._is_light(name)
-            self._leave(commands, frame, name, one_of(self._stack("balanced"), self._places[name]) if again else value)
+            self._leave(commands, frame, name,
+                        one_of(self._stack("balanced"), self._places[name]) if again else value)
 
     def _needed(self, frame: ResidentFrame) -> list[str]:
-        """The layers of this frame: alpha only where it is neither 0 nor 1, the whole picture only beside parts that
-        are not all of it."""
+        """The layers of this frame: alpha only where it is neither 0 nor 1, the whole picture only
+        beside parts that are not all of it."""
         found = []
         for group in self._groups:
             complete = _completeness(frame, group.names)
             self._complete[group.first].upload([complete])
             found += [] if complete > 0 or WHOLE in found else [WHOLE]
             self._note_reach(frame, group)
-        found += [name for name in self._parts if name != ALPHA_LAYER and self._kind(name) != FACTOR]
-        return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and has_noisy_alpha(frame) else [])
+        found += [name
+                  for name in self._parts if name != ALPHA_LAYER and self._kind(name) != FACTOR]
+        return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and has_noisy_alpha(frame)
+                        else [])
 
     def _note_reach(self, frame: ResidentFrame, group: Group) -> None:
-        """Where the parts of a group have light in this frame: what is seen by a colour, lamps, and reflections."""
+        """Where the parts of a group have light in this frame: what is seen by a colour, lamps, and
+        reflections."""
         self._reached[group.first] = self._everywhere[group.first]
-        planes = [self._parts[name].factor or (name if self._kind(name) in (EMISSION, *SURFACES) else "")
+        planes = [self._parts[name].factor
+                  or (name if self._kind(name) in (EMISSION, *SURFACES) else "")
                   for name in group.names]
         if not any(planes):
             return
@@ -262,11 +293,13 @@ class Layers:
         reached = np.ones((len(group.names), *self._render), np.float32)
         for i, plane in enumerate(planes):
             if plane in frame.host_parts:
-                reached[i] = coverage(frame.host_parts[plane].max(axis=2) > 0, self._kind(plane) in SURFACES)
+                reached[i] = coverage(frame.host_parts[plane].max(axis=2) > 0,
+                                      self._kind(plane) in SURFACES)
         self._copies[name].upload(reached)
         self._reached[group.first] = self._copies[name]
 
-    def _inputs(self, name: str, frame: ResidentFrame, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def _inputs(self, name: str, frame: ResidentFrame,
+                planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
         self._raw[name] = self._three(name, frame)
         low, high = self._range(name, frame)
         scale = 1.0 if (low, high) == (0.0, 1.0) else 1 / max(high - low, 1e-30)
@@ -274,23 +307,26 @@ class Layers:
         self._codings[name].upload([low, scale, most])
         bounds = BOUNDS.get(self._kind(name), (0.0, LARGEST_FLOAT))
         if self._kind(name) != DEPTH:
-            self._decodings[name].upload([1 / scale, low, *bounds, float(self._kind(name) == "normal")])
+            self._decodings[name].upload([1 / scale, low, *bounds,
+                                          float(self._kind(name) == "normal")])
         found = {"part": self._raw[name], "coding": self._codings[name]}
         if self._kind(name) == "light":
             return found
         own = SURFACES.get(self._kind(name))
-        return found | {str(role): planes[str(role)] if role is own else self._nothing for role in REFLECTANCE_ROLES}
+        return found | {str(role): planes[str(role)] if role is own else self._nothing
+                        for role in REFLECTANCE_ROLES}
 
     def _own_reflectance(self, name: str, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Planes, at both sizes, in place of those that a part has nothing to do with: reflectance that it is not
-        divided by, and for fog, which has no surface, all of them."""
+        """Planes, at both sizes, in place of those that a part has nothing to do with: reflectance
+        that it is not divided by, and for fog, which has no surface, all of them."""
         kind = self._kind(name)
         if kind == "light":
             return {}
         lost = SURFACE if kind == FOG and not self._parts[name].factor else tuple(
             role for role in REFLECTANCE_ROLES if role is not SURFACES.get(kind))
         found = {str(role): self._absent(role, self._render) for role in lost}
-        return found | {f"guide_{role}": self._absent(role, self._output) for role in lost if f"guide_{role}" in planes}
+        return found | {f"guide_{role}": self._absent(role, self._output)
+                        for role in lost if f"guide_{role}" in planes}
 
     def _absent(self, role: Role, size: Size) -> Tensor:
         name = f"no {role} of {size}"
@@ -307,7 +343,8 @@ class Layers:
             given, decoding = encode_depth(given)
             self._decodings[name].upload(decoding)
         if name not in self._copies:
-            self._copies[name] = self._device.heap.tensor(f"{name}, three times", (*self._render, 3))
+            self._copies[name] = self._device.heap.tensor(f"{name}, three times",
+                                                          (*self._render, 3))
         self._copies[name].upload(given if given.shape[2] == 3 else np.repeat(given, 3, axis=2))
         return self._copies[name]
 
@@ -321,15 +358,17 @@ class Layers:
         finite = given[np.isfinite(given)]
         return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
 
-    def _balance(self, commands: CommandBuffer, group: Group, parts: Tensor, whole: Tensor, picture: Tensor,
-                 balanced: Tensor) -> None:
+    def _balance(self, commands: CommandBuffer, group: Group, parts: Tensor, whole: Tensor,
+                 picture: Tensor, balanced: Tensor) -> None:
         count = len(group.names)
-        commands.run(BALANCE, "balance", parts=some_of(parts, group.first, count), whole=whole, picture=picture,
+        commands.run(BALANCE, "balance", parts=some_of(parts, group.first, count), whole=whole,
+                     picture=picture,
                      reached=self._reached[group.first], complete=self._complete[group.first],
                      balanced=some_of(balanced, group.first, count))
 
     def _stack(self, name: str) -> Tensor:
-        """Pictures of the whole and of all light within a frame, in the places that they have in the history."""
+        """Pictures of the whole and of all light within a frame, in the places that they have in
+        the history."""
         if name not in self._made:
             shape = (1 + sum(len(group.names) for group in self._groups), *self._output, 3)
             self._made[name] = self._device.heap.transient(f"{name} parts", shape)
@@ -337,10 +376,12 @@ class Layers:
 
     def _decoded(self, commands: CommandBuffer, name: str, filtered: Tensor) -> Tensor:
         output = self._between(f"decoded {name}", 3)
-        commands.run(DECODE, "decode", filtered=filtered, decoding=self._decodings[name], plane=output)
+        commands.run(DECODE, "decode", filtered=filtered, decoding=self._decodings[name],
+                     plane=output)
         return output
 
-    def _leave(self, commands: CommandBuffer, frame: ResidentFrame, name: str, value: Tensor) -> None:
+    def _leave(self, commands: CommandBuffer, frame: ResidentFrame, name: str,
+               value: Tensor) -> None:
         """Put a layer into the frame."""
         if name == ALPHA_LAYER:
             frame.set(Role.ALPHA, value)
@@ -350,8 +391,8 @@ class Layers:
             frame.parts[name] = value
             return
         output = self._between(f"output {name}", channels)
-        commands.run(DECODE_ONE if channels == 1 else DECODE, "decode", filtered=value, plane=output,
-                     decoding=self._decodings[name] if is_depth else self._identity)
+        commands.run(DECODE_ONE if channels == 1 else DECODE, "decode", filtered=value,
+                     plane=output, decoding=self._decodings[name] if is_depth else self._identity)
         frame.parts[name] = output
 
     def _finished(self, name: str) -> Tensor:
@@ -381,9 +422,11 @@ def _groups_of(parts: Sequence[Part]) -> list[Group]:
 
 
 def coverage(lit: np.ndarray, may_be_sparse: bool) -> np.ndarray:
-    """How far render pixels (h, w) have light of a part: 1 where there is some, else the share of 3x3 pixels.
+    """How far render pixels (h, w) have light of a part: 1 where there is some, else the share of
+    3x3 pixels.
 
-    Light that `may_be_sparse` misses pixels by chance, so all pixels have it unless lit ones lie together.
+    Light that `may_be_sparse` misses pixels by chance, so all pixels have it unless lit ones lie
+    together.
     """
     seen = lit.astype(np.float32)
     share = three_by_three(seen, 1, np.add) / np.float32(9)
@@ -397,8 +440,10 @@ def coverage(lit: np.ndarray, may_be_sparse: bool) -> np.ndarray:
 
 
 def _stops_above(frame: ResidentFrame, name: str, before: float) -> float:
-    """Stops by which a part is darker than the picture, 0 to 8: those of the last frame unless they are off by 1."""
-    picture, part = (mean_stops(light) for light in (frame.host_planes[Role.COLOUR], frame.host_parts[name]))
+    """Stops by which a part is darker than the picture, 0 to 8: those of the last frame unless they
+    are off by 1."""
+    picture, part = (mean_stops(light)
+                     for light in (frame.host_planes[Role.COLOUR], frame.host_parts[name]))
     if picture is None or part is None:
         return before
     stops = min(max(picture - part, 0.0), 8.0)
@@ -406,8 +451,8 @@ def _stops_above(frame: ResidentFrame, name: str, before: float) -> float:
 
 
 def mean_stops(light: np.ndarray) -> float | None:
-    """log2 of the mean light of every eighth row; None without any. By a mean of logarithms, sparse light, most of
-    whose pixels are dark, would be overexposed."""
+    """log2 of the mean light of every eighth row; None without any. By a mean of logarithms, sparse
+    light, most of whose pixels are dark, would be overexposed."""
     rows = light[::SAMPLED_ROW_STEP]
     seen = rows[np.isfinite(rows)]
     total = float(seen.sum(dtype=np.float64))
@@ -415,8 +460,8 @@ def mean_stops(light: np.ndarray) -> float | None:
 
 
 def _completeness(frame: ResidentFrame, names: Sequence[str]) -> float:
-    """1 where parts add up to the picture, 0 where they are some of it, and -1 where they are brighter than it, so that
-    it does not hold them; by every eighth row."""
+    """1 where parts add up to the picture, 0 where they are some of it, and -1 where they are
+    brighter than it, so that it does not hold them; by every eighth row."""
     colour = frame.host_planes.get(Role.COLOUR)
     if colour is None:
         return 0.0
@@ -434,25 +479,29 @@ def _completeness(frame: ResidentFrame, names: Sequence[str]) -> float:
 def encode_depth(depth: np.ndarray) -> tuple[np.ndarray, list[float]]:
     """A plane of distances (height, width, n), coded for the filters; its first channel counts.
 
-    Returns (height, width, 3): 1 / distance, whether the pixel has a distance (0, 1e9 and NaN are none), and the latter
-    again. Then the ``decoding`` that reverses it: sign, the value that stands for none, the smallest and largest
-    distance, -1.
+    Returns (height, width, 3): 1 / distance, whether the pixel has a distance (0, 1e9 and NaN are
+    none), and the latter again. Then the ``decoding`` that reverses it: sign, the value that stands
+    for none, the smallest and largest distance, -1.
     """
     depth = depth[..., 0]
     with np.errstate(invalid="ignore"):
         there = (np.abs(depth) < FARTHEST_DISTANCE) & (depth != 0)
-    sign = -1.0 if 2 * (depth[there] < 0).sum() > there.sum() else 1.0  # some renderers look along the negative axis
+    # some renderers look along the negative axis
+    sign = (-1.0 if 2 * (depth[there] < 0).sum() > there.sum() else 1.0)
     there[there] = sign * depth[there] > 0
     distances, none = np.abs(depth[there]), depth[~there]
-    near, far = (float(distances.min()), float(distances.max())) if distances.size else (0.0, LARGEST_FLOAT)
+    near, far = ((float(distances.min()), float(distances.max())) if distances.size
+                 else (0.0, LARGEST_FLOAT))
     nothing = float(none[0]) if none.size and not np.isnan(none[0]) else sign * LARGEST_FLOAT
     inverse = np.zeros_like(depth)
     inverse[there] = 1 / distances
-    return np.stack([inverse, there, there], axis=-1, dtype=np.float32), [sign, nothing, near, far, -1.0]
+    return np.stack([inverse, there, there], axis=-1, dtype=np.float32), [sign, nothing, near, far,
+                                                                          -1.0]
 
 
 def has_noisy_alpha(frame: ResidentFrame) -> bool:
-    """Whether alpha has noise to filter: values between 0 and 1, or the holes and specks of one sample a pixel."""
+    """Whether alpha has noise to filter: values between 0 and 1, or the holes and specks of one
+    sample a pixel."""
     alpha = frame.host_planes.get(Role.ALPHA)
     if alpha is None:
         return False
@@ -460,12 +509,15 @@ def has_noisy_alpha(frame: ResidentFrame) -> bool:
 
 
 SPECKLED = 0.02
-"""Share of the pixels at edges that are alone among others, both covered and not, from which that is noise."""
+"""Share of the pixels at edges that are alone among others, both covered and not, from which that
+is noise."""
 
 
 def is_speckled(covered: np.ndarray) -> bool:
-    """Whether a mask (h, w) has lone pixels of both kinds: wires are lone covered ones, and gaps lone empty ones."""
+    """Whether a mask (h, w) has lone pixels of both kinds: wires are lone covered ones, and gaps
+    lone empty ones."""
     around = three_by_three(covered.astype(np.float32), 1, np.add)
     edges = np.count_nonzero((around > 0) & (around < 9))
-    specks, holes = np.count_nonzero(covered & (around <= 3)), np.count_nonzero(~covered & (around >= 6))
+    specks, holes = (np.count_nonzero(covered & (around <= 3)),
+                     np.count_nonzero(~covered & (around >= 6)))
     return bool(edges > 0 and min(specks, holes) > SPECKLED * edges)

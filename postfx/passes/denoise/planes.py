@@ -1,6 +1,6 @@
-"""Planes of a frame beside the network: stand-ins for those that it lacks or that are noise, planes that are only
-resampled, and the reactive mask; at the end the detail that the colour gets back, what alpha gets of its samples, and
-the blend with the input by strength.
+"""Planes of a frame beside the network: stand-ins for those that it lacks or that are noise, planes
+that are only resampled, and the reactive mask; at the end the detail that the colour gets back,
+what alpha gets of its samples, and the blend with the input by strength.
 """
 
 from __future__ import annotations
@@ -28,19 +28,21 @@ from postfx.runtime import CommandBuffer, Device, Tensor
 from postfx.sampling import three_by_three
 
 # Values of planes that a frame lacks at both sizes; networks are trained with the same values.
-ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0, Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0,
-          Role.MOTION: 0.0}
+ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0,
+          Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0, Role.MOTION: 0.0}
 MIRRORED_ROLES = {Role.DENOISING_ALBEDO: 0.0, Role.DENOISING_NORMAL: 0.0}
 """The same of planes that follow mirrors and glass, which only some networks read."""
 HAZY = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.DEPTH)
-"""Planes that are left out in a volume: they show the surface behind it for the samples that came so far."""
+"""Planes that are left out in a volume: they show the surface behind it for the samples that came
+so far."""
 FOUND_VOLUME_SHARE, LOST_VOLUME_SHARE = 0.12, 0.08
-"""From this share of noise in what depth covers on a frame shows a volume, and below the second it no longer does."""
+"""From this share of noise in what depth covers on a frame shows a volume, and below the second it
+no longer does."""
 
 
 class Resampler:
-    """Resizes a plane of every frame: cubic; depth by the nearest sample, so that misses do not mix with hits; overlay
-    colours limited by their coverage, for edges without halos.
+    """Resizes a plane of every frame: cubic; depth by the nearest sample, so that misses do not mix
+    with hits; overlay colours limited by their coverage, for edges without halos.
 
     The result is sampled at pixel centres plus `jitter`, in pixels of the result.
     """
@@ -48,21 +50,23 @@ class Resampler:
     def __init__(self, device: Device, name: str, role: Role, size: Size, out_size: Size) -> None:
         self._size, self._out_size, self._nearest = size, out_size, role is Role.DEPTH
         new = device.heap.tensor
-        self._rows, self._columns = new(f"{name} rows", out_size[:1]), new(f"{name} columns", out_size[1:])
+        self._rows, self._columns = (new(f"{name} rows", out_size[:1]),
+                                     new(f"{name} columns", out_size[1:]))
         self._aimed: tuple[tuple[float, float], tuple[float, float]] | None = None
         self.output = device.heap.transient(name, (*out_size, ROLES[role].channels))
         self._kernel = ENLARGE_OVERLAY if role is Role.OVERLAY else RESAMPLE
         device.make_ready(self._kernel)
 
-    def encode(self, commands: CommandBuffer, label: str, image: Tensor, jitter: tuple[float, float],
-               out_jitter: tuple[float, float] = (0.0, 0.0)) -> Tensor:
-        """Record the work for an image whose samples are `jitter` of its own pixels off their centres; returns the
-        result."""
+    def encode(self, commands: CommandBuffer, label: str, image: Tensor,
+               jitter: tuple[float, float], out_jitter: tuple[float, float] = (0.0, 0.0)) -> Tensor:
+        """Record the work for an image whose samples are `jitter` of its own pixels off their
+        centres; returns the result."""
         self.aim(jitter, out_jitter)
         self.run(commands, label, image)
         return self.output
 
-    def aim(self, jitter: tuple[float, float], out_jitter: tuple[float, float] = (0.0, 0.0)) -> None:
+    def aim(self, jitter: tuple[float, float],
+            out_jitter: tuple[float, float] = (0.0, 0.0)) -> None:
         """Once a frame: its images have samples at these places."""
         if (jitter, out_jitter) == self._aimed:
             return
@@ -82,23 +86,26 @@ class Resampler:
         """
         for output, rows in parts or [(self.output, (0, self._out_size.height))]:
             if rows[0] < rows[1]:
-                commands.run(self._kernel, label, image=image, rows=rows_of(self._rows, rows), columns=self._columns,
-                             output=rows_of(output, rows))
+                commands.run(self._kernel, label, image=image, rows=rows_of(self._rows, rows),
+                             columns=self._columns, output=rows_of(output, rows))
 
 
 class Planes:
-    """Planes and guides under the names that the kernels give them: 'normal', and 'guide_normal' at output size.
+    """Planes and guides under the names that the kernels give them: 'normal', and 'guide_normal' at
+    output size.
 
-    A plane that the frame has at one size only is resampled to the other; a missing plane is constant. So are depth
-    and albedo where depth is noise: in a volume.
+    A plane that the frame has at one size only is resampled to the other; a missing plane is
+    constant. So are depth and albedo where depth is noise: in a volume.
 
     Attributes:
         hazy: whether the last frame showed a volume.
     """
 
-    def __init__(self, device: Device, spec: FrameSpec, output: Size, guided: bool, mirrored: bool = False) -> None:
+    def __init__(self, device: Device, spec: FrameSpec, output: Size, guided: bool,
+                 mirrored: bool = False) -> None:
         """`mirrored`: also the planes that follow mirrors and glass."""
-        render, read = Size(spec.height, spec.width), (*ABSENT, *(MIRRORED_ROLES if mirrored else ()))
+        render, read = Size(spec.height, spec.width), (*ABSENT,
+                                                       *(MIRRORED_ROLES if mirrored else ()))
         self._device, self._spec, self.hazy, self._looked = device, spec, False, False
         self._haze: dict[str, Tensor] = {}
         self._held = {role: str(role) for role in read if spec.has(role)}
@@ -117,14 +124,17 @@ class Planes:
             elif role not in spec.guide_roles:
                 self._constants[f"guide_{role}"] = absent_plane(device, role, output)
 
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame, blank: bool = True) -> Mapping[str, Tensor]:
-        """Record the resampling, if any; returns every plane by name. `blank`: where the frame shows a volume, depth
-        and albedo are left out."""
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame,
+               blank: bool = True) -> Mapping[str, Tensor]:
+        """Record the resampling, if any; returns every plane by name. `blank`: where the frame
+        shows a volume, depth and albedo are left out."""
         for role, resampler in self._reduced.items():
-            resampler.encode(commands, "resample", frame.guides[role], frame.guide_jitter, frame.jitter)
+            resampler.encode(commands, "resample", frame.guides[role], frame.guide_jitter,
+                             frame.jitter)
         for role, resampler in self._enlarged.items():
             resampler.encode(commands, "resample", frame[role], frame.jitter, frame.guide_jitter)
-        planes = {"colour": frame[Role.COLOUR]} | {name: frame[role] for role, name in self._held.items()}
+        planes = {"colour": frame[Role.COLOUR]} | {name: frame[role]
+                                                   for role, name in self._held.items()}
         planes |= {f"guide_{role}": frame.guides[role] for role in self._guides}
         planes |= {str(role): resampler.output for role, resampler in self._reduced.items()}
         planes |= {f"guide_{role}": resampler.output for role, resampler in self._enlarged.items()}
@@ -132,8 +142,8 @@ class Planes:
         return planes | self._constants | (self._find_haze(frame) if blank else {})
 
     def _find_haze(self, frame: ResidentFrame) -> dict[str, Tensor]:
-        """Stand-ins for the planes that a volume hides, if it does. Planes on the device are looked at where a sequence
-        begins."""
+        """Stand-ins for the planes that a volume hides, if it does. Planes on the device are looked
+        at where a sequence begins."""
         if Role.DEPTH not in self._held:
             return {}
         if not frame.is_away or frame.reset or not self._looked:
@@ -141,14 +151,16 @@ class Planes:
             self._looked = True
         if self.hazy and not self._haze:
             size = Size(self._spec.height, self._spec.width)
-            self._haze = {str(role): absent_plane(self._device, role, size) for role in HAZY if role in self._held}
+            self._haze = {str(role): absent_plane(self._device, role, size)
+                          for role in HAZY if role in self._held}
         return self._haze if self.hazy else {}
 
 
 def shows_volume(depth: np.ndarray, before: bool = False) -> bool:
-    """Whether hits and misses of depth (h, w, 1) are noise, as they are where Cycles scatters light in a volume;
-    `before`: the last frame's were."""
-    return coverage_noise(depth[..., 0], float(FARTHEST)) > (LOST_VOLUME_SHARE if before else FOUND_VOLUME_SHARE)
+    """Whether hits and misses of depth (h, w, 1) are noise, as they are where Cycles scatters light
+    in a volume; `before`: the last frame's were."""
+    return coverage_noise(depth[..., 0], float(FARTHEST)) > (LOST_VOLUME_SHARE if before
+                                                             else FOUND_VOLUME_SHARE)
 
 
 def absent_plane(device: Device, role: Role, size: Size) -> Tensor:
@@ -166,16 +178,19 @@ CENTRED = (0.0, 0.0)
 
 
 def passthrough_roles(spec: FrameSpec) -> tuple[Role, ...]:
-    """Alpha, overlay and the colours of later frames and of a partner, as far as a frame has them; an overlay may have
-    output size. With a partner's colour go motion and strength, which its mixture needs."""
-    kept = tuple(role for role in (Role.ALPHA, Role.OVERLAY) if spec.has(role) or role in spec.guide_roles)
+    """Alpha, overlay and the colours of later frames and of a partner, as far as a frame has them;
+    an overlay may have output size. With a partner's colour go motion and strength, which its
+    mixture needs."""
+    kept = tuple(role for role in (Role.ALPHA, Role.OVERLAY)
+                 if spec.has(role) or role in spec.guide_roles)
     if spec.has(Role.PARTNER):
         kept += tuple(role for role in (Role.PARTNER, Role.MOTION, Role.STRENGTH) if spec.has(role))
     return (*kept, Role.LATER) if Role.LATER in spec.guide_roles else kept
 
 
 class ExpectedError:
-    """The plane `error`: what a network expects to be off, for frames at any of its sizes; 0 where no network ran.
+    """The plane `error`: what a network expects to be off, for frames at any of its sizes; 0 where
+    no network ran.
 
     Attributes:
         written: where the network's kernels write it, by their name.
@@ -184,7 +199,8 @@ class ExpectedError:
     def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
         render = Size(spec.height, spec.width)
         self.written = {"error": device.heap.tensor("expected error", (*render, 1))}
-        self._resampler = Resampler(device, "error", Role.ERROR, render, output) if output != render else None
+        self._resampler = (Resampler(device, "error", Role.ERROR, render, output)
+                           if output != render else None)
 
     def forget(self) -> None:
         """Before the commands of a frame that are not for all of it."""
@@ -193,7 +209,8 @@ class ExpectedError:
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
         """Record what brings it to the output's size; returns the plane."""
         error = self.written["error"]
-        return self._resampler.encode(commands, "error", error, frame.jitter) if self._resampler else error
+        return (self._resampler.encode(commands, "error", error, frame.jitter) if self._resampler
+                else error)
 
 
 class LargerMotion:
@@ -203,13 +220,15 @@ class LargerMotion:
         rows, columns = (positions(*sizes) for sizes in zip(render, output, strict=True))
         ratio = np.array([output.width / render.width, output.height / render.height], np.float32)
         arrays = {"rows": rows, "columns": columns, "ratio": ratio}
-        self._places = {name: device.wrap(f"{name} of motion", array) for name, array in arrays.items()}
+        self._places = {name: device.wrap(f"{name} of motion", array)
+                        for name, array in arrays.items()}
         self._enlarged = device.heap.transient("motion of the output", (*output, 2))
         device.make_ready(ENLARGE_MOTION)
 
     def encode(self, commands: CommandBuffer, motion: Tensor) -> Tensor:
         """Record the work; returns the motion."""
-        commands.run(ENLARGE_MOTION, "motion", motion=motion, enlarged=self._enlarged, **self._places)
+        commands.run(ENLARGE_MOTION, "motion", motion=motion, enlarged=self._enlarged,
+                     **self._places)
         return self._enlarged
 
 
@@ -223,14 +242,15 @@ class Passthrough:
         self._device, self._output, self._render = device, output, Size(spec.height, spec.width)
         self._overlay_is_guide = Role.OVERLAY in spec.guide_roles
         self._resamplers = {role: Resampler(device, str(role), role, self._size(role), output)
-                            for role in passthrough_roles(spec) if role not in (Role.LATER, Role.MOTION)}
+                            for role in passthrough_roles(spec)
+                            if role not in (Role.LATER, Role.MOTION)}
         moves = Role.MOTION in passthrough_roles(spec)
         self._motion = LargerMotion(device, self._render, output) if moves else None
         self._nothing: Tensor | None = None
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
-        """Record the work; the frame's planes are then those of the output's size. Alpha that was already replaced is
-        left alone."""
+        """Record the work; the frame's planes are then those of the output's size. Alpha that was
+        already replaced is left alone."""
         if self._motion:
             frame.set(Role.MOTION, self._motion.encode(commands, frame[Role.MOTION]))
         if Role.LATER in frame.guides:
@@ -277,13 +297,15 @@ class Reactive:
             device.make_ready(REACTIVE)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> dict[str, Tensor]:
-        """Record the work, if any; returns the mask by its name for the kernels, or an empty mapping."""
+        """Record the work, if any; returns the mask by its name for the kernels, or an empty
+        mapping."""
         if self._role is None:
             return {}
         if self._role is Role.REACTIVE:
             return {"reactive": frame[Role.REACTIVE]}
         self._difference.upload([frame.exposure_factor, self._option.scale, self._option.threshold])
-        commands.run(REACTIVE, "reactive", colour=frame[Role.COLOUR], opaque_colour=frame[Role.OPAQUE_COLOUR],
+        commands.run(REACTIVE, "reactive", colour=frame[Role.COLOUR],
+                     opaque_colour=frame[Role.OPAQUE_COLOUR],
                      difference=self._difference, reactive=self._output)
         return {"reactive": self._output}
 
@@ -293,8 +315,8 @@ PER_TILE = "judged", "sums", "detail"
 
 
 class Restore:
-    """For results of the input's size. Leaves frames alone that are known to have at most 16 samples a pixel, and
-    jittered ones, whose samples do not lie where the result's pixels do."""
+    """For results of the input's size. Leaves frames alone that are known to have at most 16
+    samples a pixel, and jittered ones, whose samples do not lie where the result's pixels do."""
 
     def __init__(self, device: Device, size: Size) -> None:
         self._device = device
@@ -304,8 +326,8 @@ class Restore:
         self._output = between("restored", (*size, 3))
         self._judged, self._tiles = new("judged", (*tiles, 1)), tiles
         self._rows, self._known = (0, size.height), np.zeros(tiles, bool)  # what 'judged' holds
-        self._tensors = {"params": self._params, "evidence": self._evidence, "sums": between("sums", (*tiles, SUMS)),
-                         "judged": self._judged,
+        self._tensors = {"params": self._params, "evidence": self._evidence,
+                         "sums": between("sums", (*tiles, SUMS)), "judged": self._judged,
                          "detail": between("detail", (*tiles, 1)), "output": self._output}
         device.make_ready(JUDGE, DETAIL, RESTORE)
 
@@ -315,8 +337,8 @@ class Restore:
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
                cells: np.ndarray | None = None) -> Tensor:
-        """Record the work on the frame's own colour and the denoised one in `rows`, of which tiles with active `cells`
-        are judged, without cells all; returns the colour."""
+        """Record the work on the frame's own colour and the denoised one in `rows`, of which tiles
+        with active `cells` are judged, without cells all; returns the colour."""
         if not self.acts_on(frame):
             return denoised
         self._rows = rows
@@ -328,14 +350,17 @@ class Restore:
             self._run(commands, work, planes)
         return self._output
 
-    def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor, output: Tensor) -> Tensor:
-        """Record the same work on a part of the picture, after the picture itself: the part gets back the same
-        share."""
-        self._run(commands, RESTORE, {**self._tensors, "colour": noisy, "denoised": denoised, "output": output})
+    def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
+                    output: Tensor) -> Tensor:
+        """Record the same work on a part of the picture, after the picture itself: the part gets
+        back the same share."""
+        self._run(commands, RESTORE,
+                  {**self._tensors, "colour": noisy, "denoised": denoised, "output": output})
         return output
 
     def _run(self, commands: CommandBuffer, work: Kernel, tensors: Mapping[str, Tensor]) -> None:
-        commands.run(work, "restore", **{name: self._part_of(name, tensors[name]) for name in work.reads + work.writes})
+        commands.run(work, "restore", **{name: self._part_of(name, tensors[name])
+                                         for name in work.reads + work.writes})
 
     def _judge_only(self, tiles: np.ndarray) -> None:
         if not np.array_equal(tiles, self._known):
@@ -350,16 +375,19 @@ class Restore:
         return rows_of(tensor, (first // TILE, -(-end // TILE))) if name in PER_TILE else tensor
 
 
-FEW_SAMPLES, DRIFT_VARIANCE, SETTLED, LONGEST_ALPHA_FRAMES, RANDOM, SHARPER_ALPHA, BY_COLOUR = 4, 1 / 32, 6, 16, 1 / 48, 0.4, 0.5
-"""Samples a pixel of files that do not say. Variance, in units of a sample's, that a move adds to a mean of alpha; as
-how many samples filtered alpha counts; frames over which still alpha is averaged; variance in a sample's units that
-structure is compared with; how much sharper alpha is made that is twice as large; and the share of alpha that comes
-from colours where it has structure."""
+FEW_SAMPLES, DRIFT_VARIANCE, SETTLED, LONGEST_ALPHA_FRAMES, RANDOM, SHARPER_ALPHA, BY_COLOUR = (
+    4, 1 / 32, 6, 16, 1 / 48, 0.4, 0.5
+)
+"""Samples a pixel of files that do not say. Variance, in units of a sample's, that a move adds to a
+mean of alpha; as how many samples filtered alpha counts; frames over which still alpha is averaged;
+variance in a sample's units that structure is compared with; how much sharper alpha is made that is
+twice as large; and the share of alpha that comes from colours where it has structure."""
 
 
 class Alpha:
-    """Brings filtered alpha nearer to a mean of its samples over the frames, which knows the quarters of a pixel where
-    things move by parts of one, and to the colours. Where alpha is 0 or 1 all around, there is nothing to do.
+    """Brings filtered alpha nearer to a mean of its samples over the frames, which knows the
+    quarters of a pixel where things move by parts of one, and to the colours. Where alpha is 0 or 1
+    all around, there is nothing to do.
 
     Attributes:
         enlarged: where filtered alpha goes.
@@ -372,7 +400,8 @@ class Alpha:
         rows, columns = (device.wrap(name, np.arange(size, dtype=np.float32)) for name, size in
                          (("alpha rows", spec.height), ("alpha columns", spec.width)))
         moved = between("motion of alpha", (spec.height, spec.width, 2))
-        self._output, self.enlarged = between("alpha", (*output, 1)), between("enlarged alpha", (*output, 1))
+        self._output, self.enlarged = (between("alpha", (*output, 1)),
+                                       between("enlarged alpha", (*output, 1)))
         self._pixels = {"part_rows": rows, "part_columns": columns}
         self._near = new("near alpha", (-(-spec.height // NEAR_CELL), -(-spec.width // NEAR_CELL)))
         self._moved, self._finds_cells = moved, device.gpu is not None
@@ -381,32 +410,38 @@ class Alpha:
 
     def gather(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
                history: LayerHistory, keep: bool) -> dict[str, Tensor]:
-        """Record the work that adds a frame's own alpha to the mean; returns what filters read of it. Jittered alpha
-        does not lie where the pixels do, and counts for nothing but in its own frame."""
+        """Record the work that adds a frame's own alpha to the mean; returns what filters read of
+        it. Jittered alpha does not lie where the pixels do, and counts for nothing but in its own
+        frame."""
         samples, jittered = frame.samples or FEW_SAMPLES, frame.jitter != (0.0, 0.0)
         if not self._finds_cells:
             self._near.upload(near_cells(frame.host_planes[Role.ALPHA][..., 0]))
-        self._rates.upload([float(keep and not history.resized and not jittered), 1 / samples, DRIFT_VARIANCE, 1 / LONGEST_ALPHA_FRAMES])
+        self._rates.upload([float(keep and not history.resized and not jittered), 1 / samples,
+                            DRIFT_VARIANCE, 1 / LONGEST_ALPHA_FRAMES])
         self._gain.upload([0.0 if jittered else 1 / SETTLED, RANDOM / samples,
-                           0.0 if jittered else SHARPER_ALPHA * self._scale, 0.0 if jittered else BY_COLOUR])
-        last, found = (quarters.view(quarters.name, (2 * quarters.shape[0], 2 * quarters.shape[1], 1))
+                           0.0 if jittered else SHARPER_ALPHA * self._scale,
+                           0.0 if jittered else BY_COLOUR])
+        last, found = (quarters.view(quarters.name,
+                                     (2 * quarters.shape[0], 2 * quarters.shape[1], 1))
                                  for quarters in (history.last["samples"], history.next["samples"]))
         self._next = {"next_samples": found, "next_doubt": history.next["doubt"]}
-        commands.run(DILATE, "gather alpha", motion=planes[Role.MOTION], depth=planes[Role.DEPTH], moved=self._moved,
-                     **self._pixels)
+        commands.run(DILATE, "gather alpha", motion=planes[Role.MOTION], depth=planes[Role.DEPTH],
+                     moved=self._moved, **self._pixels)
         if self._finds_cells:
             commands.run(NEAR_ALPHA, "gather alpha", alpha=frame[Role.ALPHA], near=self._near)
-        commands.run(GATHER, "gather alpha", alpha=frame[Role.ALPHA], moved=self._moved, rates=self._rates,
+        commands.run(GATHER, "gather alpha", alpha=frame[Role.ALPHA], moved=self._moved,
+                     rates=self._rates,
                      near=self._near, samples=last, doubt=history.last["doubt"], **self._next)
         return {"next_samples": found, "near": self._near}
 
     def correct(self, commands: CommandBuffer, picture: Tensor) -> Tensor:
-        """Record the work on alpha that was filtered and enlarged, given the picture that the filters made; returns
-        alpha."""
-        commands.run(FIT, "correct alpha", next_samples=self._next["next_samples"], picture=picture, near=self._near,
-                     fit=self._fit)
-        commands.run(CORRECT, "correct alpha", enlarged=self.enlarged, moved=self._moved, near=self._near,
-                     gain=self._gain, fit=self._fit, picture=picture, corrected=self._output, **self._next)
+        """Record the work on alpha that was filtered and enlarged, given the picture that the
+        filters made; returns alpha."""
+        commands.run(FIT, "correct alpha", next_samples=self._next["next_samples"], picture=picture,
+                     near=self._near, fit=self._fit)
+        commands.run(CORRECT, "correct alpha", enlarged=self.enlarged, moved=self._moved,
+                     near=self._near, gain=self._gain, fit=self._fit, picture=picture,
+                     corrected=self._output, **self._next)
         return self._output
 
 
@@ -419,19 +454,23 @@ def near_cells(alpha: np.ndarray) -> np.ndarray:
 
 
 def near_rows(y0: int, y1: int, alpha: np.ndarray, near: np.ndarray) -> None:
-    """What the kernel below computes. No device runs it: elsewhere the host looks at alpha, which is its own."""
+    """What the kernel below computes. No device runs it: elsewhere the host looks at alpha, which
+    is its own."""
     near[y0:y1] = near_cells(alpha[..., 0])[y0:y1]
 
 
-NEAR_ALPHA = kernel("near", ("alpha",), ("near",), near_rows, ("near", 0), alpha=("h", "w", 1), near=("alpha_h", "alpha_w"))
+NEAR_ALPHA = kernel("near", ("alpha",), ("near",), near_rows, ("near", 0), alpha=("h", "w", 1),
+                    near=("alpha_h", "alpha_w"))
 """Cells where alpha is worked on, on a GPU."""
 
 
 class Plain:
-    """The input resampled to output size, at pixel centres, in linear light, without overshooting its samples."""
+    """The input resampled to output size, at pixel centres, in linear light, without overshooting
+    its samples."""
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
-        self._resampler = Resampler(device, "plain", Role.COLOUR, Size(spec.height, spec.width), output)
+        self._resampler = Resampler(device, "plain", Role.COLOUR, Size(spec.height, spec.width),
+                                    output)
         self.output = self._resampler.output
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
@@ -442,18 +481,21 @@ class Plain:
         """Once a frame: its colour has samples at these places."""
         self._resampler.aim(frame.jitter)
 
-    def run(self, commands: CommandBuffer, colour: Tensor, parts: Sequence[tuple[Tensor, Rows]] = ()) -> None:
+    def run(self, commands: CommandBuffer, colour: Tensor,
+            parts: Sequence[tuple[Tensor, Rows]] = ()) -> None:
         """Record the work, for some rows of some tensors if `parts` are given."""
         self._resampler.run(commands, "plain", colour, parts)
 
 
 class Strength:
-    """Blends from the input to the result by `amount`, times the plane `strength` if the frame has one."""
+    """Blends from the input to the result by `amount`, times the plane `strength` if the frame has
+    one."""
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, amount: float) -> None:
         self.plain = Plain(device, spec, output)
         self._in_place = device.runs_rows
-        self._output, self._copy = (device.heap.transient(name, (*output, 3)) for name in ("blend", "denoised rows"))
+        self._output, self._copy = (device.heap.transient(name, (*output, 3))
+                                    for name in ("blend", "denoised rows"))
         self._is_whole = amount == 1
         self._amount = device.wrap("amount", np.full(1, amount, np.float32))
         device.make_ready(STRENGTH)
@@ -463,18 +505,20 @@ class Strength:
             "full strength", np.ones((*output, 1), np.float32))
 
     def begin(self, frame: ResidentFrame, rows: Rows) -> dict[str, Tensor]:
-        """Where the denoised picture should go: to the result, as 'output', if most of its rows are denoised fully, so
-        that these are neither blended nor copied."""
+        """Where the denoised picture should go: to the result, as 'output', if most of its rows are
+        denoised fully, so that these are neither blended nor copied."""
         plane = frame.host_planes.get(Role.STRENGTH) if self._is_whole and self._in_place else None
         if plane is None:
             return {}
-        first, end = self._full = full_rows(plane, positions(len(plane), self._output.shape[0], frame.jitter[1]), rows)
+        first, end = self._full = full_rows(plane, positions(len(plane), self._output.shape[0],
+                                                             frame.jitter[1]), rows)
         return {"output": self._output} if 2 * (end - first) > rows[1] - rows[0] else {}
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
                unblended: Callable[[], None]) -> Tensor:
-        """Record the blend of the frame's own colour with the denoised one in `rows`, all others have no strength;
-        returns the colour. If the strength is 1 everywhere, that is the denoised one, and `unblended` is told."""
+        """Record the blend of the frame's own colour with the denoised one in `rows`, all others
+        have no strength; returns the colour. If the strength is 1 everywhere, that is the denoised
+        one, and `unblended` is told."""
         if self.is_full(frame):
             unblended()
             return denoised
@@ -487,33 +531,39 @@ class Strength:
                         partial(self._record, commands, colour, strength, denoised, rows, full))
         return self._output
 
-    def _record(self, commands: CommandBuffer, colour: Tensor, strength: Tensor | None, denoised: Tensor, rows: Rows,
-                full: Rows) -> None:
-        blended, others = [(rows[0], full[0]), (full[1], rows[1])], [(0, rows[0]), (rows[1], self._output.shape[0])]
+    def _record(self, commands: CommandBuffer, colour: Tensor, strength: Tensor | None,
+                denoised: Tensor, rows: Rows, full: Rows) -> None:
+        blended, others = ([(rows[0], full[0]), (full[1], rows[1])],
+                           [(0, rows[0]), (rows[1], self._output.shape[0])])
         self.plain.run(commands, colour, [*((self.plain.output, some) for some in blended),
                                           *((self._output, some) for some in others)])
         if self._plane and strength:
-            self._plane.run(commands, "strength", strength, [(self._strength, some) for some in blended])
+            self._plane.run(commands, "strength", strength,
+                            [(self._strength, some) for some in blended])
         if denoised is self._output:
             self._blend(commands, denoised, denoised, self._copy, *blended)  # with itself
             denoised = self._copy
         self._blend(commands, self.plain.output, denoised, self._output, *blended)
 
-    def _blend(self, commands: CommandBuffer, plain: Tensor, denoised: Tensor, output: Tensor, *parts: Rows) -> None:
-        tensors = {"plain": plain, "denoised": denoised, "strength": self._strength, "output": output}
+    def _blend(self, commands: CommandBuffer, plain: Tensor, denoised: Tensor, output: Tensor,
+               *parts: Rows) -> None:
+        tensors = {"plain": plain, "denoised": denoised, "strength": self._strength,
+                   "output": output}
         for rows in (some for some in parts if some[0] < some[1]):
             commands.run(STRENGTH, "strength", amount=self._amount, **{
                 name: rows_of(tensor, rows) for name, tensor in tensors.items()})
 
     def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
                     rows: Rows, plain: Resampler, output: Tensor) -> Tensor:
-        """Record the same work on a part of the picture, after the picture itself; `plain` resamples parts."""
+        """Record the same work on a part of the picture, after the picture itself; `plain`
+        resamples parts."""
         others = (output, (0, rows[0])), (output, (rows[1], output.shape[0]))
         plain.run(commands, "strength", noisy, [(plain.output, rows), *others])
         self._blend(commands, plain.output, denoised, output, rows)
         return output
 
     def is_full(self, frame: ResidentFrame) -> bool:
-        """Whether a frame is denoised fully everywhere, although it has a plane that could say otherwise."""
+        """Whether a frame is denoised fully everywhere, although it has a plane that could say
+        otherwise."""
         strength = frame.host_planes.get(Role.STRENGTH) if self._is_whole else None
         return strength is not None and bool((strength >= 1).all())

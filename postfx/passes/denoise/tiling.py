@@ -19,7 +19,8 @@ from postfx.system import PROCESS, Scratch
 LEVELS = 4
 """Times that the filter pyramid halves its size."""
 SIDE_MULTIPLE = 2**LEVELS
-"""Height and width of a network's input are multiples of this if it computes all levels of the pyramid."""
+"""Height and width of a network's input are multiples of this if it computes all levels of the
+pyramid."""
 
 Rows = tuple[int, int]
 """The first row, and the row after the last."""
@@ -27,7 +28,8 @@ Rows = tuple[int, int]
 
 @dataclass(frozen=True)
 class Sizes:
-    """Render and output size of a frame, and the number that rows and columns of its windows are multiples of."""
+    """Render and output size of a frame, and the number that rows and columns of its windows are
+    multiples of."""
 
     h: int
     w: int
@@ -51,8 +53,9 @@ class Box(NamedTuple):
 
 @dataclass(frozen=True)
 class Window:
-    """A part of a frame at render size. Its first row and column are multiples of the frame's grid. It may end beyond
-    the frame. If it is smaller than the frame, its size is a multiple of the grid, too, or it ends with the frame."""
+    """A part of a frame at render size. Its first row and column are multiples of the frame's grid.
+    It may end beyond the frame. If it is smaller than the frame, its size is a multiple of the
+    grid, too, or it ends with the frame."""
 
     frame: Sizes
     top: int
@@ -66,8 +69,8 @@ class Window:
 
     @cached_property
     def out(self) -> Box:
-        """The same at output size: all output pixels that the render pixels touch. Windows of one size have equally
-        many."""
+        """The same at output size: all output pixels that the render pixels touch. Windows of one
+        size have equally many."""
         frame, grid = self.frame, self.frame.grid
         top, rows = _enlarged(self.top, self.rows, frame.h, frame.height, grid)
         left, columns = _enlarged(self.left, self.columns, frame.w, frame.width, grid)
@@ -79,8 +82,8 @@ class Window:
         return whole_steps(self.rows, self.frame.grid), whole_steps(self.columns, self.frame.grid)
 
     def level(self, i: int) -> tuple[int, int]:
-        """Size of a pyramid level, whose cells lie where the whole frame's cells do. It is the same for all windows of
-        one size, so the last row and column may be empty."""
+        """Size of a pyramid level, whose cells lie where the whole frame's cells do. It is the same
+        for all windows of one size, so the last row and column may be empty."""
         frame, (rows, columns) = self.frame, self.padded_size
         return _cells(rows, frame.h, frame.grid, i), _cells(columns, frame.w, frame.grid, i)
 
@@ -88,27 +91,31 @@ class Window:
         """Rows and columns of a pyramid level that lie in the picture."""
         ends = min(self.top + self.rows, self.frame.h), min(self.left + self.columns, self.frame.w)
         firsts = self.top, self.left
-        return np.array([-(-end >> i) - (first >> i) for first, end in zip(firsts, ends, strict=True)], np.float32)
+        return np.array([-(-end >> i) - (first >> i)
+                         for first, end in zip(firsts, ends, strict=True)], np.float32)
 
     def finer(self, i: int) -> tuple[np.ndarray, np.ndarray]:
-        """For each row and column of a pyramid level, the first row or column of the finer level in it, which may lie
-        before the window."""
+        """For each row and column of a pyramid level, the first row or column of the finer level in
+        it, which may lie before the window."""
         rows, columns = (2 * np.arange(size, dtype=np.float32) - (first >> i - 1 & 1)
                          for size, first in zip(self.level(i), (self.top, self.left), strict=True))
         return rows, columns
 
     def coarser(self, i: int) -> tuple[np.ndarray, np.ndarray]:
-        """For each row and column of a pyramid level, the row and column of the coarser level that contains it."""
+        """For each row and column of a pyramid level, the row and column of the coarser level that
+        contains it."""
         sides = zip(self.level(i), self.level(i + 1), (self.top, self.left), strict=True)
-        rows, columns = (np.minimum(np.arange(size) + (first >> i & 1) >> 1, coarse - 1).astype(np.float32)
-                         for size, coarse, first in sides)
+        rows, columns = (np.minimum(np.arange(size) + (first >> i & 1) >> 1, coarse - 1)
+                         .astype(np.float32) for size, coarse, first in sides)
         return rows, columns
 
     def places(self) -> dict[str, np.ndarray]:
-        """Arrays that describe the window to the kernels, by name; those of a pyramid level have its number behind."""
+        """Arrays that describe the window to the kernels, by name; those of a pyramid level have
+        its number behind."""
         frame, out = self.frame, self.out
         values: dict[str, Any] = {
-            "window": [self.top, self.left, frame.h, frame.w, out.top, out.left, frame.height, frame.width],
+            "window": [self.top, self.left, frame.h, frame.w, out.top, out.left, frame.height,
+                       frame.width],
             "part_rows": _counted(self.top, self.rows, frame.h),
             "part_columns": _counted(self.left, self.columns, frame.w),
             "seen_rows": _mirrored(self.padded_size[0], min(self.rows, frame.h - self.top)),
@@ -146,7 +153,8 @@ def _cells(count: int, size: int, grid: int, i: int) -> int:
 
 
 def _firsts(count: int, size: int, grid: int) -> range:
-    """First rows of windows of `count` rows that lie differently in the cells of the coarsest level."""
+    """First rows of windows of `count` rows that lie differently in the cells of the coarsest
+    level."""
     return range(0, 1 if count >= size else SIDE_MULTIPLE, grid)
 
 
@@ -170,16 +178,17 @@ COARSE = 4
 """Side, in such squares, of the larger squares that boxes are searched by."""
 
 FIXED = 10000
-"""Least overhead of a window: the time of so many render pixels. samples/window_cost.py measures 11200 for
-model m at 960x540 (7 ms), 23500 for s, and 27500 for m at 1920x1080, where it matters less."""
+"""Least overhead of a window: the time of so many render pixels. samples/window_cost.py measures
+11200 for model m at 960x540 (7 ms), 23500 for s, and 27500 for m at 1920x1080, where it matters
+less."""
 GPU_FIXED = 400_000
-"""The same on a GPU, where small kernels wait for each other. An H100 takes 0.23 ms more than in proportion with s, the
-time of 415000 pixels (docs/lab/gpu.md)."""
+"""The same on a GPU, where small kernels wait for each other. An H100 takes 0.23 ms more than in
+proportion with s, the time of 415000 pixels (docs/lab/gpu.md)."""
 
 MOST_BOXES = 6
 WORTH_TIME_SHARE = 0.9
-"""Windows are used if they are expected to take at most this share of the whole frame's time. Work that is done
-everywhere adds 7 % of that time with m and 11 % with s, measured in the same way."""
+"""Windows are used if they are expected to take at most this share of the whole frame's time. Work
+that is done everywhere adds 7 % of that time with m and 11 % with s, measured in the same way."""
 
 
 @dataclass(frozen=True)
@@ -211,13 +220,16 @@ class Band:
     def rows_held(self) -> Rows:
         """The rows of the frame that its windows hold, halo included."""
         windows = [tile.window for tile in self.tiles]
-        return min(one.top for one in windows), min(max(one.top + one.rows for one in windows), windows[0].frame.h)
+        return min(one.top for one in windows), min(max(one.top + one.rows for one in windows),
+                                                    windows[0].frame.h)
 
     @property
     def share(self) -> float:
-        """Pixels of all windows over pixels of the frame; pixels in several windows count several times."""
+        """Pixels of all windows over pixels of the frame; pixels in several windows count several
+        times."""
         frame = self.tiles[0].window.frame
-        return sum(tile.window.rows * tile.window.columns for tile in self.tiles) / (frame.h * frame.w)
+        return sum(tile.window.rows * tile.window.columns
+                   for tile in self.tiles) / (frame.h * frame.w)
 
 
 Shape = tuple[int, int]
@@ -225,7 +237,8 @@ Shape = tuple[int, int]
 
 def active_cells(strength: np.ndarray) -> np.ndarray:
     """Which squares of 4 pixels have an effect: (h, w, 1) -> (rows, columns) of bool."""
-    mask = np.zeros([whole_steps(side, CELL) // STRENGTH_REACH_PX for side in strength.shape[:2]], bool)
+    mask = np.zeros([whole_steps(side, CELL) // STRENGTH_REACH_PX for side in strength.shape[:2]],
+                    bool)
     mark_positive(strength, STRENGTH_REACH_PX, mask)
     for _ in range(2):
         halves = np.pad(mask, ((1, 1), (0, 0)))
@@ -234,7 +247,8 @@ def active_cells(strength: np.ndarray) -> np.ndarray:
 
 
 def grown(cells: np.ndarray, pixels: int) -> np.ndarray:
-    """Squares of 4 pixels that are active, or within so many pixels of one that is, along both sides."""
+    """Squares of 4 pixels that are active, or within so many pixels of one that is, along both
+    sides."""
     steps = -(-pixels // CELL)
     for _ in range(2):
         counts = np.pad(cells, ((steps + 1, steps), (0, 0))).cumsum(0, np.int32)
@@ -260,8 +274,8 @@ def active_rows(cells: np.ndarray, h: int) -> Rows:
 
 
 def full_rows(strength: np.ndarray, at: np.ndarray, rows: Rows) -> Rows:
-    """Of some output rows, which lie `at` rows of a frame, the longest run in which a strength (h, w, 1) is 1: it is so
-    in both rows around each."""
+    """Of some output rows, which lie `at` rows of a frame, the longest run in which a strength (h,
+    w, 1) is 1: it is so in both rows around each."""
     ones = np.logical_and(strength >= 1, strength < np.inf).reshape(len(strength), -1).all(axis=1)
     above = np.floor(at[slice(*rows)]).astype(int)
     full = np.logical_and(*(np.take(ones, near, mode="clip") for near in (above, above + 1)))
@@ -278,7 +292,8 @@ def _grouped(mask: np.ndarray, step: int) -> np.ndarray:
 
 
 def boxes_of(cells: np.ndarray) -> Iterator[list[Box]]:
-    """One box around all active cells, then two, three and more, as long as that leaves cells out; in pixels."""
+    """One box around all active cells, then two, three and more, as long as that leaves cells out;
+    in pixels."""
     coarse = tiles_with(cells)
     boxes = [_trimmed(coarse, Box(0, 0, *coarse.shape))]
     while True:
@@ -296,7 +311,8 @@ def _in_pixels(cells: np.ndarray, box: Box) -> Box:
 
 
 def _best_cut(cells: np.ndarray, box: Box) -> tuple[int, tuple[Box, Box]]:
-    """The cut of a box that leaves out the most cells, and how many. The box has active cells at all of its sides."""
+    """The cut of a box that leaves out the most cells, and how many. The box has active cells at
+    all of its sides."""
     top, left, rows, columns = box
     part = cells[top:top + rows, left:left + columns]
     down, across = (_areas(side)[:-1] + _areas(side[::-1])[-2::-1] for side in (part, part.T))
@@ -304,18 +320,21 @@ def _best_cut(cells: np.ndarray, box: Box) -> tuple[int, tuple[Box, Box]]:
         if not down.size:
             return 0, (box, box)
         i = int(down.argmin()) + 1
-        return _area(box) - int(down[i - 1]), (Box(top, left, i, columns), Box(top + i, left, rows - i, columns))
+        return _area(box) - int(down[i - 1]), (Box(top, left, i, columns),
+                                               Box(top + i, left, rows - i, columns))
     i = int(across.argmin()) + 1
-    return _area(box) - int(across[i - 1]), (Box(top, left, rows, i), Box(top, left + i, rows, columns - i))
+    return _area(box) - int(across[i - 1]), (Box(top, left, rows, i),
+                                             Box(top, left + i, rows, columns - i))
 
 
 def _areas(part: np.ndarray) -> np.ndarray:
-    """Area of the box around the active cells of the first row, of the first two rows and so on. The first row has
-    some."""
+    """Area of the box around the active cells of the first row, of the first two rows and so on.
+    The first row has some."""
     active, count = part.any(1), part.shape[1]
     first = np.minimum.accumulate(np.where(active, part.argmax(1), count))
     last = np.maximum.accumulate(np.where(active, count - part[:, ::-1].argmax(1), 0))
-    areas: np.ndarray = np.maximum.accumulate(np.where(active, np.arange(1, len(part) + 1), 0)) * (last - first)
+    areas: np.ndarray = (np.maximum.accumulate(np.where(active, np.arange(1, len(part) + 1), 0))
+                         * (last - first))
     return areas
 
 
@@ -336,20 +355,21 @@ def _area(box: Box) -> int:
 def shape_for(frame: Sizes, boxes: Iterable[Box], halo: int) -> Shape:
     """Size of the smallest window that can hold any of these boxes with its halo."""
     rows, columns = zip(*((_span(box.top, box.rows, frame.h, halo, frame.grid),
-                           _span(box.left, box.columns, frame.w, halo, frame.grid)) for box in boxes), strict=True)
+                           _span(box.left, box.columns, frame.w, halo, frame.grid))
+                          for box in boxes), strict=True)
     return _longest_of(rows, frame.h, frame.grid), _longest_of(columns, frame.w, frame.grid)
 
 
 def _longest_of(spans: Sequence[Rows], size: int, grid: int) -> int:
-    """The longest of some spans. Where all end beyond the frame's side, it ends with it, so that windows can be written
-    in place."""
+    """The longest of some spans. Where all end beyond the frame's side, it ends with it, so that
+    windows can be written in place."""
     longest, end = max(end - first for first, end in spans), whole_steps(size, grid)
     return longest - (end - size) if all(span[1] == end for span in spans) else min(longest, size)
 
 
 def can_serve(frame: Sizes, shape: Shape, ready: Shape) -> bool:
-    """Whether windows that are ready can take the place of those of a shape: they are no smaller, and must end with the
-    frame only where the others do."""
+    """Whether windows that are ready can take the place of those of a shape: they are no smaller,
+    and must end with the frame only where the others do."""
     sides = zip(shape, ready, (frame.h, frame.w), strict=True)
     return all(have >= side and (have % frame.grid == 0 or have == size or side % frame.grid > 0)
                for side, have, size in sides)
@@ -361,7 +381,8 @@ def whole_sides(frame: Sizes, shape: Shape) -> Shape:
 
 
 def _span(first: int, count: int, size: int, halo: int, grid: int) -> tuple[int, int]:
-    return max(0, first - halo) // grid * grid, min(whole_steps(size, grid), whole_steps(first + count + halo, grid))
+    return max(0, first - halo) // grid * grid, min(whole_steps(size, grid),
+                                                    whole_steps(first + count + halo, grid))
 
 
 def tiles_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> tuple[Tile, ...]:
@@ -370,7 +391,8 @@ def tiles_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> tup
     for box in boxes:
         origin = (_origin(box.top, shape[0], frame.h, halo, frame.grid),
                   _origin(box.left, shape[1], frame.w, halo, frame.grid))
-        inner = Box(box.top, box.left, min(box.rows, frame.h - box.top), min(box.columns, frame.w - box.left))
+        inner = Box(box.top, box.left, min(box.rows, frame.h - box.top),
+                    min(box.columns, frame.w - box.left))
         tiles.append(Tile(Window(frame, *origin, *shape), inner))
     return tuple(tiles)
 
@@ -385,19 +407,22 @@ def cost(shape: Shape, count: int, fixed: int = FIXED) -> int:
     return count * (shape[0] * shape[1] + fixed)
 
 
-def around(frame: Sizes, cells: np.ndarray, halo: int, fixed: int = FIXED) -> tuple[list[Box], Shape]:
+def around(frame: Sizes, cells: np.ndarray, halo: int,
+           fixed: int = FIXED) -> tuple[list[Box], Shape]:
     """The boxes around active cells whose windows take the least time, and the windows' size."""
     found = [(boxes, shape_for(frame, boxes, halo)) for boxes in boxes_of(cells)]
     return min(found, key=lambda item: cost(item[1], len(item[0]), fixed))
 
 
 def grids(frame: Sizes, halo: int) -> Iterator[tuple[Shape, Shape]]:
-    """Sizes of boxes that fill a frame row by row, and the size of their windows: from one box to many."""
+    """Sizes of boxes that fill a frame row by row, and the size of their windows: from one box to
+    many."""
     most = (-(-side // frame.grid) for side in (frame.h, frame.w))
     for down, across in itertools.product(*map(_some, most)):
         rows, columns = (whole_steps(-(-side // count), frame.grid)
                          for side, count in ((frame.h, down), (frame.w, across)))
-        window = (_longest(rows, frame.h, halo, frame.grid), _longest(columns, frame.w, halo, frame.grid))
+        window = (_longest(rows, frame.h, halo, frame.grid),
+                  _longest(columns, frame.w, halo, frame.grid))
         yield (rows, columns), whole_sides(frame, window)
 
 
@@ -409,7 +434,8 @@ def count_of(frame: Sizes, box: Shape) -> int:
 @cache
 def _longest(count: int, size: int, halo: int, grid: int) -> int:
     """Rows of the largest window of boxes of so many rows."""
-    return max(end - first for first, end in (_span(top, count, size, halo, grid) for top in range(0, size, count)))
+    return max(end - first for first, end in (_span(top, count, size, halo, grid)
+                                              for top in range(0, size, count)))
 
 
 def _some(most: int) -> list[int]:
@@ -421,7 +447,8 @@ def bands_of(frame: Sizes, box: Shape, shape: Shape, halo: int) -> list[Band]:
     """Bands of boxes that fill a frame."""
     rows, columns = box
     tops, lefts = range(0, frame.h, rows), range(0, frame.w, columns)
-    return [Band(top, min(rows, frame.h - top), tiles_of(frame, [Box(top, left, *box) for left in lefts], shape, halo))
+    return [Band(top, min(rows, frame.h - top),
+                 tiles_of(frame, [Box(top, left, *box) for left in lefts], shape, halo))
             for top in tops]
 
 
@@ -433,19 +460,20 @@ def band_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> Band
 
 
 PIXEL = 2000
-"""Bytes that a render pixel of a window takes, of which somewhat more than half are the network's own (1800 with models
-s, m and l, measured from 480x272 to 960x544, and more with l in float32)."""
+"""Bytes that a render pixel of a window takes, of which somewhat more than half are the network's
+own (1800 with models s, m and l, measured from 480x272 to 960x544, and more with l in float32)."""
 
 TILE_BYTES = 230_000
 """Bytes that the commands of a tile take (measured with 240 to 920 tiles of 1920x1080)."""
 
 WINDOW_BUDGET_SHARE = 0.75
-"""Share of the remaining budget that a window may take. The frame's tensors and the parts of files in use have the
-rest."""
+"""Share of the remaining budget that a window may take. The frame's tensors and the parts of files
+in use have the rest."""
 
 
 def bands_within(scratch: Scratch | None, frame: Sizes, halo: int) -> list[Band]:
-    """Bands that fill the frame, with this halo around their tiles; none if the whole frame fits the budget at once.
+    """Bands that fill the frame, with this halo around their tiles; none if the whole frame fits
+    the budget at once.
 
     Raises MemoryBudgetError, which names the smallest budget, when no window is small enough.
     """
@@ -453,11 +481,13 @@ def bands_within(scratch: Scratch | None, frame: Sizes, halo: int) -> list[Band]
         return []
     if _needed((frame.h, frame.w), 0) <= scratch.budget:
         return []
-    needed = {(box, shape): _needed(shape, count_of(frame, box)) for box, shape in grids(frame, halo)}
+    needed = {(box, shape): _needed(shape, count_of(frame, box))
+              for box, shape in grids(frame, halo)}
     fitting = [grid for grid, nbytes in needed.items() if nbytes <= scratch.budget]
     if not fitting:
-        raise MemoryBudgetError(f"{frame.w}x{frame.h} cannot be denoised within {scratch.budget >> 20}M: "
-                                f"give a memory budget of {(min(needed.values()) >> 20) + 1}M or more")
+        raise MemoryBudgetError(f"{frame.w}x{frame.h} cannot be denoised within "
+                                f"{scratch.budget >> 20}M: give a memory budget of "
+                                f"{(min(needed.values()) >> 20) + 1}M or more")
     box, shape = min(fitting, key=lambda grid: cost(grid[1], count_of(frame, grid[0])))
     return bands_of(frame, box, shape, halo)
 

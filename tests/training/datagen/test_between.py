@@ -20,7 +20,8 @@ def test_motion_leads_to_the_same_point_in_the_frame_before() -> None:
     inside = (u > 0) & (u < WIDTH - 1) & (v > 0) & (v < HEIGHT - 1)
     there = bilinear(before[Role.DEPTH], u[inside], v[inside])[:, 0]
     here = after[Role.DEPTH][inside][:, 0]
-    assert np.median(np.abs(there / here - 1)) < 1e-5 and (np.abs(there / here - 1) < 0.01).mean() > 0.75
+    assert (np.median(np.abs(there / here - 1)) < 1e-5
+            and (np.abs(there / here - 1) < 0.01).mean() > 0.75)
     assert np.abs(after[Role.MOTION]).mean() > 2
 
 

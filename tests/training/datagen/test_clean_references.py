@@ -25,8 +25,8 @@ def error(picture: np.ndarray, truth: np.ndarray) -> float:
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, np.ndarray]:
-    """A folder of one clip with a noisy reference in halves, and of one without halves; a folder for the cleaned
-    clips; the first one's true reference."""
+    """A folder of one clip with a noisy reference in halves, and of one without halves; a folder
+    for the cleaned clips; the first one's true reference."""
     raw, cleaned = tmp_path_factory.mktemp("raw"), tmp_path_factory.mktemp("cleaned")
     torch.manual_seed(3)
     drawn = formula.draw_clips(2, FRAMES, SIDE, 1.0, torch.device("cpu"))
@@ -61,7 +61,8 @@ def test_references_lose_their_noise_and_files_move(folders: tuple[Path, Path, n
     assert all(np.array_equal(plain[name], moved[name]) for name in plain if name != "meta")
 
 
-def test_a_render_whose_reference_is_gone_is_not_trained_on(folders: tuple[Path, Path, np.ndarray]) -> None:
+def test_a_render_whose_reference_is_gone_is_not_trained_on(folders: tuple[Path, Path,
+                                                                           np.ndarray]) -> None:
     """It holds half of the reference's own samples, and stays for its planes."""
     _, folder, _ = folders
     cleaned = load(folder / "clip.00000.npz", torch.device("cpu"))

@@ -1,4 +1,5 @@
-"""The data factory at toy size: planes follow the conventions, and clips come out the same for the same seed."""
+"""The data factory at toy size: planes follow the conventions, and clips come out the same for the
+same seed."""
 
 from __future__ import annotations
 
@@ -11,7 +12,15 @@ from tests.training.llvm import require_mitsuba
 
 mi = require_mitsuba()
 
-from training.datagen.clip import ClipOptions, Style, draw_spp, filter_table, guide_frame, make_clip, noisy_frame  # noqa: E402
+from training.datagen.clip import (  # noqa: E402
+    ClipOptions,
+    Style,
+    draw_spp,
+    filter_table,
+    guide_frame,
+    make_clip,
+    noisy_frame,
+)
 from training.datagen.clip_file import guide_depth, half_depth, load_clip, save_clip  # noqa: E402
 from training.datagen.scenes import meshes  # noqa: E402
 from training.datagen.scenes.build import BuiltScene, Description  # noqa: E402
@@ -48,7 +57,8 @@ def style(kind: str, spp: int, jitter: tuple[float, float] = (0.0, 0.0)) -> Styl
 
 @pytest.fixture(scope="module")
 def built() -> BuiltScene:
-    """A textured floor, a moving plastic box, a metal ball, a glass ball and a lamp under a dim sky."""
+    """A textured floor, a moving plastic box, a metal ball, a glass ball and a lamp under a dim
+    sky."""
     d = Description("test")
     checks = (np.indices((8, 8)).sum(0) % 2)[..., None] * np.ones(3) * 0.6 + 0.2
     floor = d.material(Material("diffuse", checks.astype(np.float32)))
@@ -68,7 +78,8 @@ def built() -> BuiltScene:
 def frame_of(tracer: Tracer, built: BuiltScene, kind: Style, frame: int) -> dict[str, np.ndarray]:
     built.move(frame, frame - 1)
     rng = np.random.default_rng(5)
-    return noisy_frame(tracer, built, (camera(frame), camera(frame - 1)), SIZE, kind, frame, 1.0, rng)
+    return noisy_frame(tracer, built, (camera(frame), camera(frame - 1)), SIZE, kind, frame, 1.0,
+                       rng)
 
 
 def pixel_centres() -> np.ndarray:
@@ -95,7 +106,8 @@ def test_planar_depth_puts_the_floor_at_zero(tracer: Tracer, built: BuiltScene) 
     assert np.abs(points[floor][:, 1]).max() < 1e-4
 
 
-def test_motion_is_previous_minus_current_and_follows_objects(tracer: Tracer, built: BuiltScene) -> None:
+def test_motion_is_previous_minus_current_and_follows_objects(tracer: Tracer,
+                                                              built: BuiltScene) -> None:
     jitter = np.array([0.25, -0.3], np.float32)
     planes = frame_of(tracer, built, style("realtime", 1, tuple(jitter)), 2)
     points = world_points(planes["depth"], camera(2), jitter)
@@ -109,7 +121,8 @@ def test_motion_is_previous_minus_current_and_follows_objects(tracer: Tracer, bu
     assert np.abs(planes["motion"][box]).mean() > 0.5
 
 
-def test_warping_the_previous_albedo_by_motion_gives_the_current_one(tracer: Tracer, built: BuiltScene) -> None:
+def test_warping_the_previous_albedo_by_motion_gives_the_current_one(tracer: Tracer,
+                                                                     built: BuiltScene) -> None:
     from scipy.ndimage import binary_erosion, map_coordinates
 
     offline = style("box", 16)
@@ -117,7 +130,8 @@ def test_warping_the_previous_albedo_by_motion_gives_the_current_one(tracer: Tra
     place = pixel_centres() + current["motion"] - 0.5
     before, now = (planes["diffuse_albedo"][..., 0] for planes in (previous, current))
     warped = map_coordinates(before, [place[..., 1], place[..., 0]], order=1, mode="nearest")
-    floor = binary_erosion((current["normal"][..., 1] > 0.99) & (previous["normal"][..., 1] > 0.99), iterations=2)
+    floor = binary_erosion((current["normal"][..., 1] > 0.99) & (previous["normal"][..., 1] > 0.99),
+                           iterations=2)
     assert floor.sum() > 200
     assert np.abs(warped - now)[floor].mean() < 0.3 * np.abs(before - now)[floor].mean()
 
@@ -125,17 +139,20 @@ def test_warping_the_previous_albedo_by_motion_gives_the_current_one(tracer: Tra
 def test_normals_face_the_viewer_and_misses_are_marked(tracer: Tracer, built: BuiltScene) -> None:
     planes = frame_of(tracer, built, style("realtime", 1), 0)
     hit = planes["depth"] < 1e9
-    towards = world_points(np.where(hit, planes["depth"], 1.0), camera(0), np.zeros(2)) - camera(0).to_world[:3, 3]
+    towards = (world_points(np.where(hit, planes["depth"], 1.0), camera(0), np.zeros(2))
+               - camera(0).to_world[:3, 3])
     facing = (planes["normal"] * towards).sum(-1)
     assert facing[hit].max() < 1e-4
     assert np.allclose(np.linalg.norm(planes["normal"], axis=-1)[hit], 1, atol=1e-4)
-    assert (~hit).sum() > 20 and np.all(planes["normal"][~hit] == 0) and np.all(planes["depth"][~hit] == 1e10)
+    assert ((~hit).sum() > 20 and np.all(planes["normal"][~hit] == 0)
+            and np.all(planes["depth"][~hit] == 1e10))
     assert np.all(planes["diffuse_albedo"][~hit] == 0) and np.all(planes["roughness"][~hit] == 1)
 
 
 def test_reflectances_of_metal_plastic_glass(tracer: Tracer, built: BuiltScene) -> None:
     planes = frame_of(tracer, built, style("realtime", 1), 0)
-    roughness, albedo, specular = (planes[n] for n in ("roughness", "diffuse_albedo", "specular_albedo"))
+    roughness, albedo, specular = (planes[n]
+                                   for n in ("roughness", "diffuse_albedo", "specular_albedo"))
     metal, glass, plastic = (np.abs(roughness - r) < 1e-3 for r in (0.3, 0.0, 0.2))
     assert min(metal.sum(), glass.sum(), plastic.sum()) > 5
     assert albedo[metal].max() == 0 and specular[metal].min() > 0.4
@@ -145,7 +162,8 @@ def test_reflectances_of_metal_plastic_glass(tracer: Tracer, built: BuiltScene) 
 
 def test_guides_lie_on_the_reference_grid(tracer: Tracer, built: BuiltScene) -> None:
     built.move(1, 0)
-    cameras, size, rng = (camera(1), camera(0)), (2 * SIZE[0], 2 * SIZE[1]), np.random.default_rng(0)
+    cameras, size, rng = ((camera(1), camera(0)), (2 * SIZE[0], 2 * SIZE[1]),
+                          np.random.default_rng(0))
     jitter = (0.25, -0.3)
     guides = guide_frame(tracer, built, cameras, size, style("realtime", 1, jitter), 1, rng)
     assert "motion" not in guides and guides["depth"].shape == (64, 96)
@@ -166,18 +184,21 @@ def test_real_time_samples_share_their_planes(tracer: Tracer, built: BuiltScene)
 
 
 def mirrored_scene(virtual: bool) -> BuiltScene:
-    """A moving box before a moving mirror, seen in the mirror only; or the same box where the mirror shows it."""
+    """A moving box before a moving mirror, seen in the mirror only; or the same box where the
+    mirror shows it."""
     d = Description("mirror")
     checks = (np.indices((4, 4)).sum(0) % 2)[..., None] * np.ones(3) * 0.6 + 0.2
     boxes = d.material(Material("diffuse", checks.astype(np.float32)))
     flip = np.diag([1.0, 1.0, -1.0, 1.0])
-    here, glass = object_path(np.array([0.1, 0.6, 7.5]), MOVE, np.array([0.3, 1, 0]), 0.2), np.array([0, 0, 0.04])
+    here, glass = (object_path(np.array([0.1, 0.6, 7.5]), MOVE, np.array([0.3, 1, 0]), 0.2),
+                   np.array([0, 0, 0.04]))
     through = object_path(np.zeros(3), 2 * glass, np.array([0.0, 1, 0]), 0.0)
     d.movers += [lambda t: through(t) @ flip @ here(t) if virtual else here(t)]
     d.movers += [lambda t: translation(*(glass * (t - 3.5)))]
     d.add(meshes.box([-2, -1.5, -0.4], [2, 1.5, 0.4]), boxes, 0)
     if not virtual:
-        d.add(meshes.quad([-9, -9, 0], [18, 0, 0], [0, 18, 0]), d.material(Material("conductor")), 1)
+        d.add(meshes.quad([-9, -9, 0], [18, 0, 0], [0, 18, 0]), d.material(Material("conductor")),
+              1)
     d.environment = np.full((8, 16, 3), 0.3, np.float32)
     return BuiltScene(d)
 
@@ -202,7 +223,8 @@ def test_planes_seen_in_a_mirror_are_those_of_its_image(tracer: Tracer) -> None:
     assert np.abs(mirror["motion"] - image["motion"])[image["depth"] > 1e9].max() < 1e-2
 
 
-def guided_planes(tracer: Tracer, scene: BuiltScene, cameras: tuple, rng: np.random.Generator) -> dict:
+def guided_planes(tracer: Tracer, scene: BuiltScene, cameras: tuple,
+                  rng: np.random.Generator) -> dict:
     return noisy_frame(tracer, scene, cameras, SIZE, style("realtime", 1), 2, 1.0, rng, steps=3)
 
 
@@ -231,8 +253,10 @@ def test_blackman_harris_samples_have_the_filters_spread() -> None:
 
 
 def test_clips_may_go_on_from_another_view(tracer: Tracer) -> None:
-    options = ClipOptions(16, 16, 4, 1, reference_spp=4, scales=(1.0,), scale_chances=(1.0,), cut_share=1)
-    clips = (make_clip(tracer, options, Environments(None), RealScenes(None), 3, index) for index in range(2))
+    options = ClipOptions(16, 16, 4, 1, reference_spp=4, scales=(1.0,), scale_chances=(1.0,),
+                          cut_share=1)
+    clips = (make_clip(tracer, options, Environments(None), RealScenes(None), 3, index)
+             for index in range(2))
     facts = next(facts for _, _, facts in clips if facts["reset"].sum() == 2)
     frame, poses = int(np.flatnonzero(facts["reset"])[1]), np.array(facts["meta"]["to_world"])
     steps = np.linalg.norm(np.diff(poses[:, :3].reshape(4, -1), axis=0), axis=1)
@@ -273,7 +297,8 @@ def test_lights_follow_their_strength(tracer: Tracer) -> None:
 
 
 def test_clip_is_complete_and_repeatable(tracer: Tracer, tmp_path: Path) -> None:
-    options = ClipOptions(24, 16, frames=2, variants=2, reference_spp=4, scales=(1.5,), scale_chances=(1.0,))
+    options = ClipOptions(24, 16, frames=2, variants=2, reference_spp=4, scales=(1.5,),
+                          scale_chances=(1.0,))
     maps, real = Environments(None), RealScenes(None)
     first = make_clip(tracer, options, maps, real, seed=3, index=1)
     again = make_clip(tracer, options, maps, real, seed=3, index=1)
@@ -282,12 +307,15 @@ def test_clip_is_complete_and_repeatable(tracer: Tracer, tmp_path: Path) -> None
     save_clip(tmp_path / "clip.00001.npz", *first)
     clip = load_clip(tmp_path / "clip.00001.npz")
     assert clip["reference"].shape == (2, 24, 36, 3) and clip["reference"].dtype == np.float16
-    assert clip["variants"] == 2 and clip["v1_motion"].shape == (2, 16, 24, 2) and clip["v1_depth"].dtype == np.float32
+    assert (clip["variants"] == 2 and clip["v1_motion"].shape == (2, 16, 24, 2)
+            and clip["v1_depth"].dtype == np.float32)
     assert clip["guide_normal"].shape == (2, 24, 36, 3) and clip["guide_depth"].shape == (2, 24, 36)
-    assert all(clip[f"guide_{name}"].dtype == np.float16 for name in ("diffuse_albedo", "roughness", "depth"))
+    assert all(clip[f"guide_{name}"].dtype == np.float16
+               for name in ("diffuse_albedo", "roughness", "depth"))
     assert clip["guide_jitter"].shape == (2, 2) and clip["guide_jitter"].dtype == np.float32
     assert clip["reset"].dtype == np.uint8 and clip["reset"][0] == 1
-    assert clip["v0_jitter"].shape == (2, 2) and clip["scale"] == 1.5 and clip["scene"] == first[2]["scene"]
+    assert (clip["v0_jitter"].shape == (2, 2) and clip["scale"] == 1.5
+            and clip["scene"] == first[2]["scene"])
     assert all(np.isfinite(value).all() for value in clip.values() if isinstance(value, np.ndarray))
     assert [p.name for p in tmp_path.iterdir()] == ["clip.00001.npz"]
 
@@ -295,9 +323,10 @@ def test_clip_is_complete_and_repeatable(tracer: Tracer, tmp_path: Path) -> None
 @pytest.mark.parametrize("kind", sorted(FINE))
 def test_scenes_of_detail_finer_than_a_pixel(tracer: Tracer, kind: str) -> None:
     """Albedo of a few samples differs from that of many, as pixels show several surfaces."""
-    options = ClipOptions(32, 32, frames=2, variants=2, reference_spp=8, families=(kind,), scales=(1.0,),
-                          scale_chances=(1.0,))
-    reference, variants, facts = make_clip(tracer, options, Environments(None), RealScenes(None), 5, 0)
+    options = ClipOptions(32, 32, frames=2, variants=2, reference_spp=8, families=(kind,),
+                          scales=(1.0,), scale_chances=(1.0,))
+    reference, variants, facts = make_clip(tracer, options, Environments(None), RealScenes(None), 5,
+                                           0)
     few, many = (variant["diffuse_albedo"].astype(float) for variant in variants)
     assert np.isfinite(reference).all() and facts["scene"] == kind and variants[1]["spp"] == 64
     assert (np.abs(few - many).max(-1) > 0.05).mean() > 0.02

@@ -24,7 +24,8 @@ from training.datagen.clip_file import (
 
 
 def planes(rng: np.random.Generator) -> dict[str, np.ndarray]:
-    made = {name: rng.random((6, 10, len(c))).astype(np.float16).astype(np.float32) for name, c in CHANNELS.items()}
+    made = {name: rng.random((6, 10, len(c))).astype(np.float16).astype(np.float32)
+            for name, c in CHANNELS.items()}
     made["depth"][0, 0] = 1e10
     return made
 
@@ -50,12 +51,15 @@ def test_round_trip(tmp_path: Path) -> None:
 
 def test_guides_of_a_clip_are_written_at_output_size(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    half = {name: rng.random((2, 12, 20, len(CHANNELS[name]))).astype(np.float16) for name in GUIDES}
+    half = {name: rng.random((2, 12, 20, len(CHANNELS[name]))).astype(np.float16)
+            for name in GUIDES}
     depth = np.full((2, 12, 20), 1e10, np.float32)
     depth[:, 3:] = 4.0
-    clip = {f"guide_{name}": values.squeeze(-1) if values.shape[-1] == 1 else values for name, values in half.items()}
+    clip = {f"guide_{name}": values.squeeze(-1) if values.shape[-1] == 1 else values
+            for name, values in half.items()}
     clip["guide_depth"] = half_depth(depth)
-    write_exr(tmp_path / "guides.0001.exr", guide_planes(clip, 1), {"postfx:jitter": np.array([0.25, -0.5])})
+    write_exr(tmp_path / "guides.0001.exr", guide_planes(clip, 1),
+              {"postfx:jitter": np.array([0.25, -0.5])})
     read = next(iter(postfx.read_sequence(str(tmp_path / "guides.%04d.exr"))))
     assert read.jitter == pytest.approx((0.25, -0.5))
     assert np.array_equal(read.planes[Role.DEPTH][..., 0], depth[1])
@@ -75,6 +79,7 @@ def test_a_sheet_shows_one_row_a_clip(tmp_path: Path, monkeypatch: pytest.Monkey
     facts = {"scale": 1.0, "seed": 0, "scene": "test", "meta": {}}
     for number in range(3):
         save_clip(tmp_path / f"clip.{number:05d}.npz", variant["colour"], [variant], facts)
-    monkeypatch.setattr("sys.argv", ["clip_file", "sheet", str(tmp_path), str(tmp_path / "a.png"), "--size", "16"])
+    monkeypatch.setattr("sys.argv", ["clip_file", "sheet", str(tmp_path), str(tmp_path / "a.png"),
+                                     "--size", "16"])
     main()
     assert oiio.ImageBuf(str(tmp_path / "a.png")).spec().height == 3 * 16

@@ -1,4 +1,5 @@
-"""Clips that Cycles renders: what is made of its files. Blender itself runs where `bpy` is installed."""
+"""Clips that Cycles renders: what is made of its files. Blender itself runs where `bpy` is
+installed."""
 
 import importlib.util
 import sys
@@ -31,16 +32,19 @@ def test_a_shrunk_render_keeps_light_and_takes_depth_of_one_sample(scale):
 
 
 def test_kinds_and_attempts_get_bodies_of_their_own():
-    """Kinds that are built on the same studio must not show the same bodies, yet a clip is the same every time."""
+    """Kinds that are built on the same studio must not show the same bodies, yet a clip is the same
+    every time."""
     def first(*name: object) -> float:
         return float(scene_generator(*name).random())
 
     kinds = ("product", "glass", "text", "fur", "dof", "motion_blur")
-    drawn = [first(7, 3, kind) for kind in kinds] + [first(7, 3, "product", 1), first(7, 4, "product"),
-                                                     first(8, 3, "product"), float(clip_generator(7, 3).random())]
+    drawn = [first(7, 3, kind) for kind in kinds] + [first(7, 3, "product", 1),
+                                                     first(7, 4, "product"), first(8, 3, "product"),
+                                                     float(clip_generator(7, 3).random())]
     assert len(set(drawn)) == len(drawn)
     assert first(7, 3, "glass", 2) == first(7, 3, "glass", 2)
-    assert drawn[0] == pytest.approx(0.53761, abs=1e-5)  # the same in Blender's Python: no hash that varies
+    # the same in Blender's Python: no hash that varies
+    assert drawn[0] == pytest.approx(0.53761, abs=1e-5)
 
 
 def test_a_pass_is_found_by_name_in_a_file_of_many_parts(tmp_path):
@@ -63,13 +67,17 @@ def test_a_pass_is_found_by_name_in_a_file_of_many_parts(tmp_path):
 
 
 def test_a_clip_keeps_the_other_half_of_its_reference(tmp_path):
-    """A noisy render made of one half of the reference's samples is compared with the other half."""
-    planes = {"colour": (2, 4, 4, 3), "diffuse_albedo": (2, 4, 4, 3), "specular_albedo": (2, 4, 4, 3),
-              "normal": (2, 4, 4, 3), "roughness": (2, 4, 4), "depth": (2, 4, 4), "motion": (2, 4, 4, 2)}
+    """A noisy render made of one half of the reference's samples is compared with the other
+    half."""
+    planes = {"colour": (2, 4, 4, 3), "diffuse_albedo": (2, 4, 4, 3),
+              "specular_albedo": (2, 4, 4, 3), "normal": (2, 4, 4, 3), "roughness": (2, 4, 4),
+              "depth": (2, 4, 4), "motion": (2, 4, 4, 2)}
     variant = {name: np.ones(shape, np.float32) for name, shape in planes.items()}
     variant |= {"jitter": np.zeros((2, 2)), "spp": 64, "style": "box"}
-    facts = {"scale": 1.0, "seed": 0, "scene": "test", "meta": {}, "half": np.full((2, 4, 4, 3), 2.0)}
-    save_clip(tmp_path / "clip.00001.npz", np.full((2, 4, 4, 3), 3.0), [variant, variant | {"half": True}], facts)
+    facts = {"scale": 1.0, "seed": 0, "scene": "test", "meta": {},
+             "half": np.full((2, 4, 4, 3), 2.0)}
+    save_clip(tmp_path / "clip.00001.npz", np.full((2, 4, 4, 3), 3.0),
+              [variant, variant | {"half": True}], facts)
     clip = load_clip(tmp_path / "clip.00001.npz")
     assert not clip["v0_half"] and clip["v1_half"] and (clip["half"] == 2).all()
 
@@ -82,7 +90,8 @@ def test_a_clip_keeps_the_other_half_of_its_reference(tmp_path):
 
 
 def test_a_reference_with_negative_samples_has_an_exposure():
-    """Volumes are sampled with weights of both signs, and few samples may sum to less than nothing."""
+    """Volumes are sampled with weights of both signs, and few samples may sum to less than
+    nothing."""
     pytest.importorskip("torch")
     from training.denoise.dataset import grey_factor
 
@@ -92,10 +101,12 @@ def test_a_reference_with_negative_samples_has_an_exposure():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="Blender's module bpy is not installed")
+@pytest.mark.skipif(importlib.util.find_spec("bpy") is None,
+                    reason="Blender's module bpy is not installed")
 def test_blender_renders_a_clip():
     options = CyclesOptions(16, 16, 2, most_spp=2, half_samples=4, kind="product")
-    reference, variants, facts = make_clip(Blender(Path(sys.executable), None), options, seed=9000, index=0)
+    reference, variants, facts = make_clip(Blender(Path(sys.executable), None), options, seed=9000,
+                                           index=0)
     assert np.isfinite(reference).all() and reference.mean() > 0
     assert facts["scene"] == "cycles.product" and facts["half"].shape == reference.shape
     assert {v["colour"].shape for v in variants} == {(2, 16, 16, 3)}

@@ -45,8 +45,9 @@ def test_blender_loads_no_scene_that_is_held_back(tmp_path):
         (tmp_path / name / "about.json").write_text(json.dumps({"kind": "set"}))
         (tmp_path / name / "scene.gltf").touch()
         (tmp_path / name / "scene.xml").touch()
-    code = ("import sys; from pathlib import Path; from training.datagen.cycles.blender.kinds import Library;"
-            "found = Library(Path(sys.argv[1]));"
-            "print(sorted(found.about), sorted(room.name for room in found.rooms))")
-    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
+    code = ("import sys; from pathlib import Path; from training.datagen.cycles.blender.kinds "
+            "import Library;found = Library(Path(sys.argv[1]));print(sorted(found.about), "
+            "sorted(room.name for room in found.rooms))")
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True,
+                          text=True, check=True)
     assert "['camp', 'staircase'] ['camp', 'staircase']" in done.stdout

@@ -24,7 +24,8 @@ def test_training_s_seeds_are_refused() -> None:
 
 
 def test_scenes_may_show_what_they_have() -> None:
-    plain, metal = Description("room"), Description("room", [Material("conductor")], movers=[lambda t: np.eye(4)])
+    plain, metal = Description("room"), Description("room", [Material("conductor")],
+                                                    movers=[lambda t: np.eye(4)])
     assert {name for name, trait in TRAITS.items() if trait.has(metal)} == {"moving", "metal"}
     assert not any(trait.has(plain) for trait in TRAITS.values())
 
@@ -37,10 +38,12 @@ def still(d: Description) -> tuple[BuiltScene, CameraPath]:
     return BuiltScene(d), CameraPath(eye, np.zeros(3), 60.0, "pan", 0.0, np.ones(3), 1)
 
 
-@pytest.mark.parametrize(("kind", "seen"), [("conductor", "metal"), ("dielectric", "glass"), ("diffuse", "")])
+@pytest.mark.parametrize(("kind", "seen"),
+                         [("conductor", "metal"), ("dielectric", "glass"), ("diffuse", "")])
 def test_a_material_is_seen(kind: str, seen: str) -> None:
     built, path = still(Description("room", [Material(kind)]))
-    found = {name for name in ("metal", "glass", "moving") if shows(Tracer(), built, path, name, 8, 1)}
+    found = {name
+             for name in ("metal", "glass", "moving") if shows(Tracer(), built, path, name, 8, 1)}
     assert found == ({seen} if seen else set())
 
 
@@ -54,7 +57,8 @@ def test_a_thing_that_moves_is_seen_and_one_that_rests_is_not() -> None:
 
 def test_a_light_that_flickers_is_seen() -> None:
     for low, seen in ((0.2, True), (0.99, False)):
-        d = Description("room", [Material("diffuse")], glows=[lambda t, low=low: 1.0 if t % 2 else low])
+        d = Description("room", [Material("diffuse")],
+                        glows=[lambda t, low=low: 1.0 if t % 2 else low])
         d.emit(meshes.quad([1, 1, 3], [-2, 0, 0], [0, 1, 0]), np.ones(3), glow=0)
         built, path = still(d)
         assert shows(Tracer(), built, path, "flicker", 4, 1) == seen
@@ -71,13 +75,16 @@ def test_a_cut_leads_to_another_view_of_the_scene() -> None:
 
 @pytest.mark.slow
 def test_a_view_for_equivalent_samples(tmp_path: Path) -> None:
-    arguments = ["render", str(tmp_path / "view.npz"), "--variant", "llvm_ad_rgb", "--width", "32", "--height", "24"]
-    arguments += ["--samples", "24", "--inputs", "3", "--half-spp", "64", "--reference-error", "0.05"]
+    arguments = ["render", str(tmp_path / "view.npz"), "--variant", "llvm_ad_rgb", "--width", "32",
+                 "--height", "24"]
+    arguments += ["--samples", "24", "--inputs", "3", "--half-spp", "64", "--reference-error",
+                  "0.05"]
     equivalent_samples.render(equivalent_samples.arguments(arguments))
     view = equivalent_samples.load_view(tmp_path / "view.npz")
     counts, means = view["counts"], view["means"]
     assert np.allclose(means[counts == 3][0], view["colour"].mean(0), rtol=1e-4, atol=1e-6)
-    assert not np.array_equal(view["colour"][0], view["colour"][1]) and np.abs(view["motion"]).max() < 1e-3
+    assert (not np.array_equal(view["colour"][0], view["colour"][1])
+            and np.abs(view["motion"]).max() < 1e-3)
     errors = equivalent_samples.Errors(view["reference_a"], view["reference_b"], 1.0)
     found = [errors(mean)["relmse"] for mean in means]
     assert found[-1] < found[0] / 4

@@ -37,7 +37,8 @@ def box_scene(folder: Path) -> Path:
 
 
 def test_a_box_on_a_floor(tmp_path: Path) -> None:
-    """The floor far away is open; beside the box it is darker the larger the radius; normals and depth face the eye."""
+    """The floor far away is open; beside the box it is darker the larger the radius; normals and
+    depth face the eye."""
     scene = Scene(box_scene(tmp_path))
     eye, target = np.array([0.0, 1.5, 2.5]), np.array([0.0, 0.5, 0.0])
     view = render(scene.scene, eye, target, 0.6, (48, 36), 64, 0, most_open=1.0)
@@ -52,7 +53,8 @@ def test_a_box_on_a_floor(tmp_path: Path) -> None:
 def test_stretched_normals_stay_perpendicular() -> None:
     corners = np.random.default_rng(0).normal(size=(3, 3))
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    vertices, normals, _ = stretched((corners, np.tile(normal / np.linalg.norm(normal), (3, 1)), np.arange(3)),
+    vertices, normals, _ = stretched((corners, np.tile(normal / np.linalg.norm(normal), (3, 1)),
+                                      np.arange(3)),
                                      np.array([0.5, 1.0, 3.0]))
     np.testing.assert_allclose((vertices[1:] - vertices[0]) @ normals[0], 0, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
@@ -60,10 +62,13 @@ def test_stretched_normals_stay_perpendicular() -> None:
 
 def test_mixed_and_stretched_scenes_give_views_to_learn_from(tmp_path: Path) -> None:
     random, scene = np.random.default_rng(0), Scene(box_scene(tmp_path), np.array([1.0, 2.0, 0.5]))
-    assert np.ptp(scene.parts[0][0], axis=0).tolist() == [1, 2, 0.5] == (scene.high - scene.low).tolist()
+    assert np.ptp(scene.parts[0][0],
+                  axis=0).tolist() == [1, 2, 0.5] == (scene.high - scene.low).tolist()
     shares, mixed = draw_shares(random), mix([scene], random)
-    assert LEARNT_RADII[0] <= shares[0] and (np.diff(shares) > 0).all() and shares[-1] <= LEARNT_RADII[1]
-    views = [render(mixed, *view_of_mix(random), 0.6, (24, 16), 16, 0, shares=shares) for _ in range(12)]
+    assert (LEARNT_RADII[0] <= shares[0] and (np.diff(shares) > 0).all()
+            and shares[-1] <= LEARNT_RADII[1])
+    views = [render(mixed, *view_of_mix(random), 0.6, (24, 16), 16, 0, shares=shares)
+             for _ in range(12)]
     seen = [view for view in views if view]
     assert seen and all(view["visible"].shape == (len(shares), 16, 24) for view in seen)
     assert min(view["visible"][-1].mean() for view in seen) < 0.85

@@ -1,4 +1,5 @@
-"""Rendering spread over workers: all clips are made, what dies or hangs is left out, and the job can go on later."""
+"""Rendering spread over workers: all clips are made, what dies or hangs is left out, and the job
+can go on later."""
 
 from __future__ import annotations
 
@@ -34,7 +35,8 @@ for line in sys.stdin:
 
 
 def farm(folder: Path, bad: str, *options: str) -> Farm:
-    args, _ = arguments([f"--out={folder}", "--clips=6", "--gpus=0,3", "--processes-per-gpu=1", *options])
+    args, _ = arguments([f"--out={folder}", "--clips=6", "--gpus=0,3", "--processes-per-gpu=1",
+                         *options])
     return Farm(args, [sys.executable, "-c", STUB, str(folder), bad])
 
 
@@ -46,7 +48,8 @@ def test_every_clip_is_made_once_and_gpus_share(tmp_path: Path) -> None:
     (tmp_path / "clip.00004.npz").write_text("old")
     job = farm(tmp_path, "none")
     assert job.run() and (job.there, job.made, job.samples, job.lost) == (1, 5, 50, 0)
-    assert made(tmp_path) == [0, 1, 2, 3, 4, 5] and (tmp_path / "clip.00004.npz").read_text() == "old"
+    assert (made(tmp_path) == [0, 1, 2, 3, 4, 5]
+            and (tmp_path / "clip.00004.npz").read_text() == "old")
     assert {(tmp_path / f"clip.0000{k}.npz").read_text() for k in (0, 1)} == {"0", "3"}
     assert "made 5 clips" in job.summary() and "6 of 6" in job.summary()
 
@@ -86,8 +89,9 @@ def test_a_clip_counts_that_its_worker_had_not_told_of_at_the_end(tmp_path: Path
 
 def test_a_real_job_at_toy_size_ends_on_sigterm_and_goes_on(tmp_path: Path) -> None:
     require_llvm()
-    command = [sys.executable, "-m", "training.datagen.render", f"--out={tmp_path}", "--processes-per-gpu=1",
-               "--width=16", "--height=16", "--frames=1", "--variants=1", "--reference-spp=4", "--variant=llvm_ad_rgb"]
+    command = [sys.executable, "-m", "training.datagen.render", f"--out={tmp_path}",
+               "--processes-per-gpu=1", "--width=16", "--height=16", "--frames=1", "--variants=1",
+               "--reference-spp=4", "--variant=llvm_ad_rgb"]
     first = subprocess.Popen([*command, "--clips=500"], stdout=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 300
     while not made(tmp_path) and time.monotonic() < deadline:
@@ -98,5 +102,7 @@ def test_a_real_job_at_toy_size_ends_on_sigterm_and_goes_on(tmp_path: Path) -> N
     assert first.returncode == 0 and 0 < len(there) < 500 and f"{len(there)} of 500" in said
     assert not list(tmp_path.glob(".*partial*"))
     wanted = max(there) + 2
-    done = subprocess.run([*command, f"--clips={wanted}"], stdout=subprocess.PIPE, text=True, timeout=300)
-    assert done.returncode == 0 and f"{wanted} of {wanted}" in done.stdout and made(tmp_path) == list(range(wanted))
+    done = subprocess.run([*command, f"--clips={wanted}"], stdout=subprocess.PIPE, text=True,
+                          timeout=300)
+    assert (done.returncode == 0 and f"{wanted} of "
+            f"{wanted}" in done.stdout and made(tmp_path) == list(range(wanted)))

@@ -7,11 +7,13 @@ import pytest
 from training.datagen.variant import llvm_fault, use_variant
 
 
-@pytest.mark.parametrize(("version", "told"), [((15, 0, 6), "libLLVM 15.0.6 aborts"), ((14,), "libLLVM 14 aborts"),
+@pytest.mark.parametrize(("version", "told"), [((15, 0, 6), "libLLVM 15.0.6 aborts"),
+                                               ((14,), "libLLVM 14 aborts"),
                                                (None, "no libLLVM is there")])
 def test_old_ones_are_refused(version: tuple[int, ...] | None, told: str) -> None:
     fault = llvm_fault(version)
-    assert fault is not None and told in fault and "libLLVM 19" in fault and "DRJIT_LIBLLVM_PATH=" in fault
+    assert (fault is not None and told in fault and "libLLVM "
+            "19" in fault and "DRJIT_LIBLLVM_PATH=" in fault)
 
 
 def test_newer_ones_are_taken() -> None:

@@ -1,4 +1,5 @@
-"""Training on clips that are run backwards, too: motion turned round, the blend of both directions, and steps."""
+"""Training on clips that are run backwards, too: motion turned round, the blend of both directions,
+and steps."""
 
 from __future__ import annotations
 
@@ -13,7 +14,13 @@ torch = pytest.importorskip("torch")
 
 from postfx.frame import Frame, Role  # noqa: E402
 from postfx.temporal.reverse_motion import LOST, motion_to_next  # noqa: E402
-from tests.training.denoise.test_train import inner, moving_clip, settings, steps_lower_the_loss, write_clips  # noqa: E402
+from tests.training.denoise.test_train import (  # noqa: E402
+    inner,
+    moving_clip,
+    settings,
+    steps_lower_the_loss,
+    write_clips,
+)
 from tests.training.small_denoiser import small_model  # noqa: E402
 from training import ops  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
@@ -39,7 +46,8 @@ def turned_clip() -> Stack:
     clip = moving_clip(2)
     motion = clip.planes[0, :, MOTION:CHANNELS].movedim(1, -1).numpy()
     planes = {"v0_motion": motion, "v0_depth": np.ones(motion.shape[:3], np.float32)}
-    inverse = torch.from_numpy(inverse_motion(planes, "v0")).movedim(-1, 1).half().to(clip.planes.dtype)
+    inverse = (torch.from_numpy(inverse_motion(planes, "v0")).movedim(-1, 1).half()
+               .to(clip.planes.dtype))
     return replace(clip, planes=torch.cat((clip.planes, inverse[None]), 2), pairs=("inverse",))
 
 
@@ -55,7 +63,8 @@ def test_augmentations_keep_inverse_motion_true(seed: int) -> None:
     for batch in (to_batch(turned_clip()), Augment(drop=0.0)(turned_clip())):
         moved = losses.reproject_reference(batch.references[1], batch.inverse[0])
         error = inner(moved - batch.references[0]).abs().mean() / batch.references.mean()
-        assert error < 0.03 < inner(batch.references[1] - batch.references[0]).abs().mean() / batch.references.mean()
+        assert (error < 0.03 < inner(batch.references[1] - batch.references[0]).abs()
+                .mean() / batch.references.mean())
 
 
 def test_without_motion_there_is_none_either_way() -> None:
@@ -72,7 +81,8 @@ def test_inverse_motion_is_made_when_a_clip_is_loaded(tmp_path: Path) -> None:
         frames = [Frame({Role.MOTION: motion, Role.DEPTH: depth[..., None]})
                   for motion, depth in zip(file["v0_motion"], file["v0_depth"], strict=True)]
     wanted = torch.from_numpy(motion_to_next(*frames)).movedim(-1, 0)
-    assert torch.equal(clip.planes[0, 0, CHANNELS:], wanted.half()) and not clip.planes[0, 1, CHANNELS:].any()
+    assert (torch.equal(clip.planes[0, 0, CHANNELS:], wanted.half())
+            and not clip.planes[0, 1, CHANNELS:].any())
     batch = to_batch(collate([clip], [0], 32))
     assert batch.inverse[0].shape == batch.frames[0].motion.shape == (1, 2, 32, 32)
 
@@ -89,27 +99,33 @@ def told_clip(cuts: list[int]) -> Batch:
     clip = moving_clip(1)
     planes = torch.cat((clip.planes, clip.planes[:, :, :2]), 2)[:, :1].repeat(1, len(cuts), 1, 1, 1)
     planes[:, :, MOTION:CHANNELS], planes[:, :, CHANNELS:] = 1, 2
-    repeated = {name: getattr(clip, name)[:, :1].repeat(1, len(cuts), *[1] * (getattr(clip, name).ndim - 2))
+    repeated = {name: getattr(clip, name)[:, :1].repeat(1, len(cuts),
+                                                        *[1] * (getattr(clip, name).ndim - 2))
                 for name in ("jitter", "reference", "albedos", "guides")}
     keep = 1 - torch.tensor([cuts], dtype=torch.float32)
     return to_batch(replace(clip, planes=planes, pairs=("inverse",), keep=keep, **repeated))
 
 
-def test_a_frame_is_blended_by_what_each_direction_has_seen_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_is_blended_by_what_each_direction_has_seen_of_it(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
     rated = []
     scores = losses.Truth.scores
-    monkeypatch.setattr(losses.Truth, "scores", lambda *args: rated.append(args[1]) or scores(*args))
+    monkeypatch.setattr(losses.Truth, "scores",
+                        lambda *args: rated.append(args[1]) or scores(*args))
     loss, *_ = ClipLoss(Told(), flicker=1.0, reset=0.0)(told_clip([1, 0, 0, 1, 0]))
     ahead, back, both = ([float(picture.mean()) for picture in outputs] for outputs in rated)
     assert ahead == [1.0] * 5 and back == [2.0] * 5
     assert both == pytest.approx([2 - k / 4 for k in (1, 2, 3)] + [2 - k / 3 for k in (1, 2)])
-    parts = [float(scores(losses.Truth(told_clip([1, 0, 0, 1, 0])), outputs, 1.0)[0]) for outputs in rated]
+    parts = [float(scores(losses.Truth(told_clip([1, 0, 0, 1, 0])), outputs, 1.0)[0])
+             for outputs in rated]
     assert float(loss) == pytest.approx(parts[0] / 4 + parts[1] / 4 + parts[2] / 2, rel=1e-4)
 
 
 def test_steps_both_ways_lower_the_loss() -> None:
     model, clip = small_model(), turned_clip()
-    batch = to_batch(replace(clip, planes=clip.planes[..., :32, :32], reference=clip.reference[..., :64, :64]))
+    batch = to_batch(replace(clip, planes=clip.planes[..., :32, :32],
+                             reference=clip.reference[..., :64, :64]))
     steps_lower_the_loss(model, batch)
 
 

@@ -15,18 +15,21 @@ from training.denoise.checkpoint import keep_levels, load_weights, main, read, s
 
 
 def write(path: Path, value: float, width: int = 2) -> str:
-    save({"config": {"widths": (width,)}, "weights": {"a": torch.full((width,), value)}, "notes": {"steps": 7}}, path)
+    save({"config": {"widths": (width,)}, "weights": {"a": torch.full((width,), value)},
+          "notes": {"steps": 7}}, path)
     return str(path)
 
 
 def test_a_mixture_is_the_weighted_mean(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    one, other, odd = (write(tmp_path / f"{n}.pt", v, w) for n, v, w in (("a", 1.0, 2), ("b", 2.0, 2), ("c", 0, 3)))
+    one, other, odd = (write(tmp_path / f"{n}.pt", v, w)
+                       for n, v, w in (("a", 1.0, 2), ("b", 2.0, 2), ("c", 0, 3)))
     mixed = tmp_path / "mixed.pt"
     main(["mix", f"{one}:0.6", f"{other}:0.4", "-o", str(mixed)])
     assert load_weights(mixed)["a"].tolist() == pytest.approx([1.4, 1.4])
     assert read(mixed)["notes"] == {"steps": 7, "weights": f"0.6 {one} + 0.4 {other}"}
-    for words, said in (([f"{one}:0.6", f"{odd}:0.4"], "another layout"), ([f"{one}:0.6"], "add up to 0.6, not to 1"),
-                        ([one], "is not FILE:SHARE"), (["s.onnx:1"], "s.onnx: an exported network cannot be the first"),
+    for words, said in (([f"{one}:0.6", f"{odd}:0.4"], "another layout"),
+                        ([f"{one}:0.6"], "add up to 0.6, not to 1"), ([one], "is not FILE:SHARE"),
+                        (["s.onnx:1"], "s.onnx: an exported network cannot be the first"),
                         ([f"{tmp_path / 'x.pt'}:1"], "No such file")):
         with pytest.raises(SystemExit):
             main(["mix", *words, "-o", str(mixed)])
@@ -75,6 +78,7 @@ def test_a_network_begins_to_trust_planes_unless_it_predicts_its_trust(tmp_path:
     last = slice(-4, None)  # four phases of the last hidden channel
     assert load_weights(plain)["trunk.fine.weight"][last].any()
     begun = load_weights(plain, trust=True)
-    assert not begun["trunk.fine.weight"][last].any() and (begun["trunk.fine.bias"][last] == 2).all()
+    assert (not begun["trunk.fine.weight"][last].any()
+            and (begun["trunk.fine.bias"][last] == 2).all())
     for name, values in load_weights(doubting).items():
         assert torch.equal(load_weights(doubting, trust=True)[name], values)

@@ -1,4 +1,5 @@
-"""What is drawn from clips beside plain windows: false motion, motion of a world at rest, planes of fewer samples."""
+"""What is drawn from clips beside plain windows: false motion, motion of a world at rest, planes of
+fewer samples."""
 
 from __future__ import annotations
 
@@ -73,7 +74,8 @@ def test_false_motion_is_one_of_four_kinds_and_the_loss_keeps_the_true_one() -> 
 
 def test_an_ellipse_takes_the_mean_motion_around_it() -> None:
     clip = entries(64)
-    clip.planes[:, :, MOTION] = torch.where(torch.arange(60) < 30, 0.0, 4.0)  # left half, right half
+    # left half, right half
+    clip.planes[:, :, MOTION] = torch.where(torch.arange(60) < 30, 0.0, 4.0)
     torch.manual_seed(1)
     moving = to_batch(replace(clip, planes=clip.planes[:, :, :CHANNELS], pairs=()))
     motion = falsify_motion(moving, 1.0).frames[1].motion
@@ -97,20 +99,25 @@ def test_without_the_option_nothing_is_drawn() -> None:
 
 
 def camera_clip() -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """A clip file's arrays: a wall seen by a camera that moves and turns, and the wall's motion (T, h, w, 2)."""
+    """A clip file's arrays: a wall seen by a camera that moves and turns, and the wall's motion (T,
+    h, w, 2)."""
     w, h = SIZE
-    cameras = [Camera(look_at(np.array([0.3 * t, 0.1 * t, -4.0]), np.array([0.2 * t, 0.0, 0.0]), 0.05 * t), 50 + 2 * t)
+    cameras = [Camera(look_at(np.array([0.3 * t, 0.1 * t, -4.0]), np.array([0.2 * t, 0.0, 0.0]),
+                              0.05 * t), 50 + 2 * t)
                for t in range(3)]
     depth, motion = np.zeros((3, h, w), np.float32), np.zeros((3, h, w, 2), np.float32)
     y, x = np.meshgrid(np.arange(h) + 0.5, np.arange(w) + 0.5, indexing="ij")
     for t, camera in enumerate(cameras):
         focal = w / (2 * np.tan(np.radians(camera.fov) / 2))
-        rays = np.stack([(w / 2 - x) / focal, (h / 2 - y) / focal, np.ones((h, w))], -1) @ camera.to_world[:3, :3].T
+        rays = np.stack([(w / 2 - x) / focal, (h / 2 - y) / focal, np.ones((h, w))],
+                        -1) @ camera.to_world[:3, :3].T
         depth[t] = (1.0 - camera.to_world[2, 3]) / rays[..., 2]  # the wall is at z = 1
         points = camera.to_world[:3, 3] + depth[t][..., None] * rays
         if t:
-            motion[t] = cameras[t - 1].project(points.reshape(-1, 3), w, h).reshape(h, w, 2) - np.stack([x, y], -1)
-    meta = {"to_world": [camera.to_world.tolist() for camera in cameras], "fov": [camera.fov for camera in cameras]}
+            motion[t] = cameras[t - 1].project(points.reshape(-1, 3), w,
+                                               h).reshape(h, w, 2) - np.stack([x, y], -1)
+    meta = {"to_world": [camera.to_world.tolist() for camera in cameras],
+            "fov": [camera.fov for camera in cameras]}
     return {"v0_depth": depth, "v0_motion": motion, "meta": np.str_(json.dumps(meta)),
             "reset": np.array([1, 0, 0], np.uint8)}, motion.copy()
 
@@ -133,17 +140,21 @@ def test_planes_come_from_the_sparser_render_and_light_from_the_denser(tmp_path:
     path = tmp_path / "clip0000.npz"
     with np.load(path) as file:
         whole = dict(file)
-    denser = {name.replace("v0_", "v1_"): values for name, values in whole.items() if name.startswith("v0_")}
-    denser |= {f"v1_{name}": denser[f"v1_{name}"] + np.float16(0.25) for name in ("colour", "normal", "roughness")}
+    denser = {name.replace("v0_", "v1_"): values
+              for name, values in whole.items() if name.startswith("v0_")}
+    denser |= {f"v1_{name}": denser[f"v1_{name}"] + np.float16(0.25)
+               for name in ("colour", "normal", "roughness")}
     offline = {"v0_style": np.str_("box"), "v1_style": np.str_("box"), "v1_spp": np.int32(32)}
     np.savez(path, **{**whole, **denser, **offline})
     clip = load(path, torch.device("cpu"))
     assert clip.samples == [1, 32] and sparser(clip, 1) == 0 and sparser(clip, 0) == 0
-    assert sparser(replace(clip, spread=[False, True]), 1) == 1  # samples at one place fit no other render
+    # samples at one place fit no other render
+    assert sparser(replace(clip, spread=[False, True]), 1) == 1
     dense, mixed = collate([clip], [1]).planes, collate([clip], [1], None, [0]).planes
     sparse = collate([clip], [0]).planes
     assert all(torch.equal(mixed[:, :, part], sparse[:, :, part]) for part in SURFACE)
-    light = [channel for channel in range(CHANNELS) if not any(part.start <= channel < part.stop for part in SURFACE)]
+    light = [channel for channel in range(CHANNELS)
+             if not any(part.start <= channel < part.stop for part in SURFACE)]
     assert torch.equal(mixed[:, :, light], dense[:, :, light])
     pool = ClipPool({tmp_path: 1.0}, torch.device("cpu"), held_out=10**6)
     pool.seen.clear()
@@ -159,7 +170,8 @@ def test_clips_of_a_folder_are_drawn_as_often_as_its_weight_says(tmp_path: Path)
         for path in (tmp_path / name).glob("*.npz"):
             clip = dict(np.load(path))
             np.savez(path, **clip | {"reference": np.full_like(clip["reference"], value)})
-    pool = ClipPool({tmp_path / "many": 3.0, tmp_path / "few": 1.0}, torch.device("cpu"), held_out=10**6)
+    pool = ClipPool({tmp_path / "many": 3.0, tmp_path / "few": 1.0}, torch.device("cpu"),
+                    held_out=10**6)
     pool.refresh()
     random.seed(1)
     drawn = pool.draw(4000, 16, 0).reference[:, 0, 0, 0, 0]
@@ -173,39 +185,48 @@ def test_clips_without_guides_are_left_out_where_guides_are_needed(
     path = tmp_path / "clip0001.npz"
     clip = dict(np.load(path))
     size = clip["reference"].shape[:3]
-    np.savez(path, **clip, **{f"guide_{name}": np.zeros((*size, count) if count > 1 else size, np.float16)
-                              for name, count in GUIDES})
+    np.savez(path, **clip,
+             **{f"guide_{name}": np.zeros((*size, count) if count > 1 else size, np.float16)
+                for name, count in GUIDES})
     pool = ClipPool({tmp_path: 1.0}, torch.device("cpu"), guides=True, held_out=10**6)
     assert pool.refresh() == 1
     bare = tmp_path / "clip0000.npz"
-    assert capsys.readouterr().out == f"left out: {bare}: no planes at output size, which --guides needs\n"
+    assert (capsys.readouterr().out == f"left out: {bare}: no planes at output size, which "
+            "--guides needs\n")
 
 
 def test_later_turns_play_the_same_windows_the_other_way(tmp_path: Path) -> None:
     write_clips(tmp_path, 2)
     path = tmp_path / "clip0000.npz"
-    pool = ClipPool({tmp_path: 1.0}, torch.device("cpu"), held_out=10**6, pairs=("inverse", "static"))
+    pool = ClipPool({tmp_path: 1.0}, torch.device("cpu"), held_out=10**6,
+                    pairs=("inverse", "static"))
     pool.refresh()
     turns = []
     for turn in range(3):
         random.seed(5)
         turns.append(pool.draw(2, 16, 0, turn=turn))
     first, back, again = turns
-    assert torch.equal(back.reference, first.reference.flip(1)) and torch.equal(again.reference, first.reference)
+    assert (torch.equal(back.reference, first.reference.flip(1))
+            and torch.equal(again.reference, first.reference))
     assert torch.equal(back.jitter, first.jitter.flip(1))
-    torch.testing.assert_close(back.surfaces, first.surfaces.flip(1), rtol=0, atol=0, equal_nan=True)
+    torch.testing.assert_close(back.surfaces, first.surfaces.flip(1), rtol=0, atol=0,
+                               equal_nan=True)
     assert torch.equal(back.planes[:, :, :MOTION], first.planes[:, :, :MOTION].flip(1))
     inverse = torch.from_numpy(inverse_motion(np.load(path), "v0")).abs()
     assert float(back.planes[:, 1, MOTION].abs().amax()) <= float(inverse.amax()) + 1e-3
-    assert torch.equal(back.planes[:, :, MOTION:MOTION + 2], first.planes[:, :, MOTION + 2:MOTION + 4].flip(1))
-    assert not back.planes[:, 0, MOTION:].any() and back.planes[:, 1, MOTION].any()  # it rests at the turn
-    assert not again.planes[:, 0, MOTION:].any() and torch.equal(again.planes[:, 1], first.planes[:, 1])
+    assert torch.equal(back.planes[:, :, MOTION:MOTION + 2],
+                       first.planes[:, :, MOTION + 2:MOTION + 4].flip(1))
+    # it rests at the turn
+    assert (not back.planes[:, 0, MOTION:].any() and back.planes[:, 1, MOTION].any())
+    assert (not again.planes[:, 0, MOTION:].any()
+            and torch.equal(again.planes[:, 1], first.planes[:, 1]))
     assert back.keep.all() and again.keep.all()
 
 
 def test_a_cut_is_kept_when_played_backwards() -> None:
     clip = entries(1)
-    cut = replace(clip, planes=clip.planes[:, [0, 1, 1]], keep=torch.tensor([[0.0, 0.0, 1.0]]), pairs=("inverse",))
+    cut = replace(clip, planes=clip.planes[:, [0, 1, 1]], keep=torch.tensor([[0.0, 0.0, 1.0]]),
+                  pairs=("inverse",))
     assert play_on(cut, backwards=True).keep.tolist() == [[1.0, 1.0, 0.0]]
     assert play_on(cut, backwards=False).keep.tolist() == [[1.0, 0.0, 1.0]]
 
@@ -216,7 +237,8 @@ def test_true_albedos_are_those_of_an_exact_render_or_of_many_samples(tmp_path: 
     renders = replace(clip, samples=[4, 32, 1024], spread=[True, True, True], exact=[False] * 3)
     assert [true_planes(renders, v) for v in range(3)] == [2, 2, 2]
     assert true_planes(replace(renders, exact=[False, True, False]), 0) == 1
-    assert true_planes(replace(renders, spread=[False, True, True]), 0) == 0  # all samples lie at one place
+    # all samples lie at one place
+    assert true_planes(replace(renders, spread=[False, True, True]), 0) == 0
     few = replace(renders, samples=[16, 64, 8])
     assert [true_planes(few, v) for v in range(3)] == [1, None, 1]
     assert true_planes(replace(few, samples=[32, 64, 8]), 0) is None
@@ -227,7 +249,8 @@ def test_true_reflectance_follows_the_planes_through_augmentation() -> None:
     random.seed(3)
     for drop in (0.0, 100.0):
         batch = Augment(drop=drop)(moving_clip(2))
-        seen = [ops.demodulation(frame.diffuse_albedo, frame.specular_albedo) for frame in batch.frames]
+        seen = [ops.demodulation(frame.diffuse_albedo, frame.specular_albedo)
+                for frame in batch.frames]
         known = drop == 0  # a clip that lost its albedo has nothing to trust
         found = torch.stack(batch.reflectance())
         assert torch.equal(found, torch.stack(seen)) if known else found.isnan().all()
@@ -240,17 +263,19 @@ def test_cleaned_planes_are_compared_with_true_ones_through_augmentation() -> No
     for drop in (0.0, 1.0, 100.0):
         batch = Augment(drop=drop)(moving_clip(4))
         for frame, surface in zip(batch.frames, batch.surfaces, strict=True):
-            own = guide_codes(frame.diffuse_albedo + frame.specular_albedo, frame.denoising_albedo, frame.normal)
+            own = guide_codes(frame.diffuse_albedo + frame.specular_albedo, frame.denoising_albedo,
+                              frame.normal)
             assert losses.guides_loss(own, surface) == 0
             if drop == 0:
                 assert losses.guides_loss(own + 0.1, surface) > 0
 
 
-def test_the_loss_of_reflectance_asks_for_trust_where_planes_are_right_and_for_doubt_where_they_are_noise() -> None:
+def test_the_loss_of_reflectance_asks_for_trust_in_right_planes_and_for_doubt_in_noise() -> None:
     frame = to_batch(moving_clip(2)).frames[0]
     own = ops.demodulation(frame.diffuse_albedo, frame.specular_albedo)
     flat = torch.full_like(own, float(own.mean()))
     full, none = (torch.full_like(frame.depth, value) for value in (1.0, -1.0))
-    assert losses.reflectance_loss(frame, full, own) == 0 < losses.reflectance_loss(frame, none, own)
+    assert losses.reflectance_loss(frame, full, own) == 0 < losses.reflectance_loss(frame, none,
+                                                                                    own)
     assert losses.reflectance_loss(frame, none, flat) < losses.reflectance_loss(frame, full, flat)
     assert losses.reflectance_loss(frame, none, torch.full_like(own, torch.nan)) == 0

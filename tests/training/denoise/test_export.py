@@ -43,7 +43,8 @@ def checkpoint(request: pytest.FixtureRequest) -> dict:
     torch.manual_seed(0)
     config = CONFIGS[request.param]
     model = DenoiseUpscale(trunk=(ResidualTrunk if request.param == "residual" else Trunk)(config))
-    weights = {key: value + 0.05 * torch.randn_like(value) for key, value in model.state_dict().items()}
+    weights = {key: value + 0.05 * torch.randn_like(value)
+               for key, value in model.state_dict().items()}
     return {"config": model.config.as_dict(), "weights": weights, "notes": {"steps": 7}}
 
 
@@ -63,7 +64,8 @@ def folder(checkpoint: dict, tag: str, tmp_path_factory: pytest.TempPathFactory)
     folder = tmp_path_factory.mktemp("models")
     torch.save(checkpoint, folder / "checkpoint.pt")
     (folder / "quality.json").write_text('{"room": {"psnr": 30.5}}')
-    arguments = ["export_denoise", "checkpoint.pt", "--tag", tag, "--quality", "quality.json", "--models", "."]
+    arguments = ["export_denoise", "checkpoint.pt", "--tag", tag, "--quality", "quality.json",
+                 "--models", "."]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(sys, "argv", arguments)
@@ -81,16 +83,21 @@ def test_file_runs_as_the_network_at_any_size(checkpoint: dict, folder: Path, na
         assert parity(exported, path, examples, {"height": height, "width": width}) <= PARITY
 
 
-def test_the_fine_head_is_opened_as_the_network_does(checkpoint: dict, folder: Path, name: str) -> None:
+def test_the_fine_head_is_opened_as_the_network_does(checkpoint: dict, folder: Path,
+                                                     name: str) -> None:
     trunk = denoise_export.load_trunk(checkpoint)
     examples = denoise_export.example(trunk, 48, 32)
-    session = onnxruntime.InferenceSession(folder / f"{name}.onnx", providers=["CPUExecutionProvider"])
-    reads = {value.name: example.numpy() for value, example in zip(session.get_inputs(), examples, strict=True)}
+    session = onnxruntime.InferenceSession(folder / f"{name}.onnx",
+                                           providers=["CPUExecutionProvider"])
+    reads = {value.name: example.numpy()
+             for value, example in zip(session.get_inputs(), examples, strict=True)}
     fine = np.empty((1, FINE, 48, 32), np.float32)
-    kernel, output = (OPEN_LOGITS, FINE_LOGITS) if name.endswith("residual") else (OPEN_PHASED, PHASED_FINE)
+    kernel, output = ((OPEN_LOGITS, FINE_LOGITS) if name.endswith("residual")
+                      else (OPEN_PHASED, PHASED_FINE))
     kernel.rows(0, 48, session.run([output], reads)[0], fine)
     with torch.no_grad():
-        assert relative_error(fine, trunk(torch.cat(examples[:2], 1), *examples[2:])[0].numpy()) <= PARITY
+        assert relative_error(fine,
+                              trunk(torch.cat(examples[:2], 1), *examples[2:])[0].numpy()) <= PARITY
 
 
 def test_a_different_network_is_found_out(checkpoint: dict, folder: Path, name: str) -> None:
@@ -98,19 +105,23 @@ def test_a_different_network_is_found_out(checkpoint: dict, folder: Path, name: 
     with torch.no_grad():
         trunk.stem.weight *= 1.1
     with pytest.raises(ParityError, match="differs from torch by"):
-        parity(denoise_export.exported(trunk), folder / f"{name}.onnx", denoise_export.example(trunk, 32, 32))
+        parity(denoise_export.exported(trunk), folder / f"{name}.onnx",
+               denoise_export.example(trunk, 32, 32))
 
 
 def test_sizes_are_fixed_by_name(checkpoint: dict, folder: Path, name: str) -> None:
     device = Device("cpu")
     state = device.pipeline_state(Library(folder), name, {"height": 48, "width": 80})
     shapes = {binding.name: binding.shape for binding in state.bindings}
-    assert (shapes["first_features"], shapes["last_features"]) == ((1, 32, 48, 80), (1, FEATURES - 32, 48, 80))
+    assert (shapes["first_features"], shapes["last_features"]) == ((1, 32, 48, 80),
+                                                                   (1, FEATURES - 32, 48, 80))
     assert shapes.get("guides") == ((1, GUIDES, 48, 80) if checkpoint["config"]["guides"] else None)
     computed, alike = {3: (6, 10), 4: (3, 5)}, {"level3": (1, 26, 1, 1), "level4": (1, 25, 1, 1)}
     computed, alike = ({}, alike) if name.endswith(".low") else (computed, {})
-    assert shapes.get("mirrored") == ((1, 6, 48, 80) if checkpoint["config"].get("mirrored") else None)
-    assert {i: shapes[f"level{i}"][2:] for i in (1, 2, *computed)} == {1: (24, 40), 2: (12, 20), **computed}
+    assert shapes.get("mirrored") == ((1, 6, 48, 80) if checkpoint["config"].get("mirrored")
+                                      else None)
+    assert {i: shapes[f"level{i}"][2:] for i in (1, 2, *computed)} == {1: (24, 40), 2: (12, 20),
+                                                                       **computed}
     assert {name: array.shape for name, array in state.constants.items()} == alike
     with pytest.raises(ModelError, match="width"):
         device.pipeline_state(Library(folder), name, {"height": 48})
@@ -119,7 +130,8 @@ def test_sizes_are_fixed_by_name(checkpoint: dict, folder: Path, name: str) -> N
 def test_file_is_one_and_tells_nothing_of_the_machine(folder: Path, name: str) -> None:
     path = folder / f"{name}.onnx"
     model = onnx.load(path, load_external_data=False)
-    assert not any(tensor.data_location == onnx.TensorProto.EXTERNAL for tensor in model.graph.initializer)
+    assert not any(tensor.data_location == onnx.TensorProto.EXTERNAL
+                   for tensor in model.graph.initializer)
     assert not any(node.metadata_props or node.doc_string for node in model.graph.node)
     assert str(Path(__file__).parents[3]).encode() not in path.read_bytes()
 
@@ -149,7 +161,8 @@ def test_shipped_model_is_the_one_on_its_card(path: Path) -> None:
     assert card["parity"]["max_relative_error"] <= PARITY
 
 
-@pytest.mark.parametrize("path", [path for path in EXACT if path.stem.endswith(".1x")], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [path for path in EXACT if path.stem.endswith(".1x")],
+                         ids=lambda path: path.stem)
 def test_shipped_model_for_1x_is_the_plain_one_with_other_weights(path: Path) -> None:
     card, plain = (json.loads(each.with_suffix(".json").read_text())
                    for each in (path, path.with_name(f"{path.stem.removesuffix('.1x')}.onnx")))
@@ -163,7 +176,8 @@ def test_shipped_model_for_1x_is_the_plain_one_with_other_weights(path: Path) ->
 
 
 def test_summary_says_what_a_network_is_for(checkpoint: dict) -> None:
-    found = [denoise_export.card(checkpoint, tag, 0.0, {})["summary"] for tag in ("m", "m.1x", "m.guides")]
+    found = [denoise_export.card(checkpoint, tag, 0.0, {})["summary"]
+             for tag in ("m", "m.1x", "m.guides")]
     assert [text.removeprefix("recurrent denoised upscaler, ") for text in found] == [
         "1x to 3x", "for 1x", "1x to 3x, guides at output size"]
 
@@ -175,7 +189,8 @@ def test_a_packed_state_is_the_same_network(checkpoint: dict) -> None:
     packed = pack(checkpoint | RUN | {"live": checkpoint["weights"]})
     trunk, wanted = (denoise_export.load_trunk(each) for each in (packed, checkpoint))
     assert type(trunk) is type(wanted) and trunk.config == wanted.config
-    for (name, weight), (other, expected) in zip(trunk.state_dict().items(), wanted.state_dict().items(), strict=True):
+    for (name, weight), (other, expected) in zip(trunk.state_dict().items(),
+                                                 wanted.state_dict().items(), strict=True):
         assert name == other and torch.equal(weight, expected), name
 
 
@@ -196,7 +211,8 @@ def test_a_card_says_how_far_a_residual_network_sees() -> None:
     changed = [planes[0].index_fill(3, torch.tensor([256]), 1), planes[1]]
     with torch.no_grad():
         differ = (trunk(*planes)[0] != trunk(*changed)[0]).any(1).nonzero()[:, 2]
-    assert 256 - config.reach - 16 <= int(differ.min()) and int(differ.max()) <= 256 + config.reach + 16
+    assert (256 - config.reach - 16 <= int(differ.min())
+            and int(differ.max()) <= 256 + config.reach + 16)
     small = replace(config, down=(0,) * 5, up=(0,) * 4)
     for layout, halo in ((config, denoise_export.HALO), (small, small.sees)):
         bare = {"config": layout.as_dict(), "weights": {}, "notes": {}}
@@ -208,7 +224,8 @@ def test_relative_error() -> None:
     assert relative_error(np.zeros(2), np.zeros(3)) == float("inf")
 
 
-def test_training_goes_on_from_the_exported_network(folder: Path, name: str, checkpoint: dict) -> None:
+def test_training_goes_on_from_the_exported_network(folder: Path, name: str,
+                                                    checkpoint: dict) -> None:
     weights = weights_of(folder / f"{name}.onnx")
     assert weights.keys() == checkpoint["weights"].keys()
     for key, value in checkpoint["weights"].items():

@@ -10,7 +10,16 @@ torch = pytest.importorskip("torch")
 
 from tests.training.small_denoiser import SMALL, small_model  # noqa: E402
 from training import ops  # noqa: E402
-from training.denoise.model import FEATURES, FINE, HIDDEN, Inputs, State, Trunk, empty_state, mirror_to_multiple  # noqa: E402
+from training.denoise.model import (  # noqa: E402
+    FEATURES,
+    FINE,
+    HIDDEN,
+    Inputs,
+    State,
+    Trunk,
+    empty_state,
+    mirror_to_multiple,
+)
 
 SIZES = {1: (18, 30), 1.5: (27, 45), 2: (36, 60), 2.7: (49, 81), 3: (54, 90)}
 
@@ -18,8 +27,9 @@ SIZES = {1: (18, 30), 1.5: (27, 45), 2: (36, 60), 2.7: (49, 81), 3: (54, 90)}
 def frame(seed: int, n: int = 2, h: int = 18, w: int = 30) -> Inputs:
     torch.manual_seed(seed)
     return Inputs(
-        torch.rand(n, 3, h, w) ** 4 * 30, torch.rand(n, 3, h, w), torch.rand(n, 3, h, w) * 0.3, torch.randn(n, 3, h, w),
-        torch.rand(n, 1, h, w), torch.rand(n, 1, h, w) * 5 + 1, torch.randn(n, 2, h, w) * 3, torch.rand(n, 2) - 0.5,
+        torch.rand(n, 3, h, w) ** 4 * 30, torch.rand(n, 3, h, w), torch.rand(n, 3, h, w) * 0.3,
+        torch.randn(n, 3, h, w), torch.rand(n, 1, h, w), torch.rand(n, 1, h, w) * 5 + 1,
+        torch.randn(n, 2, h, w) * 3, torch.rand(n, 2) - 0.5,
     )
 
 
@@ -70,7 +80,8 @@ def test_history_counts_until_it_is_dropped() -> None:
 
 def test_a_static_flat_picture_stays_as_it_is_when_the_exposure_changes() -> None:
     model, inputs = small_model(), frame(1)
-    still = replace(inputs, motion=torch.zeros_like(inputs.motion), colour=torch.full_like(inputs.colour, 0.4),
+    still = replace(inputs, motion=torch.zeros_like(inputs.motion),
+                    colour=torch.full_like(inputs.colour, 0.4),
                     diffuse_albedo=torch.full_like(inputs.diffuse_albedo, 0.5),
                     specular_albedo=torch.zeros_like(inputs.specular_albedo))
     brighter = replace(still, colour=still.colour * 3, gain=torch.full((2, 1, 1, 1), 3.0))
@@ -92,7 +103,8 @@ def test_gain_of_one_is_no_gain() -> None:
 def test_bad_planes_give_a_finite_picture(bad: float) -> None:
     inputs = frame(1)
     state = random_state(inputs, 36, 60)
-    for name in ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion"):
+    for name in ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth",
+                 "motion"):
         getattr(inputs, name)[..., 4:6, 4:9] = bad
     with torch.no_grad():
         output, after, _ = small_model()(inputs, state)
@@ -103,7 +115,8 @@ def test_bad_planes_give_a_finite_picture(bad: float) -> None:
 def test_general_upsampling_equals_the_short_cut_at_scale_2(size: tuple[int, int]) -> None:
     torch.manual_seed(0)
     h, w = size
-    radiance, weights, jitter = torch.rand(2, 3, h, w), torch.rand(2, 9, 4, h, w) + 0.1, torch.rand(2, 2) - 0.5
+    radiance, weights, jitter = (torch.rand(2, 3, h, w), torch.rand(2, 9, 4, h, w) + 0.1,
+                                 torch.rand(2, 2) - 0.5)
     general = ops.upsample_any(radiance, weights, jitter, 2 * h, 2 * w)
     torch.testing.assert_close(general, ops.upsample_double(radiance, weights, jitter))
     controls = ops.interpolate_any(weights, 2 * h, 2 * w)
@@ -113,7 +126,8 @@ def test_general_upsampling_equals_the_short_cut_at_scale_2(size: tuple[int, int
 @pytest.mark.parametrize("scale", SIZES)
 def test_box_mean_is_adaptive_average_pooling(scale: float) -> None:
     image = torch.rand(2, 3, *SIZES[scale])
-    torch.testing.assert_close(ops.box_mean(image, 18, 30), torch.nn.functional.adaptive_avg_pool2d(image, (18, 30)))
+    torch.testing.assert_close(ops.box_mean(image, 18, 30),
+                               torch.nn.functional.adaptive_avg_pool2d(image, (18, 30)))
 
 
 def test_motion_of_a_nearer_neighbour_wins() -> None:

@@ -1,4 +1,5 @@
-"""The network that gives the picture itself: its curve, its start, its weights' rates, and its pass."""
+"""The network that gives the picture itself: its curve, its start, its weights' rates, and its
+pass."""
 
 import json
 from dataclasses import replace
@@ -54,23 +55,27 @@ def models(denoiser, tmp_path_factory):
     for name in (first.stem, f"{first.stem}.1x"):
         path = folder / f"{name}.onnx"
         path.write_bytes(first.read_bytes())
-        path.with_suffix(".json").write_text(json.dumps(card(checkpoint, name.split(".", 1)[1], error, {})))
+        path.with_suffix(".json").write_text(json.dumps(card(checkpoint, name.split(".", 1)[1],
+                                                             error, {})))
     return folder
 
 
 def shot(frames=3):
-    """Noisy frames of a moving pattern. Their samples are jittered, so that no lost detail is looked for."""
+    """Noisy frames of a moving pattern. Their samples are jittered, so that no lost detail is
+    looked for."""
     random = np.random.default_rng(5)
     height, width = SIZE
     y, x = np.mgrid[:height, :width].astype(np.float32)
     for number in range(frames):
-        albedo = 0.5 + 0.4 * np.sin((x + 2 * number) / 5)[..., None] * np.array([1, 0.7, 0.4], np.float32)
+        albedo = 0.5 + 0.4 * np.sin((x + 2 * number)
+                                    / 5)[..., None] * np.array([1, 0.7, 0.4], np.float32)
         light = random.gamma(1.0, 1.0, (height, width, 1)).astype(np.float32)
         yield Frame({
             Role.COLOUR: albedo * light,
             Role.DIFFUSE_ALBEDO: albedo,
             Role.SPECULAR_ALBEDO: np.full((height, width, 3), 0.04, np.float32),
-            Role.NORMAL: np.broadcast_to(np.array([0, 0, 1], np.float32), (height, width, 3)).copy(),
+            Role.NORMAL: np.broadcast_to(np.array([0, 0, 1], np.float32), (height, width, 3))
+                         .copy(),
             Role.ROUGHNESS: np.full((height, width, 1), 0.5, np.float32),
             Role.DEPTH: (2 + y / height)[..., None],
             Role.MOTION: np.broadcast_to(np.array([2, 0], np.float32), (height, width, 2)).copy(),
@@ -114,15 +119,18 @@ def test_it_begins_as_the_published_network(network, config, planes):
     height, width = (side // 16 * 16 for side in SIZE)
     cut = {role: plane[:height, :width] for role, plane in frame.planes.items()}
     inputs = Inputs(*(image(cut[role]) for role in (
-        Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION)),
+        Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS,
+        Role.DEPTH, Role.MOTION)),
         jitter=torch.zeros(1, 2))
     with torch.no_grad():
-        found = denoiser.step(inputs, empty_state(inputs, height, width)).output[0].permute(1, 2, 0).numpy()
+        found = denoiser.step(inputs,
+                              empty_state(inputs, height, width)).output[0].permute(1, 2, 0).numpy()
     expected = np.empty((height, width, 3), np.float32)
     albedo = np.clip(cut[Role.DIFFUSE_ALBEDO] + cut[Role.SPECULAR_ALBEDO], 0, 1)
     OpenImageDenoise("high", "cpu", 1, planes=planes)(
         cut[Role.COLOUR], {"albedo": albedo, "normal": cut[Role.NORMAL]}, expected)
-    # Open Image Denoise brings the picture to a mean brightness of its own first, so codes are not the same.
+    # Open Image Denoise brings the picture to a mean brightness of its own first, so codes are not
+    # the same.
     np.testing.assert_allclose(displayed(found).mean(), displayed(expected).mean(), rtol=0.01)
     assert np.abs(displayed(found) - displayed(expected)).mean() < 0.01
 
@@ -158,7 +166,8 @@ def test_a_config_tells_its_layout(config):
 
 def test_the_large_layout_has_the_products_of_the_large_published_network():
     """312 thousand a pixel, without what is added."""
-    published = sum(layer.inputs * layer.outputs * 9 / 4**layer.level for layer in LARGE.published_layers().values())
+    published = sum(layer.inputs * layer.outputs * 9 / 4**layer.level
+                    for layer in LARGE.published_layers().values())
     assert published == pytest.approx(312e3, rel=0.005)
     assert LARGE.products() > published
 
@@ -170,12 +179,13 @@ def test_a_layout_needs_all_levels():
 
 def test_the_pass_computes_what_training_does(denoiser, models):
     """Frame by frame, with the history."""
-    pipeline = Pipeline([DenoiseUpscale(scale=1, model="p", library=models)], Device("cpu"), EXPOSURE_STOPS, "none")
+    pipeline = Pipeline([DenoiseUpscale(scale=1, model="p", library=models)], Device("cpu"),
+                        EXPOSURE_STOPS, "none")
     state = None
     for frame in shot():
         inputs = Inputs(*(image(frame.planes[role]) for role in (
-            Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH,
-            Role.MOTION)), jitter=torch.tensor([JITTER]))
+            Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS,
+            Role.DEPTH, Role.MOTION)), jitter=torch.tensor([JITTER]))
         inputs = replace(inputs, colour=inputs.colour * 2**EXPOSURE_STOPS)
         state = empty_state(inputs, *SIZE) if state is None else state
         with torch.no_grad():
@@ -187,7 +197,8 @@ def test_the_pass_computes_what_training_does(denoiser, models):
 
 
 def test_its_error_is_written(models):
-    pipeline = Pipeline([DenoiseUpscale(scale=1, model="p", library=models, error=True)], Device("cpu"))
+    pipeline = Pipeline([DenoiseUpscale(scale=1, model="p", library=models, error=True)],
+                        Device("cpu"))
     error = pipeline(next(shot()))[Role.ERROR]
     assert error.shape == (*SIZE, 1) and (error > 0).all()
 
@@ -200,7 +211,8 @@ def test_it_cannot_enlarge_or_filter_parts(models):
 def test_training_starts_from_a_checkpoint_of_published_weights(tmp_path, denoiser):
     weights = {name: values for name, values in denoiser.state_dict().items() if "_conv" in name}
     save({"config": SMALL.as_dict(), "weights": weights, "notes": {}}, tmp_path / "start.pt")
-    args = parse(["--clips", str(tmp_path), "--out", str(tmp_path), "--picture", "--start", str(tmp_path / "start.pt")])
+    args = parse(["--clips", str(tmp_path), "--out", str(tmp_path), "--picture", "--start",
+                  str(tmp_path / "start.pt")])
     assert args.picture and args.published_rate == 0.05
     fresh = PictureDenoiser(PictureNetwork(SMALL))
     found = widen(weights, fresh.state_dict())
@@ -208,14 +220,16 @@ def test_training_starts_from_a_checkpoint_of_published_weights(tmp_path, denois
 
 
 def test_a_mixture_with_published_weights_fades_what_was_added(tmp_path, denoiser):
-    """Layers that add to the published network count as nothing in it; the others are the trained ones."""
+    """Layers that add to the published network count as nothing in it; the others are the trained
+    ones."""
     trained = denoiser.state_dict()
-    published = {name: torch.zeros_like(values) for name, values in trained.items() if "_conv" in name}
+    published = {name: torch.zeros_like(values)
+                 for name, values in trained.items() if "_conv" in name}
     for name, weights in (("trained", trained), ("published", published)):
         save({"config": SMALL.as_dict(), "weights": weights, "notes": {}}, tmp_path / f"{name}.pt")
     mixed = mix([(tmp_path / "trained.pt", 0.25), (tmp_path / "published.pt", 0.75)])["weights"]
-    shares = {"correct.weight": 0.25, "join.bias": 0.25, "enc_conv1.weight": 0.25, "judge.0.weight": 1,
-              "branch.full.bias": 1}
+    shares = {"correct.weight": 0.25, "join.bias": 0.25, "enc_conv1.weight": 0.25,
+              "judge.0.weight": 1, "branch.full.bias": 1}
     for name, share in shares.items():
         torch.testing.assert_close(mixed[PREFIX + name], share * trained[PREFIX + name])
     newer = mix([(tmp_path / "trained.pt", 1.0)], newer=0.5)["weights"][PREFIX + "controls.bias"]
@@ -225,11 +239,13 @@ def test_a_mixture_with_published_weights_fades_what_was_added(tmp_path, denoise
 
 def test_a_graft_adds_the_layers_that_a_network_lacks(tmp_path, denoiser):
     trained = denoiser.state_dict()
-    published = {name: torch.zeros_like(values) for name, values in trained.items() if "_conv" in name}
+    published = {name: torch.zeros_like(values)
+                 for name, values in trained.items() if "_conv" in name}
     for name, weights in (("trained", trained), ("published", published)):
         save({"config": SMALL.as_dict(), "weights": weights, "notes": {}}, tmp_path / f"{name}.pt")
     found = graft(tmp_path / "published.pt", tmp_path / "trained.pt", ["branch"])["weights"]
-    assert set(found) == set(published) | {name for name in trained if name.startswith(PREFIX + "branch.")}
+    assert set(found) == set(published) | {name for name in trained
+                                           if name.startswith(PREFIX + "branch.")}
     assert not any(found[name].any() for name in published)
     with pytest.raises(ValueError, match="no layer twig"):
         graft(tmp_path / "published.pt", tmp_path / "trained.pt", ["twig"])

@@ -1,4 +1,5 @@
-"""Channels that are never active get another start, silent levels are cut: the network computes what it did."""
+"""Channels that are never active get another start, silent levels are cut: the network computes
+what it did."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ WIDE = replace(CONFIG, widths=(16, 24, 32, 40))
 def batch() -> Batch:
     generator = torch.Generator().manual_seed(1)
     new = lambda channels: torch.rand(1, channels, 32, 48, generator=generator)  # noqa: E731
-    frames = [Inputs(new(3), new(3), new(3), new(3) - 0.5, new(1), 1 + new(1), new(2), torch.zeros(1, 2))
+    frames = [Inputs(new(3), new(3), new(3), new(3) - 0.5, new(1), 1 + new(1), new(2),
+                     torch.zeros(1, 2))
               for _ in range(2)]
     return Batch(frames, torch.zeros(2, 1, 3, 64, 96), torch.ones(2, 1, 1, 1, 1))
 
@@ -80,14 +82,16 @@ def test_both_sides_of_a_revived_channel_learn(model, batch):
 
 def test_what_is_alive_is_left_alone(batch):
     model = small_model()
-    active = {name: torch.ones_like(channels) for name, channels in active_channels(model, [batch]).items()}
+    active = {name: torch.ones_like(channels)
+              for name, channels in active_channels(model, [batch]).items()}
     weights = model.state_dict()
     found = revive(model.config, weights, active)
     assert all(torch.equal(value, weights[name]) for name, value in found.items())
 
 
 def model_with(silent: tuple[str, ...]) -> DenoiseUpscale:
-    """A network in which a large negative bias keeps some layers at zero, and whose coarsest filters are alike."""
+    """A network in which a large negative bias keeps some layers at zero, and whose coarsest
+    filters are alike."""
     torch.manual_seed(2)
     model = DenoiseUpscale(WIDE)
     with torch.no_grad():

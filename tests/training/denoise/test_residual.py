@@ -73,7 +73,8 @@ def test_a_layout_is_told_by_its_config_and_must_fit():
 
 def test_a_packed_checkpoint_goes_on_with_weights_average_and_steps(tmp_path, trunk):
     weights = DenoiseUpscale(trunk=trunk).state_dict()
-    run = {"config": SMALL.as_dict(), "notes": {}, "step": 7, "seconds": 1.0, "seed": 0, "commit": "none",
+    run = {"config": SMALL.as_dict(), "notes": {}, "step": 7, "seconds": 1.0, "seed": 0,
+           "commit": "none",
            "arguments": {}, "live": weights, "weights": weights, "optimiser": {"large": weights}}
     save(pack(run), tmp_path / "packed.pt")
     found = unpack(tmp_path / "packed.pt")

@@ -40,11 +40,13 @@ H, W = 48, 60
 
 def pattern(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
     """A smooth picture, defined everywhere in render pixels; (3, ...)."""
-    waves = [torch.sin(0.21 * x + 0.13 * y + c) + torch.sin(0.17 * x - 0.19 * y + 2 * c) for c in (0.0, 1.0, 2.0)]
+    waves = [torch.sin(0.21 * x + 0.13 * y + c) + torch.sin(0.17 * x - 0.19 * y + 2 * c)
+             for c in (0.0, 1.0, 2.0)]
     return torch.stack(waves) * 0.2 + 0.5
 
 
-def rotated_back(x: torch.Tensor, y: torch.Tensor, frames: int) -> tuple[torch.Tensor, torch.Tensor]:
+def rotated_back(x: torch.Tensor, y: torch.Tensor,
+                 frames: int) -> tuple[torch.Tensor, torch.Tensor]:
     """Where the point at (x, y) in frame ``frames`` was in frame 0."""
     for _ in range(frames):
         dx, dy = x - W / 2, y - H / 2
@@ -54,7 +56,8 @@ def rotated_back(x: torch.Tensor, y: torch.Tensor, frames: int) -> tuple[torch.T
 
 def grid(h: int, w: int) -> tuple[torch.Tensor, torch.Tensor]:
     """Centres of h x w pixels over the whole picture, in render pixels."""
-    y, x = torch.meshgrid((torch.arange(h) + 0.5) * H / h, (torch.arange(w) + 0.5) * W / w, indexing="ij")
+    y, x = torch.meshgrid((torch.arange(h) + 0.5) * H / h, (torch.arange(w) + 0.5) * W / w,
+                          indexing="ij")
     return x, y
 
 
@@ -69,8 +72,8 @@ def moving_clip(scale: int, frames: int = 2) -> Stack:
         planes[t, MOTION], planes[t, MOTION + 1] = before[0] - x, before[1] - y
         reference.append(pattern(*rotated_back(*grid(scale * H, scale * W), t)))
     guides = torch.rand(1, frames, 11, scale * H, scale * W)
-    return Stack(planes[None], jitter[None], torch.tensor([False]), torch.ones(1, frames), torch.stack(reference)[None],
-                 planes[None].clone(), guides, torch.ones(1, 1, 1, 1))
+    return Stack(planes[None], jitter[None], torch.tensor([False]), torch.ones(1, frames),
+                 torch.stack(reference)[None], planes[None].clone(), guides, torch.ones(1, 1, 1, 1))
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -81,7 +84,8 @@ def test_augmentations_keep_motion_and_jitter_true(seed: int) -> None:
     for batch in (to_batch(clip), Augment(drop=0.0)(clip)):
         moved = losses.reproject_reference(batch.references[0], batch.frames[1].motion)
         assert inner(moved - batch.references[1]).abs().mean() < 0.02 * batch.references.mean()
-        assert inner(at_samples(batch, 1) - batch.frames[1].colour).abs().mean() < 0.02 * batch.references.mean()
+        assert (inner(at_samples(batch, 1) - batch.frames[1].colour).abs()
+                .mean() < 0.02 * batch.references.mean())
 
 
 def at_samples(batch: Batch, t: int) -> torch.Tensor:
@@ -89,7 +93,8 @@ def at_samples(batch: Batch, t: int) -> torch.Tensor:
     inputs = batch.frames[t]
     h, w = inputs.colour.shape[-2:]
     y, x = torch.meshgrid(torch.arange(h) + 0.5, torch.arange(w) + 0.5, indexing="ij")
-    place = torch.stack(((x + inputs.jitter[0, 0]) / w, (y + inputs.jitter[0, 1]) / h), -1)[None] * 2 - 1
+    place = torch.stack(((x + inputs.jitter[0, 0]) / w, (y + inputs.jitter[0, 1]) / h),
+                        -1)[None] * 2 - 1
     return torch.nn.functional.grid_sample(batch.references[t], place, align_corners=False)
 
 
@@ -119,7 +124,8 @@ def test_only_renders_with_spread_samples_are_cleaned() -> None:
     for spread in (True, False):
         random.seed(0)
         torch.manual_seed(0)
-        batch = Augment(drop=0.0, clean=1.0, stops=0.0)(replace(clip, spread=torch.tensor([spread])))
+        batch = Augment(drop=0.0, clean=1.0,
+                        stops=0.0)(replace(clip, spread=torch.tensor([spread])))
         noisy = (clip.planes[:, 0, :3] - clip.reference[:, 0]).abs().mean()
         error = (batch.frames[0].colour - batch.references[0]).abs().mean()
         assert error < 0.95 * noisy if spread else torch.isclose(error, noisy)
@@ -144,12 +150,14 @@ def test_a_cut_in_a_clip_drops_the_history(tmp_path: Path) -> None:
 
 def test_steps_lower_the_loss() -> None:
     model, clip = small_model(), moving_clip(2)
-    batch = to_batch(replace(clip, planes=clip.planes[..., :32, :32], reference=clip.reference[..., :64, :64]))
+    batch = to_batch(replace(clip, planes=clip.planes[..., :32, :32],
+                             reference=clip.reference[..., :64, :64]))
     steps_lower_the_loss(model, batch)
 
 
 def steps_lower_the_loss(model: torch.nn.Module, batch: Batch) -> None:
-    step = GradientStep(train.ClipLoss(model, flicker=1.0, reset=0.0), FlatGradient(list(model.parameters())))
+    step = GradientStep(train.ClipLoss(model, flicker=1.0, reset=0.0),
+                        FlatGradient(list(model.parameters())))
     optimiser = torch.optim.AdamW(model.parameters(), lr=3e-3)
     values = []
     for _ in range(8):
@@ -170,13 +178,15 @@ def test_clips_of_little_noise_count_as_much_as_noisy_ones() -> None:
     """The same relative mistake costs the same, until errors would count more than eight times."""
     torch.manual_seed(1)
     reference, noise = torch.rand(1, 3, 32, 32), torch.randn(1, 3, 32, 32)
-    faint, strong, least = (float(_even_loss(reference, noise * level)) for level in (0.05, 0.2, 1e-4))
+    faint, strong, least = (float(_even_loss(reference, noise * level))
+                            for level in (0.05, 0.2, 1e-4))
     assert faint == pytest.approx(strong, rel=0.02)
     assert least < 0.1 * faint
 
 
 def _even_loss(reference: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
-    """The loss, without its part that is not scaled, of a result that leaves a tenth of the noise."""
+    """The loss, without its part that is not scaled, of a result that leaves a tenth of the
+    noise."""
     scale = losses.even_scale(reference + noise, reference, 8.0)
     output = reference + noise / 10
     return (losses.frame_loss(output, reference, scale)
@@ -224,9 +234,10 @@ def write_clips(folder: Path, count: int) -> None:
     clip = moving_clip(2)
     planes, jitter, reference = (x[0].numpy() for x in (clip.planes, clip.jitter, clip.reference))
     names = {"colour": slice(0, 3), "diffuse_albedo": slice(3, 6), "specular_albedo": slice(6, 9),
-             "normal": slice(9, 12), "roughness": 12, "depth": 13, "motion": slice(MOTION, CHANNELS)}
-    variant = {name: np.moveaxis(planes[:, at], 1, -1) if isinstance(at, slice) else planes[:, at] + 0.5
-               for name, at in names.items()}
+             "normal": slice(9, 12), "roughness": 12, "depth": 13,
+             "motion": slice(MOTION, CHANNELS)}
+    variant = {name: np.moveaxis(planes[:, at], 1, -1)
+               if isinstance(at, slice) else planes[:, at] + 0.5 for name, at in names.items()}
     facts = {"scale": 2.0, "seed": 0, "scene": "test", "meta": {}}
     for number in range(count):
         save_clip(folder / f"clip{number:04d}.npz", np.moveaxis(reference, 1, -1),
@@ -235,8 +246,9 @@ def write_clips(folder: Path, count: int) -> None:
 
 def settings(clips: Path, out: Path, *words: object) -> argparse.Namespace:
     """Arguments of a small training; words that follow change them."""
-    small = ["--clips", clips, "--out", out, "--batch", 2, "--rate", 1e-3, "--widths", *SMALL.widths, "--depth",
-             SMALL.depth, "--flicker", 1, "--reset", 0.1, "--wait", 2, "--crop", 48, "--clean", 0, *words]
+    small = ["--clips", clips, "--out", out, "--batch", 2, "--rate", 1e-3, "--widths",
+             *SMALL.widths, "--depth", SMALL.depth, "--flicker", 1, "--reset", 0.1, "--wait", 2,
+             "--crop", 48, "--clean", 0, *words]
     out.mkdir(exist_ok=True)
     torch.manual_seed(0)
     return train.parse([str(word) for word in small])
@@ -254,7 +266,8 @@ def test_a_clip_that_is_still_being_written_waits(tmp_path: Path) -> None:
 def test_a_checkpoint_holds_the_averaged_weights_and_can_be_started_from(tmp_path: Path) -> None:
     write_clips(tmp_path, 3)
     begun = train.train(settings(tmp_path, tmp_path / "begun", "--steps", 0)).state_dict()
-    train.train(settings(tmp_path, tmp_path / "run", "--steps", 5, "--log", tmp_path / "runs.jsonl"))
+    train.train(settings(tmp_path, tmp_path / "run", "--steps", 5, "--log",
+                         tmp_path / "runs.jsonl"))
     checkpoint = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
     assert checkpoint["notes"]["steps"] == checkpoint["step"] == 5
     assert np.isfinite(checkpoint["notes"]["validation_psnr"])
@@ -265,8 +278,10 @@ def test_a_checkpoint_holds_the_averaged_weights_and_can_be_started_from(tmp_pat
     for key, value in again.state_dict().items():
         torch.testing.assert_close(value, checkpoint["weights"][key])
     row, = map(json.loads, (tmp_path / "runs.jsonl").read_text().splitlines())
-    assert row["run"] == "run" and row["steps"] == checkpoint["step"] and row["options"]["batch"] == 2
-    assert row["validation_psnr"] == checkpoint["notes"]["validation_psnr"] and "seed" not in row["options"]
+    assert (row["run"] == "run" and row["steps"] == checkpoint["step"]
+            and row["options"]["batch"] == 2)
+    assert (row["validation_psnr"] == checkpoint["notes"]["validation_psnr"]
+            and "seed" not in row["options"])
 
 
 def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path) -> None:
@@ -278,18 +293,22 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path) -> None:
     train.train(settings(tmp_path, half, "--steps", 4, "--log", tmp_path / "runs.jsonl"), pause=2)
     assert not (tmp_path / "runs.jsonl").exists()  # it is not over
     random.seed(7)
-    train.train(train.parse(["--clips", str(tmp_path), "--out", str(half), "--resume", str(half / "checkpoint.pt")]))
-    one, other = (torch.load(folder / "checkpoint.pt", weights_only=True) for folder in (whole, half))
+    train.train(train.parse(["--clips", str(tmp_path), "--out", str(half), "--resume",
+                             str(half / "checkpoint.pt")]))
+    one, other = (torch.load(folder / "checkpoint.pt", weights_only=True)
+                  for folder in (whole, half))
     assert one["step"] == other["step"] == 4 and one["rate"] == other["rate"]
     assert one["seed"] == 0 and one["commit"] and one["arguments"]["batch"] == 2
     for part in ("weights", "live"):
         assert all(torch.equal(one[part][name], other[part][name]) for name in one[part])
     assert all(torch.equal(a, b) for index, state in one["optimiser"]["state"].items()
-               for a, b in zip(state.values(), other["optimiser"]["state"][index].values(), strict=True))
+               for a, b in zip(state.values(), other["optimiser"]["state"][index].values(),
+                               strict=True))
 
 
 def test_a_batch_with_a_state_continues_its_history() -> None:
-    """Two halves of a clip, the second with the state after the first, give what the whole clip gives."""
+    """Two halves of a clip, the second with the state after the first, give what the whole clip
+    gives."""
     torch.manual_seed(0)
     model = small_model()
     half = replace(to_batch(moving_clip(2)), keep=torch.ones(2, 1, 1, 1, 1), surfaces=None)
@@ -302,7 +321,8 @@ def test_a_batch_with_a_state_continues_its_history() -> None:
     assert not torch.equal(alone.output, end.output)
 
 
-def test_carried_histories_grow_longer_than_a_clip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_carried_histories_grow_longer_than_a_clip(tmp_path: Path,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
     write_clips(tmp_path, 3)
     begun, run = [], train.GradientStep.__call__
 
@@ -320,14 +340,18 @@ def test_carried_histories_grow_longer_than_a_clip(tmp_path: Path, monkeypatch: 
 
 
 def test_a_machine_that_only_trains_needs_no_library_for_pictures() -> None:
-    """Such machines have PyTorch, kornia, NumPy and ONNX, but nothing else that postfx itself needs."""
+    """Such machines have PyTorch, kornia, NumPy and ONNX, but nothing else that postfx itself
+    needs."""
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
     needed = {re.match("[A-Za-z0-9_-]+", word)[0] for word in project["dependencies"]} - {"numpy"}
     absent = (*sorted(needed), "colour", "mitsuba")
     assert {"platformdirs", "OpenImageIO", "onnxruntime"} <= set(absent)
-    program = f"import sys; sys.modules.update(dict.fromkeys({absent})); import training.denoise.train"
-    program += "; from postfx.temporal.reverse_motion import invert_motion as run"  # makes motion for --carry
-    program += "; import numpy as np; run(np.zeros((4, 4, 2), np.float32), *np.ones((2, 4, 4, 1), np.float32))"
+    program = (f"import sys; sys.modules.update(dict.fromkeys({absent})); import "
+               "training.denoise.train")
+    # makes motion for --carry
+    program += "; from postfx.temporal.reverse_motion import invert_motion as run"
+    program += ("; import numpy as np; run(np.zeros((4, 4, 2), np.float32), *np.ones((2, 4, 4, 1), "
+                "np.float32))")
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
@@ -342,7 +366,8 @@ class Filling:
         return self.counts[min(self.looks, len(self.counts)) - 1]
 
 
-def test_a_folder_without_clips_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_without_clips_is_named(tmp_path: Path,
+                                         capsys: pytest.CaptureFixture[str]) -> None:
     full, empty = tmp_path / "full", tmp_path / "empty"
     for folder in (full, empty):
         folder.mkdir()

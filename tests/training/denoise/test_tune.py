@@ -1,4 +1,5 @@
-"""`postfx tune`: a network for one shot learns from some frames, and is written only if it gains."""
+"""`postfx tune`: a network for one shot learns from some frames, and is written only if it
+gains."""
 
 import json
 from pathlib import Path
@@ -34,13 +35,15 @@ def run_tune(monkeypatch, capsys, *words: str) -> tuple[int, dict]:
     return code, json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("target", [pytest.param("--references", marks=pytest.mark.soak), "--halves"])
+@pytest.mark.parametrize("target",
+                         [pytest.param("--references", marks=pytest.mark.soak), "--halves"])
 def test_a_gain_is_written_as_a_network_that_runs(tmp_path: Path, monkeypatch, capsys, target: str):
     shot = write_shot(tmp_path, "noisy", 0.3, 1)
     other = write_shot(tmp_path, "other", 0.3 if target == "--halves" else 0.0, 2)
     path = tmp_path / "nets/shot.onnx"
     monkeypatch.setattr(tune, "LEAST", -np.inf)
-    code, facts = run_tune(monkeypatch, capsys, shot, target, other, "-o", str(path), "--steps", "6")
+    code, facts = run_tune(monkeypatch, capsys, shot, target, other, "-o", str(path), "--steps",
+                           "6")
     assert code == 0 and facts["written"] == str(path) and facts["steps"] == 6
     assert facts["examples"] == (4 if target == "--halves" else 2) and facts["target"] == target[2:]
     card = json.loads(path.with_suffix(".json").read_text())
@@ -48,7 +51,8 @@ def test_a_gain_is_written_as_a_network_that_runs(tmp_path: Path, monkeypatch, c
     frame = postfx.read_sequence(shot).read(1)
     tuned, plain = (postfx.Pipeline([postfx.DenoiseUpscale(model=model)])(frame)[Role.COLOUR]
                     for model in (str(path), "s.fp32"))
-    assert np.isfinite(tuned).all() and tuned.shape == plain.shape and not np.array_equal(tuned, plain)
+    assert (np.isfinite(tuned).all() and tuned.shape == plain.shape
+            and not np.array_equal(tuned, plain))
     np.testing.assert_allclose(tuned, plain, atol=0.2)
 
 
@@ -72,8 +76,10 @@ def test_a_loss_is_not_written(tmp_path: Path, monkeypatch, capsys):
 def test_what_was_held_back_is_not_trained_on():
     one = tune.Example(None, None, torch.zeros(1, 3, 48, 64), torch.ones(1, 1, 48, 64), True, "")
     by_column, by_frame = tune.Split([one]), tune.Split([one] * 9)
-    assert by_column.columns(one, held=False) == slice(0, 48) and by_column.columns(one, held=True) == slice(48, 64)
-    assert len(by_frame.held) == 2 and len(by_frame.seen) == 7 and by_frame.columns(one, held=True) == slice(0, 64)
+    assert (by_column.columns(one, held=False) == slice(0, 48)
+            and by_column.columns(one, held=True) == slice(48, 64))
+    assert (len(by_frame.held) == 2 and len(by_frame.seen) == 7
+            and by_frame.columns(one, held=True) == slice(0, 64))
 
 
 def test_references_of_tiles_count_where_they_have_samples(tmp_path: Path):
@@ -85,7 +91,8 @@ def test_references_of_tiles_count_where_they_have_samples(tmp_path: Path):
     assert known.sum() == 127 and known[16:24, 8:16].sum() == 63
     inputs = tune.inputs_of(postfx.Frame({Role.COLOUR: np.full((48, 64, 3), 0.2, np.float32)}), 1.0)
     target = torch.full((1, 3, 48, 64), 0.2)
-    split = tune.Split([tune.Example(inputs, inputs, target, torch.from_numpy(known)[None, None], True, "")])
+    split = tune.Split([tune.Example(inputs, inputs, target, torch.from_numpy(known)[None, None],
+                                     True, "")])
     *_, drawn, _ = split.draw(tune.random.Random(1))
     assert drawn.shape[0] == 4 * tune.BATCH and (drawn.sum((1, 2, 3)) > 0).all()
     result = torch.where(drawn > 0, 0.2, 0.9).expand(-1, 3, -1, -1)  # right where it counts
@@ -99,7 +106,8 @@ def test_references_of_tiles_count_where_they_have_samples(tmp_path: Path):
 def test_the_command_says_what_is_wrong(tmp_path: Path, monkeypatch, capsys):
     shot = write_shot(tmp_path, "noisy", 0.3, 1)
     out = ["-o", str(tmp_path / "shot.onnx")]
-    for words, message in (([shot, *out], "nothing to learn from"), ([shot, "--references", shot], "nowhere to write")):
+    for words, message in (([shot, *out], "nothing to learn from"),
+                           ([shot, "--references", shot], "nowhere to write")):
         assert main(["tune", *words]) == 2
         assert message in capsys.readouterr().err
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)

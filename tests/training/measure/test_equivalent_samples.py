@@ -22,7 +22,8 @@ def test_the_find_crossing_is_interpolated_in_logarithms():
     counts = np.array([1, 4, 16, 64])
     assert find_crossing(counts, 8.0 / counts, 1.0) == pytest.approx(8)
     assert find_crossing(counts, 8.0 / counts**0.5, 2.0) == pytest.approx(16)
-    assert find_crossing(counts, 8.0 / counts, 100.0) == 1 and find_crossing(counts, 8.0 / counts, 0.01) is None
+    assert (find_crossing(counts, 8.0 / counts, 100.0) == 1
+            and find_crossing(counts, 8.0 / counts, 0.01) is None)
 
 
 def images(rng, count, size=(64, 96)):
@@ -34,11 +35,13 @@ def images(rng, count, size=(64, 96)):
 def test_the_reference_s_noise_is_taken_out():
     rng = np.random.default_rng(1)
     picture, noisy = images(rng, 8)
-    exact, measured = Errors(picture, picture, 1.0), Errors(noisy[:2].mean(0), noisy[2:4].mean(0), 1.0)
+    exact, measured = Errors(picture, picture, 1.0), Errors(noisy[:2].mean(0), noisy[2:4].mean(0),
+                                                            1.0)
     assert exact.noise == {"seen": 0, "relmse": 0}
     for key, value in exact(noisy[7]).items():
         assert measured(noisy[7])[key] == pytest.approx(value, rel=0.02), key
-        assert measured(noisy[7])[key] + measured.noise[key] > 1.2 * value  # what it would be with the noise
+        # what it would be with the noise
+        assert measured(noisy[7])[key] + measured.noise[key] > 1.2 * value
 
 
 @pytest.fixture
@@ -50,20 +53,24 @@ def view(tmp_path):
     means = np.stack([noisy[:n].mean(0) for n in counts]).astype(np.float32)
     ones = np.ones((2, *picture.shape[:2], 1), np.float32)
     planes = {"diffuse_albedo": np.tile(0.5 * ones, 3), "specular_albedo": np.tile(0 * ones, 3),
-              "normal": np.tile(ones, 3) * np.float32([0, 0, 1]), "roughness": ones, "depth": 3 * ones,
-              "motion": np.tile(0 * ones, 2)}
-    np.savez(tmp_path / "view.npz", colour=noisy[:2].astype(np.float32), reference_a=picture, reference_b=picture,
-             counts=counts, means=means, facts=json.dumps({"scene": "made up", "seed": 9000}), **planes)
+              "normal": np.tile(ones, 3) * np.float32([0, 0, 1]), "roughness": ones,
+              "depth": 3 * ones, "motion": np.tile(0 * ones, 2)}
+    np.savez(tmp_path / "view.npz", colour=noisy[:2].astype(np.float32), reference_a=picture,
+             reference_b=picture, counts=counts, means=means,
+             facts=json.dumps({"scene": "made up", "seed": 9000}), **planes)
     return tmp_path / "view.npz"
 
 
 def test_a_network_s_equivalent_samples(view, tmp_path, capsys):
-    measure(argparse.Namespace(view=view, results=tmp_path / "out", model="m", no_oidn=True, device="cpu"))
+    measure(argparse.Namespace(view=view, results=tmp_path / "out", model="m", no_oidn=True,
+                               device="cpu"))
     facts = json.loads((tmp_path / "out/equivalent_samples.json").read_text())
     curve, counts = np.array(facts["curve"]["relmse"]), np.array(facts["counts"])
     assert np.allclose(curve * counts, curve[0], rtol=0.1)
     row = facts["results"]["m"]
     assert row["images"] == 2 and row["error"]["relmse"] < curve[0]
-    assert row["equivalent_samples"]["relmse"] == pytest.approx(curve[0] / row["error"]["relmse"], rel=0.15)
+    assert row["equivalent_samples"]["relmse"] == pytest.approx(curve[0] / row["error"]["relmse"],
+                                                                rel=0.15)
     assert "m: one sample a pixel is worth seen" in capsys.readouterr().out
-    assert np.ptp(oiio.ImageBuf(str(tmp_path / "out/equivalent_samples.png")).get_pixels(oiio.UINT8)) == 255
+    assert np.ptp(oiio.ImageBuf(str(tmp_path / "out/equivalent_samples.png"))
+                  .get_pixels(oiio.UINT8)) == 255

@@ -13,7 +13,8 @@ ROOM = Path(__file__).resolve().parents[3] / "samples/room/noisy.####.exr"
 def test_windows_end_a_halo_below_what_is_denoised() -> None:
     for side in (24, 56, 72):
         found = halo.rows_for(side, 180)
-        assert found and all((rows + side + halo.STRENGTH_REACH_PX) % halo.SIDE_MULTIPLE == 0 for rows in found)
+        assert found and all((rows + side + halo.STRENGTH_REACH_PX) % halo.SIDE_MULTIPLE == 0
+                             for rows in found)
         assert max(found) + side < 180
     assert not halo.rows_for(170, 180)
 

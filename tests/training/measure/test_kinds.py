@@ -1,4 +1,5 @@
-"""The networks stay as good as they were by kinds of content, on a few clips of the generator that trains them."""
+"""The networks stay as good as they were by kinds of content, on a few clips of the generator that
+trains them."""
 
 from pathlib import Path
 
@@ -7,13 +8,23 @@ import pytest
 
 from postfx.colour.views import to_codes
 from training.datagen.clip_file import load_clip
-from training.measure.kinds import halves, main, mean_gains, network_method, oidn_method, score_render, table
+from training.measure.kinds import (
+    halves,
+    main,
+    mean_gains,
+    network_method,
+    oidn_method,
+    score_render,
+    table,
+)
 
 CLIPS = Path(__file__).parent / "kinds"
-GAINS = {  # dB of s and m above the better Open Image Denoise and cubic interpolation at 2 samples, rounded down
-    "dof": (0.8, 0.8), "fog": (-1.5, -0.6), "foliage": (1.3, 1.7), "fur": (1.5, 2.1), "glass": (2.2, 2.3),
-    "indirect": (1.3, 1.9), "interior": (1.1, 1.9), "motion_blur": (-0.5, 0.1), "outdoor": (0.0, 0.6),
-    "product": (-0.2, 0.6), "text": (-0.5, 0.7),
+# dB of s and m above the better Open Image Denoise and cubic interpolation at 2 samples, rounded
+# down
+GAINS = {
+    "dof": (0.8, 0.8), "fog": (-1.5, -0.6), "foliage": (1.3, 1.7), "fur": (1.5, 2.1),
+    "glass": (2.2, 2.3), "indirect": (1.3, 1.9), "interior": (1.1, 1.9), "motion_blur": (-0.5, 0.1),
+    "outdoor": (0.0, 0.6), "product": (-0.2, 0.6), "text": (-0.5, 0.7),
 }
 SPREAD = 0.3  # dB: processors round integers differently
 
@@ -23,13 +34,15 @@ def test_networks_keep_their_lead_on_every_kind(kind):
     pytest.importorskip("pyoidn")
     clip = load_clip(CLIPS / f"{kind}.2.npz")
     size = clip["reference"].shape[1:3]
-    free = max(score_render(clip, 0, oidn_method(size, planes)) for planes in ("clean", "prefiltered"))
+    free = max(score_render(clip, 0, oidn_method(size, planes))
+               for planes in ("clean", "prefiltered"))
     for tag, gain in zip(("s", "m"), GAINS[kind], strict=True):
         assert score_render(clip, 0, network_method(tag, clip["scale"])) - free > gain - SPREAD, tag
 
 
 def test_errors_are_measured_without_the_noise_of_the_reference():
-    """A method that gives what both halves scatter around has hardly an error, however noisy they are."""
+    """A method that gives what both halves scatter around has hardly an error, however noisy they
+    are."""
     clip = load_clip(CLIPS / "product.2.npz")
     rng = np.random.default_rng(0)
     true = np.full_like(clip["reference"].astype(np.float32), 0.2)

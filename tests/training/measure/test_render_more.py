@@ -31,7 +31,8 @@ def test_clean_tiles_are_as_many_as_asked_for(tmp_path: Path):
     counts = [frame[Role.SAMPLE_COUNT][:, :, 0] > 0 for frame in frames]
     assert sum(count.sum() for count in counts) == 5 * tune_shot.TILE**2
     for frame, count in zip(frames, counts, strict=True):
-        assert (frame[Role.COLOUR][count] == frame.number).all() and (frame[Role.COLOUR][~count] == 0).all()
+        assert ((frame[Role.COLOUR][count] == frame.number).all()
+                and (frame[Role.COLOUR][~count] == 0).all())
 
 
 def test_references_of_twice_the_size_are_averaged(tmp_path: Path):

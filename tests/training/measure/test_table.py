@@ -56,20 +56,23 @@ def test_the_worst_kind_comes_first_and_the_mean_last():
 
 
 def test_ways_are_names_and_options():
-    assert parse_ways("m:;both:--both-ways --model m") == {"m": [], "both": ["--both-ways", "--model", "m"]}
+    assert parse_ways("m:;both:--both-ways --model m") == {"m": [],
+                                                           "both": ["--both-ways", "--model", "m"]}
 
 
 def picture(path, colour):
     height, width = colour.shape[:2]
     planes = {"colour": colour, "diffuse_albedo": np.full((height, width, 3), 0.5, np.float32),
               "normal": np.tile(np.float32([0, 0, 1]), (height, width, 1)),
-              "depth": np.ones((height, width), np.float32), "motion": np.zeros((height, width, 2), np.float32)}
+              "depth": np.ones((height, width), np.float32),
+              "motion": np.zeros((height, width, 2), np.float32)}
     write_exr(path, planes, {})
 
 
 @pytest.fixture
 def folder(tmp_path):
-    """Two frames of a flat wall under noise, at full size, and half of it with twice the samples."""
+    """Two frames of a flat wall under noise, at full size, and half of it with twice the
+    samples."""
     kind = tmp_path / "wall"
     kind.mkdir()
     random = np.random.default_rng(4)
@@ -85,7 +88,8 @@ def folder(tmp_path):
 def test_shots_are_what_has_references(folder):
     found = [(shot.kind, shot.size, shot.samples) for shot in shots(folder, [], ["1x", "2x"], [])]
     assert found == [("wall", "1x", 4), ("wall", "2x", 16)]
-    assert not list(shots(folder, ["fog"], ["1x"], [])) and not list(shots(folder, [], ["1x"], [64]))
+    assert (not list(shots(folder, ["fog"], ["1x"], []))
+            and not list(shots(folder, [], ["1x"], [64])))
 
 
 def test_one_command_measures_and_keeps_what_others_reach(folder, tmp_path, capsys, monkeypatch):
@@ -97,7 +101,8 @@ def test_one_command_measures_and_keeps_what_others_reach(folder, tmp_path, caps
     for size in ("1x", "2x", RAYS):
         assert f"### {size}, `small` against" in text
     rows = json.loads(kept.read_text())
-    assert {way for row in rows for way in row["oidn"]} == {"clean", "prefiltered", "raw", "none", "accumulated"}
+    assert {way for row in rows for way in row["oidn"]} == {"clean", "prefiltered", "raw", "none",
+                                                            "accumulated"}
     assert all(row["oidn"][way]["psnr"] > 20 for row in rows for way in row["oidn"])
 
     def refuse(*_):

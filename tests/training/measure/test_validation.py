@@ -1,4 +1,5 @@
-"""The validation set: compact files, one clip rendered at toy size, expanded and measured; and what is told of it."""
+"""The validation set: compact files, one clip rendered at toy size, expanded and measured; and what
+is told of it."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ def test_colours_keep_their_leading_bits(bits: int, error: float) -> None:
     light[0, 0, 0], light[0, 0, 1] = 0, 2 * HALF_MAX
     back = clips.unpack_colour(clips.pack_colour(light, bits), bits)
     light = np.minimum(light, HALF_MAX)
-    assert np.all(np.abs(back - light) <= (error + 2.0**-11) * light + 2e-6)  # half float rounds first
+    # half float rounds first
+    assert np.all(np.abs(back - light) <= (error + 2.0**-11) * light + 2e-6)
     assert np.isfinite(back).all() and not back[0, 0, 0].any()
 
 
@@ -50,15 +52,18 @@ def test_a_file_gives_back_what_was_saved(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["clip.00000.npz"]
     colour, back, facts = clips.load(tmp_path / "clip.00000.npz")
     assert np.allclose(colour, reference, rtol=6e-3) and facts == {"seed": 9000}
-    assert np.allclose(back["x2"]["colour"], planes["colour"], rtol=2e-2) and back["x2"]["depth"].max() == 1e10
+    assert (np.allclose(back["x2"]["colour"], planes["colour"], rtol=2e-2)
+            and back["x2"]["depth"].max() == 1e10)
 
 
 def test_clips_differ_and_spend_equal_light_paths() -> None:
     sets = [renders(index) for index in range(len(SCENES))]
-    assert {r.name for r in sets[0]} == {"x1", "x1.5", "x2", "x3"} and FULL.spp * HALF.scale**2 == HALF.spp
+    assert ({r.name for r in sets[0]} == {"x1", "x1.5", "x2", "x3"}
+            and FULL.spp * HALF.scale**2 == HALF.spp)
     for style in range(len(STYLES)):
         assert {sets[k][1].spp for k in range(style, len(SCENES), len(STYLES))} == {1, 2, 4, 8}
-    assert [render.size((432, 240)) for render in sets[0]] == [(432, 240), (288, 160), (216, 120), (144, 80)]
+    assert [render.size((432, 240)) for render in sets[0]] == [(432, 240), (288, 160), (216, 120),
+                                                               (144, 80)]
 
 
 def test_sizes_that_a_scale_does_not_divide_are_refused(capsys: pytest.CaptureFixture) -> None:
@@ -67,25 +72,33 @@ def test_sizes_that_a_scale_does_not_divide_are_refused(capsys: pytest.CaptureFi
     assert "'640' is not a multiple of 6, which 1.5x, 2x and 3x need" in capsys.readouterr().err
 
 
-def row(scene: str, render: str, method: str, family: str, psnr: float, flicker: float | None = 10.0) -> dict:
+def row(scene: str, render: str, method: str, family: str, psnr: float,
+        flicker: float | None = 10.0) -> dict:
     figures = {"psnr_late": psnr, "ssim_late": 0.5, "flip_late": 0.1, "flicker_late": flicker}
-    return {"scene": scene, "render": render, "scale": 1.0, "method": method, "family": family, "wall_ms": 1.0,
+    return {"scene": scene, "render": render, "scale": 1.0, "method": method, "family": family,
+            "wall_ms": 1.0,
             "psnr_frames": [psnr - 1, psnr], "reference_noise": [1e-5, 1e-5], **figures}
 
 
 def test_gains_are_over_the_best_of_oidn(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    rows = [row("a", "x1", "m", "ours", 31), row("b", "x1", "m", "ours", 28, 5.0), row("a", "x2", "m", "ours", 29),
+    rows = [row("a", "x1", "m", "ours", 31), row("b", "x1", "m", "ours", 28, 5.0),
+            row("a", "x2", "m", "ours", 29),
             row("a", "x1", "oidn-high", "oidn", 30), row("b", "x1", "oidn-high", "oidn", 26),
             row("a", "x1", "oidn-fast", "oidn", 20), row("b", "x1", "oidn-fast", "oidn", 27),
-            row("a", "x1", "bicubic", "plain", 10, None), row("b", "x1", "bicubic", "plain", 10, None)]
+            row("a", "x1", "bicubic", "plain", 10, None),
+            row("b", "x1", "bicubic", "plain", 10, None)]
     compare.report(tmp_path, rows)
     facts = json.loads((tmp_path / "comparison.json").read_text())
     found = {entry["method"]: entry for entry in facts["scales"]["x1"]}
-    assert found["m"]["gain"] == pytest.approx(29.5 - 28) and found["oidn-fast"]["gain"] == pytest.approx(23.5 - 28)
-    assert found["m"]["least_gain"] == pytest.approx(1) and found["m"]["flicker_ratio"] == pytest.approx(0.75)
-    assert found["m"]["worst_frame"] == pytest.approx(1) and found["oidn-fast"]["worst_frame"] == pytest.approx(-10)
+    assert (found["m"]["gain"] == pytest.approx(29.5 - 28)
+            and found["oidn-fast"]["gain"] == pytest.approx(23.5 - 28))
+    assert (found["m"]["least_gain"] == pytest.approx(1)
+            and found["m"]["flicker_ratio"] == pytest.approx(0.75))
+    assert (found["m"]["worst_frame"] == pytest.approx(1)
+            and found["oidn-fast"]["worst_frame"] == pytest.approx(-10))
     assert found["bicubic"]["flicker_late"] is None and facts["scales"]["x2"][0]["gain"] is None
-    assert [entry["method"] for entry in facts["equal_rays"]][:2] == ["m (half, 4 spp)", "m (full, 1 spp)"]
+    assert [entry["method"]
+            for entry in facts["equal_rays"]][:2] == ["m (half, 4 spp)", "m (full, 1 spp)"]
     assert facts["equal_rays"][0]["gain"] == pytest.approx(29 - 28)
     assert "noise, 50.0 dB, is taken out" in capsys.readouterr().out
     assert len((tmp_path / "comparison.csv").read_text().splitlines()) == 1 + len(rows)
@@ -98,7 +111,8 @@ def test_the_reference_s_noise_is_taken_out_of_psnr() -> None:
     noise = np.square(halves[0] - halves[1]).mean() / 4
     picture = truth + rng.normal(0, 0.02, truth.shape)
     found = [-10 * np.log10(np.square(picture - other).mean()) for other in (halves.mean(0), truth)]
-    assert found[0] < found[1] - 1 and compare.without_noise(found[0], noise) == pytest.approx(found[1], abs=0.1)
+    assert (found[0] < found[1] - 1
+            and compare.without_noise(found[0], noise) == pytest.approx(found[1], abs=0.1))
     assert compare.without_noise(30.0, 1.0) == pytest.approx(40)
 
 
@@ -112,8 +126,10 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two clips of two frames, by the command that renders on all GPUs of a machine."""
     require_llvm()
     folder = tmp_path_factory.mktemp("clips")
-    sizes = [f"--width={SIZE[0]}", f"--height={SIZE[1]}", "--frames=2", "--reference-error=0.06", "--most-spp=256"]
-    command = ["render", f"--out={folder}", "--clips=2", "--variant=llvm_ad_rgb", "--processes-per-gpu=1", *sizes]
+    sizes = [f"--width={SIZE[0]}", f"--height={SIZE[1]}", "--frames=2", "--reference-error=0.06",
+             "--most-spp=256"]
+    command = ["render", f"--out={folder}", "--clips=2", "--variant=llvm_ad_rgb",
+               "--processes-per-gpu=1", *sizes]
     assert __main__.main(command) == 0
     return folder
 
@@ -121,29 +137,34 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_a_clip_becomes_sequences(rendered: Path, tmp_path: Path) -> None:
     assert __main__.main(["expand", str(rendered), str(tmp_path)]) == 0
-    for folder, kind, style in zip(sorted(tmp_path.iterdir(), key=lambda path: path.suffix), SCENES, STYLES,
-                                   strict=False):
+    for folder, kind, style in zip(sorted(tmp_path.iterdir(), key=lambda path: path.suffix), SCENES,
+                                   STYLES, strict=False):
         assert folder.name.split(".")[0] == kind[0]
-        frames = {name: read_sequence(folder / f"{name}.####.exr").read(1) for name in ("x1", "x1.5", "x2", "x3")}
+        frames = {name: read_sequence(folder / f"{name}.####.exr").read(1)
+                  for name in ("x1", "x1.5", "x2", "x3")}
         second = read_sequence(folder / "x2.####.exr").read(2)
         reference = read_sequence(folder / "reference.####.exr").read(2)
         guides = read_sequence(folder / "guides.####.exr", planes=[Role.NORMAL, Role.DEPTH]).read(2)
         assert [frame.spec.width for frame in frames.values()] == [66, 44, 33, 22]
-        paths = [frames[name].samples * frames[name].spec.width * frames[name].spec.height for name in ("x1", "x2")]
+        paths = [frames[name].samples * frames[name].spec.width * frames[name].spec.height
+                 for name in ("x1", "x2")]
         assert paths[0] == paths[1] == SIZE[0] * SIZE[1]
         assert reference[Role.COLOUR].shape == guides[Role.NORMAL].shape == (48, 66, 3)
-        assert frames["x1"].reset and not second.reset and frames["x1"].exposure == reference.exposure
+        assert (frames["x1"].reset and not second.reset
+                and frames["x1"].exposure == reference.exposure)
         assert any(second.jitter) == any(guides.jitter) == (style == "realtime")
         assert second[Role.COLOUR].mean() == pytest.approx(reference[Role.COLOUR].mean(), rel=0.5)
 
 
 @pytest.mark.slow
-def test_clips_are_drawn_and_compared(rendered: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_clips_are_drawn_and_compared(rendered: Path, tmp_path: Path,
+                                      capsys: pytest.CaptureFixture) -> None:
     for module in ("flip_evaluator", "skimage", "matplotlib"):
         pytest.importorskip(module, reason="needs the extra 'bench'")
     __main__.main(["sheet", str(rendered), str(tmp_path / "sheet.png")])
     assert (tmp_path / "sheet.png").stat().st_size > 10000
-    command = ["compare", str(rendered), "-o", str(tmp_path), "--methods=bicubic", "--renders=x1,x3", "--device=cpu"]
+    command = ["compare", str(rendered), "-o", str(tmp_path), "--methods=bicubic",
+               "--renders=x1,x3", "--device=cpu"]
     __main__.main(command)
     facts = json.loads((tmp_path / "comparison.json").read_text())
     assert {(one["scene"].split(".")[1], one["render"]) for one in facts["rows"]} == {

@@ -24,7 +24,8 @@ def plain(rgb: np.ndarray) -> np.ndarray:
 
 def test_charts_hold_what_they_say() -> None:
     stops = np.log2(ramp()[0, :, 0] / 0.18)
-    assert stops[0] == pytest.approx(-8) and stops[-1] == pytest.approx(6) and (np.diff(stops) > 0).all()
+    assert (stops[0] == pytest.approx(-8) and stops[-1] == pytest.approx(6)
+            and (np.diff(stops) > 0).all())
     chart = hue_chart()
     peak = chart.max(-1)
     assert np.log2(peak.max() / peak.min()) == pytest.approx(23, abs=0.1)
@@ -66,7 +67,8 @@ def test_shipped_looks_pass(tag: str) -> None:
     found = greys(mapper, reference)
     assert found["chroma"] < 0.5 and found["fall"] < 1 and found["rough"] < 1
     random = np.random.default_rng(1)
-    patches = np.exp2(random.normal(-2, 2, (6, 8, 3))).repeat(24, 0).repeat(24, 1).astype(np.float32)
+    patches = (np.exp2(random.normal(-2, 2, (6, 8, 3))).repeat(24, 0).repeat(24, 1)
+               .astype(np.float32))
     assert sweep(mapper, reference, patches) == {"in_range": True, "hue_flips": 0}
     assert halo(mapper, reference) < 1  # of 255 steps
 
@@ -75,7 +77,8 @@ def test_shipped_looks_pass(tag: str) -> None:
 def test_what_was_kept_of_a_sequence_stays_as_it_was(tag: str) -> None:
     """Two frames later, too: the pass writes into the memory of the first one's."""
     mapper, light = Mapper(tag), ramp(64)
-    kept = [mapper.smooth_state(Frame({Role.COLOUR: light * gain}, number)) for number, gain in enumerate((1, 4, 16))]
+    kept = [mapper.smooth_state(Frame({Role.COLOUR: light * gain}, number))
+            for number, gain in enumerate((1, 4, 16))]
     first = Mapper(tag).smooth_state(Frame({Role.COLOUR: light}, 0))
     np.testing.assert_array_equal(kept[0], first)
     assert np.abs(kept[2] - first).max() > 1e-3

@@ -1,4 +1,5 @@
-"""How steady looks are in motion: what is measured, and that the shipped looks are no worse than a static curve."""
+"""How steady looks are in motion: what is measured, and that the shipped looks are no worse than a
+static curve."""
 
 from __future__ import annotations
 
@@ -39,7 +40,8 @@ def patches(seed: int = 1) -> np.ndarray:
 
 def test_the_nearest_exposure_is_found() -> None:
     light = [patches(1), patches(2)]
-    shown = [exact_view(ACES2, x * np.float32(2.0**stops)) for x, stops in zip(light, (0.5, 0.7), strict=True)]
+    shown = [exact_view(ACES2, x * np.float32(2.0**stops))
+             for x, stops in zip(light, (0.5, 0.7), strict=True)]
     assert nearest_exposure(ACES2, light[:1], shown[:1]) == pytest.approx(0.5, abs=1e-3)
     assert nearest_exposure(ACES2, light, shown) == pytest.approx(0.6, abs=0.03)
 
@@ -51,8 +53,10 @@ def test_contrast_is_the_change_to_the_next_pixels() -> None:
 
 
 def test_a_table_of_looks_with_a_grid_and_without() -> None:
-    row = {name: {"flicker": 1.0, "contrast": 2.0} for name in ("look", "static", "view", "pipeline")}
-    found = {"plain": {"flicker": {"a_b": row}}, "grid": {"flicker": {"a_b": row | {"still": {"flicker": 3.0}}}}}
+    row = {name: {"flicker": 1.0, "contrast": 2.0}
+           for name in ("look", "static", "view", "pipeline")}
+    found = {"plain": {"flicker": {"a_b": row}},
+             "grid": {"flicker": {"a_b": row | {"still": {"flicker": 3.0}}}}}
     lines = flicker_table(found).splitlines()[2:]
     assert lines[0] == "| `plain` | a b | 1.00 | 1.00 | - | 1.00 | 1.00 | - | 2.00 | 2.00 |"
     assert lines[1] == "| `grid` | a b | 1.00 | 1.00 | 3.00 | 1.00 | 1.00 | - | 2.00 | 2.00 |"
@@ -68,15 +72,20 @@ def test_how_fast_light_is_followed_is_measured() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("tag", "name"), [
-    ("local", "living_room"), ("auto", "staircase"), pytest.param("local", "garage", marks=pytest.mark.soak)])
-def test_looks_flicker_no_more_than_the_nearest_static_curve(shared_dir: Path, tag: str, name: str) -> None:
-    folder, look, mapper, other = shared_dir / "sequences" / name, LOOKS[tag], Mapper(tag), Mapper(tag)
+    ("local", "living_room"), ("auto", "staircase"),
+    pytest.param("local", "garage", marks=pytest.mark.soak)])
+def test_looks_flicker_no_more_than_the_nearest_static_curve(shared_dir: Path, tag: str,
+                                                             name: str) -> None:
+    folder, look, mapper, other = (shared_dir / "sequences" / name, LOOKS[tag], Mapper(tag),
+                                   Mapper(tag))
     frames = list(exposed_frames(folder))
-    light, shown = [frame[Role.COLOUR] for frame in frames], [mapper.follow(frame) for frame in frames]
+    light, shown = [frame[Role.COLOUR] for frame in frames], [mapper.follow(frame)
+                                                              for frame in frames]
     stops = {"static": nearest_exposure(look.view, light, shown), "view": look.gain}
 
     def view(name: str) -> object:
-        return lambda frame: exact_view(look.view, frame[Role.COLOUR] * np.float32(2.0 ** stops[name]))
+        return lambda frame: exact_view(look.view,
+                                        frame[Role.COLOUR] * np.float32(2.0 ** stops[name]))
 
     def flickering(frame: Frame) -> np.ndarray:
         return other.follow(frame) + np.float32(0.01 * (frame.number % 2))
@@ -89,7 +98,8 @@ def test_looks_flicker_no_more_than_the_nearest_static_curve(shared_dir: Path, t
 
 @pytest.mark.soak
 def test_what_holds_a_look_still_is_measured(shared_dir: Path) -> None:
-    """`auto` has no more flicker than with its own mean exposure, but for 0.05 %, and is nearly a cube."""
+    """`auto` has no more flicker than with its own mean exposure, but for 0.05 %, and is nearly a
+    cube."""
     folder = shared_dir / "sequences" / "garage"
     auto = steadiness(Mapper("auto"), LOOKS["auto"], folder)
     assert auto["look"]["flicker"] <= 1.0005 * auto["still"]["flicker"]

@@ -36,7 +36,8 @@ def colours(count: int = 1000) -> np.ndarray:
 
 
 def test_aces_view_is_the_configs_own() -> None:
-    """ACES 2.0 SDR puts scene mid grey 0.18 at 10 cd/m2 of 100, which is 0.349 of the sRGB signal."""
+    """ACES 2.0 SDR puts scene mid grey 0.18 at 10 cd/m2 of 100, which is 0.349 of the sRGB
+    signal."""
     grey = exact_view(ACES2, np.full((1, 1, 3), 0.18, np.float32))
     np.testing.assert_allclose(grey, 0.3492, atol=1e-3)
 
@@ -53,7 +54,8 @@ def test_neutral_view_is_the_specifications() -> None:
 def test_baked_cube_stands_for_the_view() -> None:
     rgb = colours()
     look, cube = LOOKS["aces2"], torch.from_numpy(bake(ACES2))
-    found = target(torch.from_numpy(rgb).permute(2, 0, 1)[None], look, cube)[0].permute(1, 2, 0).numpy()
+    found = target(torch.from_numpy(rgb).permute(2, 0, 1)[None], look,
+                   cube)[0].permute(1, 2, 0).numpy()
     error = np.abs(found - exact_target(rgb, look))
     assert error.mean() < 0.5 / 255
     assert np.quantile(error, 0.99) < 2 / 255
@@ -68,7 +70,8 @@ def test_key_keeps_dark_scenes_dark_and_bright_ones_bright_whatever_their_scale(
     mean = [float(log_luminance(key(torch.exp2(x))).mean()) for x in (night, day, snow)]
     assert mean[0] < mean[1] - 0.5 and mean[2] > mean[1] + 0.5
     assert abs(mean[1] - np.log2(0.18)) < 0.3
-    torch.testing.assert_close(key(torch.exp2(night) * 16), key(torch.exp2(night)), rtol=1e-3, atol=1e-6)
+    torch.testing.assert_close(key(torch.exp2(night) * 16), key(torch.exp2(night)), rtol=1e-3,
+                               atol=1e-6)
 
 
 def test_looks_come_by_name_or_from_a_file(tmp_path) -> None:
@@ -96,7 +99,8 @@ def test_a_table_is_a_view(tmp_path) -> None:
     rows = "".join(f"{b:.6f} {g:.6f} {r:.6f}\n" for b in axis for g in axis for r in axis)
     path = tmp_path / "swap.cube"
     path.write_text(f"LUT_3D_SIZE 5\n{rows}")
-    found = exact_view(Lut(f"{path},input=ACEScct"), np.float32([[0.18, 0.18, 0.18], [0.4, 0.2, 0.1]]))
+    found = exact_view(Lut(f"{path},input=ACEScct"),
+                       np.float32([[0.18, 0.18, 0.18], [0.4, 0.2, 0.1]]))
     np.testing.assert_allclose(found[0], 0.4135, atol=2e-3)
     assert found[1, 0] < found[1, 1] < found[1, 2]
 
@@ -109,7 +113,8 @@ def test_unknown_displays_are_named() -> None:
 def test_a_set_gives_back_its_pictures_and_lessons(tmp_path, write_exr) -> None:
     random = np.random.default_rng(0)
     for name in ("one", "two", "held"):
-        planes = np.exp2(random.normal(0, 2, (3, 12, 16))).repeat(4, 1).repeat(4, 2).astype(np.float32)
+        planes = (np.exp2(random.normal(0, 2, (3, 12, 16))).repeat(4, 1).repeat(4, 2)
+                  .astype(np.float32))
         write_exr(f"{name}.exr", dict(zip("RGB", planes, strict=True)))
     pictures = collect([str(tmp_path / "*.exr")], hold_out=["held"])
     assert set(pictures.train) == {"one", "two"} and set(pictures.held) == {"held"}

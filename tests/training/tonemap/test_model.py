@@ -69,7 +69,8 @@ def test_a_fresh_network_shows_its_cube() -> None:
     cube, colour = torch.rand(CUBE, CUBE, CUBE, 3), torch.rand(1, 3, 40, 60) * 4
     with torch.no_grad():
         found = network.HDRNet(cube).render(colour, default_shaper())
-    torch.testing.assert_close(found, look_up(shape(colour, *default_shaper()), cube), atol=1e-4, rtol=0)
+    torch.testing.assert_close(found, look_up(shape(colour, *default_shaper()), cube), atol=1e-4,
+                               rtol=0)
 
 
 def test_greys_stay_greys_before_the_cube() -> None:
@@ -92,10 +93,12 @@ def test_exported_network_gives_what_torch_gives(tmp_path) -> None:
     np.testing.assert_array_equal(cube, wanted[2].numpy())
 
 
-@pytest.mark.parametrize("net", [None, Exposure(RAMP.clone()), random_net()], ids=["global", "exposure", "local"])
+@pytest.mark.parametrize("net", [None, Exposure(RAMP.clone()), random_net()],
+                         ids=["global", "exposure", "local"])
 def test_an_exported_look_has_a_card_and_can_be_started_from(net, tmp_path) -> None:
     facts = {"look": {}, "history": [], "pictures": [], "psnr": {}}
-    path = export_look({"cube": RAMP, "weights": net and net.state_dict(), **facts}, "mine", tmp_path, {})
+    path = export_look({"cube": RAMP, "weights": net and net.state_dict(), **facts}, "mine",
+                       tmp_path, {})
     card = json.loads(path.with_suffix(".json").read_text())
     assert card["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
     assert card["parameters"] == {type(None): 0, Exposure: 4737, network.HDRNet: 488_352}[type(net)]
@@ -123,7 +126,8 @@ def test_shipped_models_are_those_on_their_cards() -> None:
 
 def test_training_form_of_slicing_equals_the_kernels() -> None:
     torch.manual_seed(2)
-    shaped, guide = shape(torch.rand(2, 3, 37, 53) * 4, *default_shaper(exposure=1.3)), network.Guide()()
+    shaped, guide = (shape(torch.rand(2, 3, 37, 53) * 4, *default_shaper(exposure=1.3)),
+                     network.Guide()())
     grid = torch.randn(2, 16, 16, 8, 12)
     dense = network.slice_grid_dense(shaped, guide, grid)
     torch.testing.assert_close(dense, network.slice_grid(shaped, guide, grid), atol=1e-5, rtol=0)
@@ -133,7 +137,8 @@ def test_slicing_can_be_trained_through() -> None:
     net, colour, shaper = random_net(), torch.rand(1, 3, 40, 60), default_shaper()
     net.cube.requires_grad_()
     grid, guide, cube = net(network.lowres(colour, shaper))
-    look_up(network.slice_grid_dense(shape(colour, *shaper), guide, grid), cube).square().sum().backward()
+    look_up(network.slice_grid_dense(shape(colour, *shaper), guide, grid),
+            cube).square().sum().backward()
     for name, p in net.named_parameters():
         assert p.grad is not None and torch.isfinite(p.grad).all(), name
 
@@ -141,7 +146,8 @@ def test_slicing_can_be_trained_through() -> None:
 def test_the_lattice_is_what_the_shaper_takes_to_the_corners() -> None:
     light = torch.from_numpy(lattice(9)).reshape(1, -1, 1, 3).permute(0, 3, 1, 2)
     found = shape(light, *default_shaper())[0, :, :, 0].T
-    corners = torch.stack(torch.meshgrid(*[torch.linspace(0, 1, 9)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    corners = torch.stack(torch.meshgrid(*[torch.linspace(0, 1, 9)] * 3, indexing="ij"),
+                          -1).reshape(-1, 3)
     torch.testing.assert_close(found, corners, atol=1e-3, rtol=0)
 
 
@@ -163,14 +169,16 @@ def test_local_operator_favours_no_side() -> None:
 
 def test_local_operator_leaves_all_as_it_is_with_neutral_settings() -> None:
     rgb = torch.exp2(torch.rand(1, 3, 64, 96) * 8 - 5)
-    torch.testing.assert_close(compress(rgb, sigma=1.0, alpha=1.0, beta=1.0), rgb, rtol=2e-3, atol=1e-5)
+    torch.testing.assert_close(compress(rgb, sigma=1.0, alpha=1.0, beta=1.0), rgb, rtol=2e-3,
+                               atol=1e-5)
 
 
 def test_views_are_finite_exposed_and_sometimes_wide() -> None:
     """Also without any picture: charts are made from nothing."""
     views = Views(Pictures(), LOOKS["local"], RAMP, torch.device("cpu"))
     colours = [views.batch(4, 0.15) for _ in range(12)]
-    assert all(torch.isfinite(x).all() and x.abs().max() <= LARGEST for batch in colours for x in batch)
+    assert all(torch.isfinite(x).all() and x.abs().max() <= LARGEST for batch in colours
+               for x in batch)
     assert any((colour < 0).any() for colour, _, _ in colours)
 
 
@@ -179,8 +187,11 @@ def test_training_comes_nearer_to_the_look() -> None:
     class Brighter:
         random = np.random.default_rng(0)
 
-        def batch(self, size: int, scale: float = 1.0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-            colour = torch.rand(size, 3, 40, 40, generator=torch.Generator().manual_seed(int(self.random.integers(99))))
+        def batch(self, size: int,
+                  scale: float = 1.0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+            colour = torch.rand(size, 3, 40, 40,
+                                generator=torch.Generator()
+                                          .manual_seed(int(self.random.integers(99))))
             shaped = shape(colour * 2, *default_shaper())
             return colour, shaped, shaped
 
@@ -203,14 +214,16 @@ def test_only_the_parts_that_are_named_change() -> None:
     source = Views(Pictures(), LOOKS["local"], RAMP, torch.device("cpu"))
     recipe = Recipe(seconds=3, batch=1, scale=0.1, only=("head", "histogram_dense"))
     after = train.train_grid(net, source, recipe, {}, {}, print, clock=lambda: float(next(steps)))
-    changed = {name for name, value in after["weights"].items() if not torch.equal(value, before[name])}
+    changed = {name
+               for name, value in after["weights"].items() if not torch.equal(value, before[name])}
     assert changed and all("head" in name or "histogram_dense" in name for name in changed)
 
 
 def test_a_part_that_is_not_there_is_named() -> None:
     recipe = Recipe(seconds=1, only=("tail",))
     with pytest.raises(SystemExit, match="no part 'tail'"):
-        train.train_grid(network.HDRNet(RAMP), Views(Pictures(), LOOKS["local"], RAMP, torch.device("cpu")), recipe, {},
+        train.train_grid(network.HDRNet(RAMP),
+                         Views(Pictures(), LOOKS["local"], RAMP, torch.device("cpu")), recipe, {},
                          {}, print)
 
 
@@ -223,14 +236,16 @@ def test_guide_by_two_convolutions_is_the_guide() -> None:
 
 
 def test_cells_borrow_what_they_have_no_pixels_of() -> None:
-    """Dark on the left, bright on the right: the first bright cells have the dark cells' matrix of the dark level."""
+    """Dark on the left, bright on the right: the first bright cells have the dark cells' matrix of
+    the dark level."""
     low = torch.full((1, 3, 256, 256), 0.2)
     low[..., 128:] = 0.8
     guide = network.Guide()().detach()
     level = int(round(0.2 * network.DEPTH - 0.5))
     grid = torch.zeros(1, network.DEPTH, network.COEFFICIENTS, 16, 16)
     grid[..., :8], grid[..., 8:] = 1.0, 9.0
-    found = network.borrow(grid.flatten(1, 2), low, guide).unflatten(1, (network.DEPTH, network.COEFFICIENTS))
+    found = network.borrow(grid.flatten(1, 2), low, guide).unflatten(1, (network.DEPTH,
+                                                                         network.COEFFICIENTS))
     dark = found[0, level, 0, 8]
     assert dark[:8] == pytest.approx(1.0, abs=0.01)
     assert dark[8] == pytest.approx(1.0, abs=0.02) and dark[9:] == pytest.approx(9.0, abs=0.01)
@@ -248,15 +263,17 @@ def test_an_exposure_that_is_off_is_put_right() -> None:
     torch.manual_seed(5)
     net, light = Exposure(RAMP.clone()), torch.exp2(torch.randn(1, 3, 90, 120) * 2 - 2)
     with torch.no_grad():
-        plain, brighter, black = (net(network.lowres(x, default_shaper()))[0] for x in (light, light * 4, light * 0))
+        plain, brighter, black = (net(network.lowres(x, default_shaper()))[0]
+                                  for x in (light, light * 4, light * 0))
     torch.testing.assert_close(brighter, plain - 2, atol=0.02, rtol=0)
     assert abs(float(black)) == FARTHEST
 
 
 def test_the_key_of_charts_is_learnt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without any picture: a hundred small views explain most of the difference between scenes, and the consistency
-    term holds down the difference between two views of a scene."""
-    monkeypatch.setattr(examples_module, "SHAPES", tuple((h // 4, w // 4) for h, w in examples_module.SHAPES))
+    """Without any picture: a hundred small views explain most of the difference between scenes, and
+    the consistency term holds down the difference between two views of a scene."""
+    monkeypatch.setattr(examples_module, "SHAPES",
+                        tuple((h // 4, w // 4) for h, w in examples_module.SHAPES))
     monkeypatch.setattr(train, "EXPOSURE_BATCH", 64)
     torch.manual_seed(6)
     found = train.levels_of_views(Views(Pictures(), LOOKS["auto"], RAMP, torch.device("cpu")), 100)
@@ -265,6 +282,7 @@ def test_the_key_of_charts_is_learnt(monkeypatch: pytest.MonkeyPatch) -> None:
     for weight in (0.0, train.CONSISTENCY):
         torch.manual_seed(6)
         monkeypatch.setattr(train, "CONSISTENCY", weight)
-        left[weight] = wrong, between = train.fit_exposure(Exposure(RAMP.clone()), found, seed=1, steps=300)
+        left[weight] = wrong, between = train.fit_exposure(Exposure(RAMP.clone()), found, seed=1,
+                                                           steps=300)
         assert wrong < 0.2 * float((keys - keys.mean()).abs().mean())
     assert between < 0.9 * left[0][1]

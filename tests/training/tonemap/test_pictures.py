@@ -1,4 +1,5 @@
-"""Pictures for looks: read as they will be run, and what cannot be meant is refused before a training begins."""
+"""Pictures for looks: read as they will be run, and what cannot be meant is refused before a
+training begins."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ from postfx.colour import ACESCG, REC709, matrix_between  # noqa: E402
 from training.tonemap.looks import ACES_CONFIG, Lut, Ocio, exact_view  # noqa: E402
 from training.tonemap.pictures import collect, expose, find_pictures, read  # noqa: E402
 
-IDENTITY = "LUT_3D_SIZE 2\n" + "".join(f"{r} {g} {b}\n" for b in (0, 1) for g in (0, 1) for r in (0, 1))
+IDENTITY = "LUT_3D_SIZE 2\n" + "".join(f"{r} {g} {b}\n" for b in (0, 1) for g in (0, 1)
+                                       for r in (0, 1))
 
 
 def write(path: Path, pixels: np.ndarray, **attributes: object) -> str:
@@ -43,7 +45,8 @@ def test_alpha_beside_colour_is_not_in_it(tmp_path: Path, light: np.ndarray) -> 
     codes = np.round(255 * light).astype(np.uint8)
     half = np.concatenate([codes, np.full((8, 12, 1), 128, np.uint8)], 2)
     straight = write(tmp_path / "half.png", half, **{"oiio:UnassociatedAlpha": 1})
-    np.testing.assert_array_equal(read(straight, "rec709"), read(write(tmp_path / "whole.png", codes), "rec709"))
+    np.testing.assert_array_equal(read(straight, "rec709"),
+                                  read(write(tmp_path / "whole.png", codes), "rec709"))
 
 
 def test_black_stays_black() -> None:
@@ -54,7 +57,8 @@ def test_names_and_patterns_that_fit_nothing_are_refused(tmp_path: Path, light: 
     for name in ("Bonita", "Desk"):
         write(tmp_path / f"{name}.exr", light)
     pattern = str(tmp_path / "*.exr")
-    with pytest.raises(SystemExit, match="--hold-out bonita: no such picture: there are Bonita, Desk"):
+    with pytest.raises(SystemExit,
+                       match="--hold-out bonita: no such picture: there are Bonita, Desk"):
         collect([pattern], hold_out=["bonita"])
     with pytest.raises(SystemExit, match="--hold-out: names all pictures"):
         collect([pattern], hold_out=["Bonita", "Desk"])
@@ -70,8 +74,11 @@ def test_views_for_other_displays_are_refused(tmp_path: Path, light: np.ndarray)
     assert exact_view(Lut(f"{table},input=ACEScct"), light).shape == light.shape
     with pytest.raises(SystemExit, match=r"is for Display P3: looks are learnt for sRGB"):
         exact_view(Lut(f"{table},input=ACEScct,output=p3"), light)
-    with pytest.raises(SystemExit, match=r"Rec.2100-PQ - Display: is for Rec.2100 PQ: looks are learnt for sRGB"):
-        exact_view(Ocio(ACES_CONFIG, "Rec.2100-PQ - Display", "ACES 2.0 - HDR 1000 nits (P3 D65)"), light)
+    with pytest.raises(SystemExit,
+                       match=r"Rec.2100-PQ - Display: is for Rec.2100 PQ: looks are learnt for "
+                       r"sRGB"):
+        exact_view(Ocio(ACES_CONFIG, "Rec.2100-PQ - Display", "ACES 2.0 - HDR 1000 nits (P3 D65)"),
+                   light)
 
 
 @pytest.mark.parametrize("text", ["<style>body{margin:0}</style>", "LUT_3D_SIZE 2\n{0 0 0}\n"])

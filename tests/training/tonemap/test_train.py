@@ -28,11 +28,13 @@ LEAST = 35.0  # dB that a look of a table must be learnt to from 8 pairs
 
 
 def graded(light: np.ndarray) -> np.ndarray:
-    """A grading on top of ACES 2: warm highlights, green shadows, more colour; a function of colour alone."""
+    """A grading on top of ACES 2: warm highlights, green shadows, more colour; a function of colour
+    alone."""
     display = exact_view(ACES2, light).astype(np.float64)
     grey = display @ np.array([0.2126, 0.7152, 0.0722])
     rich = np.clip(grey[..., None] + (display - grey[..., None]) * 1.3, 0, 1)
-    return np.clip(rich ** np.array([0.9, 1.0, 1.12]) * [1.0, 0.97, 0.9] + [0.0, 0.012, 0.004], 0, 1).astype(np.float32)
+    return np.clip(rich ** np.array([0.9, 1.0, 1.12]) * [1.0, 0.97, 0.9] + [0.0, 0.012, 0.004], 0,
+                   1).astype(np.float32)
 
 
 def picture(seed: int, height: int = 96, width: int = 144) -> np.ndarray:
@@ -56,13 +58,15 @@ def write_pairs(folder: Path, pictures: dict[str, np.ndarray]) -> list[str]:
 
 
 def teach(*words: str) -> str:
-    run = subprocess.run([sys.executable, "-m", "training.tonemap.train", *words], capture_output=True, text=True)
+    run = subprocess.run([sys.executable, "-m", "training.tonemap.train", *words],
+                         capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     return run.stdout
 
 
 def teach_here(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
-    """The same without a start of Python and its libraries; a network is trained for a step or two only."""
+    """The same without a start of Python and its libraries; a network is trained for a step or two
+    only."""
     from training.tonemap import train
 
     short = ["--minutes", "0.01", "--batch", "1", "--scale", "0.1"]
@@ -87,12 +91,14 @@ def test_weights_of_a_fit_are_those_of_the_look_up() -> None:
 
 
 def test_a_fit_keeps_the_start_where_nothing_is_asked() -> None:
-    """Colours of the lower half go to half as much; the upper half has no data and goes on evenly."""
+    """Colours of the lower half go to half as much; the upper half has no data and goes on
+    evenly."""
     random = np.random.default_rng(3)
     start = np.stack(np.meshgrid(*[np.linspace(0, 1, 9)] * 3, indexing="ij"), -1).astype(np.float32)
     colours = random.random((4000, 3)) * 0.5
     cube = fit_cube(colours, colours * 0.5, start)
-    np.testing.assert_allclose(interpolation(colours, 9) @ cube.reshape(-1, 3), colours * 0.5, atol=0.01)
+    np.testing.assert_allclose(interpolation(colours, 9) @ cube.reshape(-1, 3), colours * 0.5,
+                               atol=0.01)
     np.testing.assert_allclose(cube[8, 8, 8], 0.5, atol=0.1)
 
 
@@ -104,7 +110,8 @@ def test_a_look_is_learnt_from_pairs_to_a_model_that_runs(
 
     folders = write_pairs(tmp_path, {f"p{i}": picture(i) for i in range(9)})
     monkeypatch.setattr(pairs, "TOLERANCE", 1e-4)
-    teach_here(monkeypatch, "mine", "--pairs", *folders, "--hold-out", "p8", "-o", str(tmp_path / "run"))
+    teach_here(monkeypatch, "mine", "--pairs", *folders, "--hold-out", "p8", "-o",
+               str(tmp_path / "run"))
     said = capsys.readouterr().out
     assert "colour alone explains the pairs" in said and "p8: " in said
     model = tmp_path / "run" / "tonemap.mine.onnx"
@@ -119,7 +126,8 @@ def test_a_look_of_a_config_is_baked_and_measured_on_charts(tmp_path: Path) -> N
     teach("film", *view, "-o", str(tmp_path))
     model, light = tmp_path / "tonemap.film.onnx", picture(1)
     assert psnr_of(model, light, exact_view(ACES2, light)) > 45
-    assert min(json.loads(model.with_suffix(".json").read_text())["quality"]["held_out_psnr"].values()) > 45
+    assert min(json.loads(model.with_suffix(".json")
+                          .read_text())["quality"]["held_out_psnr"].values()) > 45
 
 
 def test_training_that_spoils_the_start_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,7 +150,8 @@ def test_training_that_spoils_the_start_is_not_kept(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize(("words", "on_gpu", "rate"), [
-    ([], False, 2e-4), ([], True, 1.5e-3), (["--start", "none"], False, 1.5e-3), (["--rate", "0.01"], False, 0.01)])
+    ([], False, 2e-4), ([], True, 1.5e-3), (["--start", "none"], False, 1.5e-3),
+    (["--rate", "0.01"], False, 0.01)])
 def test_fine_tuning_on_a_cpu_takes_small_steps(
     words: list[str], on_gpu: bool, rate: float
 ) -> None:
@@ -150,30 +159,35 @@ def test_fine_tuning_on_a_cpu_takes_small_steps(
 
 
 @pytest.mark.slow
-def test_a_local_look_is_trained_and_exported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_local_look_is_trained_and_exported(tmp_path: Path,
+                                              monkeypatch: pytest.MonkeyPatch) -> None:
     for i in range(2):
         write(tmp_path / "hdr" / f"{i}.exr", picture(i))
-    words = ["--target", "local", "--pictures", str(tmp_path / "hdr/*.exr"), "--hold-out", "1", "--start", "none"]
+    words = ["--target", "local", "--pictures", str(tmp_path / "hdr/*.exr"), "--hold-out", "1",
+             "--start", "none"]
     teach_here(monkeypatch, "small", *words, "-o", str(tmp_path / "run"))
     card = json.loads((tmp_path / "run" / "tonemap.small.json").read_text())
     assert card["parameters"] == 488_352 and card["training"]["runs"][0]["steps"] > 0
     assert (tmp_path / "run" / "log.jsonl").read_text().count("\n") >= 1
 
 
-def test_an_exposure_is_learnt_and_exported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exposure_is_learnt_and_exported(tmp_path: Path,
+                                            monkeypatch: pytest.MonkeyPatch) -> None:
     """From one picture; light that is four times as bright comes out the same."""
     from training.tonemap import examples
 
     write(tmp_path / "hdr" / "0.exr", picture(0))
     monkeypatch.setattr(examples, "SHAPES", ((96, 144),))
     pictures = str(tmp_path / "hdr/*.exr")
-    words = ["--target", "auto", "--pictures", pictures, "--views", "60", "-o", str(tmp_path / "run")]
+    words = ["--target", "auto", "--pictures", pictures, "--views", "60", "-o",
+             str(tmp_path / "run")]
     teach_here(monkeypatch, "mine", *words)
     model, light = tmp_path / "run" / "tonemap.mine.onnx", picture(1)
     card = json.loads(model.with_suffix(".json").read_text())
     assert card["outputs"]["stops"]["shape"] == [1, 1] and card["keep"] == 0.98
     pipeline = Pipeline([ToneMap(look=str(model), keep=0.0)], Device("cpu"), exposure=0.0)
-    dim, bright = (pipeline(Frame({Role.COLOUR: light * np.float32(gain)}))[Role.COLOUR].copy() for gain in (1, 4))
+    dim, bright = (pipeline(Frame({Role.COLOUR: light * np.float32(gain)}))[Role.COLOUR].copy()
+                   for gain in (1, 4))
     assert dim.std() > 0.05
     np.testing.assert_allclose(bright, dim, atol=0.01)
 
@@ -186,7 +200,8 @@ def test_pairs_that_do_not_fit_are_refused(tmp_path: Path, monkeypatch: pytest.M
         teach_here(monkeypatch, "x", "--pairs", *folders, "-o", str(tmp_path / "run"))
 
 
-def test_eight_pairs_of_photographs_are_enough(shared_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_eight_pairs_of_photographs_are_enough(shared_dir: Path,
+                                               monkeypatch: pytest.MonkeyPatch) -> None:
     """On pictures that were not among the eight; the solver stops early here, too."""
     from training.tonemap import pairs as module
     from training.tonemap.pairs import Pairs, fit

@@ -1,4 +1,5 @@
-"""What this project's Python and Blender's share: how a clip is seeded, how its files are named and read.
+"""What this project's Python and Blender's share: how a clip is seeded, how its files are named and
+read.
 
 Imported by both, so it needs NumPy and OpenImageIO only.
 """
@@ -18,7 +19,8 @@ def clip_generator(seed: int, clip: int) -> np.random.Generator:
 
 
 def scene_generator(seed: int, clip: int, kind: str, attempt: int = 0) -> np.random.Generator:
-    """Draws a scene of a kind. Kinds that build on the same setting get other bodies, and so does a new attempt."""
+    """Draws a scene of a kind. Kinds that build on the same setting get other bodies, and so does a
+    new attempt."""
     return np.random.default_rng([seed, clip, zlib.crc32(kind.encode()), attempt])
 
 
@@ -38,7 +40,8 @@ def vectors_file(folder: Path, frame: int) -> Path:
 
 
 def read_pass(path: Path, name: str, channels: int | None = None) -> np.ndarray:
-    """A pass (h, w, C) by Blender's name, which has a part of its own; its first ``channels``, by default all.
+    """A pass (h, w, C) by Blender's name, which has a part of its own; its first ``channels``, by
+    default all.
 
     Raises KeyError where the file has no such pass.
     """

@@ -1,4 +1,5 @@
-"""Build a Mitsuba scene with movable objects from a description (meshes, materials, movers, lights)."""
+"""Build a Mitsuba scene with movable objects from a description (meshes, materials, movers,
+lights)."""
 
 from __future__ import annotations
 
@@ -12,15 +13,17 @@ from training.datagen.scenes.materials import Material
 from training.datagen.scenes.meshes import Mesh, merge
 from training.datagen.scenes.motion import bend_mesh
 
-# Motion -------------------------------------------------------------------------------------------------------------
-# Leads a surface point back to the previous frame: a matrix for each shape, and a shift for each corner that bends.
+# Motion -------------------------------------------------------------------------------------------
+# Leads a surface point back to the previous frame: a matrix for each shape, and a shift for each
+# corner that bends.
 
 RIGID = 0xFFFFFFFF
 
 
 @dataclass(frozen=True)
 class Motions:
-    """Tables on the device: 3x4 `matrices` by shape id, `starts` of a shape's triangles in `corners`, or RIGID.
+    """Tables on the device: 3x4 `matrices` by shape id, `starts` of a shape's triangles in
+    `corners`, or RIGID.
 
     `corners` holds, for each triangle of a shape that bends, 3 shifts to be added after the matrix.
     """
@@ -44,29 +47,34 @@ class Motions:
         columns = [self._column(row, k) for k in range(3)]
         return columns[0] * v.x + columns[1] * v.y + columns[2] * v.z
 
-    def point(self, row: mi.UInt32, hit: mi.PreliminaryIntersection3f, point: mi.Point3f) -> mi.Point3f:
-        """Previous position of the surface `point`, which a preliminary intersection found on shape `row`."""
+    def point(self, row: mi.UInt32, hit: mi.PreliminaryIntersection3f,
+              point: mi.Point3f) -> mi.Point3f:
+        """Previous position of the surface `point`, which a preliminary intersection found on shape
+        `row`."""
         start = dr.gather(mi.UInt32, self.starts, row)
         bends = start != RIGID
         triangle = dr.select(bends, start + hit.prim_index, 0)
         b1, b2 = hit.prim_uv.x, hit.prim_uv.y
-        shift = sum(weight * mi.Vector3f(*(dr.gather(mi.Float, self.corners, triangle * 9 + 3 * corner + i, bends)
+        shift = sum(weight * mi.Vector3f(*(dr.gather(mi.Float, self.corners,
+                                                     triangle * 9 + 3 * corner + i, bends)
                                            for i in range(3)))
                     for corner, weight in enumerate((1 - b1 - b2, b1, b2)))
         moved = self.vector(row, mi.Vector3f(point)) + self._column(row, 3)
         return mi.Point3f(moved + dr.select(bends, shift, 0))
 
     def _column(self, row: mi.UInt32, column: int) -> mi.Vector3f:
-        return mi.Vector3f(*(dr.gather(mi.Float, self.matrices, row * 12 + 4 * i + column) for i in range(3)))
+        return mi.Vector3f(*(dr.gather(mi.Float, self.matrices, row * 12 + 4 * i + column)
+                             for i in range(3)))
 
 
-# Scenes -------------------------------------------------------------------------------------------------------------
+# Scenes -------------------------------------------------------------------------------------------
 
 @dataclass(frozen=True)
 class Part:
     """A mesh with a material, or with an emitted radiance (3,).
 
-    `mover`, `glow` and `bend` are indices into the lists of a Description; a part is bent first and then moved.
+    `mover`, `glow` and `bend` are indices into the lists of a Description; a part is bent first and
+    then moved.
     """
 
     mesh: Mesh
@@ -81,10 +89,11 @@ class Part:
 class Description:
     """A scene without its camera. Environment: a (H, W, 3) radiance image or None, turned about y.
 
-    `lens` is the aperture's radius and the depth in focus, as shares of the distance to what is looked at.
+    `lens` is the aperture's radius and the depth in focus, as shares of the distance to what is
+    looked at.
 
-    Movers are functions of the frame to 4x4 matrices, glows to factors on a radiance, bends of vertices (N, 3) and
-    the frame to vertices.
+    Movers are functions of the frame to 4x4 matrices, glows to factors on a radiance, bends of
+    vertices (N, 3) and the frame to vertices.
     """
 
     name: str
@@ -102,10 +111,12 @@ class Description:
         self.materials.append(material)
         return len(self.materials) - 1
 
-    def add(self, mesh: Mesh, material: int, mover: int | None = None, bend: int | None = None) -> None:
+    def add(self, mesh: Mesh, material: int, mover: int | None = None,
+            bend: int | None = None) -> None:
         self.parts.append(Part(mesh, material, None, mover, bend=bend))
 
-    def emit(self, mesh: Mesh, radiance: np.ndarray, mover: int | None = None, glow: int | None = None) -> None:
+    def emit(self, mesh: Mesh, radiance: np.ndarray, mover: int | None = None,
+             glow: int | None = None) -> None:
         self.parts.append(Part(mesh, -1, np.asarray(radiance, float), mover, glow))
 
 
@@ -127,13 +138,15 @@ FOLLOW = 7  # column: -1 mirror, index of refraction of glass, 0 for surfaces th
 
 
 class BuiltScene:
-    """A Mitsuba scene with a table of plane properties and object motions for each of its shapes."""
+    """A Mitsuba scene with a table of plane properties and object motions for each of its
+    shapes."""
 
     def __init__(self, description: Description) -> None:
         self.description = description
         bsdfs = [mi.load_dict(m.bsdf()) for m in description.materials]
         black = mi.load_dict(BLACK.bsdf())
-        self._shapes = [_shape(i, g, description, bsdfs, black) for i, g in enumerate(_grouped(description.parts))]
+        self._shapes = [_shape(i, g, description, bsdfs, black)
+                        for i, g in enumerate(_grouped(description.parts))]
         entries = {"type": "scene"} | {f"shape{i}": s.mesh for i, s in enumerate(self._shapes)}
         if description.environment is not None:
             entries["environment"] = _environment(description)
@@ -149,13 +162,16 @@ class BuiltScene:
         self.motions = self._motions(0.0, 0.0)
 
     def move(self, time: float, previous: float) -> None:
-        """Move objects and set lights for frame `time`; `motions` then leads back to frame `previous`."""
+        """Move objects and set lights for frame `time`; `motions` then leads back to frame
+        `previous`."""
         moved = [s for s in self._shapes if s.moves]
         for shape in moved:
             mesh = _posed(shape.source, shape.first, self.description, time)
             key = shape.mesh.id()
-            self._params[f"{key}.vertex_positions"] = mi.Float(mesh.vertices.astype(np.float32).ravel())
-            self._params[f"{key}.vertex_normals"] = mi.Float(mesh.normals.astype(np.float32).ravel())
+            self._params[f"{key}.vertex_positions"] = mi.Float(mesh.vertices.astype(np.float32)
+                                                               .ravel())
+            self._params[f"{key}.vertex_normals"] = mi.Float(mesh.normals.astype(np.float32)
+                                                             .ravel())
         glowing = [s for s in self._shapes if s.first.glow is not None]
         for shape in glowing:
             radiance = shape.first.emission * self.description.glows[shape.first.glow](time)
@@ -181,11 +197,14 @@ class BuiltScene:
 
 
 def anchors(count: int = 96) -> list:
-    """Objects that keep the instance tables of compiled kernels at one length, so all scenes share kernels.
+    """Objects that keep the instance tables of compiled kernels at one length, so all scenes share
+    kernels.
 
-    Dr.Jit writes the highest instance number of each class into the kernel; these hold a high number in each.
+    Dr.Jit writes the highest instance number of each class into the kernel; these hold a high
+    number in each.
     """
-    bsdfs = [mi.load_dict(Material("diffuse", np.full((1, 1, 3), 0.5, np.float32)).bsdf()) for _ in range(count)]
+    bsdfs = [mi.load_dict(Material("diffuse", np.full((1, 1, 3), 0.5, np.float32)).bsdf())
+             for _ in range(count)]
     triangle = Mesh(np.eye(3), np.eye(3), np.zeros((3, 2)), np.array([[0, 1, 2]], np.uint32))
     group = [Part(triangle, -1, np.ones(3))]
     shapes = [_shape(i, group, Description("anchor"), [], bsdfs[-1]).mesh for i in range(count)]
@@ -199,7 +218,8 @@ def _posed(source: Mesh, part: Part, description: Description, time: float) -> M
 
 
 def _grouped(parts: list[Part]) -> list[list[Part]]:
-    """Groups of parts that can be one shape: same mover, same material or emission. Few shapes trace faster."""
+    """Groups of parts that can be one shape: same mover, same material or emission. Few shapes
+    trace faster."""
     groups: dict[tuple, list[Part]] = {}
     for part in parts:
         light = None if part.emission is None else tuple(part.emission)
@@ -207,12 +227,15 @@ def _grouped(parts: list[Part]) -> list[list[Part]]:
     return list(groups.values())
 
 
-def _shape(index: int, group: list[Part], description: Description, bsdfs: list, black: mi.BSDF) -> _Shape:
+def _shape(index: int, group: list[Part], description: Description, bsdfs: list,
+           black: mi.BSDF) -> _Shape:
     first, source = group[0], merge([p.mesh for p in group])
     props = mi.Properties()
     props["bsdf"] = black if first.emission is not None else bsdfs[first.material]
     if first.emission is not None:
-        props["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": "rgb", "value": list(first.emission)}})
+        props["emitter"] = mi.load_dict({
+            "type": "area", "radiance": {"type": "rgb", "value": list(first.emission)}
+        })
     mesh = mi.Mesh(f"shape{index}", len(source.vertices), len(source.faces), props, True, True)
     mesh.set_id(f"shape{index}")
     start = _posed(source, first, description, 0.0)
@@ -225,11 +248,13 @@ def _shape(index: int, group: list[Part], description: Description, bsdfs: list,
     material = BLACK if first.emission is not None else description.materials[first.material]
     f0, coloured, diffuse = material.reflectance()
     emissive = float(first.emission is not None)
-    row = np.array([*f0, coloured, diffuse, material.roughness, emissive, material.follow], np.float32)
+    row = np.array([*f0, coloured, diffuse, material.roughness, emissive, material.follow],
+                   np.float32)
     return _Shape(mesh, source, row, first)
 
 
 def _environment(description: Description) -> dict:
     turn = mi.ScalarTransform4f().rotate([0, 1, 0], description.environment_turn)
-    bitmap = mi.Bitmap(np.ascontiguousarray(description.environment * description.environment_gain, np.float32))
+    bitmap = mi.Bitmap(np.ascontiguousarray(description.environment * description.environment_gain,
+                                            np.float32))
     return {"type": "envmap", "bitmap": bitmap, "to_world": turn}

@@ -1,4 +1,5 @@
-"""Small things of interiors: books, bottles, lamps, bowls, frames, screens. Things as in furniture, on y = 0."""
+"""Small things of interiors: books, bottles, lamps, bowls, frames, screens. Things as in furniture,
+on y = 0."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ def place_at(thing: Thing, x: float, y: float, z: float, turn: float = 0.0) -> T
 
 
 def smooth_lathe(profile: np.ndarray, segments: int = 28) -> Mesh:
-    """A smooth lathe through a few (radius, height) points, finely interpolated; sharp where points repeat."""
+    """A smooth lathe through a few (radius, height) points, finely interpolated; sharp where points
+    repeat."""
     runs, start = [], 0
     points = np.asarray(profile, float)
     same = np.flatnonzero(np.abs(np.diff(points, axis=0)).sum(1) < 1e-9)
@@ -33,7 +35,8 @@ def smooth_lathe(profile: np.ndarray, segments: int = 28) -> Mesh:
 
 
 def book_row(rng: np.random.Generator, width: float, room: float, depth: float) -> Thing:
-    """Upright books from x = 0 to at most `width` on y = 0, spines at z = 0, gaps between them; a few lean."""
+    """Upright books from x = 0 to at most `width` on y = 0, spines at z = 0, gaps between them; a
+    few lean."""
     low, high, slot = [], [], []
     x, parts = 0.0, []
     while x < width - 0.07:
@@ -41,11 +44,13 @@ def book_row(rng: np.random.Generator, width: float, room: float, depth: float) 
             x += rng.uniform(0.05, 0.3)
             continue
         thick, tall = rng.uniform(0.012, 0.05), rng.uniform(0.55, 0.93) * room
-        deep, inset, name = rng.uniform(0.7, 0.95) * depth, rng.uniform(0, 0.02), int(rng.integers(len(BOOKS)))
+        deep, inset, name = (rng.uniform(0.7, 0.95) * depth, rng.uniform(0, 0.02),
+                             int(rng.integers(len(BOOKS))))
         if rng.random() < 0.05 and x < width - 0.16:
             lean = rotation(np.array([0, 0, 1.0]), rng.uniform(0.1, 0.3))
             book = solids.boxes([-thick, 0, -deep], [0, 0.9 * tall, -inset]).transform(lean)
-            parts.append((book.transform(translation(x - book.vertices[:, 0].min(), -book.vertices[:, 1].min(), 0)),
+            parts.append((book.transform(translation(x - book.vertices[:, 0].min(),
+                                                     -book.vertices[:, 1].min(), 0)),
                           BOOKS[name]))
             x += np.ptp(book.vertices[:, 0]) + 0.002
             continue
@@ -55,7 +60,8 @@ def book_row(rng: np.random.Generator, width: float, room: float, depth: float) 
         x += thick + 0.0015
     slot = np.array(slot, int)
     for name in np.unique(slot):
-        parts.append((solids.boxes(np.array(low)[slot == name], np.array(high)[slot == name]), BOOKS[name]))
+        parts.append((solids.boxes(np.array(low)[slot == name], np.array(high)[slot == name]),
+                      BOOKS[name]))
     return parts
 
 
@@ -64,9 +70,12 @@ def book_pile(rng: np.random.Generator) -> Thing:
     for _ in range(int(rng.integers(1, 7))):
         w, d, thick = rng.uniform(0.08, 0.14), rng.uniform(0.1, 0.17), rng.uniform(0.01, 0.04)
         turn = rotation(Y, rng.normal(0, 0.15))
-        cover = solids.boxes([[-w, y, -d], [-w, y + thick - 0.003, -d]], [[w, y + 0.003, d], [w, y + thick, d]])
-        pages = solids.boxes([-w + 0.004, y + 0.003, -d + 0.004], [w - 0.003, y + thick - 0.003, d - 0.004])
-        parts += [(cover.transform(turn), str(rng.choice(BOOKS[:4]))), (pages.transform(turn), "paper")]
+        cover = solids.boxes([[-w, y, -d], [-w, y + thick - 0.003, -d]],
+                             [[w, y + 0.003, d], [w, y + thick, d]])
+        pages = solids.boxes([-w + 0.004, y + 0.003, -d + 0.004],
+                             [w - 0.003, y + thick - 0.003, d - 0.004])
+        parts += [(cover.transform(turn), str(rng.choice(BOOKS[:4]))),
+                  (pages.transform(turn), "paper")]
         y += thick
     return parts
 
@@ -75,7 +84,8 @@ def bottle(rng: np.random.Generator) -> Thing:
     r, h = rng.uniform(0.025, 0.05), rng.uniform(0.15, 0.33)
     neck, shoulder = rng.uniform(0.25, 0.5) * r, rng.uniform(0.5, 0.75)
     body = smooth_lathe([[0, 0], [0.9 * r, 0], [0.9 * r, 0], [r, 0.01], [r, shoulder * h],
-                         [0.8 * r, (shoulder + 0.08) * h], [neck, (shoulder + 0.2) * h], [neck, h], [neck, h], [0, h]])
+                         [0.8 * r, (shoulder + 0.08) * h], [neck, (shoulder + 0.2) * h], [neck, h],
+                         [neck, h], [0, h]])
     return [(body, str(rng.choice(["glass", "ceramic", "gloss"])))]
 
 
@@ -83,27 +93,32 @@ def tumbler(rng: np.random.Generator) -> Thing:
     """A drinking glass or cup with a wall, an inside and, at times, a stem."""
     r, h, wall = rng.uniform(0.025, 0.04), rng.uniform(0.07, 0.12), 0.003
     foot = rng.uniform(0.04, 0.09) if rng.random() < 0.4 else 0.0
-    base = [[0, 0], [0.8 * r, 0], [0.8 * r, 0], [0.7 * r, 0.004], [0.005, 0.008], [0.005, foot]] if foot else [[0, 0]]
-    cup = [[0.85 * r, foot + 0.002], [r, foot + 0.6 * h], [r, foot + h], [r, foot + h], [r - wall, foot + h],
-           [r - wall, foot + h], [r - wall, foot + 0.6 * h], [0.8 * r, foot + 0.01], [0, foot + 0.008]]
+    base = ([[0, 0], [0.8 * r, 0], [0.8 * r, 0], [0.7 * r, 0.004], [0.005, 0.008], [0.005, foot]]
+            if foot else [[0, 0]])
+    cup = [[0.85 * r, foot + 0.002], [r, foot + 0.6 * h], [r, foot + h], [r, foot + h],
+           [r - wall, foot + h], [r - wall, foot + h], [r - wall, foot + 0.6 * h],
+           [0.8 * r, foot + 0.01], [0, foot + 0.008]]
     return [(smooth_lathe(base + cup), str(rng.choice(["glass", "ceramic", "metal"])))]
 
 
 def bowl(rng: np.random.Generator) -> Thing:
     r, h = rng.uniform(0.08, 0.17), rng.uniform(0.03, 0.11)
-    shape = smooth_lathe([[0, 0], [0.4 * r, 0], [0.4 * r, 0], [0.75 * r, 0.35 * h], [r, h], [r, h], [r - 0.006, h],
-                    [0.72 * r, 0.4 * h], [0.4 * r, 0.01], [0, 0.008]])
+    shape = smooth_lathe([[0, 0], [0.4 * r, 0], [0.4 * r, 0], [0.75 * r, 0.35 * h], [r, h], [r, h],
+                    [r - 0.006, h], [0.72 * r, 0.4 * h], [0.4 * r, 0.01], [0, 0.008]])
     made: Thing = [(shape, str(rng.choice(["ceramic", "gloss", "wood"])))]
     for _ in range(int(rng.choice([0, 0, 3, 6]))):
         size = rng.uniform(0.03, 0.04)
-        fruit = meshes.sphere(size, 20).transform(translation(*rng.normal(0, 0.3 * r, 3) * [1, 0, 1]))
-        made.append((fruit.transform(translation(0, 0.5 * h + size, 0)), str(rng.choice(["leaf", "accent"]))))
+        fruit = meshes.sphere(size,
+                              20).transform(translation(*rng.normal(0, 0.3 * r, 3) * [1, 0, 1]))
+        made.append((fruit.transform(translation(0, 0.5 * h + size, 0)),
+                     str(rng.choice(["leaf", "accent"]))))
     return made
 
 
 def vase(rng: np.random.Generator) -> Thing:
     r, h = rng.uniform(0.05, 0.11), rng.uniform(0.12, 0.4)
-    radii = r * (0.75 + 0.35 * np.sin(np.linspace(0.3, rng.uniform(2.5, 5.5), 9) + rng.uniform(-0.4, 0.4)))
+    radii = r * (0.75 + 0.35
+                 * np.sin(np.linspace(0.3, rng.uniform(2.5, 5.5), 9) + rng.uniform(-0.4, 0.4)))
     line = np.stack([radii, np.linspace(0, h, 9)], 1)
     inside = np.stack([np.maximum(radii[::-1] - 0.005, 0.003), np.linspace(h, 0.02, 9)], 1)
     body = smooth_lathe([[0, 0], line[0], *line, line[-1], inside[0], *inside])
@@ -126,9 +141,10 @@ def lamp(rng: np.random.Generator, floor: bool = False) -> Thing:
     r, h = rng.uniform(0.1, 0.22), rng.uniform(0.14, 0.28)
     top = r * rng.uniform(0.4, 1.0)
     shade = [meshes.lathe(np.array([r - k, top - k]), np.array([0, h]), 36) for k in (0.0, 0.004)]
-    rims = [meshes.torus(size, 0.004, 36, 6).transform(translation(0, y, 0)) for size, y in ((r, 0), (top, h))]
-    base = smooth_lathe([[0, 0], [0.5 * r, 0], [0.5 * r, 0], [0.5 * r, 0.015], [0.02, 0.03], [0.008, 0.06],
-                         [0.008, tall]])
+    rims = [meshes.torus(size, 0.004, 36, 6).transform(translation(0, y, 0))
+            for size, y in ((r, 0), (top, h))]
+    base = smooth_lathe([[0, 0], [0.5 * r, 0], [0.5 * r, 0], [0.5 * r, 0.015], [0.02, 0.03],
+                         [0.008, 0.06], [0.008, tall]])
     if not floor and rng.random() < 0.6:
         radii = rng.uniform(0.02, 0.09, 6)
         body = np.stack([radii, np.linspace(0, 0.85 * tall, 6)], 1)
@@ -143,38 +159,42 @@ def screen(rng: np.random.Generator) -> Thing:
     w = rng.uniform(0.25, 0.5)
     h = 0.6 * w
     body = solids.rounded_box([-w, 0.1, -0.015], [w, 0.1 + 2 * h, 0.015], 0.008)
-    foot = solids.boxes([[-0.02, 0, -0.04], [-0.12, 0, -0.1]], [[0.02, 0.14, -0.015], [0.12, 0.01, 0.08]])
+    foot = solids.boxes([[-0.02, 0, -0.04], [-0.12, 0, -0.1]],
+                        [[0.02, 0.14, -0.015], [0.12, 0.01, 0.08]])
     glass = solids.face(-w + 0.01, 0.11, w - 0.01, 0.09 + 2 * h, 0.0155)
     return [(meshes.merge([body, foot]), "dark"), (glass, "gloss_dark")]
 
 
 def jar(rng: np.random.Generator) -> Thing:
     r, h = rng.uniform(0.035, 0.07), rng.uniform(0.08, 0.22)
-    lid = smooth_lathe([[r, h], [1.05 * r, h], [1.05 * r, h], [1.05 * r, h + 0.015], [0.3 * r, h + 0.025],
-                        [0.01, h + 0.05]])
+    lid = smooth_lathe([[r, h], [1.05 * r, h], [1.05 * r, h], [1.05 * r, h + 0.015],
+                        [0.3 * r, h + 0.025], [0.01, h + 0.05]])
     body = smooth_lathe([[0, 0], [r, 0], [r, 0], [r, h], [r, h], [0, h]])
     return [(body, str(rng.choice(["ceramic", "gloss", "book2"]))), (lid, "wood")]
 
 
 def tray(rng: np.random.Generator) -> Thing:
-    return [(solids.folded_stack(rng, rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.3), int(rng.integers(1, 5))), "cloth")]
+    return [(solids.folded_stack(rng, rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.3),
+                                 int(rng.integers(1, 5))), "cloth")]
 
 
 def plates(rng: np.random.Generator) -> Thing:
     r, made = rng.uniform(0.09, 0.14), []
     for k in range(int(rng.integers(1, 7))):
-        plate = smooth_lathe([[0, 0], [0.6 * r, 0.001], [r, 0.018], [r, 0.018], [r - 0.004, 0.021], [0.6 * r, 0.006],
-                        [0, 0.005]])
+        plate = smooth_lathe([[0, 0], [0.6 * r, 0.001], [r, 0.018], [r, 0.018], [r - 0.004, 0.021],
+                        [0.6 * r, 0.006], [0, 0.005]])
         made.append((plate.transform(translation(0, 0.008 * k, 0)), "ceramic"))
     return made
 
 
-SMALL = (book_pile, book_pile, bottle, bottle, tumbler, tumbler, bowl, vase, lamp, jar, jar, tray, plates)
+SMALL = (book_pile, book_pile, bottle, bottle, tumbler, tumbler, bowl, vase, lamp, jar, jar, tray,
+         plates)
 
 
-def arrange(rng: np.random.Generator, x0: float, x1: float, z0: float, z1: float, y: float, count: int,
-            kinds: tuple = SMALL, most: float = 1.0) -> Thing:
-    """Up to `count` small things on a surface, apart from one another; none higher than `most` metres."""
+def arrange(rng: np.random.Generator, x0: float, x1: float, z0: float, z1: float, y: float,
+            count: int, kinds: tuple = SMALL, most: float = 1.0) -> Thing:
+    """Up to `count` small things on a surface, apart from one another; none higher than `most`
+    metres."""
     made, taken = [], []
     for _ in range(count):
         thing = kinds[int(rng.integers(len(kinds)))](rng)
@@ -193,7 +213,8 @@ def arrange(rng: np.random.Generator, x0: float, x1: float, z0: float, z1: float
 
 
 def picture_frame(rng: np.random.Generator, width: float, height: float, slot: str) -> Thing:
-    """A picture in a moulded frame about the origin, on the plane z = 0; `slot`'s texture covers the picture once."""
+    """A picture in a moulded frame about the origin, on the plane z = 0; `slot`'s texture covers
+    the picture once."""
     rim = solids.frame_profile(rng, rng.uniform(0.02, 0.08), rng.uniform(0.015, 0.05))
     corners = solids.rectangle(-width / 2, -height / 2, width / 2, height / 2)
     inner = width / 2 - 0.005, height / 2 - 0.005
@@ -203,6 +224,7 @@ def picture_frame(rng: np.random.Generator, width: float, height: float, slot: s
     made: Thing = [(wood, str(rng.choice(["wood", "trim", "metal"]))),
                    (Mesh(art.vertices, art.normals, uvs, art.faces), slot)]
     if rng.random() < 0.4:
-        mat = np.array([[0, 0], [0, 0.011], [0.15 * min(width, height), 0.009], [0.15 * min(width, height), 0.0]])
+        mat = np.array([[0, 0], [0, 0.011], [0.15 * min(width, height), 0.009],
+                        [0.15 * min(width, height), 0.0]])
         made.append((solids.moulding(corners, mat, closed=True), "paper"))
     return made

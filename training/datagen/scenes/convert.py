@@ -1,9 +1,12 @@
-"""Real scenes: converted from Mitsuba XML or glTF into one compact folder each, and drawn from these folders.
+"""Real scenes: converted from Mitsuba XML or glTF into one compact folder each, and drawn from
+these folders.
 
-python -m training.datagen.scenes.convert SOURCE_FOLDER OUT_FOLDER      (each sub-folder of SOURCE_FOLDER is one scene)
+python -m training.datagen.scenes.convert SOURCE_FOLDER OUT_FOLDER
 
-A folder holds geometry.npz, scene.json and textures. Shapes with the same material become one, metals keep their index,
-everything is turned y up; textures shrink to 512.
+Each sub-folder of SOURCE_FOLDER is one scene.
+
+A folder holds geometry.npz, scene.json and textures. Shapes with the same material become one,
+metals keep their index, everything is turned y up; textures shrink to 512.
 """
 
 from __future__ import annotations
@@ -25,25 +28,30 @@ from training.datagen.scenes.lights import Environments
 from training.datagen.scenes.materials import Material, random_material
 from training.datagen.scenes.meshes import Mesh, merge, quad
 
-# glTF -----------------------------------------------------------------------------------------------------------------
+# glTF ---------------------------------------------------------------------------------------------
 # The part of glTF 2.0 that static scenes need: nodes, meshes, base colours and their textures.
 
-TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32,
+         5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
-def load_gltf(path: Path, plain: dict) -> tuple[list[tuple[Mesh, str, None]], dict[str, dict], list[dict]]:
-    """(world mesh, material name, no emission) of each primitive; material facts based on `plain`; no camera."""
+def load_gltf(path: Path,
+              plain: dict) -> tuple[list[tuple[Mesh, str, None]], dict[str, dict], list[dict]]:
+    """(world mesh, material name, no emission) of each primitive; material facts based on `plain`;
+    no camera."""
     document = json.loads(path.read_text())
     buffers = [(path.parent / b["uri"]).read_bytes() for b in document["buffers"]]
-    materials = {f"m{i}": _material(document, m, plain) for i, m in enumerate(document["materials"])}
+    materials = {f"m{i}": _material(document, m, plain)
+                 for i, m in enumerate(document["materials"])}
     shapes = []
     for root in document["scenes"][document.get("scene", 0)]["nodes"]:
         _walk(document, buffers, root, np.eye(4), shapes)
     return shapes, materials, []
 
 
-def _walk(document: dict, buffers: list[bytes], index: int, parent: np.ndarray, shapes: list) -> None:
+def _walk(document: dict, buffers: list[bytes], index: int, parent: np.ndarray,
+          shapes: list) -> None:
     node = document["nodes"][index]
     world = parent @ _matrix(node)
     if "mesh" in node:
@@ -68,7 +76,8 @@ def _accessor(document: dict, buffers: list[bytes], index: int) -> np.ndarray:
     dtype, width = np.dtype(TYPES[accessor["componentType"]]), WIDTHS[accessor["type"]]
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
     stride = view.get("byteStride", width * dtype.itemsize)
-    return np.ndarray((accessor["count"], width), dtype, buffers[view["buffer"]], start, (stride, dtype.itemsize))
+    return np.ndarray((accessor["count"], width), dtype, buffers[view["buffer"]], start,
+                      (stride, dtype.itemsize))
 
 
 def _matrix(node: dict) -> np.ndarray:
@@ -86,7 +95,8 @@ def _matrix(node: dict) -> np.ndarray:
 
 
 def _material(document: dict, material: dict, plain: dict) -> dict:
-    """Diffuse, or rough plastic below roughness 0.9; a missing metallic factor counts as none (low-poly exports)."""
+    """Diffuse, or rough plastic below roughness 0.9; a missing metallic factor counts as none
+    (low-poly exports)."""
     surface = material.get("pbrMetallicRoughness", {})
     facts = dict(plain, albedo=list(surface.get("baseColorFactor", (0.8, 0.8, 0.8, 1))[:3]))
     roughness = surface.get("roughnessFactor", 1.0)
@@ -98,10 +108,11 @@ def _material(document: dict, material: dict, plain: dict) -> dict:
     return facts
 
 
-# Conversion ---------------------------------------------------------------------------------------------------------
+# Conversion ---------------------------------------------------------------------------------------
 
 TEXTURE = 512
-# How a scene is looked at: `around` from outside, or from inside; `open` lets an environment in; metre in scene units.
+# How a scene is looked at: `around` from outside, or from inside; `open` lets an environment in;
+# metre in scene units.
 HOW = {
     "dining-room": {"around": False, "open": True, "indoor": True, "metre": 1.0},
     "staircase": {"around": False, "open": False, "indoor": True, "metre": 0.6},
@@ -153,7 +164,8 @@ def material_from_xml(node: ElementTree.Element) -> dict:
     for name in ("eta", "k"):
         if name in values:
             facts[name] = _numbers(values[name])
-    colour = next((c for n, c in values.items() if n and "eflectance" in n and "pecular" not in n), None)
+    colour = next((c for n, c in values.items() if n and "eflectance" in n and "pecular" not in n),
+                  None)
     if colour is not None and colour.tag == "texture" and colour.get("type") == "bitmap":
         facts["texture"] = next(c.get("value") for c in colour if c.get("name") == "filename")
     elif colour is not None and colour.tag == "rgb":
@@ -164,7 +176,8 @@ def material_from_xml(node: ElementTree.Element) -> dict:
 def load_xml(path: Path) -> tuple[list[tuple[Mesh, str, list | None]], dict[str, dict], list[dict]]:
     """(mesh, material name, emission) of each shape; facts of each material; the camera."""
     root = ElementTree.parse(path).getroot()
-    materials = {node.get("id"): material_from_xml(node) for node in root.iter("bsdf") if node.get("id")}
+    materials = {node.get("id"): material_from_xml(node)
+                 for node in root.iter("bsdf") if node.get("id")}
     scene = mi.load_file(str(path))
     shapes = []
     for shape in scene.shapes():
@@ -176,7 +189,8 @@ def load_xml(path: Path) -> tuple[list[tuple[Mesh, str, list | None]], dict[str,
         shapes.append((mesh, name if name in materials else next(iter(materials)), emission))
     pose = np.array(mi.traverse(scene.sensors()[0])["to_world"].matrix).reshape(4, 4)
     reach = 0.4 * np.linalg.norm(np.ptp([s[0].vertices.mean(0) for s in shapes], axis=0)) + 1
-    return shapes, materials, [{"eye": pose[:3, 3].tolist(), "target": (pose[:3, 3] + reach * pose[:3, 2]).tolist()}]
+    return shapes, materials, [{"eye": pose[:3, 3].tolist(),
+                                "target": (pose[:3, 3] + reach * pose[:3, 2]).tolist()}]
 
 
 def _rectangle(shape: mi.Shape) -> Mesh:
@@ -196,19 +210,23 @@ def write(name: str, loaded: tuple, folder: Path, source: Path) -> None:
     for i, ((material, emission), meshes) in enumerate(groups.items()):
         mesh = merge(meshes)
         textured = materials[names[material]]["texture"]
-        arrays |= {f"v{i}": mesh.vertices.astype(np.float32), f"n{i}": np.round(mesh.normals * 127).astype(np.int8),
-                   f"t{i}": mesh.uvs.astype(np.float32) if textured else np.zeros((len(mesh.uvs), 2), np.float16),
+        arrays |= {f"v{i}": mesh.vertices.astype(np.float32),
+                   f"n{i}": np.round(mesh.normals * 127).astype(np.int8),
+                   f"t{i}": mesh.uvs.astype(np.float32) if textured
+                            else np.zeros((len(mesh.uvs), 2), np.float16),
                    f"f{i}": mesh.faces.astype(np.uint32)}
         facts["shapes"].append({"material": material, "emission": list(emission)})
         points.append(mesh.vertices)
     everything = np.concatenate(points)
     low, high = everything.min(0), everything.max(0)
     facts |= {"low": low.tolist(), "high": high.tolist(),
-              "inner": [(low + f * (high - low)).tolist() for f in ([0.2, 0.15, 0.2], [0.8, 0.6, 0.8])]}
+              "inner": [(low + f * (high - low)).tolist()
+                        for f in ([0.2, 0.15, 0.2], [0.8, 0.6, 0.8])]}
     facts["materials"] = [_with_texture(materials[n], source, folder) for n in names]
     np.savez_compressed(folder / "geometry.npz", **arrays)
     (folder / "scene.json").write_text(json.dumps(facts, indent=1))
-    print(f"{name}: {sum(len(m.faces) for m, *_ in shapes)} triangles, {len(groups)} shapes", file=sys.stderr)
+    print(f"{name}: {sum(len(m.faces) for m, *_ in shapes)} triangles, {len(groups)} shapes",
+          file=sys.stderr)
 
 
 def _with_texture(facts: dict, source: Path, folder: Path) -> dict:
@@ -226,15 +244,17 @@ def _with_texture(facts: dict, source: Path, folder: Path) -> dict:
 def y_up(loaded: tuple) -> tuple:
     shapes, materials, cameras = loaded
     turn = np.eye(4)[[0, 2, 1, 3]] * np.array([[1], [1], [-1], [1]])
-    cameras = [{key: (turn[:3, :3] @ point).tolist() for key, point in camera.items()} for camera in cameras]
+    cameras = [{key: (turn[:3, :3] @ point).tolist() for key, point in camera.items()}
+               for camera in cameras]
     return [(m.transform(turn), name, e) for m, name, e in shapes], materials, cameras
 
 
-# Drawing ------------------------------------------------------------------------------------------------------------
+# Drawing ------------------------------------------------------------------------------------------
 
 def load_image(path: Path) -> np.ndarray:
     """An 8-bit texture as linear RGB (H, W, 3) float32."""
-    bitmap = mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, srgb_gamma=False)
+    bitmap = mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32,
+                                          srgb_gamma=False)
     return np.array(bitmap)
 
 
@@ -253,18 +273,22 @@ class _Scene:
     def material(self, facts: dict, rng: np.random.Generator) -> Material:
         if len(self.meshes) > 8 and rng.random() < 0.15 and facts["kind"] != "dielectric":
             return random_material(rng, metal=0.05)
-        albedo = self.images[facts["texture"]] if facts.get("texture") else np.array(facts["albedo"], np.float32)
+        albedo = (self.images[facts["texture"]] if facts.get("texture")
+                  else np.array(facts["albedo"], np.float32))
         albedo = albedo if albedo.ndim == 3 else albedo.reshape(1, 1, 3)
-        return Material(facts["kind"], albedo, facts["alpha"], tuple(facts["eta"]), tuple(facts["k"]), facts["ior"])
+        return Material(facts["kind"], albedo, facts["alpha"], tuple(facts["eta"]),
+                        tuple(facts["k"]), facts["ior"])
 
 
 def _unpack(file: np.lib.npyio.NpzFile, index: int) -> Mesh:
     normals = file[f"n{index}"].astype(np.float64) / 127
-    return Mesh(file[f"v{index}"].astype(np.float64), normals, file[f"t{index}"].astype(np.float64), file[f"f{index}"])
+    return Mesh(file[f"v{index}"].astype(np.float64), normals, file[f"t{index}"].astype(np.float64),
+                file[f"f{index}"])
 
 
 class RealScenes:
-    """The scenes of a folder that training may show; empty (false) if no folder is given or it holds none."""
+    """The scenes of a folder that training may show; empty (false) if no folder is given or it
+    holds none."""
 
     def __init__(self, folder: Path | None) -> None:
         found = sorted(Path(folder).glob("*/scene.json")) if folder else []
@@ -290,27 +314,31 @@ class RealScenes:
         extent = scene.facts["metre"]
         for _ in range(int(rng.choice([0, 1, 2], p=[0.5, 0.3, 0.2]))):
             eye, target = draw_view(scene.facts, rng)
-            add_moving(d, rng, eye + rng.uniform(0.4, 1.0) * (target - eye) - [0, 0.3 * extent, 0], extent)
+            add_moving(d, rng, eye + rng.uniform(0.4, 1.0) * (target - eye) - [0, 0.3 * extent, 0],
+                       extent)
         return Draft(d, lambda r: draw_view(scene.facts, r), 0.15 * extent)
 
 
 def _light(d: Description, scene: _Scene, rng: np.random.Generator, maps: Environments) -> None:
-    """An environment for open scenes; a lamp or two in closed ones, less often if they have lights."""
+    """An environment for open scenes; a lamp or two in closed ones, less often if they have
+    lights."""
     if scene.facts["open"]:
         lights.set_environment(d, rng, maps, False, gain=float(rng.uniform(1, 5)))
     if scene.facts["indoor"] and rng.random() < 0.6:
         metre = scene.facts["metre"]
         eye, target = draw_view(scene.facts, rng)
         centre = eye + rng.uniform(0.2, 0.8) * (target - eye) + [0, 0.5 * metre, 0]
-        lights.panel(d, rng, centre, float(rng.choice([0.3, 1.0])) * metre, rng.uniform(5, 40) * metre**2)
+        lights.panel(d, rng, centre, float(rng.choice([0.3, 1.0])) * metre,
+                     rng.uniform(5, 40) * metre**2)
 
 
 def draw_view(facts: dict, rng: np.random.Generator, own: float = 0.6, shift: float = 0.12,
               inside: float = 0.3) -> View:
     """A pose near one of a scene's own cameras, or anywhere in its inner box.
 
-    own: chance of the scene's cameras. shift: of the eye from them, over how far they look. inside: chance of an eye
-    within the inner box of a scene that is looked at from around it; others always have it there.
+    own: chance of the scene's cameras. shift: of the eye from them, over how far they look. inside:
+    chance of an eye within the inner box of a scene that is looked at from around it; others always
+    have it there.
     """
     cameras = facts["cameras"]
     if cameras and rng.random() < own:
@@ -322,13 +350,16 @@ def draw_view(facts: dict, rng: np.random.Generator, own: float = 0.6, shift: fl
     target = rng.uniform(low, high)
     if not facts["around"] or rng.random() < inside:
         return rng.uniform(low, high), target
-    size, angle = np.linalg.norm(np.subtract(facts["high"], facts["low"])), rng.uniform(0, 2 * np.pi)
-    reach = size * rng.uniform(0.15, 0.6) * np.array([np.cos(angle), rng.uniform(0.1, 0.7), np.sin(angle)])
+    size, angle = (np.linalg.norm(np.subtract(facts["high"], facts["low"])),
+                   rng.uniform(0, 2 * np.pi))
+    reach = size * rng.uniform(0.15, 0.6) * np.array([np.cos(angle), rng.uniform(0.1, 0.7),
+                                                      np.sin(angle)])
     return target + reach, target
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("source", type=Path)
     parser.add_argument("out", type=Path)
     args = parser.parse_args()
@@ -338,7 +369,8 @@ def main() -> None:
         if not xml.exists() and gltf is None:
             continue
         loaded = load_xml(xml) if xml.exists() else load_gltf(gltf, PLAIN)
-        write(source.name, y_up(loaded) if source.name == "matpreview" else loaded, args.out / source.name, source)
+        write(source.name, y_up(loaded) if source.name == "matpreview" else loaded,
+              args.out / source.name, source)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""Plants: leaves, grass and other things that are mostly narrower than a pixel, and pot plants with curved, smooth
-leaves. Things as in furniture, standing on y = 0."""
+"""Plants: leaves, grass and other things that are mostly narrower than a pixel, and pot plants with
+curved, smooth leaves. Things as in furniture, standing on y = 0."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from training.datagen.scenes.clutter import smooth_lathe
 from training.datagen.scenes.furniture import Thing
 from training.datagen.scenes.meshes import Mesh
 
-BLADE = np.array([[-1, 0], [1, 0], [0.8, 0.5], [-0.8, 0.5], [0, 1]], float)  # x across, y along, 0..1
+# x across, y along, 0..1
+BLADE = np.array([[-1, 0], [1, 0], [0.8, 0.5], [-0.8, 0.5], [0, 1]], float)
 LEAF = np.array([[0, 0], [0.8, 0.35], [0.7, 0.65], [0, 1], [-0.7, 0.65], [-0.8, 0.35]], float)
 
 
-def cards(outline: np.ndarray, faces: np.ndarray, root: np.ndarray, across: np.ndarray, along: np.ndarray,
-          bend: np.ndarray) -> Mesh:
-    """One flat outline (K, 2) for each of N places: `root`, `across`, `along` and `bend` are (N, 3).
+def cards(outline: np.ndarray, faces: np.ndarray, root: np.ndarray, across: np.ndarray,
+          along: np.ndarray, bend: np.ndarray) -> Mesh:
+    """One flat outline (K, 2) for each of N places: `root`, `across`, `along` and `bend` are (N,
+    3).
 
     `bend` moves a point by its square along the card, so that blades hang over.
     """
@@ -32,7 +34,8 @@ def cards(outline: np.ndarray, faces: np.ndarray, root: np.ndarray, across: np.n
                 index.reshape(-1, 3).astype(np.uint32))
 
 
-def blades(rng: np.random.Generator, root: np.ndarray, length: float, width: float, lean: float) -> Mesh:
+def blades(rng: np.random.Generator, root: np.ndarray, length: float, width: float,
+           lean: float) -> Mesh:
     """Upright blades of grass at the roots (N, 3)."""
     n = len(root)
     angle, tall = rng.uniform(0, 2 * np.pi, n), length * rng.uniform(0.5, 1.2, n)[:, None]
@@ -50,7 +53,8 @@ def leaves(rng: np.random.Generator, root: np.ndarray, size: float, droop: float
     along = rng.normal(0, 1, (n, 3))
     along *= size * rng.uniform(0.6, 1.3, (n, 1)) / np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(along, rng.normal(0, 1, (n, 3)))
-    across *= 0.3 * np.linalg.norm(along, axis=1, keepdims=True) / np.linalg.norm(across, axis=1, keepdims=True)
+    across *= 0.3 * np.linalg.norm(along, axis=1, keepdims=True) / np.linalg.norm(across, axis=1,
+                                                                                  keepdims=True)
     faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])
     return cards(LEAF, faces, root, across, along, np.tile([0.0, -droop * size, 0.0], (n, 1)))
 
@@ -86,8 +90,10 @@ def bush(rng: np.random.Generator) -> list:
     shell = rng.normal(0, 1, (n, 3))
     shell *= radius * rng.uniform(0.6, 1.0, (n, 1)) / np.linalg.norm(shell, axis=1, keepdims=True)
     centre = np.array([0, radius + rng.uniform(0.05, 0.5), 0])
-    parts = [(leaves(rng, shell * [1, rng.uniform(0.7, 1.3), 1] + centre, rng.uniform(0.03, 0.12)), "leaf")]
-    return parts + [(_twig(rng, centre + 0.5 * radius * rng.normal(0, 1, 3)), "second") for _ in range(5)]
+    parts = [(leaves(rng, shell * [1, rng.uniform(0.7, 1.3), 1] + centre, rng.uniform(0.03, 0.12)),
+              "leaf")]
+    return parts + [(_twig(rng, centre + 0.5 * radius * rng.normal(0, 1, 3)), "second")
+                    for _ in range(5)]
 
 
 def _twig(rng: np.random.Generator, end: np.ndarray) -> Mesh:
@@ -100,7 +106,8 @@ def fern(rng: np.random.Generator) -> list:
     """Arching fronds with leaflets on both sides."""
     parts = []
     for turn in rng.uniform(0, 2 * np.pi, int(rng.integers(6, 14))):
-        t, reach, tall = np.linspace(0, 1, 18)[:, None], rng.uniform(0.3, 0.6), rng.uniform(0.4, 0.9)
+        t, reach, tall = np.linspace(0, 1,
+                                     18)[:, None], rng.uniform(0.3, 0.6), rng.uniform(0.4, 0.9)
         out = np.array([np.cos(turn), 0, np.sin(turn)])
         spine = t * reach * out + (tall * np.sin(0.8 * np.pi * t)) * [0, 1, 0]
         side = np.cross(out, [0, 1, 0])
@@ -125,14 +132,16 @@ def leafy_tree(rng: np.random.Generator) -> list:
         parts.append((tube(np.linspace(foot, end, 4), 0.012), "second"))
         ends.append(foot + (end - foot) * rng.uniform(0.3, 1.1, (int(rng.integers(30, 90)), 1)))
     root = np.concatenate(ends)
-    parts.append((leaves(rng, root + rng.normal(0, 0.12, root.shape), rng.uniform(0.05, 0.15)), "leaf"))
+    parts.append((leaves(rng, root + rng.normal(0, 0.12, root.shape), rng.uniform(0.05, 0.15)),
+                  "leaf"))
     return parts
 
 
 def wires(rng: np.random.Generator) -> list:
     """Hanging cables between two poles."""
     span, tall = rng.uniform(0.6, 1.5), rng.uniform(0.8, 1.8)
-    parts = [(meshes.cylinder(0.02, tall, 8).transform(meshes.translation(x, 0, 0)), "second") for x in (-span, span)]
+    parts = [(meshes.cylinder(0.02, tall, 8).transform(meshes.translation(x, 0, 0)), "second")
+             for x in (-span, span)]
     for _ in range(int(rng.integers(3, 12))):
         t, sag, y = np.linspace(-1, 1, 20), rng.uniform(0, 0.4), rng.uniform(0.4, 1.0) * tall
         line = np.stack([span * t, y - sag * (1 - t**2), np.full(20, rng.normal(0, 0.05))], 1)
@@ -151,7 +160,8 @@ def lattice(rng: np.random.Generator) -> list:
     else:
         for start in np.arange(-w - h, w, 1.5 * pitch):
             low, high = max(start, -w), min(start + h, w)
-            lines += [((low, low - start), (high, high - start)), ((-low, low - start), (-high, high - start))]
+            lines += [((low, low - start), (high, high - start)),
+                      ((-low, low - start), (-high, high - start))]
     wire = [tube(np.array([[*a, 0.0], [*b, 0.0]]), radius, 5) for a, b in lines if a != b]
     parts.append((meshes.merge(wire), "main"))
     for x in (-w, w):
@@ -166,7 +176,8 @@ def railing(rng: np.random.Generator) -> list:
     count, h, radius = int(rng.integers(10, 40)), rng.uniform(0.5, 1.1), rng.uniform(0.004, 0.015)
     t = np.linspace(-1, 1, count)
     curve = rng.uniform(0, 1.5) * (rng.random() < 0.5)
-    x, z = rng.uniform(0.5, 1.3) * (np.sin(curve * t) / curve if curve else t), 0.6 * np.cos(curve * t) - 0.6
+    x, z = (rng.uniform(0.5, 1.3) * (np.sin(curve * t) / curve if curve else t),
+            0.6 * np.cos(curve * t) - 0.6)
     top = np.stack([x, np.full(count, h), z], 1)
     bars = [tube(np.stack([p * [1, 0, 1], p]), radius, 6) for p in top]
     return [(meshes.merge(bars), "main"), (tube(top, 2.5 * radius + 0.008, 8), "second"),
@@ -177,16 +188,18 @@ FOLIAGE = (grass, grass, bush, fern, leafy_tree)
 THIN = (wires, lattice, lattice, railing)
 
 
-# Pot plants ---------------------------------------------------------------------------------------------------------
+# Pot plants ---------------------------------------------------------------------------------------
 
 ROWS, COLUMNS = 9, 5
 
 
-def curved_leaves(root: np.ndarray, heading: np.ndarray, length: np.ndarray, width: float, droop: float,
-                  fold: float, blunt: float = 0.8) -> Mesh:
-    """Leaves at `root` (N, 3) that start along `heading` (N, 3, unit), hang over by `droop` and fold along the middle.
+def curved_leaves(root: np.ndarray, heading: np.ndarray, length: np.ndarray, width: float,
+                  droop: float, fold: float, blunt: float = 0.8) -> Mesh:
+    """Leaves at `root` (N, 3) that start along `heading` (N, 3, unit), hang over by `droop` and
+    fold along the middle.
 
-    `length` (N,) in metres, `width` as a part of it; `blunt` below 1 puts the widest place nearer to the tip.
+    `length` (N,) in metres, `width` as a part of it; `blunt` below 1 puts the widest place nearer
+    to the tip.
     """
     side = np.cross(heading, [0.0, 1, 0])
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-6)
@@ -195,7 +208,8 @@ def curved_leaves(root: np.ndarray, heading: np.ndarray, length: np.ndarray, wid
     outline = width * np.sin(np.pi * np.clip(t, 0.015, 0.99) ** blunt)
     spine = t[:, None, None] * heading[:, None, None] - (droop * t**2)[:, None, None] * [0, 1.0, 0]
     across = (outline[:, None] * s)[..., None]
-    lift = (fold * outline[:, None] * np.abs(s) + 0.15 * outline[:, None] * np.sin(6 * t)[:, None] * s**2)[..., None]
+    lift = (fold * outline[:, None] * np.abs(s)
+            + 0.15 * outline[:, None] * np.sin(6 * t)[:, None] * s**2)[..., None]
     points = spine + across * side[:, None, None] + lift * up[:, None, None]
     points = root[:, None, None] + length[:, None, None, None] * points
     along, over = np.gradient(points, axis=1), np.gradient(points, axis=2)
@@ -204,15 +218,15 @@ def curved_leaves(root: np.ndarray, heading: np.ndarray, length: np.ndarray, wid
     uvs = np.stack(np.broadcast_arrays(0.5 + across[..., 0], t[:, None]), -1)
     uvs = np.broadcast_to(uvs, (*points.shape[:3], 2))
     count = len(root)
-    return solids.many(points.reshape(count, -1, 3), normals.reshape(count, -1, 3), uvs.reshape(count, -1, 2),
-                       meshes.grid_faces(ROWS - 1, COLUMNS - 1))
+    return solids.many(points.reshape(count, -1, 3), normals.reshape(count, -1, 3),
+                       uvs.reshape(count, -1, 2), meshes.grid_faces(ROWS - 1, COLUMNS - 1))
 
 
 def _pot(rng: np.random.Generator, radius: float) -> tuple[Thing, float]:
     h = radius * rng.uniform(1.2, 2.2)
     low = rng.uniform(0.6, 1.0) * radius
-    wall = smooth_lathe([[0, 0], [low, 0], [low, 0], [radius, h], [radius, h], [0.9 * radius, h], [0.9 * radius, h],
-                   [0.88 * radius, 0.88 * h]], 40)
+    wall = smooth_lathe([[0, 0], [low, 0], [low, 0], [radius, h], [radius, h], [0.9 * radius, h],
+                   [0.9 * radius, h], [0.88 * radius, 0.88 * h]], 40)
     soil = smooth_lathe([[0.9 * radius, 0.9 * h], [0.4 * radius, 0.92 * h], [0, 0.92 * h]], 24)
     return [(wall, str(rng.choice(["ceramic", "pot", "gloss"]))), (soil, "soil")], 0.9 * h
 
@@ -229,13 +243,17 @@ def rosette(rng: np.random.Generator) -> Thing:
     made, top = _pot(rng, rng.uniform(0.1, 0.18))
     count, length = int(rng.integers(10, 45)), rng.uniform(0.3, 0.8)
     stem = rng.uniform(0.2, 0.8) if rng.random() < 0.4 else 0.0
-    upright, most = rng.random() < 0.4, (top + stem - 0.05) / (1.1 * length)  # leaves end above the floor
+    # leaves end above the floor
+    upright, most = rng.random() < 0.4, (top + stem - 0.05) / (1.1 * length)
     heading = _directions(rng, count, *((1.1, 1.5) if upright else (0.1, 1.4)))
     root = heading * [0.04, 0, 0.04] + [0, top + stem, 0]
-    leaves = curved_leaves(root, heading, length * rng.uniform(0.7, 1.1, count), rng.uniform(0.04, 0.09),
-                           0.0 if upright else min(rng.uniform(0.2, 0.7), most), rng.uniform(0, 0.5))
+    leaves = curved_leaves(root, heading, length * rng.uniform(0.7, 1.1, count),
+                           rng.uniform(0.04, 0.09),
+                           0.0 if upright else min(rng.uniform(0.2, 0.7), most),
+                           rng.uniform(0, 0.5))
     if stem:
-        made.append((meshes.cylinder(0.02, stem, 14).transform(meshes.translation(0, top - 0.02, 0)), "wood"))
+        made.append((meshes.cylinder(0.02, stem, 14)
+                     .transform(meshes.translation(0, top - 0.02, 0)), "wood"))
     return [*made, (leaves, "leaf")]
 
 
@@ -251,7 +269,8 @@ def broad(rng: np.random.Generator) -> Thing:
     flat = heading * [1, 0.25, 1] + rng.normal(0, 0.15, (count, 3))
     flat /= np.linalg.norm(flat, axis=1, keepdims=True)
     leaves = curved_leaves(bow[:, -1], flat, rng.uniform(0.12, 0.3) * rng.uniform(0.7, 1.2, count),
-                           rng.uniform(0.22, 0.42), rng.uniform(0.1, 0.6), rng.uniform(0.1, 0.4), rng.uniform(0.6, 0.9))
+                           rng.uniform(0.22, 0.42), rng.uniform(0.1, 0.6), rng.uniform(0.1, 0.4),
+                           rng.uniform(0.6, 0.9))
     return [*made, (meshes.merge(stalks), "leaf2"), (leaves, "leaf")]
 
 
@@ -270,7 +289,8 @@ def bushy(rng: np.random.Generator) -> Thing:
     root = np.concatenate(roots)
     heading = rng.normal(0, 1, root.shape) + [0, 0.3, 0]
     heading /= np.linalg.norm(heading, axis=1, keepdims=True)
-    leaves = curved_leaves(root, heading, rng.uniform(0.06, 0.13) * rng.uniform(0.7, 1.2, len(root)),
+    leaves = curved_leaves(root, heading,
+                           rng.uniform(0.06, 0.13) * rng.uniform(0.7, 1.2, len(root)),
                            rng.uniform(0.2, 0.35), 0.3, rng.uniform(0.1, 0.4))
     return [*made, (meshes.merge(twigs), "wood"), (leaves, "leaf")]
 
@@ -282,13 +302,16 @@ def trailing(rng: np.random.Generator) -> Thing:
     for turn in rng.uniform(0, 2 * np.pi, int(rng.integers(8, 20))):
         t, out = np.linspace(0, 1, 14)[:, None], np.array([np.cos(turn), 0, np.sin(turn)])
         reach, rise = rng.uniform(0.1, 0.25), rng.uniform(0.02, 0.14)
-        line = t * reach * out + [0, top, 0] + (rise * np.sin(np.pi * t) - rng.uniform(0, 0.5) * top * t**2) * [0, 1, 0]
+        line = (t * reach * out + [0, top, 0]
+                + (rise * np.sin(np.pi * t) - rng.uniform(0, 0.5) * top * t**2) * [0, 1, 0])
         vines.append(tube(line, 0.002, 5))
         roots.append(line[2:])
     root = np.concatenate(roots)
     heading = rng.normal(0, 1, root.shape) * [1, 0.5, 1] + [0, 0.4, 0]
     heading /= np.linalg.norm(heading, axis=1, keepdims=True)
-    leaves = curved_leaves(root, heading, rng.uniform(0.03, 0.07) * rng.uniform(0.7, 1.2, len(root)), 0.35, 0.4, 0.2)
+    leaves = curved_leaves(root, heading,
+                           rng.uniform(0.03, 0.07) * rng.uniform(0.7, 1.2, len(root)), 0.35, 0.4,
+                           0.2)
     return [*made, (meshes.merge(vines), "leaf2"), (leaves, "leaf")]
 
 

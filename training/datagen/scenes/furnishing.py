@@ -1,4 +1,5 @@
-"""Furnishing of interiors: things along walls, in the middle, hanging and moving, none overlapping."""
+"""Furnishing of interiors: things along walls, in the middle, hanging and moving, none
+overlapping."""
 
 from __future__ import annotations
 
@@ -7,7 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from training.datagen.scenes import clutter, fittings, fixtures, foliage, meshes, movables, solids, textures
+from training.datagen.scenes import (
+    clutter,
+    fittings,
+    fixtures,
+    foliage,
+    meshes,
+    movables,
+    solids,
+    textures,
+)
 from training.datagen.scenes.draft import draft_thing, moving_thing
 from training.datagen.scenes.furniture import Thing, Y
 from training.datagen.scenes.joinery import Opening, between
@@ -20,7 +30,8 @@ Maker = Callable[[np.random.Generator], Thing]
 
 @dataclass(frozen=True)
 class Kind:
-    """Furniture of a kind of room: things along the walls and in the middle, and how many of each."""
+    """Furniture of a kind of room: things along the walls and in the middle, and how many of
+    each."""
 
     walls: tuple[Maker, ...]
     middle: tuple[Maker, ...]
@@ -41,7 +52,8 @@ def tile_walls(house: House) -> None:
     high, seed = house.rng.uniform(1.2, house.size[1]), int(house.rng.integers(1 << 30))
     for side in house.sides:
         for a, b in between(side.width, side.holes, 0.15, high, 0.12):
-            house.put(fittings.tiles(np.random.default_rng(seed), a, 0.12, b, high, 0.012), side.matrix)
+            house.put(fittings.tiles(np.random.default_rng(seed), a, 0.12, b, high, 0.012),
+                      side.matrix)
 
 
 def _footprint(thing: Thing, matrix: np.ndarray) -> tuple:
@@ -51,10 +63,12 @@ def _footprint(thing: Thing, matrix: np.ndarray) -> tuple:
 
 
 def _fits(house: House, box: tuple, low: float) -> bool:
-    """Whether a footprint lies in the room, under its ceiling, apart from others (a rug may lie under them)."""
+    """Whether a footprint lies in the room, under its ceiling, apart from others (a rug may lie
+    under them)."""
     x0, x1, z0, z1, top = box
     w, _, depth = house.size
-    inside = x0 > -w / 2 - 1e-3 and x1 < w / 2 + 1e-3 and z0 > -depth / 2 - 1e-3 and z1 < depth / 2 + 1e-3
+    inside = (x0 > -w / 2 - 1e-3 and x1 < w / 2 + 1e-3 and z0 > -depth / 2 - 1e-3
+              and z1 < depth / 2 + 1e-3)
     under = top < min(house.headroom(x0), house.headroom(x1)) - 0.05
     apart = low or not any(x0 < b and x1 > a and z0 < d and z1 > c for a, b, c, d, _ in house.taken)
     return inside and under and apart
@@ -62,8 +76,8 @@ def _fits(house: House, box: tuple, low: float) -> bool:
 
 def _clear(house: House, spot: np.ndarray, reach: float, height: float) -> bool:
     """Whether nothing on the floor is as high as `height` within `reach` of a place."""
-    return not any(a - reach < spot[0] < b + reach and c - reach < spot[2] < d + reach and top > height
-                   for a, b, c, d, top in house.taken)
+    return not any(a - reach < spot[0] < b + reach and c - reach < spot[2] < d + reach
+                   and top > height for a, b, c, d, top in house.taken)
 
 
 def _place(house: House, thing: Thing, matrix: np.ndarray) -> bool:
@@ -86,7 +100,8 @@ def furnish(house: House, kind: Kind) -> None:
         for _ in range(10):
             side = house.sides[int(rng.integers(4))]
             x = rng.uniform(0.3, side.width - 0.3)
-            if _blocked(side, thing, x) or not _place(house, thing, side.matrix @ translation(x, 0, 0.04)):
+            if _blocked(side, thing, x) or not _place(house, thing,
+                                                      side.matrix @ translation(x, 0, 0.04)):
                 continue
             break
     for index in rng.permutation(len(kind.middle))[: int(rng.integers(2, 6))]:
@@ -97,17 +112,22 @@ def furnish(house: House, kind: Kind) -> None:
             if _place(house, thing, spot @ turn):
                 break
     for side in house.sides[:4]:
-        for hole in (h for h in side.holes if h.kind == "window" and h.y0 > 0.65 and rng.random() < 0.35):
-            _place(house, fixtures.radiator(rng), side.matrix @ translation((hole.x0 + hole.x1) / 2, 0, 0.0))
-        for hole in (h for h in side.holes if h.kind == "window" and h.y0 > 0.2 and rng.random() < 0.4):
+        for hole in (h for h in side.holes
+                     if h.kind == "window" and h.y0 > 0.65 and rng.random() < 0.35):
+            _place(house, fixtures.radiator(rng),
+                   side.matrix @ translation((hole.x0 + hole.x1) / 2, 0, 0.0))
+        for hole in (h for h in side.holes
+                     if h.kind == "window" and h.y0 > 0.2 and rng.random() < 0.4):
             house.put(_sill(house, hole), side.matrix)
 
 
 def _sill(house: House, hole: Opening) -> Thing:
     """Plants and small things on a window sill, where it is deep enough."""
-    kinds = (foliage.trailing, foliage.trailing, clutter.vase, clutter.bottle, clutter.jar, clutter.tumbler)
+    kinds = (foliage.trailing, foliage.trailing, clutter.vase, clutter.bottle, clutter.jar,
+             clutter.tumbler)
     back, count = -house.style.thick + 0.07, int(house.rng.integers(1, 6))
-    return clutter.arrange(house.rng, hole.x0 + 0.03, hole.x1 - 0.03, back, 0.02, hole.y0 + 0.004, count, kinds, 0.5)
+    return clutter.arrange(house.rng, hole.x0 + 0.03, hole.x1 - 0.03, back, 0.02, hole.y0 + 0.004,
+                           count, kinds, 0.5)
 
 
 def _blocked(side: Side, thing: Thing, x: float) -> bool:
@@ -120,10 +140,12 @@ def _blocked(side: Side, thing: Thing, x: float) -> bool:
 def stairs(house: House) -> None:
     """A flight along a wall, where one is long enough and free."""
     rng, steps = house.rng, int(house.rng.integers(7, 16))
-    flight = fixtures.stairs(rng, min(0.18 * steps, house.size[1] - 0.2), steps, rng.uniform(0.75, 1.1))
+    flight = fixtures.stairs(rng, min(0.18 * steps, house.size[1] - 0.2), steps,
+                             rng.uniform(0.75, 1.1))
     for index in rng.permutation(4):
         side, x = house.sides[index], rng.uniform(0.1, 0.5)
-        if not _blocked(side, flight, x) and _place(house, flight, side.matrix @ translation(x, 0, 0.03)):
+        if not _blocked(side, flight, x) and _place(house, flight,
+                                                    side.matrix @ translation(x, 0, 0.03)):
             break
 
 
@@ -138,7 +160,8 @@ def hang(house: House) -> None:
         return _beams(house)
     if rng.random() < 0.35:
         lamp = movables.pendant(rng)
-        house.put(lamp, translation(rng.uniform(-0.2, 0.2) * w, h - 0.002, rng.uniform(-0.2, 0.2) * depth))
+        house.put(lamp, translation(rng.uniform(-0.2, 0.2) * w, h - 0.002,
+                                    rng.uniform(-0.2, 0.2) * depth))
     return None
 
 
@@ -153,7 +176,8 @@ def _pictures(house: House, side: Side, a: float, b: float) -> None:
     count = int(rng.integers(1, 4)) if b - a > 1.5 else 1
     size = np.minimum(rng.uniform(0.25, 0.8, 2), [(b - a) / count - 0.1, 0.85])
     for x in a + (np.arange(count) + 0.5) * (b - a) / count:
-        picture, spot = clutter.picture_frame(rng, *size, "art"), side.matrix @ translation(x, y, 0.02)
+        picture, spot = (clutter.picture_frame(rng, *size, "art"),
+                         side.matrix @ translation(x, y, 0.02))
         if _clear(house, spot[:3, 3], 0.5 * size[0], y - 0.5 * size[1]):
             house.put(picture, spot)
     house.sights.append((side.matrix @ np.array([(a + b) / 2, y, 0, 1]))[:3])
@@ -166,7 +190,8 @@ def _beams(house: House) -> None:
     y = h if not house.pitch else h + house.pitch * w / 2 * rng.uniform(0.5, 0.75)
     reach = w / 2 if not house.pitch else w / 2 - (y - h) / house.pitch
     for z in np.arange(-depth / 2 + 0.4, depth / 2 - 0.2, rng.uniform(0.6, 1.4)):
-        made.append(solids.rounded_box([-reach, y - 2.2 * size, z - size], [reach, y - 0.001, z + size], 0.01))
+        made.append(solids.rounded_box([-reach, y - 2.2 * size, z - size],
+                                       [reach, y - 0.001, z + size], 0.01))
     house.put([(meshes.merge(made), str(rng.choice(["wood", "trim"])))], np.eye(4))
 
 
@@ -175,7 +200,8 @@ def add_moving_thing(house: House) -> None:
     rng, (w, _, depth) = house.rng, house.size
     for _ in range(int(rng.choice([0, 1, 2], p=[0.6, 0.28, 0.12]))):
         roles = rng.choice(["gloss", "accent", "pattern", "metal", "leaf", "lacquer"], 4)
-        slots = dict(zip(("main", "second", "third", "leaf"), (house.roles[role] for role in roles), strict=True))
+        slots = dict(zip(("main", "second", "third", "leaf"), (house.roles[role] for role in roles),
+                         strict=True))
         homes = rng.uniform(-0.35, 0.35, (12, 3)) * [w, 0, depth] + [0, rng.choice([0.0, 0.5]), 0]
         home = next((spot for spot in homes if _clear(house, spot, 0.4, 0.0)), homes[0])
         moving_thing(house.d, rng, draft_thing(rng), slots, home, 1.0)

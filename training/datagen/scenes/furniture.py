@@ -1,6 +1,8 @@
-"""Things to put into scenes: each is a list of (mesh, slot), standing on y = 0 about the y axis, roughly 1 m in size.
+"""Things to put into scenes: each is a list of (mesh, slot), standing on y = 0 about the y axis,
+roughly 1 m in size.
 
-A slot names a role of the thing ('main', 'second', 'metal', 'leaf'); the scene gives each slot a material.
+A slot names a role of the thing ('main', 'second', 'metal', 'leaf'); the scene gives each slot a
+material.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ def _at(mesh: Mesh, x: float, y: float, z: float) -> Mesh:
 
 
 def table(rng: np.random.Generator) -> Thing:
-    w, d, h, leg = rng.uniform(0.5, 1.0), rng.uniform(0.35, 0.6), rng.uniform(0.4, 0.8), rng.uniform(0.015, 0.05)
+    w, d, h, leg = (rng.uniform(0.5, 1.0), rng.uniform(0.35, 0.6), rng.uniform(0.4, 0.8),
+                    rng.uniform(0.015, 0.05))
     parts: Thing = [(meshes.box([-w, h, -d], [w, h + 0.05, d]), "main")]
     for x in (-w + leg, w - leg):
         for z in (-d + leg, d - leg):
@@ -52,7 +55,8 @@ def shelf(rng: np.random.Generator) -> Thing:
         while level < levels - 1 and x < w - 0.15 and rng.random() < 0.93:
             thick, tall = rng.uniform(0.02, 0.07), rng.uniform(0.4, 0.85) * h / (levels - 1)
             slot = str(rng.choice(["second", "leaf", "third"]))
-            parts.append((meshes.box([x, y + 0.03, -d + 0.02], [x + thick, y + 0.03 + tall, d - 0.03]), slot))
+            parts.append((meshes.box([x, y + 0.03, -d + 0.02],
+                                     [x + thick, y + 0.03 + tall, d - 0.03]), slot))
             x += thick + (0.002 if rng.random() < 0.85 else 0.15)
     return parts
 
@@ -61,7 +65,8 @@ def vase(rng: np.random.Generator) -> Thing:
     heights = np.linspace(0, rng.uniform(0.3, 0.9), 40)
     t = heights / heights[-1]
     radii = 0.14 + 0.07 * np.sin(2 * np.pi * (t * rng.uniform(0.5, 1.6) + rng.random())) - 0.05 * t
-    return [(meshes.lathe(np.concatenate([[1e-4], radii]), np.concatenate([[0.0], heights]), 40), "main")]
+    return [(meshes.lathe(np.concatenate([[1e-4], radii]), np.concatenate([[0.0], heights]), 40),
+             "main")]
 
 
 def ball(rng: np.random.Generator) -> Thing:
@@ -87,7 +92,8 @@ def stack(rng: np.random.Generator) -> Thing:
 
 def ring(rng: np.random.Generator) -> Thing:
     major, tube = rng.uniform(0.2, 0.45), rng.uniform(0.03, 0.15)
-    turned = meshes.torus(major, tube).transform(rotation(np.array([1.0, 0, 0.3]), rng.uniform(0, 1.6)))
+    turned = meshes.torus(major, tube).transform(rotation(np.array([1.0, 0, 0.3]),
+                                                          rng.uniform(0, 1.6)))
     return [(_at(turned, 0, -turned.vertices[:, 1].min(), 0), "main")]
 
 
@@ -120,24 +126,30 @@ def slats(rng: np.random.Generator) -> Thing:
     parts: Thing = []
     tilt = rotation(np.array([1.0, 0, 0]), rng.uniform(0, 1.2))
     for y in np.linspace(0.03, h, count):
-        piece = meshes.box([-w, -0.3 * h / count, -0.006], [w, 0.3 * h / count, 0.006]).transform(tilt)
+        piece = meshes.box([-w, -0.3 * h / count, -0.006],
+                           [w, 0.3 * h / count, 0.006]).transform(tilt)
         parts.append((_at(piece, 0, y, 0), "main"))
-    parts += [(meshes.box([x - 0.015, 0, -0.015], [x + 0.015, h, 0.015]), "second") for x in (-w, w)]
+    parts += [(meshes.box([x - 0.015, 0, -0.015], [x + 0.015, h, 0.015]), "second")
+              for x in (-w, w)]
     upright = rng.random() < 0.4
-    return [(m.transform(translation(0, w, 0) @ rotation(np.array([0, 0, 1.0]), np.pi / 2)) if upright else m, s)
+    return [(m.transform(translation(0, w, 0) @ rotation(np.array([0, 0, 1.0]), np.pi / 2))
+             if upright else m, s)
             for m, s in parts]
 
 
 def plant(rng: np.random.Generator) -> Thing:
     """A pot with leaf quads on stems: overlapping depth edges."""
-    parts: Thing = [(meshes.lathe(np.array([1e-4, 0.1, 0.15]), np.array([0, 0.0, 0.25]), 24), "second")]
+    parts: Thing = [(meshes.lathe(np.array([1e-4, 0.1, 0.15]), np.array([0, 0.0, 0.25]), 24),
+                     "second")]
     leaves = []
     for _ in range(int(rng.integers(25, 120))):
         size, turn = rng.uniform(0.05, 0.14), rng.uniform(0, 6.3)
         leaf = meshes.quad([-0.4 * size, 0, 0], [0.8 * size, 0, 0], [0, 0.3 * size, size])
-        leaf = leaf.transform(rotation(Y, turn) @ rotation(np.array([1.0, 0, 0.2]), rng.uniform(-1.2, 0.6)))
+        leaf = leaf.transform(rotation(Y, turn) @ rotation(np.array([1.0, 0, 0.2]),
+                                                           rng.uniform(-1.2, 0.6)))
         reach = rng.uniform(0.02, 0.3)
-        leaves.append(_at(leaf, reach * np.sin(turn), rng.uniform(0.3, 0.9) - 0.5 * reach, reach * np.cos(turn)))
+        leaves.append(_at(leaf, reach * np.sin(turn), rng.uniform(0.3, 0.9) - 0.5 * reach,
+                          reach * np.cos(turn)))
     parts.append((meshes.merge(leaves), "leaf"))
     return parts + [(_at(meshes.cylinder(0.008, 0.6, 6), 0, 0.2, 0), "third")]
 
@@ -158,7 +170,8 @@ def wheel(rng: np.random.Generator) -> Thing:
     radius, count = rng.uniform(0.3, 0.5), int(rng.integers(5, 14))
     parts: Thing = [(meshes.torus(radius, 0.04), "main"), (meshes.sphere(0.07, 24), "second")]
     for angle in np.arange(count) * 2 * np.pi / count:
-        spoke = meshes.cylinder(0.012, radius, 8).transform(rotation(np.array([0, 0, 1.0]), np.pi / 2))
+        spoke = meshes.cylinder(0.012, radius, 8).transform(rotation(np.array([0, 0, 1.0]),
+                                                                     np.pi / 2))
         parts.append((spoke.transform(rotation(Y, angle)), "second"))
     stand = translation(0, radius + 0.04, 0) @ rotation(np.array([1.0, 0, 0]), np.pi / 2)
     return [(m.transform(stand), slot) for m, slot in parts]
@@ -167,7 +180,8 @@ def wheel(rng: np.random.Generator) -> Thing:
 FURNITURE: tuple[Callable[[np.random.Generator], Thing], ...] = (
     table, table, chair, chair, shelf, shelf, plant, slats, crate, pillar, stack, vase, rods)
 OBJECTS: tuple[Callable[[np.random.Generator], Thing], ...] = (
-    vase, ball, ball, crate, stack, ring, lump, lump, pillar, spike, rods, plant, wheel, slats, chair)
+    vase, ball, ball, crate, stack, ring, lump, lump, pillar, spike, rods, plant, wheel, slats,
+    chair)
 
 
 def pick(rng: np.random.Generator, kinds: tuple = OBJECTS) -> Thing:

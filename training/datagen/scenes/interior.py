@@ -1,4 +1,5 @@
-"""Interiors lit by their windows: living rooms, bedrooms, kitchens, bathrooms, offices, halls, shops, attics."""
+"""Interiors lit by their windows: living rooms, bedrooms, kitchens, bathrooms, offices, halls,
+shops, attics."""
 
 from __future__ import annotations
 
@@ -6,7 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from training.datagen.scenes import fittings, fixtures, foliage, furnishing, lights, meshes, movables, shell, solids
+from training.datagen.scenes import (
+    fittings,
+    fixtures,
+    foliage,
+    furnishing,
+    lights,
+    meshes,
+    movables,
+    shell,
+    solids,
+)
 from training.datagen.scenes.build import Description
 from training.datagen.scenes.draft import Draft, View
 from training.datagen.scenes.furnishing import Kind
@@ -19,17 +30,21 @@ from training.datagen.scenes.shell import House, Side
 
 PLANT = foliage.PLANTS
 KINDS = {
-    "living": Kind((movables.sofa, movables.sofa, fittings.bookcase, fittings.sideboard, fixtures.fireplace,
-                    *PLANT),
-                   (movables.sofa, movables.armchair, movables.coffee, movables.coffee, movables.rug, *PLANT)),
-    "bedroom": Kind((movables.bed, movables.bed, fittings.wardrobe, fittings.sideboard, movables.armchair,
-                     *PLANT),
+    "living": Kind((movables.sofa, movables.sofa, fittings.bookcase, fittings.sideboard,
+                    fixtures.fireplace, *PLANT),
+                   (movables.sofa, movables.armchair, movables.coffee, movables.coffee,
+                    movables.rug, *PLANT)),
+    "bedroom": Kind((movables.bed, movables.bed, fittings.wardrobe, fittings.sideboard,
+                     movables.armchair, *PLANT),
                     (movables.rug, movables.bed, movables.stool, movables.armchair)),
-    "kitchen": Kind((fittings.kitchen, fittings.kitchen, fittings.sideboard, fixtures.rack, foliage.broad),
+    "kitchen": Kind((fittings.kitchen, fittings.kitchen, fittings.sideboard, fixtures.rack,
+                     foliage.broad),
                     (movables.dining, movables.dining, movables.stool, movables.rug)),
-    "bathroom": Kind((fixtures.bath, fixtures.basin, fixtures.toilet, fittings.towel_rail, fittings.towel_rail, *PLANT),
+    "bathroom": Kind((fixtures.bath, fixtures.basin, fixtures.toilet, fittings.towel_rail,
+                      fittings.towel_rail, *PLANT),
                      (movables.stool, movables.rug, foliage.rosette), (2.2, 2.8), 0.85),
-    "office": Kind((fittings.desk, fittings.desk, fittings.bookcase, fittings.bookcase, fittings.cabinet, *PLANT),
+    "office": Kind((fittings.desk, fittings.desk, fittings.bookcase, fittings.bookcase,
+                    fittings.cabinet, *PLANT),
                    (fittings.desk, movables.dining, movables.chair, *PLANT), (2.4, 3.4)),
     "hall": Kind((fittings.sideboard, movables.stool, fixtures.radiator, fittings.wardrobe, *PLANT),
                  (movables.rug, movables.coffee, foliage.bushy), (2.6, 4.2)),
@@ -37,8 +52,10 @@ KINDS = {
                  (fixtures.rack, fixtures.rack, movables.dining, *PLANT), (2.7, 4.0)),
     "dining": Kind((fittings.sideboard, fixtures.fireplace, fittings.bookcase, *PLANT),
                    (movables.dining, movables.dining, movables.rug), (2.4, 3.4)),
-    "attic": Kind((movables.bed, fixtures.boxes_pile, fixtures.boxes_pile, fittings.bookcase, movables.armchair),
-                  (fixtures.boxes_pile, movables.sofa, movables.coffee, movables.dining, movables.rug), (0.7, 1.4)),
+    "attic": Kind((
+        movables.bed, fixtures.boxes_pile, fixtures.boxes_pile, fittings.bookcase, movables.armchair
+    ), (fixtures.boxes_pile, movables.sofa, movables.coffee, movables.dining, movables.rug),
+                  (0.7, 1.4)),
 }
 CHANCES = dict(zip(KINDS, (0.22, 0.16, 0.12, 0.12, 0.1, 0.08, 0.06, 0.08, 0.06), strict=True))
 
@@ -86,7 +103,8 @@ def _openings(house: House) -> None:
             holes = _windows(rng, share * width, width, sill, h - rng.uniform(0.15, 0.5))
         elif rng.random() < 0.55 and h > 2.2:
             at, wide = rng.uniform(0.25, width - 1.25), rng.uniform(0.72, 0.95)
-            holes = [Opening(at, 0.0, at + wide, rng.uniform(1.95, 2.15), "door" if rng.random() < 0.75 else "arch")]
+            holes = [Opening(at, 0.0, at + wide, rng.uniform(1.95, 2.15),
+                             "door" if rng.random() < 0.75 else "arch")]
         house.sides.append(Side(matrix, width, h, holes))
     if house.pitch:
         for index in (1, 3):
@@ -96,7 +114,8 @@ def _openings(house: House) -> None:
             house.sides.append(Side(matrix, width, high, [] if shut else holes, True))
 
 
-def _windows(rng: np.random.Generator, glazed: float, width: float, sill: float, top: float) -> list[Opening]:
+def _windows(rng: np.random.Generator, glazed: float, width: float, sill: float,
+             top: float) -> list[Opening]:
     """One to four windows that take `glazed` metres of a wall's width."""
     count = max(1, min(4, round(width / rng.uniform(1.2, 3.5))))
     share = glazed / count
@@ -111,9 +130,11 @@ def _view(house: House, rng: np.random.Generator) -> View:
     for _ in range(40):
         x, z = rng.uniform(-0.46, 0.46, 2) * [w, depth]
         eye = np.array([x, rng.uniform(0.6, 1.8), z])
-        clear = eye[1] < house.headroom(x) - 0.2 and not any(
-            a - 0.2 < x < b + 0.2 and c - 0.2 < z < d + 0.2 and eye[1] < top + 0.15 for a, b, c, d, top in house.taken)
-        target = np.array([rng.uniform(-0.45, 0.45) * w, rng.uniform(0.3, 1.7), rng.uniform(-0.45, 0.45) * depth])
+        clear = (eye[1] < house.headroom(x) - 0.2 and not any(
+            a - 0.2 < x < b + 0.2 and c - 0.2 < z < d + 0.2 and eye[1] < top + 0.15
+            for a, b, c, d, top in house.taken))
+        target = np.array([rng.uniform(-0.45, 0.45) * w, rng.uniform(0.3, 1.7),
+                           rng.uniform(-0.45, 0.45) * depth])
         if house.sights and rng.random() < 0.6:
             target = house.sights[int(rng.integers(len(house.sights)))] + rng.normal(0, 0.2, 3)
         if clear and np.linalg.norm(target - eye) > min(reach, 0.4 * (w + depth)):
@@ -121,7 +142,7 @@ def _view(house: House, rng: np.random.Generator) -> View:
     return eye, target
 
 
-# Daylight: bright sheets outside the windows, or an environment that shines in --------------------------------------
+# Daylight: bright sheets outside the windows, or an environment that shines in --------------------
 
 def light(house: House, maps: Environments, calm: bool) -> None:
     """Light a house through its windows; a few get lamps as well."""
@@ -130,7 +151,8 @@ def light(house: House, maps: Environments, calm: bool) -> None:
     every = [*lit, *house.far_windows]
     gap = float(rng.uniform(0.15, 0.8))
     if house.sky:
-        lights.set_environment(house.d, rng, maps, calm, float(rng.uniform(2, 8)), rng.random() < 0.25)
+        lights.set_environment(house.d, rng, maps, calm, float(rng.uniform(2, 8)),
+                               rng.random() < 0.25)
         outward = np.stack([-side.matrix[:3, 2] for side in every])
         house.d.environment = outside_only(house.d.environment, house.d.environment_turn, outward)
         gap = 2.0
@@ -159,10 +181,11 @@ def _ground(side: Side, thick: float, gap: float) -> Mesh:
 
 
 def _sheets(house: House, sides: list[Side], gap: float) -> None:
-    """Shallow boxes outside the windows of each wall, open towards them, that shine inwards; half of them are darker
-    below a horizon."""
+    """Shallow boxes outside the windows of each wall, open towards them, that shine inwards; half
+    of them are darker below a horizon."""
     rng = house.rng
-    bright, cut = lights.tint(rng, 0.03) * rng.uniform(4, 12), rng.uniform(0.2, 0.6) if rng.random() < 0.5 else 0.0
+    bright, cut = (lights.tint(rng, 0.03) * rng.uniform(4, 12),
+                   rng.uniform(0.2, 0.6) if rng.random() < 0.5 else 0.0)
     dim = bright * rng.uniform(0.15, 0.7) * lights.tint(rng, 0.03)
     for start, end, radiance in ((0.0, cut, dim), (cut, 1.0, bright)):
         if end > start:
@@ -174,7 +197,8 @@ def _sheets(house: House, sides: list[Side], gap: float) -> None:
 
 
 def _sheet(side: Side, thick: float, gap: float, start: float, end: float) -> list[Mesh]:
-    """The back and the sides of a box between two parts of its height, and its top if `end` is 1."""
+    """The back and the sides of a box between two parts of its height, and its top if `end`
+    is 1."""
     x0, x1, low, high = _around(side, gap)
     y0, y1 = low + start * (high - low), low + end * (high - low)
     z, back, up = -thick, -thick - gap, [0, y1 - y0, 0]
@@ -202,13 +226,14 @@ def _before_windows(house: House, side: Side, gap: float) -> None:
 def outside_only(image: np.ndarray, turn: float, outward: np.ndarray) -> np.ndarray:
     """An environment (H, W, 3), black where no window sees it, so that no samples are wasted there.
 
-    `turn` is its turn about y in degrees, `outward` (N, 3) are the normals of the windows' outer sides. A margin of
-    about two texels stays.
+    `turn` is its turn about y in degrees, `outward` (N, 3) are the normals of the windows' outer
+    sides. A margin of about two texels stays.
     """
     height, width = image.shape[:2]
     v, u = np.mgrid[0:height, 0:width]
     theta, phi = np.pi * (v + 0.5) / height, 2 * np.pi * (u + 0.5) / width
-    direction = np.stack([np.sin(phi) * np.sin(theta), np.cos(theta), -np.cos(phi) * np.sin(theta)], -1)
+    direction = np.stack([np.sin(phi) * np.sin(theta), np.cos(theta), -np.cos(phi) * np.sin(theta)],
+                         -1)
     world = direction @ rotation(Y, np.radians(turn))[:3, :3].T
     seen = (world @ outward.T).max(-1) > -2 * np.pi * 2 / width
     return np.where(seen[..., None], image, 0).astype(np.float32)

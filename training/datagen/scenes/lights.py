@@ -1,4 +1,5 @@
-"""Light: environment maps (measured or made up) and emissive surfaces. Only ratios matter; frames get a gain later."""
+"""Light: environment maps (measured or made up) and emissive surfaces. Only ratios matter; frames
+get a gain later."""
 
 from __future__ import annotations
 
@@ -18,13 +19,15 @@ def tint(rng: np.random.Generator, strong: float = 0.25) -> np.ndarray:
     if rng.random() < strong:
         return np.array(colorsys.hsv_to_rgb(rng.random(), rng.uniform(0.4, 0.9), 1.0))
     warm = rng.uniform(-0.35, 0.6)
-    return np.array([1.0, 1 - 0.25 * warm, 1 - 0.6 * warm]) if warm > 0 else np.array([1 + warm, 1 + 0.5 * warm, 1.0])
+    return (np.array([1.0, 1 - 0.25 * warm, 1 - 0.6 * warm]) if warm > 0
+            else np.array([1 + warm, 1 + 0.5 * warm, 1.0]))
 
 
 def sky(rng: np.random.Generator, width: int = 256, sunny: bool = False) -> np.ndarray:
     """A made-up sky (width/2, width, 3): gradient, ground, and a soft sun of 4 to 15 degrees.
 
-    With `sunny` the sun is 1.5 to 3 degrees wide and gives one to eight times as much light as the sky.
+    With `sunny` the sun is 1.5 to 3 degrees wide and gives one to eight times as much light as the
+    sky.
     """
     v, u = np.mgrid[0 : width // 2, 0:width] + 0.5
     theta, phi = np.pi * v / (width // 2), 2 * np.pi * u / width
@@ -39,7 +42,8 @@ def sky(rng: np.random.Generator, width: int = 256, sunny: bool = False) -> np.n
     edge = np.clip((direction @ sun - np.cos(size)) / (1 - np.cos(size)), 0, 1)
     strength = rng.choice([0.0, 20.0, 80.0])
     if sunny:
-        disc = (direction @ sun > np.cos(np.radians(rng.uniform(1.5, 3)) / 2 + np.pi / width)).astype(float)
+        disc = (direction @ sun
+                > np.cos(np.radians(rng.uniform(1.5, 3)) / 2 + np.pi / width)).astype(float)
         area = (disc * np.sin(theta)).sum() / np.sin(theta).sum()
         edge, strength = disc, rng.uniform(1, 8) * image.mean() / max(area, 1e-6)
     return (image + edge[..., None] * tint(rng, 0.1) * strength).astype(np.float32)
@@ -53,13 +57,15 @@ class Environments:
         self._images: dict[Path, np.ndarray] = {}
 
     def draw(self, rng: np.random.Generator, calm: bool = False, sunny: bool = False) -> np.ndarray:
-        """Radiance (H, W, 3), mean 1. `calm` cuts small bright suns, for scenes with mirrors or glass."""
+        """Radiance (H, W, 3), mean 1. `calm` cuts small bright suns, for scenes with mirrors or
+        glass."""
         if sunny or not self._paths or rng.random() < 0.35:
             image = sky(rng, sunny=sunny)
         else:
             path = self._paths[int(rng.integers(len(self._paths)))]
             if path not in self._images:
-                image = np.array(mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32))
+                image = np.array(mi.Bitmap(str(path))
+                                 .convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32))
                 self._images[path] = image
             image = self._images[path]
         image = image / max(image.mean(), 1e-6)

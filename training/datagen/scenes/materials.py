@@ -9,7 +9,8 @@ import numpy as np
 
 from training.datagen.scenes import textures
 
-# RGB eta and k of measured metals, from the "Material" presets of Mitsuba 3 integrated to linear sRGB.
+# RGB eta and k of measured metals, from the "Material" presets of Mitsuba 3 integrated to linear
+# sRGB.
 METALS = {
     "gold": ((0.143, 0.375, 1.442), (3.983, 2.386, 1.603)),
     "copper": ((0.200, 0.924, 1.102), (3.912, 2.452, 2.142)),
@@ -24,9 +25,11 @@ GLASSES = (1.33, 1.5)  # each index is its own kernel
 
 @dataclass(frozen=True)
 class Material:
-    """`kind` is diffuse, roughplastic, roughconductor, principled, conductor or dielectric; `alpha` the GGX width.
+    """`kind` is diffuse, roughplastic, roughconductor, principled, conductor or dielectric; `alpha`
+    the GGX width.
 
-    `albedo` is a linear RGB image (H, W, 3), `eta`/`k` the complex index of a metal, `ior` that of a dielectric.
+    `albedo` is a linear RGB image (H, W, 3), `eta`/`k` the complex index of a metal, `ior` that of
+    a dielectric.
     """
 
     kind: str
@@ -50,7 +53,8 @@ class Material:
         return {"conductor": -1.0, "dielectric": self.ior}.get(self.kind, 0.0)
 
     def reflectance(self) -> tuple[np.ndarray, float, float]:
-        """(constant specular F0 (3,), part of F0 that follows the albedo, factor on the diffuse albedo)."""
+        """(constant specular F0 (3,), part of F0 that follows the albedo, factor on the diffuse
+        albedo)."""
         if self.kind == "diffuse":
             return np.zeros(3), 0.0, 1.0
         if self.kind in ("conductor", "roughconductor"):
@@ -61,7 +65,8 @@ class Material:
         return np.full(3, dielectric * (1 - self.metallic)), self.metallic, 1.0 - self.metallic
 
     def bsdf(self) -> dict:
-        """The Mitsuba plugin; reflectances are always bitmaps so that scenes share compiled kernels."""
+        """The Mitsuba plugin; reflectances are always bitmaps so that scenes share compiled
+        kernels."""
         if self.kind == "dielectric":
             return {"type": "dielectric", "int_ior": self.ior}
         if self.kind in ("conductor", "roughconductor"):
@@ -69,15 +74,18 @@ class Material:
             if self.kind == "roughconductor":
                 plugin |= {"alpha": self.alpha, "distribution": "ggx"}
             return {"type": "twosided", "bsdf": plugin}
-        texture = {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(self.albedo, np.float32)), "raw": True}
+        texture = {"type": "bitmap",
+                   "bitmap": mi.Bitmap(np.ascontiguousarray(self.albedo, np.float32)), "raw": True}
         if self.kind == "diffuse":
             plugin = {"type": "diffuse", "reflectance": texture}
         elif self.kind == "roughplastic":
             plugin = {"type": "roughplastic", "diffuse_reflectance": texture, "alpha": self.alpha,
                       "int_ior": self.ior, "distribution": "ggx", "nonlinear": True}
         else:
-            plugin = {"type": "principled", "base_color": texture, "roughness": float(np.sqrt(self.alpha)),
-                      "metallic": max(self.metallic, 1e-3), "eta": self.ior}  # 0 would be another kernel
+            plugin = {"type": "principled", "base_color": texture,
+                      "roughness": float(np.sqrt(self.alpha)),
+                      # 0 would be another kernel
+                      "metallic": max(self.metallic, 1e-3), "eta": self.ior}
         return {"type": "twosided", "bsdf": plugin}
 
 
@@ -93,7 +101,8 @@ def fresnel_conductor(eta: np.ndarray, k: np.ndarray) -> np.ndarray:
 def palette() -> list[mi.BSDF]:
     """One BSDF of each kind. While they are alive, every scene compiles to the same kernels."""
     kinds = ("diffuse", "roughplastic", "roughconductor", "principled", "conductor")
-    materials = [Material(kind, alpha=0.2) for kind in kinds] + [Material("dielectric", ior=ior) for ior in GLASSES]
+    materials = [Material(kind, alpha=0.2) for kind in kinds] + [Material("dielectric", ior=ior)
+                                                                 for ior in GLASSES]
     return [mi.load_dict(material.bsdf()) for material in materials]
 
 
@@ -101,7 +110,8 @@ def random_metal(rng: np.random.Generator, smooth: float = 0.15) -> Material:
     eta, k = METALS[str(rng.choice(list(METALS)))]
     if rng.random() < smooth:
         return Material("conductor", eta=eta, k=k)
-    return Material("roughconductor", alpha=float(rng.uniform(0.08, 0.6) ** 2 + 0.005), eta=eta, k=k)
+    return Material("roughconductor", alpha=float(rng.uniform(0.08, 0.6) ** 2 + 0.005), eta=eta,
+                    k=k)
 
 
 def polished_metal(rng: np.random.Generator) -> Material:
@@ -112,8 +122,10 @@ def polished_metal(rng: np.random.Generator) -> Material:
     return Material("roughconductor", alpha=float(rng.uniform(0.1, 0.3) ** 2), eta=eta, k=k)
 
 
-def random_material(rng: np.random.Generator, gloss: float = 0.4, metal: float = 0.1, glass: float = 0.0) -> Material:
-    """A material for an object; `gloss`, `metal` and `glass` are probabilities, the rest is diffuse."""
+def random_material(rng: np.random.Generator, gloss: float = 0.4, metal: float = 0.1,
+                    glass: float = 0.0) -> Material:
+    """A material for an object; `gloss`, `metal` and `glass` are probabilities, the rest is
+    diffuse."""
     pick = rng.random()
     if pick < glass:
         return Material("dielectric", ior=float(rng.choice(GLASSES)))

@@ -1,4 +1,5 @@
-"""Triangle meshes as numpy arrays: primitives in metres, y up, with smooth or flat normals and texture coordinates."""
+"""Triangle meshes as numpy arrays: primitives in metres, y up, with smooth or flat normals and
+texture coordinates."""
 
 from __future__ import annotations
 
@@ -61,12 +62,14 @@ def box(low: np.ndarray, high: np.ndarray) -> Mesh:
     """An axis-aligned box between two corners."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     x, y, z = np.diag(high - low)
-    sides = [(low, z, y), (low + x, y, z), (low, x, z), (low + y, z, x), (low, y, x), (low + z, x, y)]
+    sides = [(low, z, y), (low + x, y, z), (low, x, z), (low + y, z, x), (low, y, x),
+             (low + z, x, y)]
     return merge([quad(*side) for side in sides])
 
 
 def lathe(radii: np.ndarray, heights: np.ndarray, segments: int = 32) -> Mesh:
-    """A profile of (radius, height) pairs, bottom to top, turned about the y axis; smooth normals."""
+    """A profile of (radius, height) pairs, bottom to top, turned about the y axis; smooth
+    normals."""
     radii, heights = np.asarray(radii, float), np.asarray(heights, float)
     phi = np.linspace(0, 2 * np.pi, segments + 1)
     slope_r, slope_h = np.gradient(radii), np.gradient(heights)
@@ -108,11 +111,13 @@ def torus(ring: float, tube: float, segments: int = 40, sides: int = 20) -> Mesh
     """A torus about the y axis."""
     turns = (np.linspace(0, 2 * np.pi, count + 1) for count in (segments, sides))
     phi, theta = np.meshgrid(*turns, indexing="ij")
-    normals = np.stack([np.cos(theta) * np.cos(phi), np.sin(theta), np.cos(theta) * np.sin(phi)], -1)
+    normals = np.stack([np.cos(theta) * np.cos(phi), np.sin(theta), np.cos(theta) * np.sin(phi)],
+                       -1)
     centre = np.stack([np.cos(phi), np.zeros_like(phi), np.sin(phi)], -1) * ring
     uvs = np.stack([ring * phi, tube * theta], -1)
     faces = grid_faces(segments, sides)[:, ::-1]
-    return Mesh((centre + tube * normals).reshape(-1, 3), normals.reshape(-1, 3), uvs.reshape(-1, 2), faces)
+    return Mesh((centre + tube * normals).reshape(-1, 3), normals.reshape(-1, 3),
+                uvs.reshape(-1, 2), faces)
 
 
 def height_field(size: float, heights: np.ndarray) -> Mesh:
@@ -124,15 +129,18 @@ def height_field(size: float, heights: np.ndarray) -> Mesh:
     normals = np.stack([-dx, np.ones_like(dx), -dz], -1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     vertices = np.stack([x, heights, z], -1).reshape(-1, 3)
-    return Mesh(vertices, normals.reshape(-1, 3), np.stack([x, z], -1).reshape(-1, 2), grid_faces(n - 1, n - 1))
+    return Mesh(vertices, normals.reshape(-1, 3), np.stack([x, z], -1).reshape(-1, 2),
+                grid_faces(n - 1, n - 1))
 
 
 def blob(radius: float, rng: np.random.Generator, bumps: float = 0.25) -> Mesh:
     """A sphere displaced by a few random waves, with normals from its faces."""
     base = sphere(1.0, 56)
     waves = rng.normal(0, 3.0, (6, 3))
-    offset = np.sin(base.vertices @ waves.T + rng.uniform(0, 6.3, 6)) @ (rng.uniform(0.3, 1.0, 6) * bumps / 3)
-    return smooth(Mesh(base.vertices * (radius * (1 + offset))[:, None], base.normals, base.uvs * radius, base.faces))
+    offset = np.sin(base.vertices @ waves.T + rng.uniform(0, 6.3, 6)) @ (rng.uniform(0.3, 1.0, 6)
+                                                                         * bumps / 3)
+    return smooth(Mesh(base.vertices * (radius * (1 + offset))[:, None], base.normals,
+                       base.uvs * radius, base.faces))
 
 
 def smooth(mesh: Mesh) -> Mesh:

@@ -1,5 +1,5 @@
-"""Motion: camera and object paths, functions of the (fractional) frame number to 4x4 matrices, and things that change
-their shape, functions of vertices and the frame number."""
+"""Motion: camera and object paths, functions of the (fractional) frame number to 4x4 matrices, and
+things that change their shape, functions of vertices and the frame number."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ Path = Callable[[float], np.ndarray]
 
 @dataclass(frozen=True)
 class Camera:
-    """`to_world` maps camera space (x left, y up, z forward) to world space; `fov` is horizontal, in degrees. A lens of
-    radius `aperture` is sharp at the depth `focus`."""
+    """`to_world` maps camera space (x left, y up, z forward) to world space; `fov` is horizontal,
+    in degrees. A lens of radius `aperture` is sharp at the depth `focus`."""
 
     to_world: np.ndarray
     fov: float
@@ -24,7 +24,8 @@ class Camera:
     focus: float = 1.0
 
     def project(self, points: np.ndarray, width: int, height: int) -> np.ndarray:
-        """World points (N, 3) to pixels (N, 2), x right, y down; points behind the camera give nan."""
+        """World points (N, 3) to pixels (N, 2), x right, y down; points behind the camera give
+        nan."""
         local = (points - self.to_world[:3, 3]) @ self.to_world[:3, :3]
         tangent = np.tan(np.radians(self.fov) / 2)
         depth = np.where(local[:, 2] > 1e-6, local[:, 2], np.nan)
@@ -51,7 +52,8 @@ def target_speed(rng: np.random.Generator) -> float:
 
 @dataclass(frozen=True)
 class CameraPath:
-    """A base pose and a kind of move; `amplitude` scales the speed, `seed` fixes the shake. The lens is a Camera's."""
+    """A base pose and a kind of move; `amplitude` scales the speed, `seed` fixes the shake. The
+    lens is a Camera's."""
 
     eye: np.ndarray
     target: np.ndarray
@@ -84,7 +86,8 @@ class CameraPath:
         if self.kind == "orbit":
             eye = target + rotation(np.array([0.0, 1.0, 0.0]), turn)[:3, :3] @ (eye - target)
         if self.kind in ("truck", "mixed"):
-            step = 0.01 * s * distance * (side * self.direction[0] + np.array([0, 0.3, 0]) * self.direction[1])
+            step = 0.01 * s * distance * (side * self.direction[0]
+                                          + np.array([0, 0.3, 0]) * self.direction[1])
             eye, target = eye + step, target + step
         return Camera(look_at(eye, target), self.fov, self.aperture, self.focus)
 
@@ -102,13 +105,16 @@ class Cut:
 
 
 def flicker(rng: np.random.Generator) -> Callable[[float], float]:
-    """A light's strength over the frames, 0.15 to 1: a slow wave, on and off, or at random like a flame."""
-    kind, rate, phase = str(rng.choice(["wave", "switch", "flame"])), rng.uniform(0.2, 1.5), rng.uniform(0, 2 * np.pi)
+    """A light's strength over the frames, 0.15 to 1: a slow wave, on and off, or at random like a
+    flame."""
+    kind, rate, phase = (str(rng.choice(["wave", "switch", "flame"])), rng.uniform(0.2, 1.5),
+                         rng.uniform(0, 2 * np.pi))
     low, seed = rng.uniform(0.15, 0.7), int(rng.integers(1 << 30))
 
     def strength(frame: float) -> float:
         if kind == "flame":
-            return low + (1 - low) * np.random.default_rng([seed, int(round(frame * 16)) + 1024]).random()
+            return (low + (1 - low) * np.random.default_rng([seed, int(round(frame * 16)) + 1024])
+                    .random())
         wave = np.sin(rate * frame + phase)
         return low + (1 - low) * float(wave > 0 if kind == "switch" else 0.5 + 0.5 * wave)
 
@@ -116,24 +122,28 @@ def flicker(rng: np.random.Generator) -> Callable[[float], float]:
 
 
 def object_path(home: np.ndarray, velocity: np.ndarray, axis: np.ndarray, spin: float) -> Path:
-    """An object at `home` (3,), moving by `velocity` a frame, turning by `spin` radians a frame about `axis`."""
+    """An object at `home` (3,), moving by `velocity` a frame, turning by `spin` radians a frame
+    about `axis`."""
 
     def matrix(frame: float) -> np.ndarray:
-        return translation(*(home + velocity * (frame - 3.5))) @ rotation(axis, spin * (frame - 3.5))
+        return translation(*(home + velocity * (frame - 3.5))) @ rotation(axis,
+                                                                          spin * (frame - 3.5))
 
     return matrix
 
 
-# Things that change their shape -------------------------------------------------------------------------------------
+# Things that change their shape -------------------------------------------------------------------
 
 Bend = Callable[[np.ndarray, float], np.ndarray]
 STEP = 1e-4  # metres, for the slope of a displacement
 
 
 def bend_mesh(mesh: Mesh, bend: Bend, time: float) -> Mesh:
-    """A mesh with its vertices displaced; normals follow the inverse transpose of the displacement's slope."""
+    """A mesh with its vertices displaced; normals follow the inverse transpose of the
+    displacement's slope."""
     v = mesh.vertices
-    slope = np.stack([(bend(v + step, time) - bend(v - step, time)) / (2 * STEP) for step in STEP * np.eye(3)], -1)
+    slope = np.stack([(bend(v + step, time) - bend(v - step, time)) / (2 * STEP)
+                      for step in STEP * np.eye(3)], -1)
     columns = [slope[..., k] for k in range(3)]
     cofactors = np.stack([np.cross(columns[1], columns[2]), np.cross(columns[2], columns[0]),
                           np.cross(columns[0], columns[1])], -1)
@@ -142,7 +152,8 @@ def bend_mesh(mesh: Mesh, bend: Bend, time: float) -> Mesh:
     return Mesh(bend(v, time), normals, mesh.uvs, mesh.faces)
 
 
-def sway(base: np.ndarray, height: float, reach: float, rate: float, rng: np.random.Generator) -> Bend:
+def sway(base: np.ndarray, height: float, reach: float, rate: float,
+         rng: np.random.Generator) -> Bend:
     """Wind in plants that stand at `base`: tops move `reach` metres to and fro, not all in step."""
     heading, phase = rng.normal(0, 1, 3) * [1, 0.1, 1], rng.uniform(0, 2 * np.pi)
     heading /= np.linalg.norm(heading)
@@ -157,10 +168,12 @@ def sway(base: np.ndarray, height: float, reach: float, rate: float, rng: np.ran
     return move
 
 
-def ripple(base: np.ndarray, size: float, reach: float, rate: float, rng: np.random.Generator) -> Bend:
+def ripple(base: np.ndarray, size: float, reach: float, rate: float,
+           rng: np.random.Generator) -> Bend:
     """Waves that run through a thing, as in cloth or water."""
     waves = rng.normal(0, 1, (3, 3))
-    waves *= 2 * np.pi * rng.uniform(0.7, 2.0, (3, 1)) / (size * np.linalg.norm(waves, axis=1, keepdims=True))
+    waves *= 2 * np.pi * rng.uniform(0.7, 2.0, (3, 1)) / (size * np.linalg.norm(waves, axis=1,
+                                                                                keepdims=True))
     sides, phases = rng.normal(0, 1, (3, 3)), rng.uniform(0, 2 * np.pi, 3)
     sides /= np.linalg.norm(sides, axis=1, keepdims=True)
 
@@ -170,7 +183,8 @@ def ripple(base: np.ndarray, size: float, reach: float, rate: float, rng: np.ran
     return move
 
 
-def twist(base: np.ndarray, height: float, reach: float, rate: float, rng: np.random.Generator) -> Bend:
+def twist(base: np.ndarray, height: float, reach: float, rate: float,
+          rng: np.random.Generator) -> Bend:
     """Wringing about the upright axis to and fro, more at the top."""
     phase = rng.uniform(0, 2 * np.pi)
 
@@ -184,7 +198,8 @@ def twist(base: np.ndarray, height: float, reach: float, rate: float, rng: np.ra
     return move
 
 
-def pulse(base: np.ndarray, height: float, reach: float, rate: float, rng: np.random.Generator) -> Bend:
+def pulse(base: np.ndarray, height: float, reach: float, rate: float,
+          rng: np.random.Generator) -> Bend:
     """Swelling to the sides while it sinks, like jelly."""
     phase = rng.uniform(0, 2 * np.pi)
 
@@ -196,9 +211,11 @@ def pulse(base: np.ndarray, height: float, reach: float, rate: float, rng: np.ra
 
 
 def hanging(rng: np.random.Generator, top: float, height: float, normal: np.ndarray) -> Bend:
-    """Cloth hanging from `top` that air moves along `normal` (3,), more at its foot; waves run through it."""
+    """Cloth hanging from `top` that air moves along `normal` (3,), more at its foot; waves run
+    through it."""
     reach = float(np.clip(0.03 * np.exp(rng.normal(0, 0.7)), 0.004, 0.12))
-    rate, phase, side = rng.uniform(0.15, 0.9), rng.uniform(0, 2 * np.pi), np.cross(normal, [0.0, 1, 0])
+    rate, phase, side = (rng.uniform(0.15, 0.9), rng.uniform(0, 2 * np.pi),
+                         np.cross(normal, [0.0, 1, 0]))
     along, down = rng.uniform(1.0, 5.0), rng.uniform(0.5, 3.0)
 
     def move(v: np.ndarray, time: float) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""Procedural scenes: interiors, rooms, product shots and outdoor places, each with a way to draw sensible views."""
+"""Procedural scenes: interiors, rooms, product shots and outdoor places, each with a way to draw
+sensible views."""
 
 from __future__ import annotations
 
@@ -7,7 +8,16 @@ from scipy import ndimage
 
 from training.datagen.scenes import foliage, furniture, lights, meshes, textures
 from training.datagen.scenes.build import Description
-from training.datagen.scenes.draft import Draft, Pool, View, add_glowing, draft_thing, moving_thing, place, surface
+from training.datagen.scenes.draft import (
+    Draft,
+    Pool,
+    View,
+    add_glowing,
+    draft_thing,
+    moving_thing,
+    place,
+    surface,
+)
 from training.datagen.scenes.interior import interior
 from training.datagen.scenes.lights import Environments
 from training.datagen.scenes.materials import Material
@@ -20,11 +30,13 @@ def product(rng: np.random.Generator, maps: Environments) -> Draft:
     d = Description("product")
     metals = rng.random() < 0.45
     glass = 0.12 if rng.random() < 0.3 else 0.0
-    pool = Pool(d, rng, int(rng.integers(4, 8)), gloss=0.4, metal=0.7 if metals else 0.15, glass=glass)
+    pool = Pool(d, rng, int(rng.integers(4, 8)), gloss=0.4, metal=0.7 if metals else 0.15,
+                glass=glass)
     calm = metals or glass > 0
     floor = d.material(surface(rng, 0.5))
     size = rng.uniform(3, 12)
-    d.add(meshes.quad([-size, 0, size], [2 * size, 0, 0], [0, 0, -2 * size]).scaled_uvs(rng.uniform(0.3, 2)), floor)
+    d.add(meshes.quad([-size, 0, size], [2 * size, 0, 0], [0, 0, -2 * size])
+          .scaled_uvs(rng.uniform(0.3, 2)), floor)
     if rng.random() < 0.5:
         lights.set_environment(d, rng, maps, calm)
     else:
@@ -34,9 +46,11 @@ def product(rng: np.random.Generator, maps: Environments) -> Draft:
             centre = np.array([rng.uniform(-2, 2), rng.uniform(2, 4), rng.uniform(-2, 2)])
             mover = None
             if rng.random() < 0.3:
-                d.movers.append(object_path(centre, rng.normal(0, 0.1, 3) * [1, 0.2, 1], np.array([0, 1.0, 0]), 0.0))
+                d.movers.append(object_path(centre, rng.normal(0, 0.1, 3) * [1, 0.2, 1],
+                                            np.array([0, 1.0, 0]), 0.0))
                 mover, centre = len(d.movers) - 1, np.zeros(3)
-            lights.panel(d, rng, centre, float(rng.choice([0.5, 1.5, 3.0])), rng.uniform(10, 60), mover)
+            lights.panel(d, rng, centre, float(rng.choice([0.5, 1.5, 3.0])), rng.uniform(10, 60),
+                         mover)
     moving = int(rng.choice([0, 1, 2, 4], p=[0.3, 0.3, 0.25, 0.15]))
     for index in range(int(rng.integers(4, 13))):
         thing = furniture.resize(draft_thing(rng), rng.uniform(0.5, 1.3))
@@ -49,7 +63,8 @@ def product(rng: np.random.Generator, maps: Environments) -> Draft:
             place(d, thing, pool.slots(), meshes.translation(*home) @ turn, uv)
 
     if rng.random() < 0.12:
-        add_glowing(d, rng, np.array([rng.normal(0, 0.8), 0, rng.normal(0, 0.8)]), rng.uniform(0.5, 5))
+        add_glowing(d, rng, np.array([rng.normal(0, 0.8), 0, rng.normal(0, 0.8)]),
+                    rng.uniform(0.5, 5))
 
     def view(rng: np.random.Generator) -> View:
         angle, distance, height = rng.uniform(0, 6.3), rng.uniform(1.5, 4), rng.uniform(0.3, 2.2)
@@ -78,7 +93,8 @@ def outdoor(rng: np.random.Generator, maps: Environments) -> Draft:
         _meadow(d, rng, pool, heights, wind)
     for index in range(int(rng.integers(10, 26))):
         x, z = rng.normal(0, 2.5, 2)
-        y = heights[int(np.clip((z + 12) / 24 * n, 0, n - 1)), int(np.clip((x + 12) / 24 * n, 0, n - 1))]
+        y = heights[int(np.clip((z + 12) / 24 * n, 0, n - 1)),
+                    int(np.clip((x + 12) / 24 * n, 0, n - 1))]
         thing = _outdoor_thing(rng, green)
         thing = furniture.resize(thing, rng.uniform(0.5, 1.8))
         uv = float(rng.choice([0.5, 1, 2, 4]))
@@ -116,21 +132,23 @@ def _meadow(d: Description, rng: np.random.Generator, pool: Pool, heights: np.nd
     d.add(blades, pool.slots()["leaf"], bend=wind)
 
 
-# Detail finer than a pixel ------------------------------------------------------------------------------------------
+# Detail finer than a pixel ------------------------------------------------------------------------
 
 PIXEL = 0.009  # metres: about a pixel of 128 at a metre
 
 
 def fur(rng: np.random.Generator, maps: Environments) -> Draft:
-    """Tufts, coats and brushes of hairs thinner than a pixel over fine patterns, mostly out of focus, with small bright
-    lamps behind."""
+    """Tufts, coats and brushes of hairs thinner than a pixel over fine patterns, mostly out of
+    focus, with small bright lamps behind."""
     d = Description("fur")
-    d.lens = (float(rng.uniform(0.008, 0.05)) if rng.random() < 0.85 else 0.0, float(rng.uniform(0.8, 1.2)))
+    d.lens = (float(rng.uniform(0.008, 0.05)) if rng.random() < 0.85 else 0.0,
+              float(rng.uniform(0.8, 1.2)))
     floor = d.material(_pattern(rng))
     d.add(meshes.quad([-9, 0, 9], [18, 0, 0], [0, 0, -18]).scaled_uvs(rng.uniform(0.2, 2.0)), floor)
     for side in range(int(rng.integers(0, 3))):
         turn = meshes.rotation(furniture.Y, rng.uniform(-0.7, 0.7) + np.pi * side)
-        wall = meshes.quad([-9, -0.5, -rng.uniform(1.2, 4)], [18, 0, 0], [0, 6, 0]).scaled_uvs(rng.uniform(0.2, 2.0))
+        wall = meshes.quad([-9, -0.5, -rng.uniform(1.2, 4)], [18, 0, 0],
+                           [0, 6, 0]).scaled_uvs(rng.uniform(0.2, 2.0))
         d.add(wall.transform(turn), d.material(_pattern(rng)))
     for _ in range(int(rng.integers(1, 5))):
         size, home = rng.uniform(0.25, 0.7), np.array([rng.normal(0, 0.5), 0, rng.normal(0, 0.5)])
@@ -139,7 +157,8 @@ def fur(rng: np.random.Generator, maps: Environments) -> Draft:
         d.add(body.transform(meshes.translation(*home)), skin)
         for _ in range(int(rng.integers(1, 3))):
             kept = rng.random(len(root)) < rng.uniform(0.2, 1.0)
-            coat = d.material(Material("diffuse", np.full((1, 1, 3), textures.colour(rng), np.float32)))
+            coat = d.material(Material("diffuse",
+                                       np.full((1, 1, 3), textures.colour(rng), np.float32)))
             d.add(_hairs(rng, root[kept] + home, out[kept], size * rng.uniform(0.15, 1.4)), coat)
     pool = Pool(d, rng, 3, gloss=0.4, metal=0.15)
     for _ in range(int(rng.integers(0, 5))):
@@ -162,24 +181,29 @@ def fur(rng: np.random.Generator, maps: Environments) -> Draft:
 
 
 def sunlit(rng: np.random.Generator, maps: Environments) -> Draft:
-    """Poles, fences, wires and lattices of about a pixel and less before a sky with a small sun of any strength."""
+    """Poles, fences, wires and lattices of about a pixel and less before a sky with a small sun of
+    any strength."""
     d = Description("sunlit")
     if rng.random() < 0.2:
         d.lens = (float(rng.uniform(0.004, 0.02)), float(rng.uniform(0.7, 1.3)))
     ground = d.material(_pattern(rng) if rng.random() < 0.7 else surface(rng, 0.1))
-    d.add(meshes.quad([-40, 0, 40], [80, 0, 0], [0, 0, -80]).scaled_uvs(rng.uniform(0.15, 1.2)), ground)
+    d.add(meshes.quad([-40, 0, 40], [80, 0, 0], [0, 0, -80]).scaled_uvs(rng.uniform(0.15, 1.2)),
+          ground)
     lights.set_environment(d, rng, maps, True)
     if rng.random() < 0.5:
         d.environment = np.broadcast_to(lights.tint(rng) * [1, 1, 1], (4, 8, 3)).astype(np.float32)
     bearing, height, far = rng.uniform(0, 6.3), rng.uniform(0.08, 0.9), rng.uniform(6, 20)
-    sun = far * np.array([np.cos(bearing) * np.cos(height), np.sin(height), np.sin(bearing) * np.cos(height)])
+    sun = far * np.array([np.cos(bearing) * np.cos(height), np.sin(height),
+                          np.sin(bearing) * np.cos(height)])
     radius = far * np.radians(rng.uniform(0.25, 1.2))
     strength = np.exp(rng.uniform(np.log(300), np.log(2e5)))
-    d.emit(meshes.sphere(radius, 16).transform(meshes.translation(*sun)), lights.tint(rng, 0.05) * strength)
+    d.emit(meshes.sphere(radius, 16).transform(meshes.translation(*sun)),
+           lights.tint(rng, 0.05) * strength)
     pool = Pool(d, rng, int(rng.integers(4, 8)), gloss=0.3, metal=0.08)
     for _ in range(int(rng.integers(2, 6))):
         d.add(_thin(rng).transform(meshes.translation(rng.normal(0, 1.0), 0, rng.normal(0, 1.0))
-                                   @ meshes.rotation(furniture.Y, rng.uniform(0, 6.3))), int(rng.choice(pool.indices)))
+                                   @ meshes.rotation(furniture.Y, rng.uniform(0, 6.3))),
+              int(rng.choice(pool.indices)))
     for _ in range(int(rng.integers(0, 6))):
         thing = furniture.resize(draft_thing(rng), rng.uniform(0.5, 1.6))
         home = meshes.translation(rng.normal(0, 1.5), 0, rng.normal(0, 1.5))
@@ -200,17 +224,22 @@ def _pattern(rng: np.random.Generator) -> Material:
 
 
 def _body(rng: np.random.Generator, size: float) -> tuple[meshes.Mesh, np.ndarray, np.ndarray]:
-    """A body that hairs grow on, and many roots (N, 3) with their directions (N, 3): a head, a roll or a mat."""
-    count, kind = int(np.exp(rng.uniform(np.log(300), np.log(5000)))), str(rng.choice(["head", "roll", "mat", "tuft"]))
+    """A body that hairs grow on, and many roots (N, 3) with their directions (N, 3): a head, a roll
+    or a mat."""
+    count, kind = (int(np.exp(rng.uniform(np.log(300), np.log(5000)))),
+                   str(rng.choice(["head", "roll", "mat", "tuft"])))
     if kind == "head":
         body = meshes.blob(0.5 * size, rng, 0.2).transform(meshes.translation(0, 0.5 * size, 0))
         pick = rng.integers(len(body.vertices), size=count)
-        return body, body.vertices[pick] + rng.normal(0, 0.02 * size, (count, 3)), body.normals[pick]
+        return (body, body.vertices[pick] + rng.normal(0, 0.02 * size, (count, 3)),
+                body.normals[pick])
     if kind == "roll":
         body = meshes.cylinder(0.15 * size, 1.5 * size)
         turn = rng.uniform(0, 6.3, count)
         out = np.stack([np.cos(turn), rng.normal(0, 0.3, count), np.sin(turn)], 1)
-        return body, 0.15 * size * out * [1, 0, 1] + [0, 1, 0] * rng.uniform(0, 1.5 * size, (count, 1)), out
+        return (body,
+                0.15 * size * out * [1, 0, 1] + [0, 1, 0] * rng.uniform(0, 1.5 * size, (count, 1)),
+                out)
     wide = size * (1.0 if kind == "mat" else 0.3)
     body = meshes.box([-wide, 0, -wide], [wide, 0.04, wide])
     root = rng.uniform(-wide, wide, (count, 3)) * [1, 0, 1] + [0, 0.04, 0]
@@ -218,7 +247,8 @@ def _body(rng: np.random.Generator, size: float) -> tuple[meshes.Mesh, np.ndarra
     return body, root, np.array([0.0, 1, 0]) + 0.5 * lean + rng.normal(0, 0.15, (count, 3))
 
 
-def _hairs(rng: np.random.Generator, root: np.ndarray, out: np.ndarray, length: float) -> meshes.Mesh:
+def _hairs(rng: np.random.Generator, root: np.ndarray, out: np.ndarray,
+           length: float) -> meshes.Mesh:
     """Tapering three-sided tubes that grow along `out` and then hang or curl."""
     n, steps = len(root), 6
     radius = PIXEL * np.exp(rng.uniform(np.log(0.08), np.log(0.5)))
@@ -226,19 +256,23 @@ def _hairs(rng: np.random.Generator, root: np.ndarray, out: np.ndarray, length: 
     along = np.linspace(0, 1, steps)[:, None]
     sag, wave = rng.uniform(0, 0.8), rng.uniform(0, 0.12)
     phase = rng.uniform(0, 6.3, (n, 1, 3))
-    path = root[:, None] + tall * (along * out[:, None] + along**2 * (rng.normal(0, 0.25, (n, 1, 3)) - [0, sag, 0]))
+    path = root[:, None] + tall * (along * out[:, None]
+                                   + along**2 * (rng.normal(0, 0.25, (n, 1, 3)) - [0, sag, 0]))
     path = path + tall * wave * along * np.sin(phase + along * rng.uniform(3, 15))
     path[..., 1] = np.abs(path[..., 1]) + radius
     turn = np.arange(4) * 2 * np.pi / 3
     side = np.cross(out, rng.normal(0, 1, (n, 3)))
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
     other = np.cross(side, out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9))
-    normals = np.cos(turn)[:, None] * side[:, None, None] + np.sin(turn)[:, None] * other[:, None, None]
+    normals = (np.cos(turn)[:, None] * side[:, None, None]
+               + np.sin(turn)[:, None] * other[:, None, None])
     normals = np.broadcast_to(normals, (n, steps, 4, 3))
     vertices = path[:, :, None] + radius * (1 - 0.6 * along[None, :, None]) * normals
-    faces = (meshes.grid_faces(steps - 1, 3)[None] + 4 * steps * np.arange(n)[:, None, None]).reshape(-1, 3)
+    faces = (meshes.grid_faces(steps - 1,
+                               3)[None] + 4 * steps * np.arange(n)[:, None, None]).reshape(-1, 3)
     count = n * steps * 4
-    return meshes.Mesh(vertices.reshape(-1, 3), normals.reshape(-1, 3), np.zeros((count, 2)), faces.astype(np.uint32))
+    return meshes.Mesh(vertices.reshape(-1, 3), normals.reshape(-1, 3), np.zeros((count, 2)),
+                       faces.astype(np.uint32))
 
 
 def _lamps(d: Description, rng: np.random.Generator) -> None:
@@ -247,26 +281,33 @@ def _lamps(d: Description, rng: np.random.Generator) -> None:
         count, size = int(rng.integers(3, 12)), rng.uniform(0.008, 0.04)
         turn, far = rng.uniform(0, 6.3, count), rng.uniform(2.0, 4.5, count)
         homes = np.stack([far * np.cos(turn), rng.uniform(0.2, 2.0, count), far * np.sin(turn)], 1)
-        balls = meshes.merge([meshes.sphere(size, 8).transform(meshes.translation(*home)) for home in homes])
+        balls = meshes.merge([meshes.sphere(size, 8).transform(meshes.translation(*home))
+                              for home in homes])
         d.emit(balls, lights.tint(rng, 0.5) * np.exp(rng.uniform(np.log(8), np.log(150))))
 
 
 def _thin(rng: np.random.Generator) -> meshes.Mesh:
-    """A row of poles, a fence of wires, a lattice or sagging wires, about 3 m long, of a tenth of a pixel to two."""
+    """A row of poles, a fence of wires, a lattice or sagging wires, about 3 m long, of a tenth of a
+    pixel to two."""
     radius = 3.5 * PIXEL * np.exp(rng.uniform(np.log(0.06), np.log(1.0)))
     height, wide, count = rng.uniform(0.5, 2.2), rng.uniform(0.6, 3.0), int(rng.integers(4, 24))
     across = np.linspace(-0.5 * wide, 0.5 * wide, count)
     kind = str(rng.choice(["poles", "fence", "mesh", "wires"]))
-    lines = [] if kind == "wires" else [[[x, 0, 0], [x + rng.normal(0, 0.02), height, 0]] for x in across]
+    lines = [] if kind == "wires" else [[[x, 0, 0], [x + rng.normal(0, 0.02), height, 0]]
+                                        for x in across]
     if kind == "fence":
-        lines += [[[across[0], y, 0], [across[-1], y, 0]] for y in height * np.linspace(0.2, 0.95, 3)]
+        lines += [[[across[0], y, 0], [across[-1], y, 0]]
+                  for y in height * np.linspace(0.2, 0.95, 3)]
     if kind == "mesh":
-        lines = [[[x, 0, 0], [x + side * height, height, 0]] for x in across for side in (-0.5, 0.5)]
+        lines = [[[x, 0, 0], [x + side * height, height, 0]] for x in across
+                 for side in (-0.5, 0.5)]
     if kind == "wires":
         bow = np.linspace(-1, 1, 9)
         for y in rng.uniform(0.4, 1.2, int(rng.integers(2, 7))) * height:
-            lines.append(np.stack([2 * wide * bow, y + 0.15 * bow**2, 0 * bow + rng.normal(0, 0.1)], 1))
-    return meshes.merge([foliage.tube(np.asarray(line, float), radius * rng.uniform(0.7, 1.4)) for line in lines])
+            lines.append(np.stack([2 * wide * bow, y + 0.15 * bow**2, 0 * bow + rng.normal(0, 0.1)],
+                                  1))
+    return meshes.merge([foliage.tube(np.asarray(line, float), radius * rng.uniform(0.7, 1.4))
+                         for line in lines])
 
 
 FAMILIES = ((interior, 0.48), (room, 0.2), (product, 0.18), (outdoor, 0.14))

@@ -1,4 +1,5 @@
-"""Materials of interiors by the role they play: mostly pale walls and joinery, glossy floors, cloth, leaves."""
+"""Materials of interiors by the role they play: mostly pale walls and joinery, glossy floors,
+cloth, leaves."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from training.datagen.scenes.materials import GLASSES, Material, random_metal
 
 
 def _flat(value: np.ndarray) -> np.ndarray:
-    return np.tile(np.clip(np.asarray(value, float), 0.01, 0.93), (1, 1, 1)).astype(np.float32).reshape(1, 1, 3)
+    return np.tile(np.clip(np.asarray(value, float), 0.01, 0.93),
+                   (1, 1, 1)).astype(np.float32).reshape(1, 1, 3)
 
 
 def white(rng: np.random.Generator, low: float = 0.6, high: float = 0.9) -> np.ndarray:
@@ -22,7 +24,8 @@ def white(rng: np.random.Generator, low: float = 0.6, high: float = 0.9) -> np.n
 
 def _hsv(rng: np.random.Generator, hue: tuple, saturation: tuple, value: tuple) -> np.ndarray:
     """Linear colour from ranges of hue, saturation and displayed value."""
-    return np.array(colorsys.hsv_to_rgb(rng.uniform(*hue) % 1, rng.uniform(*saturation), rng.uniform(*value))) ** 2.2
+    return np.array(colorsys.hsv_to_rgb(rng.uniform(*hue) % 1, rng.uniform(*saturation),
+                                        rng.uniform(*value))) ** 2.2
 
 
 def _plastic(rng: np.random.Generator, albedo: np.ndarray, low: float, high: float) -> Material:
@@ -41,7 +44,8 @@ def _wall(rng: np.random.Generator) -> Material:
 
 def _trim(rng: np.random.Generator) -> Material:
     pick = rng.random()
-    albedo = white(rng, 0.65, 0.9) if pick < 0.75 else _wood(rng) if pick < 0.88 else _flat(textures.colour(rng))
+    albedo = (white(rng, 0.65, 0.9) if pick < 0.75 else _wood(rng) if pick < 0.88
+              else _flat(textures.colour(rng)))
     return Material("diffuse", albedo) if rng.random() < 0.4 else _plastic(rng, albedo, 0.2, 0.6)
 
 
@@ -85,7 +89,8 @@ def _leaf(rng: np.random.Generator) -> Material:
     albedo = _flat(base)
     if rng.random() < 0.4:
         pale = np.clip(base * rng.uniform(1.3, 3.0) + 0.02, 0.01, 0.6)
-        blend = np.clip((textures.noise(128, int(rng.choice([4, 16])), rng) - 0.45) * 4, 0, 1)[..., None]
+        blend = np.clip((textures.noise(128, int(rng.choice([4, 16])), rng) - 0.45) * 4, 0,
+                        1)[..., None]
         albedo = (base + (pale - base) * blend).astype(np.float32)
     if rng.random() < 0.05:
         albedo = _flat(_hsv(rng, (0.85, 1.1), (0.4, 0.9), depth))
@@ -114,14 +119,15 @@ def _glass(rng: np.random.Generator) -> Material:
 
 
 ROLES = {
-    "wall": _wall, "trim": _trim, "floor": _floor, "bedding": _bedding, "leaf": _leaf, "tile": _tile, "glass": _glass,
+    "wall": _wall, "trim": _trim, "floor": _floor, "bedding": _bedding, "leaf": _leaf,
+    "tile": _tile, "glass": _glass,
     "counter": _counter, "gloss": _colour_gloss, "fabric": _fabric, "fabric2": _fabric,
-    "leaf2": lambda rng: _plastic(rng, _flat(_hsv(rng, (0.18, 0.35), (0.3, 0.8), (0.3, 0.7))), 0.3, 0.6),
+    "leaf2": lambda rng: _plastic(rng, _flat(_hsv(rng, (0.18, 0.35), (0.3, 0.8), (0.3, 0.7))), 0.3,
+                                  0.6),
     "ceiling": lambda rng: Material("diffuse", white(rng, 0.7, 0.92)),
     "wood": lambda rng: _plastic(rng, _wood(rng), 0.2, 0.6),
     "lacquer": lambda rng: _plastic(rng, _flat(textures.colour(rng)), 0.15, 0.5),
-    "curtain": _bedding,
-    "cloth": lambda rng: Material("diffuse", white(rng, 0.5, 0.9)),
+    "curtain": _bedding, "cloth": lambda rng: Material("diffuse", white(rng, 0.5, 0.9)),
     "accent": lambda rng: Material("diffuse", _flat(_hsv(rng, (0, 1), (0.5, 1), (0.3, 0.95)))),
     "pattern": lambda rng: Material("diffuse", textures.texture(rng, flat=0)),
     "paper": lambda rng: Material("diffuse", white(rng, 0.65, 0.9)),
@@ -129,14 +135,16 @@ ROLES = {
     "porcelain": lambda rng: _plastic(rng, white(rng, 0.75, 0.9), 0.08, 0.25),
     "metal": lambda rng: random_metal(rng, 0.08),
     "shade": lambda rng: Material("diffuse", white(rng, 0.5, 0.85)),
-    "blind": lambda rng: Material("diffuse", white(rng)) if rng.random() < 0.7 else _plastic(rng, _wood(rng), 0.3, 0.6),
+    "blind": lambda rng: Material("diffuse", white(rng)) if rng.random() < 0.7
+                         else _plastic(rng, _wood(rng), 0.3, 0.6),
     "pot": lambda rng: Material("diffuse", _flat(_hsv(rng, (0.02, 0.07), (0.4, 0.7), (0.5, 0.8)))),
     "ground": lambda rng: Material("diffuse", _flat(_hsv(rng, (0.05, 0.4), (0, 0.4), (0.3, 0.7)))),
     "soil": lambda rng: Material("diffuse", _flat([0.05, 0.035, 0.025])),
     "soot": lambda rng: Material("diffuse", _flat(rng.uniform(0.015, 0.08, 1) * np.ones(3))),
     "dark": lambda rng: _plastic(rng, _flat(np.full(3, rng.uniform(0.015, 0.06))), 0.3, 0.6),
     "gloss_dark": lambda rng: _plastic(rng, _flat(np.full(3, 0.012)), 0.08, 0.2),
-    "card": lambda rng: Material("diffuse", _flat(_hsv(rng, (0.06, 0.09), (0.3, 0.5), (0.55, 0.75)))),
+    "card": lambda rng: Material("diffuse",
+                                 _flat(_hsv(rng, (0.06, 0.09), (0.3, 0.5), (0.55, 0.75)))),
     "grout": lambda rng: Material("diffuse", _flat(rng.uniform(0.2, 0.8, 1) * np.ones(3))),
 }
 

@@ -6,7 +6,16 @@ import numpy as np
 
 from training.datagen.scenes import furniture, lights, meshes, textures
 from training.datagen.scenes.build import Description
-from training.datagen.scenes.draft import Draft, Pool, View, add_glowing, draft_thing, moving_thing, place, surface
+from training.datagen.scenes.draft import (
+    Draft,
+    Pool,
+    View,
+    add_glowing,
+    draft_thing,
+    moving_thing,
+    place,
+    surface,
+)
 from training.datagen.scenes.lights import Environments, sky
 from training.datagen.scenes.materials import METALS, Material
 from training.datagen.scenes.meshes import rotation, translation
@@ -15,26 +24,32 @@ from training.datagen.scenes.motion import Camera, look_at, object_path
 LIGHTS = {"windows": 0.25, "small": 0.15, "ceiling": 0.2, "lamps": 0.15, "cove": 0.1, "both": 0.15}
 
 
-def wall(low: np.ndarray, edge: np.ndarray, height: float, holes: list[tuple[float, float, float, float]]) -> list:
-    """Quads of an upright wall from `low` along `edge`, leaving out holes (from, to as fractions; sill, top in m)."""
+def wall(low: np.ndarray, edge: np.ndarray, height: float,
+         holes: list[tuple[float, float, float, float]]) -> list:
+    """Quads of an upright wall from `low` along `edge`, leaving out holes (from, to as fractions;
+    sill, top in m)."""
     up, parts, x = np.array([0, height, 0]), [], 0.0
     for start, end, sill, top in sorted(holes):
         parts.append(meshes.quad(low + x * edge, (start - x) * edge, up))
         parts.append(meshes.quad(low + start * edge, (end - start) * edge, np.array([0, sill, 0])))
-        parts.append(meshes.quad(low + start * edge + [0, top, 0], (end - start) * edge, [0, height - top, 0]))
+        parts.append(meshes.quad(low + start * edge + [0, top, 0], (end - start) * edge,
+                                 [0, height - top, 0]))
         x = end
     parts.append(meshes.quad(low + x * edge, (1 - x) * edge, up))
     return parts
 
 
-def _windows(rng: np.random.Generator, height: float, small: bool) -> list[tuple[float, float, float, float]]:
+def _windows(rng: np.random.Generator, height: float,
+             small: bool) -> list[tuple[float, float, float, float]]:
     count = 1 if small else int(rng.integers(1, 4))
     width = rng.uniform(0.12, 0.25) if small else rng.uniform(0.5, 0.85) / count
     sill, top = rng.uniform(0.2, 1.1), height - rng.uniform(0.2, 0.7)
-    return [((k + 0.5) / count - width / 2, (k + 0.5) / count + width / 2, sill, top) for k in range(count)]
+    return [((k + 0.5) / count - width / 2, (k + 0.5) / count + width / 2, sill, top)
+            for k in range(count)]
 
 
-def bars(low: np.ndarray, edge: np.ndarray, hole: tuple[float, float, float, float], count: int) -> list:
+def bars(low: np.ndarray, edge: np.ndarray, hole: tuple[float, float, float, float],
+         count: int) -> list:
     """Window bars, upright and across."""
     start, end, sill, top = hole
     a, span = low + start * edge, (end - start) * edge
@@ -58,11 +73,13 @@ def room(rng: np.random.Generator, maps: Environments) -> Draft:
     pale = d.material(Material("diffuse", np.full((1, 1, 3), rng.uniform(0.5, 0.9), np.float32)))
     other = walls if rng.random() < 0.5 else d.material(surface(rng, 0.2))
     plain = pale if rng.random() < 0.6 else walls
-    d.add(meshes.quad([-w / 2, 0, depth / 2], [w, 0, 0], [0, 0, -depth]).scaled_uvs(rng.uniform(0.3, 1.2)), floor)
+    d.add(meshes.quad([-w / 2, 0, depth / 2], [w, 0, 0], [0, 0, -depth])
+          .scaled_uvs(rng.uniform(0.3, 1.2)), floor)
     d.add(meshes.quad([-w / 2, h, -depth / 2], [w, 0, 0], [0, 0, depth]), plain)
     light = str(rng.choice(list(LIGHTS), p=list(LIGHTS.values())))
     openings = light in ("windows", "small", "both")
-    corners = np.array([[-w / 2, 0, -depth / 2], [w / 2, 0, -depth / 2], [w / 2, 0, depth / 2], [-w / 2, 0, depth / 2]])
+    corners = np.array([[-w / 2, 0, -depth / 2], [w / 2, 0, -depth / 2], [w / 2, 0, depth / 2],
+                        [-w / 2, 0, depth / 2]])
     sides = 0 if not openings else 1 if light == "small" else int(rng.integers(1, 3))
     opened = set(rng.choice(4, sides, replace=False))
     uv, outside = rng.uniform(0.3, 1.2), []
@@ -83,7 +100,8 @@ def room(rng: np.random.Generator, maps: Environments) -> Draft:
     _light_room(d, rng, light, (w, h, depth))
     _furnish(d, rng, pool, (w, h, depth))
     if rng.random() < 0.12:
-        home = np.array([rng.uniform(-0.4, 0.4) * w, rng.uniform(0, 1.5), rng.uniform(-0.4, 0.4) * depth])
+        home = np.array([rng.uniform(-0.4, 0.4) * w, rng.uniform(0, 1.5),
+                         rng.uniform(-0.4, 0.4) * depth])
         add_glowing(d, rng, home, rng.uniform(2, 20))
     if rng.random() < 0.22:
         mirror = d.material(Material("conductor"))
@@ -92,14 +110,17 @@ def room(rng: np.random.Generator, maps: Environments) -> Draft:
     def view(rng: np.random.Generator) -> View:
         x, z = rng.uniform(-0.45, 0.45, 2) * [w, depth]
         eye = np.array([x, rng.uniform(0.5, min(h - 0.3, 2.2)), z])
-        target = np.array([rng.uniform(-0.3, 0.3) * w, rng.uniform(0.2, 1.4), rng.uniform(-0.3, 0.3) * depth])
+        target = np.array([rng.uniform(-0.3, 0.3) * w, rng.uniform(0.2, 1.4),
+                           rng.uniform(-0.3, 0.3) * depth])
         return eye, target
 
     return Draft(d, view)
 
 
-def _outside(low: np.ndarray, edge: np.ndarray, hole: tuple[float, float, float, float]) -> meshes.Mesh:
-    """A sheet just outside a window: a bright sky that is sampled much better than an environment."""
+def _outside(low: np.ndarray, edge: np.ndarray,
+             hole: tuple[float, float, float, float]) -> meshes.Mesh:
+    """A sheet just outside a window: a bright sky that is sampled much better than an
+    environment."""
     start, end, sill, top = hole
     out = 0.3 * np.array([edge[2], 0, -edge[0]]) / np.linalg.norm(edge)
     corner = low + (start - 0.05) * edge + out + [0, sill - 0.3, 0]
@@ -111,13 +132,16 @@ def _light_room(d: Description, rng: np.random.Generator, light: str, size: tupl
     if light in ("ceiling", "both"):
         for _ in range(int(rng.integers(1, 3))):
             x, z = rng.uniform(-0.35, 0.35) * w, rng.uniform(-0.35, 0.35) * depth
-            lights.panel(d, rng, np.array([x, h - 0.01, z]), float(rng.choice([0.3, 0.8, 2.0])), rng.uniform(2, 20))
+            lights.panel(d, rng, np.array([x, h - 0.01, z]), float(rng.choice([0.3, 0.8, 2.0])),
+                         rng.uniform(2, 20))
     if light == "lamps":
         for _ in range(int(rng.integers(1, 4))):
-            centre = np.array([rng.uniform(-0.4, 0.4) * w, rng.uniform(0.6, h - 0.4), rng.uniform(-0.4, 0.4) * depth])
+            centre = np.array([rng.uniform(-0.4, 0.4) * w, rng.uniform(0.6, h - 0.4),
+                               rng.uniform(-0.4, 0.4) * depth])
             mover = None
             if rng.random() < 0.4:
-                d.movers.append(object_path(centre, rng.normal(0, 0.05, 3) * [1, 0.3, 1], np.array([0, 1.0, 0]), 0.0))
+                d.movers.append(object_path(centre, rng.normal(0, 0.05, 3) * [1, 0.3, 1],
+                                            np.array([0, 1.0, 0]), 0.0))
                 mover, centre = len(d.movers) - 1, np.zeros(3)
             lights.bulb(d, rng, centre, rng.uniform(0.05, 0.25), rng.uniform(5, 30), mover)
     if light == "cove":
@@ -138,7 +162,8 @@ def _furnish(d: Description, rng: np.random.Generator, pool: Pool, size: tuple) 
         if index < moving:
             moving_thing(d, rng, thing, pool.slots(), home, uv)
         else:
-            turn = meshes.rotation(furniture.Y, float(rng.choice([0, 1, 2, 3]) * np.pi / 2 + rng.normal(0, 0.15)))
+            turn = meshes.rotation(furniture.Y, float(rng.choice([0, 1, 2, 3]) * np.pi / 2
+                                                      + rng.normal(0, 0.15)))
             place(d, thing, pool.slots(), meshes.translation(*home) @ turn, uv)
     frame = d.material(Material("roughplastic", textures.wood(rng), 0.1))
     for _ in range(int(rng.integers(0, 4))):
@@ -150,10 +175,11 @@ def _furnish(d: Description, rng: np.random.Generator, pool: Pool, size: tuple) 
         centre = np.array([x, y, -depth / 2])
         d.add(meshes.box(centre - corner, centre + corner + [0, 0, 0.03]), frame)
         picture = meshes.quad([x - a / 2, y - b / 2, -depth / 2 + 0.032], [a, 0, 0], [0, b, 0])
-        d.add(meshes.Mesh(picture.vertices, picture.normals, picture.uvs / [a, b], picture.faces), art)
+        d.add(meshes.Mesh(picture.vertices, picture.normals, picture.uvs / [a, b], picture.faces),
+              art)
 
 
-# The room of samples/room ---------------------------------------------------------------------------------------------
+# The room of samples/room -------------------------------------------------------------------------
 # Composed by hand; clips are not drawn from it.
 
 SAMPLE_SIZE = (5.2, 2.8, 6.0)
@@ -173,7 +199,8 @@ def sample_room() -> Description:
     blue = d.material(Material("diffuse", flat(0.12, 0.22, 0.3)))
     d.add(meshes.quad([-w / 2, 0, depth / 2], [w, 0, 0], [0, 0, -depth]).scaled_uvs(0.5), floor)
     d.add(meshes.quad([-w / 2, h, -depth / 2], [w, 0, 0], [0, 0, depth]), white)
-    corners = np.array([[-w / 2, 0, -depth / 2], [w / 2, 0, -depth / 2], [w / 2, 0, depth / 2], [-w / 2, 0, depth / 2]])
+    corners = np.array([[-w / 2, 0, -depth / 2], [w / 2, 0, -depth / 2], [w / 2, 0, depth / 2],
+                        [-w / 2, 0, depth / 2]])
     window = (0.25, 0.75, 0.7, 2.3)
     for side, material in enumerate((blue, white, white, white)):
         low, edge = corners[side], corners[(side + 1) % 4] - corners[side]
@@ -181,7 +208,8 @@ def sample_room() -> Description:
             d.add(part, material)
         for bar in bars(low, edge, window, 3) if side in (1, 3) else []:
             d.add(bar, white)
-    d.environment, d.environment_turn, d.environment_gain = sky(np.random.default_rng(5)), 200.0, 12.0
+    d.environment, d.environment_turn, d.environment_gain = (sky(np.random.default_rng(5)), 200.0,
+                                                             12.0)
     _furnish_sample(d, rng, white, blue)
     return d
 
@@ -201,7 +229,8 @@ def _furnish_sample(d: Description, rng: np.random.Generator, white: int, blue: 
         (lambda _: table, (0.1, 0, -0.9), 0.0, dict(main=wood, second=black)),
         (furniture.chair, (-0.9, 0, -0.5), 0.9, dict(main=wood, second=black)),
         (furniture.chair, (1.3, 0, -1.3), -2.2, dict(main=red, second=black)),
-        (furniture.shelf, (-1.5, 0, -2.75), 0.0, dict(main=white, second=red, third=weave, leaf=blue)),
+        (furniture.shelf, (-1.5, 0, -2.75), 0.0,
+         dict(main=white, second=red, third=weave, leaf=blue)),
         (furniture.plant, (1.9, 0, -2.2), 0.3, dict(second=pot, leaf=leaf, third=wood)),
         (furniture.crate, (-2.1, 0, 0.2), 0.2, dict(main=weave)),
         (furniture.stack, (-1.15, 0, 0.35), 0.4, dict(main=wood, second=red, third=weave)),
@@ -213,7 +242,8 @@ def _furnish_sample(d: Description, rng: np.random.Generator, white: int, blue: 
         d.add(mesh.transform(translation(0.35, top, -0.95)), pot)
     lamp = meshes.sphere(0.11, 24).transform(translation(-0.3, top + 0.12, -1.0))
     d.emit(lamp, np.array([60.0, 44.0, 24.0]))
-    d.movers.append(object_path(np.array([0.85, 0.42, 0.2]), np.array([0.012, 0, 0.0]), np.array([0, 0.2, 1.0]), -0.06))
+    d.movers.append(object_path(np.array([0.85, 0.42, 0.2]), np.array([0.012, 0, 0.0]),
+                                np.array([0, 0.2, 1.0]), -0.06))
     wheel = furniture.wheel(np.random.default_rng(1))
     hub = 0.5 * max(mesh.vertices[:, 1].max() for mesh, _ in wheel)
     for mesh, slot in wheel:
@@ -222,7 +252,8 @@ def _furnish_sample(d: Description, rng: np.random.Generator, white: int, blue: 
         art = d.material(Material("diffuse", textures.picture(np.random.default_rng(seed))))
         d.add(meshes.box([x - 0.36, 1.2, -3.0], [x + 0.36, 2.0, -2.97]), black)
         canvas = meshes.quad([x - 0.31, 1.25, -2.965], [0.62, 0, 0], [0, 0.7, 0])
-        d.add(meshes.Mesh(canvas.vertices, canvas.normals, canvas.uvs / [0.62, 0.7], canvas.faces), art)
+        d.add(meshes.Mesh(canvas.vertices, canvas.normals, canvas.uvs / [0.62, 0.7], canvas.faces),
+              art)
 
 
 def sample_camera(frame: float) -> Camera:
@@ -232,7 +263,8 @@ def sample_camera(frame: float) -> Camera:
 
 
 def orbiting_camera(degrees: float) -> Camera:
-    """A camera on a circle around the table, at this angle from where the slow one stands, to the right."""
+    """A camera on a circle around the table, at this angle from where the slow one stands, to the
+    right."""
     turn = np.radians(degrees)
     eye = np.array([0.1 + 2.2 * np.sin(turn), 1.4, -0.4 + 2.2 * np.cos(turn)])
     return Camera(look_at(eye, np.array([0.1, 0.8, -0.4])), 66.0)

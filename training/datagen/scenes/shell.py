@@ -1,4 +1,5 @@
-"""The shell of an interior: floor, ceiling or roof, walls with deep openings, joinery, passages behind doors."""
+"""The shell of an interior: floor, ceiling or roof, walls with deep openings, joinery, passages
+behind doors."""
 
 from __future__ import annotations
 
@@ -14,12 +15,14 @@ from training.datagen.scenes.meshes import rotation, translation
 from training.datagen.scenes.motion import hanging
 from training.datagen.scenes.roles import Roles
 
-DOWN = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # a plan's x, y, off -> x, z, down
+# a plan's x, y, off -> x, z, down
+DOWN = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 @dataclass(frozen=True)
 class Side:
-    """A wall or a slope of the roof: its frame (x along it, y up, z inwards), its size, its openings."""
+    """A wall or a slope of the roof: its frame (x along it, y up, z inwards), its size, its
+    openings."""
 
     matrix: np.ndarray
     width: float
@@ -30,10 +33,12 @@ class Side:
 
 @dataclass
 class House:
-    """A room being furnished: `size` is width, height, depth; `taken` are boxes (x0, x1, z0, z1, top) on the floor.
+    """A room being furnished: `size` is width, height, depth; `taken` are boxes (x0, x1, z0, z1,
+    top) on the floor.
 
-    With `sky` an environment shines in, which needs large windows; else bright sheets stand outside.
-    `sights` are points worth looking at, `far_windows` the ends of lit passages behind doors.
+    With `sky` an environment shines in, which needs large windows; else bright sheets stand
+    outside. `sights` are points worth looking at, `far_windows` the ends of lit passages behind
+    doors.
     """
 
     d: Description
@@ -48,7 +53,8 @@ class House:
     sights: list[np.ndarray] = field(default_factory=list)
     far_windows: list[Side] = field(default_factory=list)
 
-    def put(self, thing: Thing, matrix: np.ndarray, mover: int | None = None, bend: int | None = None) -> None:
+    def put(self, thing: Thing, matrix: np.ndarray, mover: int | None = None,
+            bend: int | None = None) -> None:
         for mesh, role in thing:
             self.d.add(mesh.transform(matrix), self.roles[role], mover, bend)
 
@@ -58,7 +64,8 @@ class House:
 
 
 def frames(w: float, depth: float) -> list[tuple[np.ndarray, float]]:
-    """Frames (4, 4) and widths of the four walls of a room about the origin; the first is the far one, at -z."""
+    """Frames (4, 4) and widths of the four walls of a room about the origin; the first is the far
+    one, at -z."""
     corners = np.array([[-w, 0, -depth], [w, 0, -depth], [w, 0, depth], [-w, 0, depth]]) / 2
     made = []
     for k, low in enumerate(corners):
@@ -82,14 +89,17 @@ def slope_frame(house: House, side: int) -> tuple[np.ndarray, float, float]:
 def build(house: House) -> None:
     """Build everything fixed, with the openings in `house.sides`."""
     w, h, depth = house.size
-    floor = meshes.quad([-w / 2, 0, depth / 2], [w, 0, 0], [0, 0, -depth]).scaled_uvs(house.rng.uniform(0.25, 0.7))
+    floor = meshes.quad([-w / 2, 0, depth / 2], [w, 0, 0],
+                        [0, 0, -depth]).scaled_uvs(house.rng.uniform(0.25, 0.7))
     house.put([(floor, "floor")], np.eye(4))
     if not house.pitch:
-        house.put([(meshes.quad([-w / 2, h, -depth / 2], [w, 0, 0], [0, 0, depth]), "ceiling")], np.eye(4))
+        house.put([(meshes.quad([-w / 2, h, -depth / 2], [w, 0, 0], [0, 0, depth]), "ceiling")],
+                  np.eye(4))
         if house.style.cornice is not None:
             plan = solids.rectangle(-w / 2, -depth / 2, w / 2, depth / 2)
             loop = solids.moulding(plan, house.style.cornice, closed=True)
-            house.put([(loop, str(house.rng.choice(["trim", "ceiling"])))], translation(0, h, 0) @ DOWN)
+            house.put([(loop, str(house.rng.choice(["trim", "ceiling"])))],
+                      translation(0, h, 0) @ DOWN)
         if house.rng.random() < 0.18:
             _coffers(house)
     for index, side in enumerate(house.sides):
@@ -99,9 +109,11 @@ def build(house: House) -> None:
 def _coffers(house: House) -> None:
     """Mouldings in fields on the ceiling."""
     rng, (w, h, depth) = house.rng, house.size
-    pitch, rim = rng.uniform(0.6, 1.6), solids.frame_profile(rng, rng.uniform(0.03, 0.1), rng.uniform(0.01, 0.06))
+    pitch, rim = rng.uniform(0.6, 1.6), solids.frame_profile(rng, rng.uniform(0.03, 0.1),
+                                                             rng.uniform(0.01, 0.06))
     columns, rows = (max(1, round((size - 0.5) / pitch)) for size in (w, depth))
-    fields = joinery.panel_grid(0.3 - w / 2, 0.3 - depth / 2, w / 2 - 0.3, depth / 2 - 0.3, columns, rows, 0.12)
+    fields = joinery.panel_grid(0.3 - w / 2, 0.3 - depth / 2, w / 2 - 0.3, depth / 2 - 0.3, columns,
+                                rows, 0.12)
     made = [solids.moulding(corners, rim, closed=True) for corners in fields]
     house.put([(meshes.merge(made), "ceiling")], translation(0, h, 0) @ DOWN)
 
@@ -112,7 +124,8 @@ def _wall(house: House, side: Side, gable: bool) -> None:
     made = joinery.faces(side.width, side.height, side.holes, plain)
     if gable:
         ridge = house.pitch * side.width / 2
-        corners = np.array([[0, 0, 0], [side.width, 0, 0], [side.width / 2, ridge, 0]]) + [0, side.height, 0]
+        corners = (np.array([[0, 0, 0], [side.width, 0, 0], [side.width / 2, ridge, 0]])
+                   + [0, side.height, 0])
         normals, triangle = np.tile([0, 0, 1.0], (3, 1)), np.array([[0, 1, 2]], np.uint32)
         made.append((meshes.Mesh(corners, normals, corners[:, :2], triangle), "wall"))
     made = [(mesh.scaled_uvs(0.4), slot) for mesh, slot in made]
@@ -136,13 +149,15 @@ def _wall(house: House, side: Side, gable: bool) -> None:
 
 def dress(house: House) -> None:
     """Blinds and curtains: the same kind for all windows, some of them moving."""
-    kind, rng = str(house.rng.choice(["none", "blind", "curtain", "sheer"], p=[0.42, 0.18, 0.3, 0.1])), house.rng
+    kind, rng = str(house.rng.choice(["none", "blind", "curtain", "sheer"],
+                                     p=[0.42, 0.18, 0.3, 0.1])), house.rng
     for side in (s for s in house.sides if not s.slope):
         for hole in (h for h in side.holes if h.kind == "window"):
             if rng.random() < 0.4:
                 house.sights.append(_world(side, (hole.x0, (hole.y0 + hole.y1) / 2, 0)))
             if kind == "blind" and rng.random() < 0.8:
-                house.put(joinery.blind(rng, hole, -0.06 if house.style.thick > 0.25 else 0.05), side.matrix)
+                house.put(joinery.blind(rng, hole, -0.06 if house.style.thick > 0.25 else 0.05),
+                          side.matrix)
             if kind in ("curtain", "sheer"):
                 _curtains(house, side, hole)
 
@@ -157,10 +172,12 @@ def _curtains(house: House, side: Side, hole: Opening) -> None:
     for x in (hole.x0 - 0.2 + 0.3 * reach, hole.x1 + 0.2 - 0.3 * reach):
         if x - reach / 2 < 0.0 or x + reach / 2 > side.width:
             continue
-        mesh = solids.curtain(rng, reach, top - low).transform(side.matrix @ translation(x, low, 0.1))
+        mesh = solids.curtain(rng, reach, top - low).transform(side.matrix
+                                                               @ translation(x, low, 0.1))
         bend = None
         if rng.random() < 0.35:
-            house.d.bends.append(hanging(rng, mesh.vertices[:, 1].max(), top - low, side.matrix[:3, 2]))
+            house.d.bends.append(hanging(rng, mesh.vertices[:, 1].max(), top - low,
+                                         side.matrix[:3, 2]))
             bend = len(house.d.bends) - 1
         house.d.add(mesh, house.roles["curtain"], bend=bend)
 
@@ -188,7 +205,8 @@ def _behind(house: House, side: Side, hole: Opening) -> None:
     """A passage behind a door or an arch; most have a window at their far end."""
     rng, z, top = house.rng, -house.style.thick, side.height
     length = 0.4 if hole.kind == "door" and rng.random() < 0.3 else rng.uniform(1.2, 3.0)
-    a, b = max(hole.x0 - rng.uniform(0.05, 0.8), 0.0), min(hole.x1 + rng.uniform(0.05, 0.8), side.width)
+    a, b = max(hole.x0 - rng.uniform(0.05, 0.8), 0.0), min(hole.x1 + rng.uniform(0.05, 0.8),
+                                                           side.width)
     end = []
     if length > 1 and rng.random() < 0.65:
         end = [Opening(0.12, float(rng.choice([0.05, 0.9])), b - a - 0.12, min(2.1, top - 0.2))]
@@ -199,7 +217,8 @@ def _behind(house: House, side: Side, hole: Opening) -> None:
     front = joinery.faces(b - a, top, [Opening(hole.x0 - a, hole.y0, hole.x1 - a, hole.y1)], "wall")
     shell = [meshes.quad([a, 0, z], [b - a, 0, 0], [0, 0, -length]).scaled_uvs(0.4),
              meshes.quad([a, top, z], [0, 0, -length], [b - a, 0, 0]),
-             meshes.quad([a, 0, z], [0, 0, -length], [0, top, 0]), meshes.quad([b, 0, z], [0, top, 0], [0, 0, -length])]
+             meshes.quad([a, 0, z], [0, 0, -length], [0, top, 0]),
+             meshes.quad([b, 0, z], [0, top, 0], [0, 0, -length])]
     flipped = translation(a, 0, z) @ np.diag([1.0, 1, -1, 1])
     house.put([(mesh.transform(flipped), slot) for mesh, slot in front], side.matrix)
     house.put(list(zip(shell, ["floor", "ceiling", "wall", "wall"], strict=True)), side.matrix)

@@ -1,5 +1,5 @@
-"""Meshes of joinery and upholstery in metres: many boxes at once, rounded boxes, mitred mouldings and their profiles,
-smooth sheets, cloth."""
+"""Meshes of joinery and upholstery in metres: many boxes at once, rounded boxes, mitred mouldings
+and their profiles, smooth sheets, cloth."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def many(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, faces: np.ndarray) -> Mesh:
-    """One mesh of N copies of a topology: (N, K, 3), (N, K, 3), (N, K, 2) and triangles (M, 3) of one copy."""
+    """One mesh of N copies of a topology: (N, K, 3), (N, K, 3), (N, K, 2) and triangles (M, 3) of
+    one copy."""
     count, size = vertices.shape[:2]
     index = faces[None] + size * np.arange(count)[:, None, None]
-    return Mesh(vertices.reshape(-1, 3), np.broadcast_to(normals, vertices.shape).reshape(-1, 3), uvs.reshape(-1, 2),
-                index.reshape(-1, 3).astype(np.uint32))
+    return Mesh(vertices.reshape(-1, 3), np.broadcast_to(normals, vertices.shape).reshape(-1, 3),
+                uvs.reshape(-1, 2), index.reshape(-1, 3).astype(np.uint32))
 
 
 def boxes(low: np.ndarray, high: np.ndarray) -> Mesh:
@@ -58,8 +59,8 @@ def rounded_box(low: np.ndarray, high: np.ndarray, radius: float, steps: int = 3
 def moulding(path: np.ndarray, profile: np.ndarray, closed: bool = False) -> Mesh:
     """A profile (K, 2) swept along a polyline (P, 2) in the plane z = 0, mitred at its corners.
 
-    Profile points are (to the left of the path, off the plane); the solid lies to the right as one goes along the
-    profile.
+    Profile points are (to the left of the path, off the plane); the solid lies to the right as one
+    goes along the profile.
     Curves of the profile are shaded smooth, corners of more than 37 degrees stay sharp.
     """
     path, profile = np.asarray(path, float), np.asarray(profile, float)
@@ -80,20 +81,27 @@ def moulding(path: np.ndarray, profile: np.ndarray, closed: bool = False) -> Mes
         part, bend = profile[second: len(profile) - 1 + second], (start, end)[ahead]
         foot = points[ahead: len(points) - 1 + ahead]
         flat = foot[:, None] + part[None, :, :1] * bend[:, None]
-        corners.append(np.concatenate([flat, np.broadcast_to(part[None, :, 1:], (*flat.shape[:2], 1))], -1))
+        corners.append(np.concatenate(
+            [flat, np.broadcast_to(part[None, :, 1:], (*flat.shape[:2], 1))], -1
+        ))
         normal = (first, last)[second]
         turned = normal[None, :, :1] * left[:, None]
-        normals.append(np.concatenate([turned, np.broadcast_to(normal[None, :, 1:], (*turned.shape[:2], 1))], -1))
-        places = uv_along[ahead: len(points) - 1 + ahead, None], uv_across[None, second: len(profile) - 1 + second]
+        normals.append(np.concatenate(
+            [turned, np.broadcast_to(normal[None, :, 1:], (*turned.shape[:2], 1))], -1
+        ))
+        places = (uv_along[ahead: len(points) - 1 + ahead, None],
+                  uv_across[None, second: len(profile) - 1 + second])
         uvs.append(np.stack(np.broadcast_arrays(*places), -1))
-    stacked = [np.stack(values, 2).reshape(-1, 4, values[0].shape[-1]) for values in (corners, normals, uvs)]
+    stacked = [np.stack(values, 2).reshape(-1, 4, values[0].shape[-1])
+               for values in (corners, normals, uvs)]
     return many(*stacked, QUAD)
 
 
 def _edge_normals(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normals (K-1, 2) at both ends of a profile's edges."""
     edge = np.diff(profile, axis=0)
-    normal = np.stack([-edge[:, 1], edge[:, 0]], 1) / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-9)
+    normal = np.stack([-edge[:, 1], edge[:, 0]],
+                      1) / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-9)
     first, last = normal.copy(), normal.copy()
     smooth = (normal[1:] * normal[:-1]).sum(1) > 0.8
     mean = normal[1:] + normal[:-1]
@@ -103,7 +111,8 @@ def _edge_normals(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sheet(points: np.ndarray) -> Mesh:
-    """A smooth surface through a grid of points (R, C, 3); its normal is (down the rows) x (along the columns)."""
+    """A smooth surface through a grid of points (R, C, 3); its normal is (down the rows) x (along
+    the columns)."""
     down, along = np.gradient(points, axis=0), np.gradient(points, axis=1)
     normals = np.cross(down, along)
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
@@ -125,7 +134,7 @@ def face(x0: float, y0: float, x1: float, y1: float, z: float = 0.0) -> Mesh:
     return Mesh(quad.vertices, quad.normals, quad.vertices[:, :2].copy(), quad.faces)
 
 
-# Profiles of mouldings --------------------------------------------------------------------------------------------
+# Profiles of mouldings ----------------------------------------------------------------------------
 # (K, 2) points of (across, off the surface): skirtings, cornices, frames, panels.
 
 PROFILE_PARTS = ("line", "ovolo", "cove", "ogee", "step", "step")
@@ -144,11 +153,13 @@ def _element(kind: str, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return start + np.stack([x, y], 1) * (end - start)
 
 
-def _run(rng: np.random.Generator, start: np.ndarray, end: np.ndarray, count: int) -> list[np.ndarray]:
+def _run(rng: np.random.Generator, start: np.ndarray, end: np.ndarray,
+         count: int) -> list[np.ndarray]:
     """A stair of `count` elements from `start` to `end`."""
     cuts = np.sort(rng.uniform(0.1, 0.9, (2, count - 1)), 1).T
     stops = [start, *(start + cut * (end - start) for cut in cuts), end]
-    return [_element(str(rng.choice(PROFILE_PARTS)), a, b) for a, b in zip(stops[:-1], stops[1:], strict=True)]
+    return [_element(str(rng.choice(PROFILE_PARTS)), a, b)
+            for a, b in zip(stops[:-1], stops[1:], strict=True)]
 
 
 def frame_profile(rng: np.random.Generator, width: float, height: float) -> np.ndarray:
@@ -156,19 +167,24 @@ def frame_profile(rng: np.random.Generator, width: float, height: float) -> np.n
     low, crest = rng.uniform(0.2, 0.6) * height, np.sort(rng.uniform(0.25, 0.85, 2)) * width
     if rng.random() < 0.2:
         return np.array([[0, 0], [0, height], [width, height], [width, 0]])
-    parts = [np.array([[0, 0], [0, low]]), *_run(rng, np.array([0, low]), np.array([crest[0], height]), 2),
+    parts = [np.array([[0, 0], [0, low]]),
+             *_run(rng, np.array([0, low]), np.array([crest[0], height]), 2),
              np.array([[crest[1], height]])]
-    parts += _run(rng, np.array([crest[1], height]), np.array([width, 0.4 * low]), int(rng.integers(1, 3)))
+    parts += _run(rng, np.array([crest[1], height]), np.array([width, 0.4 * low]),
+                  int(rng.integers(1, 3)))
     return np.concatenate([*parts, np.array([[width, 0.0]])])
 
 
 def edge_profile(rng: np.random.Generator, width: float, height: float) -> np.ndarray:
-    """Thick at the start, thin at the end: skirtings, from the floor at 0 up to `width` on the wall."""
+    """Thick at the start, thin at the end: skirtings, from the floor at 0 up to `width` on the
+    wall."""
     top = rng.uniform(0.5, 0.85) * width
     if rng.random() < 0.3:
-        return np.array([[0, 0], [0, height], [width - 0.3 * height, height], [width, 0.7 * height], [width, 0.0]])
+        return np.array([[0, 0], [0, height], [width - 0.3 * height, height], [width, 0.7 * height],
+                         [width, 0.0]])
     parts = [np.array([[0, 0], [0, height], [top, height]])]
-    parts += _run(rng, np.array([top, height]), np.array([width, 0.2 * height]), int(rng.integers(1, 3)))
+    parts += _run(rng, np.array([top, height]), np.array([width, 0.2 * height]),
+                  int(rng.integers(1, 3)))
     return np.concatenate([*parts, np.array([[width, 0.0]])])
 
 
@@ -176,25 +192,29 @@ def cornice_profile(rng: np.random.Generator, width: float, height: float) -> np
     """From the wall, `height` below the ceiling, to the ceiling, `width` from the wall."""
     inset = 0.15 * np.array([width, height]) * rng.random()
     start, end = np.array([inset[0], height]), np.array([width, inset[1]])
-    parts = [np.array([[0, height], [inset[0], height]]), *_run(rng, start, end, int(rng.integers(1, 5)))]
+    parts = [np.array([[0, height], [inset[0], height]]),
+             *_run(rng, start, end, int(rng.integers(1, 5)))]
     return np.concatenate([*parts, np.array([[width, 0.0]])])
 
 
-# Cloth ---------------------------------------------------------------------------------------------------------------
+# Cloth --------------------------------------------------------------------------------------------
 # Cushions, curtains, bedding, throws and folded stacks, as smooth meshes, y up.
 
-def waves(rng: np.random.Generator, x: np.ndarray, y: np.ndarray, size: float, count: int = 6) -> np.ndarray:
+def waves(rng: np.random.Generator, x: np.ndarray, y: np.ndarray, size: float,
+          count: int = 6) -> np.ndarray:
     """A sum of sine waves about as long as `size`, amplitude about 1: soft folds."""
     total = np.zeros(np.broadcast_shapes(x.shape, y.shape))
     for _ in range(count):
         heading, length = rng.uniform(0, 2 * np.pi), size * np.exp(rng.normal(0, 0.4))
-        phase = 2 * np.pi * (np.cos(heading) * x + np.sin(heading) * y) / length + rng.uniform(0, 2 * np.pi)
+        phase = (2 * np.pi * (np.cos(heading) * x + np.sin(heading) * y) / length
+                 + rng.uniform(0, 2 * np.pi))
         total = total + np.sin(phase + 0.8 * np.sin(0.37 * phase))
     return total / np.sqrt(count)
 
 
 def cushion(rng: np.random.Generator, width: float, depth: float, thick: float) -> Mesh:
-    """A stuffed cushion that lies about the origin, thick along y, with creases that run into its seam."""
+    """A stuffed cushion that lies about the origin, thick along y, with creases that run into its
+    seam."""
     t = np.sin(np.linspace(-1, 1, 26) * np.pi / 2)
     s, t = np.meshgrid(t, t, indexing="ij")
     pinch = rng.uniform(0.04, 0.14)
@@ -204,7 +224,8 @@ def cushion(rng: np.random.Generator, width: float, depth: float, thick: float) 
     crease = rng.uniform(0.02, 0.12)
     parts = []
     for side in (1, -1):
-        folds = crease * thick * (rim * waves(rng, x, z, 0.35 * width) + 0.4 * full * waves(rng, x, z, 0.7 * width))
+        folds = crease * thick * (rim * waves(rng, x, z, 0.35 * width)
+                                  + 0.4 * full * waves(rng, x, z, 0.7 * width))
         y = side * (0.5 * thick * full + np.maximum(folds, -0.4 * thick * full))
         points = np.stack([x, y, z], -1)
         mesh = sheet(points if side < 0 else points.transpose(1, 0, 2))
@@ -213,12 +234,15 @@ def cushion(rng: np.random.Generator, width: float, depth: float, thick: float) 
 
 
 def curtain(rng: np.random.Generator, width: float, height: float) -> Mesh:
-    """A pleated curtain from y = 0 to `height`, about x = 0, in the plane z = 0; some are tied to one side."""
+    """A pleated curtain from y = 0 to `height`, about x = 0, in the plane z = 0; some are tied to
+    one side."""
     pleats = max(3, int(width * rng.uniform(7, 14)))
     u, v = np.meshgrid(np.linspace(0, 1, 12 * pleats + 1), np.linspace(1, 0, 26))
-    shift = 0.35 * np.sin(2 * np.pi * (u * rng.uniform(0.5, 2) + rng.random())) + 0.25 * (1 - v) * np.sin(3 * np.pi * u)
+    shift = (0.35 * np.sin(2 * np.pi * (u * rng.uniform(0.5, 2) + rng.random()))
+             + 0.25 * (1 - v) * np.sin(3 * np.pi * u))
     wave = np.sin(2 * np.pi * (pleats * u + shift))
-    depth = rng.uniform(0.02, 0.05) * (0.7 + 0.5 * (1 - v) + 0.3 * np.sin(2 * np.pi * (3 * u + rng.random())))
+    depth = rng.uniform(0.02, 0.05) * (0.7 + 0.5 * (1 - v)
+                                       + 0.3 * np.sin(2 * np.pi * (3 * u + rng.random())))
     tie = rng.uniform(0.3, 0.5) if rng.random() < 0.3 else 0.0
     waist = 1 - (1.6 * tie) * np.exp(-(((v - 0.4) / 0.25) ** 2))
     side = rng.choice([-1, 1])
@@ -237,13 +261,17 @@ def _over_edge(s: np.ndarray, half: float, radius: float) -> tuple[np.ndarray, n
     return np.sign(s) * out, down
 
 
-def drape(rng: np.random.Generator, width: float, depth: float, hang: float, hang_z: float, crease: float) -> Mesh:
-    """A cloth that lies on a block of width x depth about the origin, top at y = 0, and hangs down its sides.
+def drape(rng: np.random.Generator, width: float, depth: float, hang: float, hang_z: float,
+          crease: float) -> Mesh:
+    """A cloth that lies on a block of width x depth about the origin, top at y = 0, and hangs down
+    its sides.
 
-    `hang` and `hang_z` are the lengths over its x and z edges, `crease` the height of its folds in metres.
+    `hang` and `hang_z` are the lengths over its x and z edges, `crease` the height of its folds in
+    metres.
     """
     reach_x, reach_z = width / 2 + hang, depth / 2 + hang_z
-    s, t = np.meshgrid(np.linspace(-reach_x, reach_x, 64), np.linspace(-reach_z, reach_z, 64), indexing="ij")
+    s, t = np.meshgrid(np.linspace(-reach_x, reach_x, 64), np.linspace(-reach_z, reach_z, 64),
+                       indexing="ij")
     x, down_x = _over_edge(s, width / 2, min(0.05, 0.4 * width))
     z, down_z = _over_edge(t, depth / 2, min(0.05, 0.4 * depth))
     fold = waves(rng, s, t, rng.uniform(0.25, 0.8)) + 0.4 * waves(rng, s, t, 0.15)
@@ -264,6 +292,7 @@ def folded_stack(rng: np.random.Generator, width: float, depth: float, layers: i
         thick = rng.uniform(0.02, 0.06)
         slip, size = rng.normal(0, 0.01, 2), np.array([width, depth]) * rng.uniform(0.85, 1, 2) / 2
         parts.append(rounded_box([slip[0] - size[0], y, slip[1] - size[1]],
-                                    [slip[0] + size[0], y + thick, slip[1] + size[1]], 0.48 * thick))
+                                    [slip[0] + size[0], y + thick, slip[1] + size[1]],
+                                    0.48 * thick))
         y += thick
     return meshes.merge(parts)

@@ -1,4 +1,5 @@
-"""Procedural textures: linear RGB float32 images (S, S, 3) that tile, from a few strokes to fine print."""
+"""Procedural textures: linear RGB float32 images (S, S, 3) that tile, from a few strokes to fine
+print."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ GLYPHS = "ABCDEFGHKMNRSTWXYZabdefghkmnqrstuwxyz0123456789&%#@*+=<>"
 
 
 def colour(rng: np.random.Generator) -> np.ndarray:
-    """A reflectance: mostly moderate, at times saturated, near black or near white; linear, 0.01..0.95."""
+    """A reflectance: mostly moderate, at times saturated, near black or near white; linear,
+    0.01..0.95."""
     kind = rng.random()
     if kind < 0.2:
         return np.full(3, rng.uniform(0.55, 0.92)) * rng.uniform(0.93, 1.0, 3)
@@ -22,11 +24,13 @@ def colour(rng: np.random.Generator) -> np.ndarray:
         return np.full(3, rng.uniform(0.1, 0.5))
     saturation = rng.uniform(0.7, 1.0) if kind > 0.75 else rng.uniform(0.15, 0.6)
     value = rng.uniform(0.3, 0.95)
-    return np.clip(np.array(colorsys.hsv_to_rgb(rng.random(), saturation, value)) ** 1.8, 0.01, 0.95)
+    return np.clip(np.array(colorsys.hsv_to_rgb(rng.random(), saturation, value)) ** 1.8, 0.01,
+                   0.95)
 
 
 def noise(size: int, cells: int, rng: np.random.Generator, octaves: int = 4) -> np.ndarray:
-    """Tiling value noise (size, size), mean about 0.5, `cells` lattice cells in the first octave."""
+    """Tiling value noise (size, size), mean about 0.5, `cells` lattice cells in the first
+    octave."""
     total, weight = np.zeros((size, size)), 0.0
     for octave in range(octaves):
         n = min(cells * 2**octave, size)
@@ -62,11 +66,14 @@ def _checker(size: int, rng: np.random.Generator) -> np.ndarray:
     n = int(rng.choice([2, 4, 8, 16]))
     i = np.arange(size) * n // size
     a, b = colour(rng), colour(rng)
-    return _mix(a, b, ((i[:, None] + i[None, :]) % 2).astype(float)) * (0.9 + 0.1 * noise(size, 8, rng)[..., None])
+    return _mix(a, b, ((i[:, None] + i[None, :]) % 2).astype(float)) * (0.9 + 0.1 * noise(
+        size, 8, rng
+    )[..., None])
 
 
 def _wood(size: int, rng: np.random.Generator) -> np.ndarray:
-    tint = np.array(colorsys.hsv_to_rgb(rng.uniform(0.04, 0.1), rng.uniform(0.4, 0.8), rng.uniform(0.35, 0.9))) ** 2
+    tint = np.array(colorsys.hsv_to_rgb(rng.uniform(0.04, 0.1), rng.uniform(0.4, 0.8),
+                                        rng.uniform(0.35, 0.9))) ** 2
     planks = int(rng.choice([1, 3, 6, 10]))
     grain = noise(size, 4, rng)
     stretched = ndimage.zoom(noise(size, 64, rng, 3), (1, 1))[:, : max(size // 16, 1)]
@@ -141,11 +148,14 @@ def _picture(size: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _carpet(size: int, rng: np.random.Generator) -> np.ndarray:
-    """Short fibres: noise of single texels, stretched a little one way, over a faint large pattern."""
-    fibres = ndimage.uniform_filter1d(rng.random((size, size)), int(rng.choice([2, 4, 8])), axis=0, mode="wrap")
+    """Short fibres: noise of single texels, stretched a little one way, over a faint large
+    pattern."""
+    fibres = ndimage.uniform_filter1d(rng.random((size, size)), int(rng.choice([2, 4, 8])), axis=0,
+                                      mode="wrap")
     fibres = (fibres - fibres.mean()) / (fibres.std() + 1e-6)
     pattern = noise(size, int(rng.choice([2, 8])), rng) > rng.uniform(0.3, 0.7)
-    return _mix(colour(rng), colour(rng), 0.8 * pattern) * np.clip(1 + 0.3 * fibres, 0.2, 1.8)[..., None]
+    return _mix(colour(rng), colour(rng), 0.8 * pattern) * np.clip(1 + 0.3 * fibres, 0.2,
+                                                                   1.8)[..., None]
 
 
 def _gravel(size: int, rng: np.random.Generator) -> np.ndarray:
@@ -185,12 +195,13 @@ def _plan(size: int, rng: np.random.Generator) -> np.ndarray:
     return _mix(colour(rng), colour(rng), np.asarray(image, float) / 255)
 
 
-KINDS = (_cloudy, _speckle, _checker, _wood, _wood, _stripes, _tiles, _tiles, _marble, _print, _weave, _dots, _picture,
-         _carpet, _gravel, _plaid, _plan)
+KINDS = (_cloudy, _speckle, _checker, _wood, _wood, _stripes, _tiles, _tiles, _marble, _print,
+         _weave, _dots, _picture, _carpet, _gravel, _plaid, _plan)
 
 
 def texture(rng: np.random.Generator, size: int = 256, flat: float = 0.35) -> np.ndarray:
-    """A random texture (S, S, 3) float32, linear reflectance 0..0.95; with probability `flat` one colour.
+    """A random texture (S, S, 3) float32, linear reflectance 0..0.95; with probability `flat` one
+    colour.
 
     One in six is twice as fine.
     """

@@ -1,18 +1,21 @@
 """Write measurements into docs/lab/quality.md: its tables and pictures.
 
-python -m training.measure.quality_report RESULTS [--doc docs/lab/quality.md] [--images docs/images/quality] [--check]
+python -m training.measure.quality_report RESULTS [--doc docs/lab/quality.md] \\
+    [--images docs/images/quality] [--check]
 
 RESULTS holds the output of these commands:
 
     RESULTS/SEQUENCE/              postfx bench ... -o RESULTS/SEQUENCE
-    RESULTS/SEQUENCE-ablations/    postfx bench ... --ablations (or in RESULTS/SEQUENCE, measured in one go)
-    RESULTS/validation/            python -m training.measure.validation compare CLIPS -o RESULTS/validation
-    RESULTS/equivalent/            python -m training.measure.equivalent_samples measure VIEW -o RESULTS/equivalent
-    RESULTS/convergence/           python -m training.measure.convergence VIEW -o RESULTS/convergence
-    RESULTS/curves.png             python -m training.measure.runs curves RUN -o RESULTS/curves.png
+    RESULTS/SEQUENCE-ablations/    postfx bench ... --ablations (or in RESULTS/SEQUENCE, in one go)
+    RESULTS/validation/    python -m training.measure.validation compare CLIPS -o RESULTS/validation
+    RESULTS/equivalent/           python -m training.measure.equivalent_samples measure VIEW \\
+                                      -o RESULTS/equivalent
+    RESULTS/convergence/          python -m training.measure.convergence VIEW -o RESULTS/convergence
+    RESULTS/curves.png            python -m training.measure.runs curves RUN -o RESULTS/curves.png
 
-Lines between `<!-- table: NAME ARGUMENTS -->` and `<!-- end -->` are replaced; everything else is written by hand.
-Arguments are folders of RESULTS, so the document itself chooses its sequences and their order:
+Lines between `<!-- table: NAME ARGUMENTS -->` and `<!-- end -->` are replaced; everything else is
+written by hand. Arguments are folders of RESULTS, so the document itself chooses its sequences and
+their order:
 
     conditions SEQUENCE...         conditions of the measurement
     gains SEQUENCE...              ours against the best of the others, figure by figure
@@ -29,8 +32,8 @@ Arguments are folders of RESULTS, so the document itself chooses its sequences a
     networks                       cards of models/*.json
     picture FILE WORDS...          RESULTS/FILE, reduced, with WORDS as alternative text
 
-A block with missing data stays unchanged and is named on standard error. --check writes nothing and ends with 1 if a
-block or a picture is out of date.
+A block with missing data stays unchanged and is named on standard error. --check writes nothing and
+ends with 1 if a block or a picture is out of date.
 """
 
 from __future__ import annotations
@@ -40,19 +43,30 @@ import sys
 from inspect import Parameter, signature
 from pathlib import Path
 
-from training.measure.quality_report.document import Album, Block, Missing, ReportError, Results, compose, parse
+from training.measure.quality_report.document import (
+    Album,
+    Block,
+    Missing,
+    ReportError,
+    Results,
+    compose,
+    parse,
+)
 from training.measure.quality_report.tables import MAKERS
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 
 
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("results", type=Path, metavar="RESULTS")
     parser.add_argument("--doc", type=Path, default=REPOSITORY / "docs/lab/quality.md")
     parser.add_argument("--images", type=Path, default=REPOSITORY / "docs/images/quality")
-    parser.add_argument("--models", type=Path, default=REPOSITORY / "models", help="folder of the networks' cards")
-    parser.add_argument("--check", action="store_true", help="write nothing; only check that everything is up to date")
+    parser.add_argument("--models", type=Path, default=REPOSITORY / "models",
+                        help="folder of the networks' cards")
+    parser.add_argument("--check", action="store_true",
+                        help="write nothing; only check that everything is up to date")
     return parser.parse_args(argv)
 
 
@@ -62,7 +76,8 @@ def make(block: Block, results: Results, album: Album) -> str:
     wanted = list(signature(maker).parameters.values())[1:]
     endless = any(parameter.kind is Parameter.VAR_POSITIONAL for parameter in wanted)
     if len(block.arguments) < len(wanted) or not endless and len(block.arguments) > len(wanted):
-        takes = " ".join(parameter.name.upper() for parameter in wanted) + ("..." if endless else "")
+        takes = " ".join(parameter.name.upper() for parameter in wanted) + ("..." if endless
+                                                                            else "")
         raise ReportError(f"'{block.title}' takes {takes or 'nothing'}")
     try:
         return maker(results, *block.arguments)
@@ -87,7 +102,8 @@ def report(args: argparse.Namespace) -> int:
             raise ReportError(f"{args.doc}:{block.line}: {error}") from error
     album.check_size()
     if args.check:
-        old = [part for part in parts if isinstance(part, Block) and made.get(part.line, part.text) != part.text]
+        old = [part for part in parts
+               if isinstance(part, Block) and made.get(part.line, part.text) != part.text]
         stale = [f"{args.doc}:{block.line} '{block.title}'" for block in old] + album.stale()
         print("\n".join(f"out of date: {what}" for what in stale) or "up to date")
         return 1 if stale else 0

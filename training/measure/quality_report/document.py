@@ -1,5 +1,5 @@
-"""The document: hand-written text and blocks between markers; the format of tables, numbers and names; and its results:
-figures from files, and small copies of pictures."""
+"""The document: hand-written text and blocks between markers; the format of tables, numbers and
+names; and its results: figures from files, and small copies of pictures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from PIL import Image
 
 from postfx.bench.methods import OTHERS, PRECISIONS
 
-# Errors ---------------------------------------------------------------------------------------------------------------
+# Errors -------------------------------------------------------------------------------------------
 
 class ReportError(Exception):
     """The document or a file of results is invalid; the message is one line that names it."""
@@ -26,7 +26,7 @@ class Missing(Exception):
     """Data of a block is missing; names the file."""
 
 
-# Blocks ---------------------------------------------------------------------------------------------------------------
+# Blocks -------------------------------------------------------------------------------------------
 
 OPEN = re.compile(r"<!-- table: (.*?) -->\s*")
 CLOSE = re.compile(r"<!-- end -->\s*")
@@ -34,7 +34,8 @@ CLOSE = re.compile(r"<!-- end -->\s*")
 
 @dataclass(frozen=True)
 class Block:
-    """A block between two markers: name and arguments, the first marker's line and the lines between."""
+    """A block between two markers: name and arguments, the first marker's line and the lines
+    between."""
 
     name: str
     arguments: tuple[str, ...]
@@ -48,7 +49,8 @@ class Block:
 
 
 def parse(text: str, path: Path, known: Collection[str]) -> list[str | Block]:
-    """Lines and blocks in order. Raises ReportError for unknown names and for markers that do not pair."""
+    """Lines and blocks in order. Raises ReportError for unknown names and for markers that do not
+    pair."""
     parts: list[str | Block] = []
     start: tuple[int, list[str]] | None = None
     inside: list[str] = []
@@ -84,7 +86,7 @@ def _text(block: Block, made: dict[int, str]) -> str:
     return f"<!-- table: {block.title} -->\n{made.get(block.line, block.text)}<!-- end -->\n"
 
 
-# Words and numbers ----------------------------------------------------------------------------------------------------
+# Words and numbers --------------------------------------------------------------------------------
 
 FORMS = {"psnr": ".2f", "ssim": ".4f", "flip": ".4f", "relmse": ".4f", "flicker": ".2f"}
 NAMES = {"psnr": "PSNR", "ssim": "SSIM", "flip": "FLIP", "relmse": "relMSE", "flicker": "flicker"}
@@ -93,7 +95,8 @@ NAMES = {"psnr": "PSNR", "ssim": "SSIM", "flip": "FLIP", "relmse": "relMSE", "fl
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table of GitHub's markdown."""
     lines = [heads, ["---"] * len(heads), *rows]
-    return "".join(f"|{''.join(f' {cell} |' if cell else ' |' for cell in line)}\n" for line in lines)
+    return "".join(f"|{''.join(f' {cell} |' if cell else ' |' for cell in line)}\n"
+                   for line in lines)
 
 
 def number(value: float | None, form: str, unit: str = "") -> str:
@@ -116,31 +119,34 @@ def place(sequence: str) -> str:
 
 
 def method_title(name: str) -> str:
-    """A method's name for readers: 'm-int8-guides-alone' is 'postfx m int8 with guides, no history'."""
+    """A method's name for readers: 'm-int8-guides-alone' is 'postfx m int8 with guides, no
+    history'."""
     known = {method.name: method.title for method in OTHERS}
     if name in known:
         return known[name]
     tag, *words = name.split("-")
     text = " ".join(["postfx", tag, *(word for word in words if word in PRECISIONS)])
-    said = {"guides": " with guides", "alone": ", no history", "run": ", run-up", "both": ", both ways"}
+    said = {"guides": " with guides", "alone": ", no history", "run": ", run-up",
+            "both": ", both ways"}
     return text + "".join(more for word, more in said.items() if word in words)
 
 
 def is_network(row: dict[str, Any], name: str = "name") -> bool:
-    """Whether a row is one of our networks in normal use: full precision, history, all planes; frames in order, or with
-    a run-up."""
+    """Whether a row is one of our networks in normal use: full precision, history, all planes;
+    frames in order, or with a run-up."""
     return row["family"] == "ours" and set(row[name].split("-")[1:]) <= {"guides", "run", "up"}
 
 
-# Results --------------------------------------------------------------------------------------------------------------
+# Results ------------------------------------------------------------------------------------------
 
-# Figures --------------------------------------------------------------------------------------------------------------
+# Figures ------------------------------------------------------------------------------------------
 
 Facts = dict[str, Any]
 
 
 class Results:
-    """A folder of results and one of models; every method raises Missing if its file is not there."""
+    """A folder of results and one of models; every method raises Missing if its file is not
+    there."""
 
     def __init__(self, folder: Path, models: Path) -> None:
         self._folder, self._models = folder, models
@@ -150,7 +156,8 @@ class Results:
         return self._load(f"{sequence}/bench.json")
 
     def ablations(self, sequence: str) -> list[Facts]:
-        """Comparisons of networks without some planes, from the sequence's folder or the one beside it."""
+        """Comparisons of networks without some planes, from the sequence's folder or the one beside
+        it."""
         try:
             found = self.bench(sequence)["ablations"]
         except Missing:
@@ -198,7 +205,7 @@ def _read(path: Path) -> Facts:
         raise ReportError(f"{path}: is not JSON: {error}") from error
 
 
-# Pictures -------------------------------------------------------------------------------------------------------------
+# Pictures -----------------------------------------------------------------------------------------
 
 WIDTH, LIMIT = 1100, 2_500_000
 """Greatest width in pixels, and bytes of all pictures together."""
@@ -226,12 +233,14 @@ class Album:
         """Raises ReportError when all pictures together are too large."""
         total = sum(map(len, self._made.values()))
         if total > LIMIT:
-            raise ReportError(f"pictures take {total / 1e6:.1f} MB, more than {LIMIT / 1e6:g}: show fewer of them")
+            raise ReportError(f"pictures take {total / 1e6:.1f} MB, more than {LIMIT / 1e6:g}: "
+                              "show fewer of them")
 
     def stale(self) -> list[str]:
         """Pictures whose file differs or is not there."""
         paths = {self._folder / name: made for name, made in self._made.items()}
-        return [str(path) for path, made in paths.items() if not path.is_file() or path.read_bytes() != made]
+        return [str(path)
+                for path, made in paths.items() if not path.is_file() or path.read_bytes() != made]
 
     def write(self) -> None:
         """Write all pictures; others in the folder stay."""
@@ -246,11 +255,13 @@ def shrink_picture(path: Path, kind: str) -> bytes:
     with Image.open(path) as opened:
         picture = opened.convert("RGB")
     if picture.width > WIDTH:
-        picture = picture.resize((WIDTH, round(picture.height * WIDTH / picture.width)), Image.Resampling.LANCZOS)
+        picture = picture.resize((WIDTH, round(picture.height * WIDTH / picture.width)),
+                                 Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
     if kind == "jpg":
         picture.save(buffer, "JPEG", quality=84, optimize=True)
     else:
-        few = picture.quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
+        few = picture.quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=3,
+                               dither=Image.Dither.NONE)
         few.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()

@@ -22,7 +22,7 @@ from training.measure.quality_report.document import (
 )
 from training.measure.validation.compare import FRAMEWISE
 
-# Sequences that `postfx bench` measured -------------------------------------------------------------------------------
+# Sequences that `postfx bench` measured -----------------------------------------------------------
 
 GAINS = {"psnr": ("+.2f", ""), "ssim": ("+.4f", ""), "flip": (".2f", "x"), "flicker": (".2f", "x")}
 """Figures of comparisons: differences (PSNR in dB, SSIM) or quotients."""
@@ -33,11 +33,12 @@ def conditions(results: Results, *names: str) -> str:
     """The conditions under which the sequences were measured."""
     rows = []
     for name, facts in _benches(results, names).items():
-        sizes = " to ".join("x".join(map(str, facts[key])) for key in ("render_size", "output_size"))
+        sizes = " to ".join("x".join(map(str, facts[key]))
+                            for key in ("render_size", "output_size"))
         versions = ", ".join(f"{key} {value}" for key, value in facts["versions"].items())
         where = f"{facts['device']}, {facts['threads']} threads, {facts['machine']['processor']}"
-        rows.append([place(name), sizes, str(len(facts["sequence"]["frames"])), "yes" if facts["guides"] else "no",
-                     where, str(facts["runs"]), versions])
+        rows.append([place(name), sizes, str(len(facts["sequence"]["frames"])),
+                     "yes" if facts["guides"] else "no", where, str(facts["runs"]), versions])
     return table(["sequence", "size", "frames", "guides", "measured on", "runs", "with"], rows)
 
 
@@ -45,31 +46,38 @@ def methods(results: Results, name: str) -> str:
     """All figures of all methods, with the best of each in bold."""
     rows = sorted(choices(results.bench(name)["methods"]), key=lambda row: PARTS[row["family"]])
     best = {figure: _best(rows, figure) for figure in FORMS}
-    cells = [[method_title(row["name"]), *(_figure(row, figure, best[figure]) for figure in FORMS)] for row in rows]
+    cells = [[method_title(row["name"]), *(_figure(row, figure, best[figure]) for figure in FORMS)]
+             for row in rows]
     return table(["method", *NAMES.values()], cells)
 
 
 def gains(results: Results, *names: str) -> str:
-    """Our networks against the best of the other methods, figure by figure, with the mean over the sequences."""
+    """Our networks against the best of the other methods, figure by figure, with the mean over the
+    sequences."""
     benches = _benches(results, names)
-    networks = dict.fromkeys(row["name"] for facts in benches.values() for row in facts["methods"] if is_network(row))
+    networks = dict.fromkeys(row["name"] for facts in benches.values()
+                             for row in facts["methods"] if is_network(row))
     rows = []
     for figure, (form, unit) in GAINS.items():
         best = [_best([row for row in facts["methods"] if row["family"] != "ours"], figure)
                 for facts in benches.values()]
         if None in best:
             raise Missing("a sequence was measured without other methods than ours")
-        told = [f"{_score(row, figure):{FORMS[figure]}} ({method_title(row['name'])})" for row in best]
-        rows.append([f"{NAMES[figure]}{', dB' if figure == 'psnr' else ''}", "best of the others", *told, ""])
+        told = [f"{_score(row, figure):{FORMS[figure]}} ({method_title(row['name'])})"
+                for row in best]
+        rows.append([f"{NAMES[figure]}{', dB' if figure == 'psnr' else ''}", "best of the others",
+                     *told, ""])
         for network in networks:
             values = [_gain(facts, network, figure) for facts in benches.values()]
-            rows.append(["", method_title(network), *(number(value, form, unit) for value in values),
+            rows.append(["", method_title(network),
+                         *(number(value, form, unit) for value in values),
                          _mean(values, form, unit)])
     return table(["figure", "method", *map(place, names), "mean"], rows)
 
 
 def frames(results: Results, *names: str) -> str:
-    """The number of each network's frames whose PSNR is below OIDN high's, and the frame with the smallest lead."""
+    """The number of each network's frames whose PSNR is below OIDN high's, and the frame with the
+    smallest lead."""
 
     def cell(facts: Facts, network: str) -> str:
         own, other = _row(facts, network), _row(facts, "oidn-high")
@@ -78,7 +86,8 @@ def frames(results: Results, *names: str) -> str:
         pairs = [(mine["psnr"] - its["psnr"], mine["frame"])
                  for mine, its in zip(own["frames"], other["frames"], strict=True)]
         least, frame = min(pairs)
-        return f"{sum(gap < 0 for gap, _ in pairs)} of {len(pairs)}, least {number(least, '+.2f')} dB (frame {frame})"
+        return (f"{sum(gap < 0 for gap, _ in pairs)} of {len(pairs)}, least "
+                f"{number(least, '+.2f')} dB (frame {frame})")
 
     return _by_network(_benches(results, names), cell)
 
@@ -91,10 +100,12 @@ def history(results: Results, *names: str) -> str:
         if not own or not alone:
             return "-"
         gap = _score(own, "psnr") - _score(alone, "psnr")
-        pairs = list(zip(own["frames"], alone["frames"], strict=True))[1:]  # the first has no history either way
+        # the first has no history either way
+        pairs = list(zip(own["frames"], alone["frames"], strict=True))[1:]
         least = min((one["psnr"] - other["psnr"] for one, other in pairs), default=None)
         ratio = _score(own, "flicker") / _score(alone, "flicker")
-        return f"{number(gap, '+.2f')} dB, least frame {number(least, '+.2f')} dB, flicker {ratio:.2f}x"
+        return (f"{number(gap, '+.2f')} dB, least frame {number(least, '+.2f')} dB, flicker "
+                f"{ratio:.2f}x")
 
     return _by_network(_benches(results, names), cell)
 
@@ -104,7 +115,8 @@ def front(results: Results, figure: str, *names: str) -> str:
     if f"{figure}_late" not in ("psnr_late", "flicker_late"):
         raise ReportError(f"front {figure}: there are fronts of psnr and flicker")
     benches = _benches(results, names)
-    time = {name: "wall_ms" if facts["device"] == "cpu" else "gpu_ms" for name, facts in benches.items()}
+    time = {name: "wall_ms" if facts["device"] == "cpu" else "gpu_ms"
+            for name, facts in benches.items()}
     known = {row["name"]: row for facts in benches.values() for row in choices(facts["methods"])}
     fronts = {name: facts["fronts"][f"{figure}_late"] for name, facts in benches.items()}
     rows = []
@@ -113,9 +125,11 @@ def front(results: Results, figure: str, *names: str) -> str:
         if known[method]["alone"] and not any(method in found for found in fronts.values()):
             continue
         rows.append([method_title(method), *("-" if row is None else bold(
-            f"{number(row['time'][time[name]], '.0f')} ms, {number(_score(row, figure), FORMS[figure])}",
+            f"{number(row['time'][time[name]], '.0f')} ms, "
+            f"{number(_score(row, figure), FORMS[figure])}",
             method in fronts[name]) for name, row in found.items())])
-    return table(["method", *(f"{place(name)}: ms a frame, {NAMES[figure]}" for name in names)], rows)
+    return table(["method", *(f"{place(name)}: ms a frame, {NAMES[figure]}" for name in names)],
+                 rows)
 
 
 def times(results: Results, name: str) -> str:
@@ -126,15 +140,17 @@ def times(results: Results, name: str) -> str:
     for row in [row for row in choices(facts["methods"]) if not row["alone"]]:
         time = row["time"]
         span = f"{time['wall_ms_min']:.0f} to {time['wall_ms_max']:.0f}"
-        rows.append([method_title(row["name"]), f"{time['wall_ms']:.0f}", span, f"{time['cpu_s']:.3f}",
+        rows.append([method_title(row["name"]), f"{time['wall_ms']:.0f}", span,
+                     f"{time['cpu_s']:.3f}",
                      *([number(time["gpu_ms"], ".2f")] if gpu else []), f"{time['peak_mb']:.0f}"])
-    return table(["method", "ms a frame", "least to most", "CPU s", *(["GPU ms"] if gpu else []), "peak MB"], rows)
+    return table(["method", "ms a frame", "least to most", "CPU s", *(["GPU ms"] if gpu else []),
+                  "peak MB"], rows)
 
 
 def ablations(results: Results, model: str, *names: str) -> str:
     """Loss without each plane: PSNR and flicker against the same network with all planes."""
-    found = {name: {entry["name"].removeprefix(f"{model}-without-"): entry for entry in results.ablations(name)
-                    if entry["of"] == model} for name in names}
+    found = {name: {entry["name"].removeprefix(f"{model}-without-"): entry
+                    for entry in results.ablations(name) if entry["of"] == model} for name in names}
     empty = [name for name, entries in found.items() if not entries]
     if empty:
         raise Missing(f"{empty[0]} has no ablations of {model}")
@@ -148,12 +164,15 @@ def ablations(results: Results, model: str, *names: str) -> str:
 def _loss(entry: Facts | None) -> str:
     if entry is None:
         return "not in the files"
-    return f"{number(entry['psnr_late'], '+.2f')} dB, flicker {number(entry['flicker_late'], '.2f', 'x')}"
+    return (f"{number(entry['psnr_late'], '+.2f')} dB, flicker "
+            f"{number(entry['flicker_late'], '.2f', 'x')}")
 
 
 def _by_network(benches: dict[str, Facts], cell: Any) -> str:
-    networks = dict.fromkeys(row["name"] for facts in benches.values() for row in facts["methods"] if is_network(row))
-    rows = [[method_title(network), *(cell(facts, network) for facts in benches.values())] for network in networks]
+    networks = dict.fromkeys(row["name"] for facts in benches.values()
+                             for row in facts["methods"] if is_network(row))
+    rows = [[method_title(network), *(cell(facts, network) for facts in benches.values())]
+            for network in networks]
     rows = [row for row in rows if set(row[1:]) != {"-"}]
     if not rows:
         raise Missing("the methods that it compares were not measured")
@@ -188,7 +207,8 @@ def _figure(row: Facts, figure: str, best: Facts | None) -> str:
 
 
 def _gain(facts: Facts, network: str, figure: str) -> float | None:
-    found = next((entry for entry in facts["against_best_baseline"] if entry["name"] == network), None)
+    found = next((entry for entry in facts["against_best_baseline"] if entry["name"] == network),
+                 None)
     return found[f"{figure}_late"] if found else None
 
 
@@ -201,29 +221,31 @@ def _mean(values: list[float | None], form: str, unit: str) -> str:
     return text if len(known) == len(values) else f"{text} ({len(known)} of {len(values)})"
 
 
-# The validation set, held-out views and the networks ------------------------------------------------------------------
+# The validation set, held-out views and the networks ----------------------------------------------
 
-COMPARED = {"psnr_late": FORMS["psnr"], "gain": "+.2f", "ssim_late": FORMS["ssim"], "flip_ratio": ".2f",
-            "flicker_ratio": ".2f"}
+COMPARED = {"psnr_late": FORMS["psnr"], "gain": "+.2f", "ssim_late": FORMS["ssim"],
+            "flip_ratio": ".2f", "flicker_ratio": ".2f"}
 PLAIN = ("cubic", "accumulation")
 """Methods of studies that are not networks but have names of one word."""
 HEADS = ["PSNR", "gain, dB", "SSIM", "FLIP x", "flicker x"]
 
 
 def scales(results: Results) -> str:
-    """Our networks against OIDN at each scale: means over the clips, the worst clip and single frames."""
+    """Our networks against OIDN at each scale: means over the clips, the worst clip and single
+    frames."""
     facts = results.validation()
     rows = []
     by_scale = sorted(facts["scales"].items(), key=lambda item: _of(facts, item[0])[0]["scale"])
     for render, found in by_scale:
         own, scale = _of(facts, render), f"{_of(facts, render)[0]['scale']:g}x"
         for row in _best_of_oidn(found) + [row for row in found if is_network(row, "method")]:
-            rows.append([scale, *_cells(row), number(row["least_gain"], "+.2f"), number(row["worst_frame"], "+.2f"),
-                         _frames_below(own, row["method"])])
+            rows.append([scale, *_cells(row), number(row["least_gain"], "+.2f"),
+                         number(row["worst_frame"], "+.2f"), _frames_below(own, row["method"])])
             scale = ""
     if not rows:
         raise Missing("the validation set was measured at no scale")
-    return table(["scale", "method", *HEADS, "worst clip, dB", "worst frame, dB", "frames below"], rows)
+    return table(["scale", "method", *HEADS, "worst clip, dB", "worst frame, dB", "frames below"],
+                 rows)
 
 
 def equal_rays(results: Results) -> str:
@@ -238,7 +260,8 @@ def equal_rays(results: Results) -> str:
     rows = []
     for way in reversed(ways):
         title = way
-        for row in _best_of_oidn(ways[way]) + [row for row in ways[way] if is_network(row, "method")]:
+        for row in _best_of_oidn(ways[way]) + [row
+                                               for row in ways[way] if is_network(row, "method")]:
             rows.append([title, *_cells(row), str(row["clips"])])
             title = ""
     return table(["rendered at", "method", *HEADS, "scenes"], rows)
@@ -252,7 +275,8 @@ def equivalent(results: Results, *names: str) -> str:
         view = f"{facts['scene']}, seed {facts['seed']}"
         for method, found in facts["results"].items():
             counts = found["equivalent_samples"]
-            cells = [f"over {facts['counts'][-1]}" if count is None else f"{count:.1f}" for count in counts.values()]
+            cells = [f"over {facts['counts'][-1]}" if count is None else f"{count:.1f}"
+                     for count in counts.values()]
             rows.append([view, _told(method), *cells,
                          str(found["images"])])
             view = ""
@@ -260,19 +284,23 @@ def equivalent(results: Results, *names: str) -> str:
 
 
 def convergence(results: Results, *names: str) -> str:
-    """A method's least gain over its own input, of all sample counts, and its gain at the most samples."""
+    """A method's least gain over its own input, of all sample counts, and its gain at the most
+    samples."""
     rows = []
     for name in names:
         facts = results.convergence(name)
         view, found = f"{facts['view']['scene']}, seed {facts['view']['seed']}", facts["rows"]
-        for scale, method in dict.fromkeys((row["scale"], row["method"]) for row in found if row["method"] != "input"):
+        for scale, method in dict.fromkeys((row["scale"], row["method"])
+                                           for row in found if row["method"] != "input"):
             own = [row for row in found if (row["scale"], row["method"]) == (scale, method)]
-            least, most = min(own, key=lambda row: row["gain"]), max(own, key=lambda row: row["samples"])
+            least, most = min(own, key=lambda row: row["gain"]), max(own,
+                                                                     key=lambda row: row["samples"])
             rows.append([view, f"{scale}x", _told(method),
                          f"{number(least['gain'], '+.2f')} dB at {least['samples']}",
                          f"{number(most['gain'], '+.2f')} dB at {most['samples']}"])
             view = ""
-    return table(["view", "scale", "method", "least gain over the input", "at the most samples"], rows)
+    return table(["view", "scale", "method", "least gain over the input", "at the most samples"],
+                 rows)
 
 
 def networks(results: Results) -> str:
@@ -281,19 +309,22 @@ def networks(results: Results) -> str:
     for card in results.cards():
         config, training = card["config"], card["training"]
         name = card["tag"].replace(".guides", " with guides").replace(".1x", " at 1x")
-        length = f"{training['steps']} of {training['batch']} windows, {training['minutes']:.0f} minutes"
+        length = (f"{training['steps']} of {training['batch']} windows, {training['minutes']:.0f} "
+                  "minutes")
         length += f", {training['gpus']} GPU{'s' if training['gpus'] > 1 else ''}"
         stem = [f"stem {config['stem']}"] if "stem" in config and config["stem"] else []
         channels = ", ".join([*stem, "/".join(map(str, config["widths"]))])
         rows.append([f"postfx {name}", channels, str(config["depth"]),
                      f"{card['parameters'] / 1e6:.2f} M", length, str(training["clips"]),
-                     f"{training['validation_psnr']:.2f} dB", f"{1000 * training['validation_flicker']:.1f}"])
-    return table(["network", "channels", "convolutions a level", "parameters", "steps", "clips", "held-out clips: PSNR",
-                  "flicker"], rows)
+                     f"{training['validation_psnr']:.2f} dB",
+                     f"{1000 * training['validation_flicker']:.1f}"])
+    return table(["network", "channels", "convolutions a level", "parameters", "steps", "clips",
+                  "held-out clips: PSNR", "flicker"], rows)
 
 
 def _told(method: str) -> str:
-    """A method of a study for readers: networks have tags, as 'm' or 'm, alone'; names of others have spaces."""
+    """A method of a study for readers: networks have tags, as 'm' or 'm, alone'; names of others
+    have spaces."""
     tag = method.split(",")[0]
     return method if " " in tag or tag in PLAIN else f"postfx {method}"
 
@@ -304,22 +335,25 @@ def _of(facts: Facts, render: str) -> list[Facts]:
 
 def _best_of_oidn(rows: list[Facts]) -> list[Facts]:
     """The OIDN method with the greatest PSNR, as a list; empty if none was measured."""
-    return sorted((row for row in rows if row["family"] == "oidn"), key=lambda row: -row["psnr_late"])[:1]
+    return sorted((row for row in rows if row["family"] == "oidn"),
+                  key=lambda row: -row["psnr_late"])[:1]
 
 
 def _cells(row: Facts) -> list[str]:
-    return [method_title(row["method"]), *(number(row[key], form) for key, form in COMPARED.items())]
+    return [method_title(row["method"]),
+            *(number(row[key], form) for key, form in COMPARED.items())]
 
 
 def _frames_below(rows: list[Facts], method: str) -> str:
     """The number of frames of all clips whose PSNR is below OIDN high's."""
-    theirs: dict[str, Any] = {row["scene"]: row["psnr_frames"] for row in rows if row["method"] == FRAMEWISE}
+    theirs: dict[str, Any] = {row["scene"]: row["psnr_frames"]
+                              for row in rows if row["method"] == FRAMEWISE}
     pairs = [pair for row in rows if row["method"] == method and row["scene"] in theirs
              for pair in zip(row["psnr_frames"], theirs[row["scene"]], strict=True)]
     return f"{sum(one < other for one, other in pairs)} of {len(pairs)}" if pairs else "-"
 
 
-# All of them, by name -------------------------------------------------------------------------------------------------
+# All of them, by name -----------------------------------------------------------------------------
 
 MAKERS: dict[str, Callable[..., str]] = {
     "conditions": conditions,
@@ -336,4 +370,5 @@ MAKERS: dict[str, Callable[..., str]] = {
     "convergence": convergence,
     "networks": networks,
 }
-"""Name -> the function that makes a block's lines from the results and the marker's arguments; raises Missing."""
+"""Name -> the function that makes a block's lines from the results and the marker's arguments;
+raises Missing."""

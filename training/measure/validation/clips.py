@@ -15,7 +15,7 @@ from PIL import Image
 from postfx.colour.displays import srgb_encode
 from training.datagen.clip_file import DEPTH_RANGE, HALF_MAX
 
-# The plan -------------------------------------------------------------------------------------------------------------
+# The plan -----------------------------------------------------------------------------------------
 
 SCENES = (
     ("interior", "moving"), ("product", "metal"), ("outdoor", "bending"), ("interior", "cut"),
@@ -25,12 +25,14 @@ SCENES = (
 STYLES = ("realtime", "box")
 """In turn: all samples of a frame at one jittered position, or spread over the pixel."""
 GUIDE_SPP = 4
-"""Samples a pixel of guides if samples are spread; otherwise the guides are the planes of the full-size frame."""
+"""Samples a pixel of guides if samples are spread; otherwise the guides are the planes of the
+full-size frame."""
 
 
 @dataclass(frozen=True)
 class Render:
-    """A noisy render of all frames, `scale` times smaller than the output, with `spp` samples a pixel."""
+    """A noisy render of all frames, `scale` times smaller than the output, with `spp` samples a
+    pixel."""
 
     name: str
     scale: float
@@ -46,34 +48,39 @@ FULL, HALF = Render("x1", 1.0, 1), Render("x2", 2.0, 4)
 
 
 def renders(index: int) -> tuple[Render, ...]:
-    """Renders of a clip. Sample counts at 1.5x and 3x change every other clip, so that both styles have all counts."""
+    """Renders of a clip. Sample counts at 1.5x and 3x change every other clip, so that both styles
+    have all counts."""
     turn = index // len(STYLES) % 4
-    return FULL, Render("x1.5", 1.5, (2, 4, 1, 8)[turn]), HALF, Render("x3", 3.0, (4, 2, 8, 1)[turn])
+    return FULL, Render("x1.5", 1.5, (2, 4, 1, 8)[turn]), HALF, Render("x3", 3.0,
+                                                                       (4, 2, 8, 1)[turn])
 
 
-# Compact files --------------------------------------------------------------------------------------------------------
+# Compact files ------------------------------------------------------------------------------------
 # Planes as small whole numbers, packed by LZMA in an .npz that `numpy.load` reads.
 #
-# PACKING says how many bits of a half float's fraction colours keep (5: error at most 1.6 %, 7: 0.4 %), and the step
-# size of all other planes. Keys are RENDER/PLANE, 'reference/colour', and, as JSON, 'facts' and 'packing', so that
-# files stay readable.
+# PACKING says how many bits of a half float's fraction colours keep (5: error at most 1.6 %, 7: 0.4
+# %), and the step size of all other planes. Keys are RENDER/PLANE, 'reference/colour', and, as
+# JSON, 'facts' and 'packing', so that files stay readable.
 
 HALF_BITS = 10
-PACKING = {"reference": 7, "colour": 5, "diffuse_albedo": 1 / 255, "specular_albedo": 1 / 255, "roughness": 1 / 255,
-           "normal": 1 / 256, "depth": 1 / 512, "motion": 1 / 64}
-"""Bits of colours; steps of albedos, roughness, normals, of depth's base-2 logarithm, and of motion in pixels."""
+PACKING = {"reference": 7, "colour": 5, "diffuse_albedo": 1 / 255, "specular_albedo": 1 / 255,
+           "roughness": 1 / 255, "normal": 1 / 256, "depth": 1 / 512, "motion": 1 / 64}
+"""Bits of colours; steps of albedos, roughness, normals, of depth's base-2 logarithm, and of motion
+in pixels."""
 REFERENCE = "reference"
 
 Planes = dict[str, np.ndarray]
 
 
 def pack_colour(light: np.ndarray, bits: int) -> np.ndarray:
-    """Light (T, H, W, 3), 0..65504 -> bytes (2, 3, T, H, W): rounded half floats, red and blue minus green."""
+    """Light (T, H, W, 3), 0..65504 -> bytes (2, 3, T, H, W): rounded half floats, red and blue
+    minus green."""
     half = np.clip(light, 0, HALF_MAX).astype(np.float16).view(np.uint16).astype(np.uint32)
     drop = HALF_BITS - bits
     top = int(np.float16(HALF_MAX).view(np.uint16)) >> drop
     kept = np.minimum((half + (1 << drop >> 1)) >> drop, top).astype(np.uint16)
-    return _bytes(np.stack([kept[..., 0] - kept[..., 1], kept[..., 1], kept[..., 2] - kept[..., 1]]))
+    return _bytes(np.stack([kept[..., 0] - kept[..., 1], kept[..., 1],
+                            kept[..., 2] - kept[..., 1]]))
 
 
 def unpack_colour(packed: np.ndarray, bits: int) -> np.ndarray:
@@ -84,7 +91,8 @@ def unpack_colour(packed: np.ndarray, bits: int) -> np.ndarray:
 
 
 def pack_plane(name: str, values: np.ndarray, step: float) -> np.ndarray:
-    """A plane (T, H, W) or (T, H, W, C) -> bytes (2, C, T, H, W): steps, as differences along the rows."""
+    """A plane (T, H, W) or (T, H, W, C) -> bytes (2, C, T, H, W): steps, as differences along the
+    rows."""
     values = values.reshape(*values.shape[:3], -1)
     values = np.log2(np.clip(values, *DEPTH_RANGE)) if name == "depth" else values
     steps = np.clip(np.round(values / step), -(2**15), 2**15 - 1).astype(np.int16).view(np.uint16)
@@ -92,7 +100,8 @@ def pack_plane(name: str, values: np.ndarray, step: float) -> np.ndarray:
 
 
 def unpack_plane(name: str, packed: np.ndarray, step: float) -> np.ndarray:
-    """A plane (T, H, W, C) float32, the inverse of `pack_plane`; misses have a depth of exactly 1e10."""
+    """A plane (T, H, W, C) float32, the inverse of `pack_plane`; misses have a depth of exactly
+    1e10."""
     steps = np.cumsum(_words(packed), axis=-1, dtype=np.uint16).view(np.int16)
     values = np.moveaxis(steps.astype(np.float32) * np.float32(step), 0, -1)
     if name == "depth":
@@ -101,13 +110,16 @@ def unpack_plane(name: str, packed: np.ndarray, step: float) -> np.ndarray:
     return np.ascontiguousarray(values)
 
 
-def save(path: Path, reference: np.ndarray, renders: dict[str, Planes], facts: dict[str, Any]) -> None:
-    """Write a clip atomically: references (T, H, W, 3), planes (T, h, w, C) of each render, and facts."""
-    arrays = {name: np.str_(json.dumps(value)) for name, value in (("facts", facts), ("packing", PACKING))}
+def save(path: Path, reference: np.ndarray, renders: dict[str, Planes],
+         facts: dict[str, Any]) -> None:
+    """Write a clip atomically: references (T, H, W, 3), planes (T, h, w, C) of each render, and
+    facts."""
+    arrays = {name: np.str_(json.dumps(value))
+              for name, value in (("facts", facts), ("packing", PACKING))}
     for name, planes in ({REFERENCE: {"colour": reference}} | renders).items():
         for plane, values in planes.items():
-            arrays[f"{name}/{plane}"] = (pack_colour(values, _bits(name, PACKING)) if plane == "colour"
-                                         else pack_plane(plane, values, PACKING[plane]))
+            arrays[f"{name}/{plane}"] = (pack_colour(values, _bits(name, PACKING)) if plane
+                                         == "colour" else pack_plane(plane, values, PACKING[plane]))
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial.npz")
     with zipfile.ZipFile(partial, "w", zipfile.ZIP_LZMA) as archive:
         for name, array in arrays.items():
@@ -142,7 +154,7 @@ def _words(packed: np.ndarray) -> np.ndarray:
     return packed[0].astype(np.uint16) | packed[1].astype(np.uint16) << 8
 
 
-# A picture of clips -------------------------------------------------------------------------------------------------
+# A picture of clips -------------------------------------------------------------------------------
 # A row each: first, middle and last reference, noisy 1x, albedos, normal, motion.
 
 WIDTH = 240  # of a panel, pixels
@@ -158,14 +170,16 @@ def panels(clip: Path) -> list[np.ndarray]:
     made = [srgb_encode(light / (1 + light)) for light in exposed]
     made += [srgb_encode(full[name][middle]) for name in ("diffuse_albedo", "specular_albedo")]
     motion = full["motion"][middle] / (2 * FASTEST) + 0.5
-    return [*made, full["normal"][middle] / 2 + 0.5, np.dstack([motion, np.full_like(motion[..., :1], 0.5)])]
+    return [*made, full["normal"][middle] / 2 + 0.5,
+            np.dstack([motion, np.full_like(motion[..., :1], 0.5)])]
 
 
 def draw(clips: list[Path], path: Path) -> None:
     """Write the picture."""
     rows = []
     for clip in clips:
-        pictures = [Image.fromarray((255 * np.clip(panel, 0, 1)).astype(np.uint8)) for panel in panels(clip)]
+        pictures = [Image.fromarray((255 * np.clip(panel, 0, 1)).astype(np.uint8))
+                    for panel in panels(clip)]
         sizes = [(WIDTH, round(WIDTH * picture.height / picture.width)) for picture in pictures]
         resized = [picture.resize(size) for picture, size in zip(pictures, sizes, strict=True)]
         rows.append(np.concatenate([np.asarray(picture) for picture in resized], 1))

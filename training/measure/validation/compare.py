@@ -20,19 +20,21 @@ from postfx.bench.measure import Sources
 from training.datagen.clip_file import GUIDES, frame_header, write_exr
 from training.measure.validation.clips import FULL, HALF, load
 
-# Measurements ---------------------------------------------------------------------------------------------------------
+# Measurements -------------------------------------------------------------------------------------
 
 FIGURES = ("ssim", "flip", "flicker")
 
 
 def compare(clips: list[Path], args: argparse.Namespace) -> list[dict[str, Any]]:
-    """A row for each clip, render and method. Files go to RESULTS/SCENE.SEED/RENDER, EXR frames to RESULTS/frames."""
+    """A row for each clip, render and method. Files go to RESULTS/SCENE.SEED/RENDER, EXR frames to
+    RESULTS/frames."""
     rows = []
     for clip in clips:
         folder, facts = expand(clip, args.results / "frames")
         for name in [name for name in facts["renders"] if name in args.renders.split(",")]:
             print(f"{folder.name} {name}", file=sys.stderr, flush=True)
-            rows += [_row(folder.name, name, facts, method) for method in _measured(folder, name, args)]
+            rows += [_row(folder.name, name, facts, method)
+                     for method in _measured(folder, name, args)]
     return rows
 
 
@@ -51,9 +53,11 @@ def _row(scene: str, name: str, facts: dict[str, Any], method: dict[str, Any]) -
     pairs = zip(method["frames"], facts["reference_noise"], strict=True)
     psnr = [without_noise(frame["psnr"], noise) for frame, noise in pairs]
     return {
-        "scene": scene, "trait": facts["trait"], "style": facts["style"], "render": name, "scale": render["scale"],
+        "scene": scene, "trait": facts["trait"], "style": facts["style"], "render": name,
+        "scale": render["scale"],
         "spp": render["spp"], "method": method["name"], "family": method["family"],
-        "wall_ms": method["time"]["wall_ms"], "psnr": mean(psnr), "psnr_late": mean(psnr[len(psnr) // 2 :]),
+        "wall_ms": method["time"]["wall_ms"], "psnr": mean(psnr),
+        "psnr_late": mean(psnr[len(psnr) // 2 :]),
         **{key: scores[key] for figure in FIGURES for key in (figure, f"{figure}_late")},
         "psnr_frames": psnr, "reference_noise": facts["reference_noise"],
     }
@@ -65,8 +69,9 @@ def without_noise(psnr: float, noise: float) -> float:
     return float(-10 * np.log10(max(error - noise, error / 10)))
 
 
-# Report ---------------------------------------------------------------------------------------------------------------
-# Means over the clips: a table for each scale, and one for the two ways to spend as many light paths.
+# Report -------------------------------------------------------------------------------------------
+# Means over the clips: a table for each scale, and one for the two ways to spend as many light
+# paths.
 
 COMPARED = ("psnr_late", "ssim_late", "flip_late", "flicker_late")
 FRAMEWISE = "oidn-high"
@@ -75,7 +80,8 @@ Row = dict[str, Any]
 
 
 def report(folder: Path, rows: list[Row]) -> None:
-    """Write comparison.csv (a line for each clip, render and method) and comparison.json, and print the tables."""
+    """Write comparison.csv (a line for each clip, render and method) and comparison.json, and print
+    the tables."""
     tables = {render: summary([row for row in rows if row["render"] == render])
               for render in dict.fromkeys(row["render"] for row in rows)}
     rays = equal_rays(tables)
@@ -87,17 +93,21 @@ def report(folder: Path, rows: list[Row]) -> None:
         writer.writeheader()
         writer.writerows(rows)
     for render, table in tables.items():
-        print("\n".join([_title([row for row in rows if row["render"] == render]), *_lines(table), ""]))
+        print("\n".join([_title([row for row in rows if row["render"] == render]), *_lines(table),
+                         ""]))
     if rays:
-        print("\n".join(["equally many light paths; gain over the best of OIDN at full size", *_lines(rays)]))
+        print("\n".join(["equally many light paths; gain over the best of OIDN at full size",
+                         *_lines(rays)]))
 
 
 def summary(rows: list[Row]) -> list[Row]:
-    """A row for each method of one render: means over the clips, and comparisons with OIDN if it was measured.
+    """A row for each method of one render: means over the clips, and comparisons with OIDN if it
+    was measured.
 
-    `gain`: PSNR above the OIDN method with the best mean; `flip_ratio`, `flicker_ratio`: quotients to the least of the
-    OIDN methods. `least_gain`: least lead in PSNR over a clip's best OIDN method, of all clips. `worst_frame`: least
-    lead in PSNR of a single frame over OIDN high, of all frames.
+    `gain`: PSNR above the OIDN method with the best mean; `flip_ratio`, `flicker_ratio`: quotients
+    to the least of the OIDN methods. `least_gain`: least lead in PSNR over a clip's best OIDN
+    method, of all clips. `worst_frame`: least lead in PSNR of a single frame over OIDN high, of all
+    frames.
     """
     by_method = {name: [row for row in rows if row["method"] == name]
                  for name in dict.fromkeys(row["method"] for row in rows)}
@@ -106,13 +116,15 @@ def summary(rows: list[Row]) -> list[Row]:
     for row in means:
         own = by_method[row["method"]]
         row |= _against(row, baselines)
-        row["least_gain"] = min((gain for one in own if (gain := _clip_gain(one, rows)) is not None), default=None)
+        row["least_gain"] = min((gain for one in own
+                                 if (gain := _clip_gain(one, rows)) is not None), default=None)
         row["worst_frame"] = _worst_frame(own, by_method.get(FRAMEWISE, []))
     return means
 
 
 def equal_rays(tables: dict[str, list[Row]]) -> list[Row]:
-    """Methods at half and at full size, compared with the best of OIDN at full size; empty unless both are there."""
+    """Methods at half and at full size, compared with the best of OIDN at full size; empty unless
+    both are there."""
     full, half = tables.get(FULL.name, []), tables.get(HALF.name, [])
     baselines = [row for row in full if row["family"] == "oidn"]
     if not half or not baselines:
@@ -140,7 +152,8 @@ def _against(row: Row, baselines: list[Row]) -> Row:
 
 def _clip_gain(row: Row, rows: list[Row]) -> float | None:
     """PSNR above the best OIDN method of the same clip."""
-    others = [other["psnr_late"] for other in rows if other["scene"] == row["scene"] and other["family"] == "oidn"]
+    others = [other["psnr_late"]
+              for other in rows if other["scene"] == row["scene"] and other["family"] == "oidn"]
     return row["psnr_late"] - max(others) if others else None
 
 
@@ -161,12 +174,14 @@ def mean(values: list[float | None]) -> float | None:
 def _title(rows: list[Row]) -> str:
     noise = np.mean([-10 * np.log10(np.mean(row["reference_noise"]) + 1e-12) for row in rows])
     clips = len({row["scene"] for row in rows})
-    return f"{rows[0]['scale']:g}x, {clips} clips; the references' own noise, {noise:.1f} dB, is taken out of PSNR"
+    return (f"{rows[0]['scale']:g}x, {clips} clips; the references' own noise, {noise:.1f} dB, is "
+            "taken out of PSNR")
 
 
 def _lines(table: list[Row]) -> Iterator[str]:
     heads = {"wall_ms": ("ms", ".1f"), "psnr_late": ("PSNR", ".2f"), "ssim_late": ("SSIM", ".4f"),
-             "flip_late": ("FLIP", ".4f"), "flicker_late": ("flicker", ".2f"), "gain": ("gain", "+.2f"),
+             "flip_late": ("FLIP", ".4f"), "flicker_late": ("flicker", ".2f"),
+             "gain": ("gain", "+.2f"),
              "flip_ratio": ("FLIP x", ".2f"), "flicker_ratio": ("flicker x", ".2f"),
              "least_gain": ("least", "+.2f"), "worst_frame": ("frame", "+.2f")}
     shown = [key for key in heads if key in table[0]]
@@ -176,10 +191,11 @@ def _lines(table: list[Row]) -> Iterator[str]:
         yield f"{row['method']:<38}" + "".join(f"{cell:>10}" for cell in cells)
 
 
-# EXR sequences --------------------------------------------------------------------------------------------------------
+# EXR sequences ------------------------------------------------------------------------------------
 
 def expand(clip: Path, folder: Path) -> tuple[Path, dict[str, Any]]:
-    """Write reference, guides and all renders of a clip to FOLDER/SCENE.SEED/NAME.####.exr; that folder and the facts.
+    """Write reference, guides and all renders of a clip to FOLDER/SCENE.SEED/NAME.####.exr; that
+    folder and the facts.
 
     Existing files of this clip are kept.
     """
@@ -207,5 +223,6 @@ def _header(name: str, t: int, facts: dict[str, Any]) -> dict[str, Any]:
     if name == "guides":
         return {"postfx:jitter": np.array(facts["renders"][FULL.name]["jitter"][t])}
     render = facts["renders"][name]
-    return frame_header(np.array(facts["to_world"][t]), facts["fov"][t], np.array(render["jitter"][t]), render["spp"],
+    return frame_header(np.array(facts["to_world"][t]), facts["fov"][t],
+                        np.array(render["jitter"][t]), render["spp"],
                         facts["exposure"], bool(facts["reset"][t]))

@@ -23,8 +23,8 @@ def books(rng: np.random.Generator, start, length: float, name: str = "books") -
     while x < length:
         wide, tall, deep = rng.uniform(0.02, 0.055), rng.uniform(0.18, 0.29), rng.uniform(0.13, 0.2)
         tilt = rng.normal(0, 0.1) if rng.random() < 0.2 else 0.0
-        shapes.append(place(tk.box(wide * 0.94, deep, tall), np.add(start, (x + wide / 2, 0, tall / 2)),
-                            tk.turn(y=tilt)))
+        shapes.append(place(tk.box(wide * 0.94, deep, tall),
+                            np.add(start, (x + wide / 2, 0, tall / 2)), tk.turn(y=tilt)))
         band = place(tk.box(wide * 0.96, deep * 1.01, 0.02),
                      np.add(start, (x + wide / 2, -0.002, tall * 0.8)), tk.turn(y=tilt))
         shapes.append(band)
@@ -34,11 +34,12 @@ def books(rng: np.random.Generator, start, length: float, name: str = "books") -
         tint=np.repeat(colours, 6, 0))
 
 
-# Glass ---------------------------------------------------------------------------------------------
+# Glass --------------------------------------------------------------------------------------------
 
 
 def glass(rng: np.random.Generator) -> None:
-    tk.gradient_sky([(0.0, (0.1, 0.09, 0.08)), (0.5, (0.3, 0.3, 0.32)), (1.0, (0.5, 0.6, 0.8))], 0.25)
+    tk.gradient_sky([(0.0, (0.1, 0.09, 0.08)), (0.5, (0.3, 0.3, 0.32)), (1.0, (0.5, 0.6, 0.8))],
+                    0.25)
     lamp("AREA", (-1.9, 0.9, 1.7), 60.0, (0.9, 0.95, 1.0), 1.1, target=(0, 0.4, 0.2))
     lamp("SPOT", (1.7, 1.9, 1.5), 90.0, (1.0, 0.8, 0.55), 0.03, target=(0.1, 0.35, 0.1))
     add(place(tk.box(2.6, 1.5, 0.05), (0, 0.5, -0.026)), wooden("table", 7.0))
@@ -97,7 +98,7 @@ def glass(rng: np.random.Generator) -> None:
     camera((0.02, -0.75, 0.42), (0.01, 0.38, 0.105), 46, (0.006, 0.003, 0.002))
 
 
-# Skin and hair -------------------------------------------------------------------------------------
+# Skin and hair ------------------------------------------------------------------------------------
 
 
 def bump(vertices: np.ndarray, at, size, push) -> None:
@@ -244,7 +245,8 @@ def skin(rng: np.random.Generator) -> None:
     fuzz = rng.normal(size=(3000, 3)) * (0.2, 0.14, 0.0)
     radius = np.hypot(fuzz[:, 0], fuzz[:, 1] / 0.7)
     fuzz[:, 2] = np.interp(radius, [0.07, 0.12, 0.25, 0.32], [-0.16, -0.19, -0.27, -0.45])
-    wool = strands(fuzz[radius > 0.075] + (0, 0.03, 0), rng.normal(size=((radius > 0.075).sum(), 3)),
+    wool = strands(fuzz[radius > 0.075] + (0, 0.03, 0),
+                   rng.normal(size=((radius > 0.075).sum(), 3)),
                    np.full((radius > 0.075).sum(), 0.008), 0.0, rng, 0.00012, 5)
     wool.data.materials.append(material("wool", (0.2, 0.3, 0.42), 0.9))
     add(place(tk.box(4, 0.1, 3), (0, 1.5, 0)), material("wall", (0.3, 0.26, 0.22), 0.9,
@@ -264,14 +266,16 @@ def nearest_front(vertices: np.ndarray, places: np.ndarray) -> np.ndarray:
     return front[gap.argmin(1), 1]
 
 
-# Print on white ------------------------------------------------------------------------------------
+# Print on white -----------------------------------------------------------------------------------
 
 STROKES = {
-    "a": "00-04-26-44-40 12-32", "b": "00-06-36-45-34-03 34-43-42-30-00", "c": "45-36-16-05-01-10-30-41",
+    "a": "00-04-26-44-40 12-32", "b": "00-06-36-45-34-03 34-43-42-30-00",
+    "c": "45-36-16-05-01-10-30-41",
     "d": "00-06-26-44-42-20-00", "e": "40-00-06-46 03-33", "f": "00-06-46 03-33",
     "g": "45-36-16-05-01-10-30-41-43-23", "h": "00-06 40-46 03-43", "i": "10-30 20-26 16-36",
     "k": "00-06 46-03-40", "l": "06-00-40", "m": "00-06-23-46-40", "n": "00-06-40-46",
-    "o": "10-30-41-45-36-16-05-01-10", "p": "00-06-36-45-44-33-03", "r": "00-06-36-45-44-33-03 23-40",
+    "o": "10-30-41-45-36-16-05-01-10", "p": "00-06-36-45-44-33-03",
+    "r": "00-06-36-45-44-33-03 23-40",
     "s": "01-10-30-41-42-33-13-04-05-16-36-45", "t": "06-46 26-20", "u": "06-01-10-30-41-46",
     "v": "06-20-46", "w": "06-10-24-30-46", "x": "00-46 06-40", "y": "06-23-46 23-20",
     "z": "06-46-00-40",
@@ -315,7 +319,8 @@ def text_block(rng, corner, size: float, width: float, lines: int, weight: float
 
 
 def printed(rng: np.random.Generator) -> None:
-    tk.gradient_sky([(0.0, (0.3, 0.3, 0.3)), (0.5, (0.7, 0.72, 0.75)), (1.0, (0.6, 0.75, 1.0))], 0.5)
+    tk.gradient_sky([(0.0, (0.3, 0.3, 0.3)), (0.5, (0.7, 0.72, 0.75)), (1.0, (0.6, 0.75, 1.0))],
+                    0.5)
     lamp("AREA", (-0.7, 0.5, 0.7), 6.0, (1.0, 0.97, 0.92), 0.35, target=(0, 0, 0))
     lamp("SPOT", (0.5, 0.35, 0.45), 3.0, (1.0, 0.85, 0.65), 0.02, target=(0.05, 0, 0))
     add(place(tk.box(1.6, 1.2, 0.04), (0, 0, -0.0205)), wooden("desk", 12.0))
@@ -374,8 +379,8 @@ def printed(rng: np.random.Generator) -> None:
     add(place(coffee, (0.085, 0.13, 0.001)), material("coffee", (0.03, 0.012, 0.005), 0.05))
     pencil = tk.join([tk.rod(0.0036, 0.13, 6), place(tk.lathe([(0.0036, 0), (0, 0.018)], 6),
                                                     (0, 0, 0.13))])
-    item = add(place(pencil, (0, 0, 0), tk.turn(y=np.pi / 2)), material("pencil", (0.85, 0.55, 0.03),
-                                                                        0.3))
+    item = add(place(pencil, (0, 0, 0), tk.turn(y=np.pi / 2)),
+               material("pencil", (0.85, 0.55, 0.03), 0.3))
     item.rotation_euler = (0, 0, 0.7)
     move(item, (-0.06, -0.062, 0.0052), (0.003, 0.002, 0.0), (0.1, 0, 0.03))
     rim = material("rim", (0.75, 0.75, 0.78), 0.15, metallic=1.0)
@@ -395,7 +400,7 @@ def printed(rng: np.random.Generator) -> None:
     camera((0.03, -0.30, 0.33), (0.0, 0.025, 0.0), 42, (0.0025, 0.001, 0.0), (0.0012, 0, 0))
 
 
-# Hard indirect light -------------------------------------------------------------------------------
+# Hard indirect light ------------------------------------------------------------------------------
 
 
 def indirect(rng: np.random.Generator) -> None:
@@ -463,7 +468,7 @@ def indirect(rng: np.random.Generator) -> None:
     camera((0.5, -0.9, 1.4), (0.1, 2.6, 1.02), 28, (0.012, 0.015, 0.003))
 
 
-# Thin cloth against the sun ------------------------------------------------------------------------
+# Thin cloth against the sun -----------------------------------------------------------------------
 
 
 def cloth(rng: np.random.Generator) -> None:
@@ -514,7 +519,8 @@ def cloth(rng: np.random.Generator) -> None:
                 fold += 0.018 * np.sin(26 * u + phase) * (0.3 + v)
                 fold += 0.1 * v ** 1.5 * np.sin(t)
                 drop = tall * v - 0.1 * fold ** 2 + 0.03 * np.sin(np.pi * u) * (1 - v)
-                shapes.append(np.column_stack([x + wide * u + 0.02 * v * np.sin(t + 3 * u), y + fold,
+                shapes.append(np.column_stack([x + wide * u + 0.02 * v * np.sin(t + 3 * u),
+                                               y + fold,
                                                1.95 + 0.012 * (x + wide * u) ** 2 - drop]))
             fabric = fabrics[(row * 2 + len(pegs)) % len(fabrics)]
             item = add((shapes[0], net[1]), tk.thin("cloth", fabric, (0.95, 0.93, 0.9), 0.5), True)
@@ -537,16 +543,17 @@ def cloth(rng: np.random.Generator) -> None:
         spots = rng.normal(size=(2600, 3)) * (1.0, 0.9, 0.8) + (x, y, 3.1)
         leaf = (np.array([[-1, 0, 0], [0, -0.5, 0.1], [1, 0, 0], [0, 0.5, 0.1]]),
                 np.array([[0, 1, 2, 3]]))
-        add(tk.copies(leaf, spots, tk.random_turns(rng, 2600, rng.uniform(0.05, 0.09, 2600))), green,
-            tint=tints(rng, 2600, 1, 0.5, 1.0, 0.3))
+        add(tk.copies(leaf, spots, tk.random_turns(rng, 2600, rng.uniform(0.05, 0.09, 2600))),
+            green, tint=tints(rng, 2600, 1, 0.5, 1.0, 0.3))
     camera((0.2, -2.0, 1.25), (0.1, 3, 1.45), 30, (0.015, 0.02, 0.003))
 
 
-# Depth of field ------------------------------------------------------------------------------------
+# Depth of field -----------------------------------------------------------------------------------
 
 
 def depth_of_field(rng: np.random.Generator) -> None:
-    tk.gradient_sky([(0.3, (0.03, 0.025, 0.03)), (0.55, (0.12, 0.09, 0.12)), (1, (0.04, 0.06, 0.12))],
+    tk.gradient_sky([(0.3, (0.03, 0.025, 0.03)), (0.55, (0.12, 0.09, 0.12)),
+                     (1, (0.04, 0.06, 0.12))],
                     0.6)
     lamp("AREA", (-0.6, -0.1, 0.7), 5.0, (1.0, 0.9, 0.78), 0.4, target=(0, 0.1, 0))
     add(place(tk.box(4, 3.2, 0.05), (0, 1.3, -0.026)), wooden("bench", 14.0))
@@ -576,12 +583,14 @@ def depth_of_field(rng: np.random.Generator) -> None:
             [(0, 0), (0.0055, 0), (0.0055, 0.003), (0, 0.0045)], 6), (0, 0, 0.03))]), (x, y, 0)),
             brass)
     figure = tk.lathe([(0, 0), (0.02, 0), (0.021, 0.006), (0.009, 0.018), (0.007, 0.04),
-                       (0.013, 0.043), (0.008, 0.047), (0.013, 0.06), (0.008, 0.07), (0, 0.072)], 40)
+                       (0.013, 0.043), (0.008, 0.047), (0.013, 0.06), (0.008, 0.07), (0, 0.072)],
+                      40)
     for x, y, tone in ((-0.075, 0.2, (0.75, 0.65, 0.5)), (0.075, 0.17, (0.08, 0.05, 0.04)),
                        (0.0, 0.3, (0.75, 0.65, 0.5)), (0.15, 0.5, (0.08, 0.05, 0.04)),
                        (-0.2, 0.55, (0.75, 0.65, 0.5))):
         add(place(figure, (x, y, 0)), material("piece", tone, 0.25, grain=(60, 0.2)), True)
-    roll = add(bead, material("marble", lambda tree: tk.ramp(tree, tk.noise(tree, 2.0, Distortion=3),
+    roll = add(bead, material("marble", lambda tree: tk.ramp(tree,
+                              tk.noise(tree, 2.0, Distortion=3),
                               [(0.4, (0.1, 0.3, 0.6)), (0.55, (0.9, 0.85, 0.7)),
                                (0.65, (0.5, 0.05, 0.1))]), 0.08), True)
     roll.scale = (0.017, 0.017, 0.017)
@@ -605,7 +614,7 @@ def depth_of_field(rng: np.random.Generator) -> None:
     eye.data.dof.aperture_blades = 7
 
 
-# Motion blur ---------------------------------------------------------------------------------------
+# Motion blur --------------------------------------------------------------------------------------
 
 
 def motion_blur(rng: np.random.Generator) -> None:
@@ -655,7 +664,8 @@ def motion_blur(rng: np.random.Generator) -> None:
         move(add(tk.join(body), shirt, True), at, (step, 0, 0))
         skin_tone = material("face", (0.6, 0.36, 0.26), 0.5)
         move(add(place(tk.sphere(0.11, 16, 20), (0.2, 0, 1.6)), skin_tone, True), at, (step, 0, 0))
-        move(add(place(tk.lathe([(0.135, 0), (0.12, 0.08), (0, 0.14)]), (0.19, 0, 1.63)), red, True), at, (step, 0, 0))
+        move(add(place(tk.lathe([(0.135, 0), (0.12, 0.08), (0, 0.14)]), (0.19, 0, 1.63)), red,
+                 True), at, (step, 0, 0))
         legs = [tk.tube(np.array([(-0.2, y, 0.95), (0.08, y, 0.75), (-0.05, y, low)]),
                         np.array([0.08, 0.065, 0.045]), 12) for y, low in ((0.09, 0.35),
                                                                            (-0.09, 0.5))]

@@ -1,5 +1,5 @@
-"""A room by hand, for `hosts/loop/render_mitsuba.py`: a lamp in a corner that lights the rest by the
-walls alone, glass, rough metal, and tiles. Units are metres; y is up."""
+"""A room by hand, for `hosts/loop/render_mitsuba.py`: a lamp in a corner that lights the rest by
+the walls alone, glass, rough metal, and tiles. Units are metres; y is up."""
 
 import mitsuba as mi
 
@@ -34,7 +34,8 @@ def build(frame: int) -> dict:
         "type": "area", "radiance": {"type": "rgb", "value": [90.0, 72.0, 48.0]}}}
     camera = {
         "type": "perspective", "fov": 58, "fov_axis": "x", "sampler": {"type": "independent"},
-        "to_world": TURN().look_at(origin=(1.2, 1.35, 2.3), target=(-0.15, 0.75, -0.6), up=(0, 1, 0)),
+        "to_world": TURN().look_at(origin=(1.2, 1.35, 2.3), target=(-0.15, 0.75, -0.6),
+                                   up=(0, 1, 0)),
         "film": {"type": "hdrfilm", "width": SIZE[0], "height": SIZE[1],
                  "rfilter": {"type": "box"}, "pixel_format": "rgb"},
     }

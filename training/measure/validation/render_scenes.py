@@ -152,7 +152,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kinds", default=",".join(scenes.KINDS), help="default: all")
-    parser.add_argument("--out", type=Path, required=True, help="folder that gets one for each kind")
+    parser.add_argument("--out", type=Path, required=True,
+                        help="folder that gets one for each kind")
     parser.add_argument("--samples", type=numbers, default=[4, 16, 64], help="default 4,16,64")
     parser.add_argument("--half", type=numbers, default=[4, 16, 64],
                         help="samples at half the size; default 4,16,64; '' for none")

@@ -1,8 +1,8 @@
 """Scenes for validation, one for each kind of content, built by hand; runs inside Blender.
 
 Nothing here is shared with the generator of the training clips: a network that does well on what it
-was trained on has to show it on these. Only the middle of each picture is rendered, so that is where
-things are. Units are metres; frame 2 is the middle of the shot.
+was trained on has to show it on these. Only the middle of each picture is rendered, so that is
+where things are. Units are metres; frame 2 is the middle of the shot.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ FRAMES = range(tk.FIRST, tk.LAST + 1)
 WHITE = (0.8, 0.8, 0.8)
 
 
-# Water over tiles ----------------------------------------------------------------------------------
+# Water over tiles ---------------------------------------------------------------------------------
 
 
 def waves(places: np.ndarray, frame: float, rng: np.random.Generator) -> np.ndarray:
@@ -110,7 +110,7 @@ def water(rng: np.random.Generator) -> None:
     camera((0.1, -1.9, 1.5), (0.05, 2.25, -0.1), 28, (0.02, 0.012, 0.0), (0.01, 0.0, 0.0))
 
 
-# Smoke and fire ------------------------------------------------------------------------------------
+# Smoke and fire -----------------------------------------------------------------------------------
 
 
 def plume(tree, width: float, scale: float, rise: float, threshold: float):
@@ -159,7 +159,8 @@ def smoke(rng: np.random.Generator) -> None:
         colour = tk.ramp(tree, heat, [(0.0, (0.8, 0.06, 0.004)), (0.35, (1.0, 0.2, 0.02)),
                                       (0.8, (1.0, 0.5, 0.12)), (1.0, (1.0, 0.75, 0.35))])
         return colour, tk.calculate(tree, "MULTIPLY", tk.calculate(tree, "POWER", heat, 1.5), 38.0)
-    add(place(tk.box(1.1, 0.9, 1.2), (0, 0, 0.7)), tk.volume("fire", flame_density, WHITE, 0, flame))
+    add(place(tk.box(1.1, 0.9, 1.2), (0, 0, 0.7)),
+        tk.volume("fire", flame_density, WHITE, 0, flame))
 
     ground = tk.grid(200, 200, 14, 14)
     ground[0][:, 2] = 0.05 * np.sin(ground[0][:, 0] * 1.7) * np.cos(ground[0][:, 1] * 1.3)
@@ -204,7 +205,7 @@ def smoke(rng: np.random.Generator) -> None:
     camera((0.6, -3.9, 1.25), (0.12, 0, 0.92), 31, (0.02, 0.02, 0.004))
 
 
-# Fog -----------------------------------------------------------------------------------------------
+# Fog ----------------------------------------------------------------------------------------------
 
 
 def fog(rng: np.random.Generator) -> None:
@@ -253,8 +254,8 @@ def fog(rng: np.random.Generator) -> None:
     add(tk.copies(rock, spots, tk.random_turns(rng, 60, rng.gamma(3, 0.07, 60))), stone, True,
         tints(rng, 60, len(rock[1])))
     coat = material("coat", (0.6, 0.06, 0.05), 0.8, grain=(20, 0.3))
-    walker = tk.join([place(tk.lathe([(0, 0.8), (0.3, 0.75), (0.22, 1.3), (0.24, 1.45), (0.08, 1.55),
-                                      (0, 1.55)])),
+    walker = tk.join([place(tk.lathe([(0, 0.8), (0.3, 0.75), (0.22, 1.3), (0.24, 1.45),
+                                      (0.08, 1.55), (0, 1.55)])),
                       place(tk.sphere(0.13, 12, 16), (0, 0, 1.66)),
                       place(tk.rod(0.08, 0.8), (-0.1, 0.07, 0)),
                       place(tk.rod(0.08, 0.8), (0.1, -0.07, 0))])
@@ -268,11 +269,12 @@ def fog(rng: np.random.Generator) -> None:
     camera((0.2, -0.6, 1.55), (0.55, 8, 1.75), 30, (0.015, 0.05, 0.003), (0.02, 0.05, 0))
 
 
-# Night street --------------------------------------------------------------------------------------
+# Night street -------------------------------------------------------------------------------------
 
 
 def street(rng: np.random.Generator) -> None:
-    tk.gradient_sky([(0.5, (0.03, 0.03, 0.06)), (0.6, (0.012, 0.015, 0.04)), (1, (0, 0, 0.01))], 0.6)
+    tk.gradient_sky([(0.5, (0.03, 0.03, 0.06)), (0.6, (0.012, 0.015, 0.04)), (1, (0, 0, 0.01))],
+                    0.6)
     asphalt, tree, output = tk.new_material("asphalt")
     wet = tk.ramp(tree, tk.noise(tree, 0.9), [(0.42, (0.06,) * 3), (0.6, (0.45,) * 3)])
     rough = tk.node(tree, "ShaderNodeBump", {"Height": tk.noise(tree, 40.0), "Strength": 0.25,
@@ -286,7 +288,8 @@ def street(rng: np.random.Generator) -> None:
     for side in (-1, 1):
         add(place(tk.box(3, 90, 0.16), (side * 6, 40, 0.08)), paving)
     paint = material("paint", (0.75, 0.75, 0.7), 0.5, grain=(3, 0.6))
-    add(tk.join([place(tk.box(0.14, 1.6, 0.004), (0, 1 + 3.6 * k, 0.003)) for k in range(18)]), paint)
+    add(tk.join([place(tk.box(0.14, 1.6, 0.004), (0, 1 + 3.6 * k, 0.003)) for k in range(18)]),
+        paint)
 
     lit, panes, plain = [], [], []
     facade = material("facade", lambda tree: tk.tiles(
@@ -365,7 +368,8 @@ def street(rng: np.random.Generator) -> None:
         for part in car(((0.05, 0.08, 0.2), (0.1, 0.1, 0.1), (0.4, 0.35, 0.1))[k % 3]):
             part.location = (3.5, y, 0)
     dark = material("people", (0.06, 0.06, 0.09), 0.8, tinted=True)
-    figure = tk.join([tk.lathe([(0, 0), (0.12, 0), (0.2, 0.8), (0.24, 1.35), (0.07, 1.5), (0, 1.5)]),
+    figure = tk.join([tk.lathe([(0, 0), (0.12, 0), (0.2, 0.8), (0.24, 1.35), (0.07, 1.5),
+                                (0, 1.5)]),
                       place(tk.sphere(0.12, 8, 10), (0, 0, 1.62))])
     for _ in range(10):
         person = add(figure, dark, True, tints(rng, len(figure[1]), 1, 0.3, 1.0, 0.5))
@@ -374,7 +378,7 @@ def street(rng: np.random.Generator) -> None:
     camera((-0.6, -1.5, 1.7), (-0.1, 12, 2.3), 32, (0.01, 0.09, 0.004), (0.0, 0.09, 0))
 
 
-# Leaves --------------------------------------------------------------------------------------------
+# Leaves -------------------------------------------------------------------------------------------
 
 
 def leaves(rng: np.random.Generator) -> None:
@@ -425,7 +429,8 @@ def leaves(rng: np.random.Generator) -> None:
     def spray(tree):
         """Rows of small leaflets cut out of a card by its alpha."""
         where = tk.node(tree, "ShaderNodeSeparateXYZ", {0: tk.coordinates(tree, source="UV")})
-        u = tk.calculate(tree, "PINGPONG", tk.calculate(tree, "MULTIPLY", where.outputs[0], 7.0), 0.5)
+        u = tk.calculate(tree, "PINGPONG", tk.calculate(tree, "MULTIPLY", where.outputs[0], 7.0),
+                         0.5)
         v = tk.calculate(tree, "ABSOLUTE", tk.calculate(tree, "SUBTRACT", where.outputs[1], 0.5))
         wide = tk.calculate(tree, "MULTIPLY_ADD", v, -0.8, 0.42)
         return tk.calculate(tree, "LESS_THAN", u, wide)
@@ -454,7 +459,7 @@ def leaves(rng: np.random.Generator) -> None:
     camera((0.3, -0.4, 0.6), (0.15, 5, 1.75), 32, (0.02, 0.012, 0.006))
 
 
-# Falling snow --------------------------------------------------------------------------------------
+# Falling snow -------------------------------------------------------------------------------------
 
 
 def snow(rng: np.random.Generator) -> None:
@@ -485,7 +490,8 @@ def snow(rng: np.random.Generator) -> None:
                 place(tk.box(0.6, 0.06, 0.04), (at, 6.81, 1.25))]
         add(tk.join(bars), logs)
         add(place(tk.box(0.7, 0.16, 0.07), (at, 6.78, 0.92)), white)
-    add(place(tk.box(0.7, 0.06, 1.6), (-0.85, 6.84, 0.75)), material("door", (0.3, 0.05, 0.04), 0.5))
+    add(place(tk.box(0.7, 0.06, 1.6), (-0.85, 6.84, 0.75)),
+        material("door", (0.3, 0.05, 0.04), 0.5))
     iron = material("iron", (0.05, 0.05, 0.06), 0.5)
     for x, y in ((1.35, 4.6), (-1.5, 3.4)):
         add(place(tk.rod(0.035, 2.0), (x, y, -0.1)), iron, True)

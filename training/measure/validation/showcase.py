@@ -1,4 +1,5 @@
-"""Render the gallery's product shot in Cycles; runs in Blender's Python, from the repository's root.
+"""Render the gallery's product shot in Cycles; runs in Blender's Python, from the repository's
+root.
 
     python training/measure/validation/showcase.py FLIGHT_HELMET/scene.gltf ENVIRONMENT.hdr OUT
 
@@ -38,7 +39,8 @@ def build(model: Path, environment: Path) -> bpy.types.Scene:
     bpy.ops.import_scene.gltf(filepath=str(model))
     top, tree, output = toolkit.new_material("table")
     planks = toolkit.wood(tree, 6.0, (0.30, 0.17, 0.09), (0.12, 0.06, 0.03))
-    surface = toolkit.node(tree, "ShaderNodeBsdfPrincipled", {"Base Color": planks, "Roughness": 0.35})
+    surface = toolkit.node(tree, "ShaderNodeBsdfPrincipled",
+                           {"Base Color": planks, "Roughness": 0.35})
     tree.links.new(surface.outputs[0], output.inputs["Surface"])
     toolkit.add(toolkit.grid(2, 2, 8.0, 8.0), top)
     background = toolkit.background_tree()
@@ -76,7 +78,8 @@ def main() -> int:
     scene = build(args.model, args.environment)
     use_device(scene, args.device)
     set_up(scene, args.size, args.size)
-    scene.render.use_persistent_data = False  # with it Blender 5.0.1 mixes up textures after passes change
+    # with it Blender 5.0.1 mixes up textures after passes change
+    scene.render.use_persistent_data = False
     wanted = [(number, args.samples, "noisy") for number in range(1, args.frames + 1)]
     if args.reference:
         wanted.append((args.reference_frame, args.reference, "reference"))

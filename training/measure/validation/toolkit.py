@@ -13,7 +13,7 @@ FIRST, LAST = 0, 4  # frames 1 to 3 are shown: each has a neighbour on both side
 AXIS = 1e-3  # least radius of a turned shape, so that all its faces have four corners
 
 
-# Shapes --------------------------------------------------------------------------------------------
+# Shapes -------------------------------------------------------------------------------------------
 
 
 def grid(columns: int, rows: int, width: float, depth: float) -> Shape:
@@ -135,7 +135,7 @@ def tints(rng: np.random.Generator, count: int, faces: int, low: float = 0.4,
     return np.repeat(colours.clip(0, 1), faces, 0)
 
 
-# Scene ---------------------------------------------------------------------------------------------
+# Scene --------------------------------------------------------------------------------------------
 
 
 def empty_scene() -> bpy.types.Scene:
@@ -238,7 +238,7 @@ def lamp(kind: str, at, energy: float, colour=(1.0, 1.0, 1.0), size: float = 0.1
     return item
 
 
-# Materials -----------------------------------------------------------------------------------------
+# Materials ----------------------------------------------------------------------------------------
 
 
 def node(tree: bpy.types.NodeTree, kind: str, inputs: dict | None = None, **settings):
@@ -334,7 +334,8 @@ def glow(name: str, colour, strength: float, tinted: bool = False) -> bpy.types.
 
 def glass(name: str, colour=(1.0, 1.0, 1.0), ior: float = 1.5, roughness: float = 0.0,
           open_to_light: bool = False) -> bpy.types.Material:
-    """Clear glass or water; `open_to_light`: shadow rays pass it, as artists set it up for water."""
+    """Clear glass or water; `open_to_light`: shadow rays pass it, as artists set it up for
+    water."""
     result, tree, output = new_material(name)
     shader = node(tree, "ShaderNodeBsdfPrincipled", {
         "Base Color": colour, "Roughness": roughness, "IOR": ior, "Transmission Weight": 1.0})
@@ -360,7 +361,8 @@ def thin(name: str, colour, through, share: float = 0.5, alpha=None,
         beyond = mixed(tree, 1.0, beyond, tint, "MULTIPLY")
     if callable(colour):
         beyond = mixed(tree, 1.0, beyond, base, "MULTIPLY")
-    front = node(tree, "ShaderNodeBsdfPrincipled", {"Base Color": base, "Roughness": 0.5}).outputs[0]
+    front = node(tree, "ShaderNodeBsdfPrincipled",
+                 {"Base Color": base, "Roughness": 0.5}).outputs[0]
     back = node(tree, "ShaderNodeBsdfTranslucent", {"Color": beyond}).outputs[0]
     surface = node(tree, "ShaderNodeMixShader", {0: share, 1: front, 2: back}).outputs[0]
     if alpha:

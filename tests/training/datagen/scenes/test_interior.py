@@ -1,4 +1,5 @@
-"""Procedural interiors: things are well made, rooms are closed, lit by their windows, and the same for a seed."""
+"""Procedural interiors: things are well made, rooms are closed, lit by their windows, and the same
+for a seed."""
 
 from __future__ import annotations
 
@@ -9,7 +10,15 @@ from tests.training.llvm import require_mitsuba
 
 mi = require_mitsuba()
 
-from training.datagen.scenes import clutter, fittings, fixtures, foliage, furnishing, movables, solids  # noqa: E402
+from training.datagen.scenes import (  # noqa: E402
+    clutter,
+    fittings,
+    fixtures,
+    foliage,
+    furnishing,
+    movables,
+    solids,
+)
 from training.datagen.scenes.build import BuiltScene, Description  # noqa: E402
 from training.datagen.scenes.draft import Draft  # noqa: E402
 from training.datagen.scenes.interior import (  # noqa: E402
@@ -30,10 +39,11 @@ from training.datagen.tracing import MISS_DEPTH, Film, Tracer  # noqa: E402
 
 MAKERS = {
     maker.__name__: maker for maker in (
-        movables.sofa, movables.bed, movables.stool, movables.rug, fittings.bookcase, fittings.sideboard,
-        fittings.wardrobe, fittings.kitchen, fittings.desk, fittings.towel_rail, fixtures.fireplace, fixtures.radiator,
-        fixtures.bath, fixtures.basin, fixtures.toilet, fixtures.rack, fixtures.boxes_pile, movables.coffee,
-        movables.dining, movables.pendant, *foliage.PLANTS, foliage.trailing, *clutter.SMALL, clutter.screen)}
+        movables.sofa, movables.bed, movables.stool, movables.rug, fittings.bookcase,
+        fittings.sideboard, fittings.wardrobe, fittings.kitchen, fittings.desk, fittings.towel_rail,
+        fixtures.fireplace, fixtures.radiator, fixtures.bath, fixtures.basin, fixtures.toilet,
+        fixtures.rack, fixtures.boxes_pile, movables.coffee, movables.dining, movables.pendant,
+        *foliage.PLANTS, foliage.trailing, *clutter.SMALL, clutter.screen)}
 
 
 def drafted(seed: int) -> Draft:
@@ -59,7 +69,8 @@ def test_things_stand_on_the_floor_with_normals_outwards(name: str) -> None:
     for seed in range(3):
         thing = MAKERS[name](np.random.default_rng(seed))
         for mesh, _ in thing:
-            assert all(np.isfinite(values).all() for values in (mesh.vertices, mesh.normals, mesh.uvs))
+            assert all(np.isfinite(values).all()
+                       for values in (mesh.vertices, mesh.normals, mesh.uvs))
             assert np.abs(np.linalg.norm(mesh.normals, axis=1) - 1).max() < 1e-3
             assert inside_out(mesh) < 0.01
         low = min(mesh.vertices[:, 1].min() for mesh, _ in thing)
@@ -74,15 +85,19 @@ def volume(mesh: Mesh) -> float:
 
 def test_solids_look_outwards() -> None:
     low, high = np.array([1.0, 2, 3]), np.array([1.5, 2.4, 3.9])
-    assert np.isclose(volume(solids.boxes([low, low + 5], [high, high + 5])), 2 * np.prod(high - low))
+    assert np.isclose(volume(solids.boxes([low, low + 5], [high, high + 5])),
+                      2 * np.prod(high - low))
     round_box = volume(solids.rounded_box(low, high, 0.05, 6))
     assert 0.93 * np.prod(high - low) < round_box < np.prod(high - low)
-    assert volume(solids.rounded_box([0, 0, 0], [2, 2, 2], 0.999, 24)) == pytest.approx(4 / 3 * np.pi, rel=0.03)
+    assert (volume(solids.rounded_box([0, 0, 0], [2, 2, 2], 0.999, 24))
+            == pytest.approx(4 / 3 * np.pi, rel=0.03))
 
 
 def test_mouldings_are_mitred() -> None:
-    """A square section along a rectangle: its volume is that of the ring, and it lies within its bounds."""
-    ring = solids.moulding(solids.rectangle(0, 0, 2, 1), [[0, 0], [0, 0.1], [0.2, 0.1], [0.2, 0]], closed=True)
+    """A square section along a rectangle: its volume is that of the ring, and it lies within its
+    bounds."""
+    ring = solids.moulding(solids.rectangle(0, 0, 2, 1), [[0, 0], [0, 0.1], [0.2, 0.1], [0.2, 0]],
+                           closed=True)
     # the open underside lies in the plane z = 0 and adds nothing
     assert volume(ring) == pytest.approx((2 * 1 - 1.6 * 0.6) * 0.1, rel=1e-6)
     assert np.allclose(ring.vertices.min(0), 0) and np.allclose(ring.vertices.max(0), [2, 1, 0.1])
@@ -95,7 +110,8 @@ def test_the_same_seed_gives_the_same_room() -> None:
     for a, b in zip(first.description.parts, again.description.parts, strict=True):
         assert np.array_equal(a.mesh.vertices, b.mesh.vertices) and a.material == b.material
     assert all(np.array_equal(a.albedo, b.albedo)
-               for a, b in zip(first.description.materials, again.description.materials, strict=True))
+               for a, b in zip(first.description.materials, again.description.materials,
+                               strict=True))
     assert len(first.description.parts) != len(other.description.parts)
     eyes = [room.view(np.random.default_rng(1)) for room in (first, again)]
     assert np.array_equal(eyes[0], eyes[1])
@@ -118,13 +134,15 @@ def test_rooms_are_lit_by_windows_and_some_things_move(rooms: list[Draft]) -> No
 
 
 def test_rooms_are_closed_but_for_their_windows(rooms: list[Draft]) -> None:
-    """Camera rays that leave a room go through windows: hardly any go down or miss in rooms with a sheet outside."""
+    """Camera rays that leave a room go through windows: hardly any go down or miss in rooms with a
+    sheet outside."""
     tracer = Tracer()
     rng = np.random.default_rng(0)
     for room in [room for room in rooms if room.description.environment is None][:3]:
         scene = BuiltScene(room.description)
         eye, _ = room.view(rng)
-        u, v = (g.ravel().astype(np.float32) for g in np.meshgrid(*2 * [(np.arange(32) + 0.5) / 32]))
+        u, v = (g.ravel().astype(np.float32)
+                for g in np.meshgrid(*2 * [(np.arange(32) + 0.5) / 32]))
         for turn in np.arange(4) * np.pi / 2:
             camera = Camera(look_at(eye, eye + [np.cos(turn), 0.01, np.sin(turn)]), 90.0)
             planes = tracer.planes(scene, camera, camera, (32, 32), Film(mi.Float(u), mi.Float(v)))
@@ -139,11 +157,13 @@ def test_things_do_not_stand_in_one_another() -> None:
     d, rng = Description("test"), np.random.default_rng(2)
     house = House(d, rng, Roles(d, rng), Joinery.draw(rng), (5.0, 2.6, 5.0))
     house.sides = [Side(matrix, width, 2.6, []) for matrix, width in frames(5.0, 5.0)]
-    furnishing.furnish(house, furnishing.Kind((movables.sofa,) * 5, (movables.dining, movables.stool)))
+    furnishing.furnish(house,
+                       furnishing.Kind((movables.sofa,) * 5, (movables.dining, movables.stool)))
     assert len(house.taken) >= 3
     for k, (x0, x1, z0, z1, _) in enumerate(house.taken):
         assert min(x0, z0) > -2.501 and max(x1, z1) < 2.501
-        assert not any(x0 < b and x1 > a and z0 < e and z1 > c for a, b, c, e, _ in house.taken[k + 1:])
+        assert not any(x0 < b and x1 > a and z0 < e and z1 > c
+                       for a, b, c, e, _ in house.taken[k + 1:])
 
 
 def test_light_from_where_no_window_looks_is_left_out_only() -> None:
@@ -159,7 +179,8 @@ def test_light_from_where_no_window_looks_is_left_out_only() -> None:
         d.environment, d.environment_turn = environment, 130.0
         camera = Camera(look_at(np.array([0.3, 0.2, 3.0]), np.zeros(3)), 40.0)
         u = mi.Float(np.random.default_rng(0).random(1 << 15, np.float32))
-        levels.append(np.mean(Tracer().radiance(BuiltScene(d).scene, camera, 1.0, Film(u, u), 1).numpy()))
+        levels.append(np.mean(Tracer().radiance(BuiltScene(d).scene, camera, 1.0, Film(u, u), 1)
+                              .numpy()))
     assert levels[1] == pytest.approx(levels[0], rel=0.03)
 
 
@@ -171,7 +192,9 @@ def test_curtains_hang_from_a_fixed_rail() -> None:
 
 
 def test_a_good_part_of_the_drawn_scenes_are_interiors() -> None:
-    assert sum(CHANCES.values()) == pytest.approx(1) and sum(share for _, share in FAMILIES) == pytest.approx(1)
+    assert (sum(CHANCES.values()) == pytest.approx(1)
+            and sum(share for _, share in FAMILIES) == pytest.approx(1))
     assert dict(FAMILIES)[interior] >= 0.35
     rng = np.random.default_rng(0)
-    assert {draft(rng, Environments(None)).description.name for _ in range(10)} >= {"interior", "room"}
+    assert {draft(rng, Environments(None)).description.name for _ in range(10)} >= {"interior",
+                                                                                    "room"}

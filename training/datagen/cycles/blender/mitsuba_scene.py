@@ -1,7 +1,9 @@
-"""Scenes in Mitsuba's XML, read into Blender: PLY meshes, their materials and lights, and the cameras.
+"""Scenes in Mitsuba's XML, read into Blender: PLY meshes, their materials and lights, and the
+cameras.
 
-Only what the library's scenes use is read: shapes of type `ply` in the world's place, `diffuse`, `plastic`, `conductor`
-and `dielectric` surfaces with a colour or a bitmap, and `area` emitters. Mitsuba's y is up, Blender's is z.
+Only what the library's scenes use is read: shapes of type `ply` in the world's place, `diffuse`,
+`plastic`, `conductor` and `dielectric` surfaces with a colour or a bitmap, and `area` emitters.
+Mitsuba's y is up, Blender's is z.
 """
 
 from __future__ import annotations
@@ -20,11 +22,12 @@ Z_UP = Matrix.Rotation(math.pi / 2, 4, "X")
 
 
 def load(folder: Path) -> tuple[list[bpy.types.Object], list[tuple[np.ndarray, np.ndarray, float]]]:
-    """The objects of `scene.xml`, and of each camera its place, a point in front of it and its field of view in
-    degrees."""
+    """The objects of `scene.xml`, and of each camera its place, a point in front of it and its
+    field of view in degrees."""
     document = ElementTree.parse(folder / "scene.xml").getroot()
     made = {node.get("id"): read_material(node, folder) for node in document.findall("bsdf")}
-    objects = [item for node in document.findall("shape[@type='ply']") if (item := read_shape(node, folder, made))]
+    objects = [item for node in document.findall("shape[@type='ply']")
+               if (item := read_shape(node, folder, made))]
     return objects, [read_camera(node) for node in document.findall("sensor")]
 
 
@@ -58,11 +61,13 @@ def read_material(node: ElementTree.Element, folder: Path) -> bpy.types.Material
     kind = inner.get("type")
     made, shader = principled(node.get("id"))
     alpha = inner.find("float[@name='alpha']")
-    roughness = math.sqrt(float(alpha.get("value"))) if alpha is not None else float(kind == "diffuse")
+    roughness = (math.sqrt(float(alpha.get("value"))) if alpha is not None
+                 else float(kind == "diffuse"))
     shader.inputs["Roughness"].default_value = roughness
     if "dielectric" in kind:
         shader.inputs["Transmission Weight"].default_value = 1.0
-        shader.inputs["IOR"].default_value = float(inner.find("float[@name='int_ior']").get("value"))
+        shader.inputs["IOR"].default_value = float(inner.find("float[@name='int_ior']")
+                                                   .get("value"))
         shader.inputs["Base Color"].default_value = (1, 1, 1, 1)
     elif "conductor" in kind:
         eta, k = (numbers(inner.find(f"rgb[@name='{name}']")) for name in ("eta", "k"))
@@ -76,7 +81,8 @@ def read_material(node: ElementTree.Element, folder: Path) -> bpy.types.Material
         bitmap = inner.find("texture[@type='bitmap']/string[@name='filename']")
         if bitmap is not None:
             picture = made.node_tree.nodes.new("ShaderNodeTexImage")
-            picture.image = bpy.data.images.load(str(folder / bitmap.get("value")), check_existing=True)
+            picture.image = bpy.data.images.load(str(folder / bitmap.get("value")),
+                                                 check_existing=True)
             made.node_tree.links.new(picture.outputs[0], shader.inputs["Base Color"])
     return made
 

@@ -1,7 +1,8 @@
 """Parts of a Blender scene: cameras, lights, materials, meshes, hair, volumes.
 
-Runs inside Blender's Python (`bpy`), which has NumPy but not this project's other dependencies. Lengths are metres,
-z is up. Every function draws its choices from the generator that it is given, so a seed names a scene.
+Runs inside Blender's Python (`bpy`), which has NumPy but not this project's other dependencies.
+Lengths are metres, z is up. Every function draws its choices from the generator that it is given,
+so a seed names a scene.
 """
 
 from __future__ import annotations
@@ -59,7 +60,8 @@ def keyframe(item: bpy.types.Object, first: Matrix, last: Matrix, frames: int) -
     if turns[0].dot(turns[1]) < 0:
         turns[1].negate()
     for frame, pose, turn in zip((0, frames), (first, last), turns, strict=True):
-        item.location, item.rotation_quaternion, item.scale = pose.to_translation(), turn, pose.to_scale()
+        item.location, item.rotation_quaternion, item.scale = (pose.to_translation(), turn,
+                                                               pose.to_scale())
         for path in ("location", "rotation_quaternion", "scale"):
             item.keyframe_insert(path, frame=frame)
     make_linear(item)
@@ -76,14 +78,18 @@ def make_linear(item: bpy.types.ID) -> None:
                         point.interpolation = "LINEAR"
 
 
-def move_camera(camera: bpy.types.Object, target: Sequence[float], frames: int, width: int, rng: Rng) -> str:
-    """Keyframes of a random path that moves the picture by 0.2 to 8 pixels a frame, or none; returns its kind."""
-    kind = rng.choice(["still", "pan", "orbit", "dolly", "truck", "shake"], p=[0.18, 0.17, 0.25, 0.12, 0.18, 0.1])
+def move_camera(camera: bpy.types.Object, target: Sequence[float], frames: int, width: int,
+                rng: Rng) -> str:
+    """Keyframes of a random path that moves the picture by 0.2 to 8 pixels a frame, or none;
+    returns its kind."""
+    kind = rng.choice(["still", "pan", "orbit", "dolly", "truck", "shake"],
+                      p=[0.18, 0.17, 0.25, 0.12, 0.18, 0.1])
     if kind == "still":
         return str(kind)
     eye, target = np.array(camera.matrix_world.translation), np.array(target, float)
     distance = max(float(np.linalg.norm(target - eye)), 1e-3)
-    angle = 2 ** rng.uniform(-2.3, 2.6) * camera.data.angle / width * frames  # radians over the clip
+    # radians over the clip
+    angle = 2 ** rng.uniform(-2.3, 2.6) * camera.data.angle / width * frames
     side = np.cross(target - eye, (0, 0, 1.0))
     side = side / max(np.linalg.norm(side), 1e-6)
     way = rng.choice([-1.0, 1.0]) * side + rng.normal(0, 0.2, 3)
@@ -100,7 +106,8 @@ def move_camera(camera: bpy.types.Object, target: Sequence[float], frames: int, 
         camera.rotation_mode = "QUATERNION"
         for frame in range(-1, frames + 2):
             pose = look(eye, target + rng.normal(0, 1, 3) * angle * distance / frames)
-            camera.location, camera.rotation_quaternion = pose.to_translation(), pose.to_quaternion()
+            camera.location, camera.rotation_quaternion = (pose.to_translation(),
+                                                           pose.to_quaternion())
             for path in ("location", "rotation_quaternion"):
                 camera.keyframe_insert(path, frame=frame)
         make_linear(camera)
@@ -112,8 +119,10 @@ def move_camera(camera: bpy.types.Object, target: Sequence[float], frames: int, 
 def move_thing(item: bpy.types.Object, size: float, frames: int, rng: Rng) -> None:
     """Slide, turn or tumble an object of about ``size`` by up to half its size over the clip."""
     pose = item.matrix_world.copy()
-    turn = Matrix.Rotation(rng.uniform(-1.2, 1.2), 4, Vector(rng.normal(size=3)) if rng.random() < 0.4 else "Z")
-    slide = Matrix.Translation(Vector(rng.normal(0, 0.35 * size, 3) * (1, 1, 0.3)) * float(rng.random() < 0.8))
+    turn = Matrix.Rotation(rng.uniform(-1.2, 1.2), 4,
+                           Vector(rng.normal(size=3)) if rng.random() < 0.4 else "Z")
+    slide = Matrix.Translation(Vector(rng.normal(0, 0.35 * size, 3) * (1, 1, 0.3))
+                               * float(rng.random() < 0.8))
     keyframe(item, pose, slide @ pose @ turn, frames)
 
 
@@ -125,7 +134,8 @@ def sky(strength: float, sun_elevation: float, sun_rotation: float, disc: bool) 
     tree = world_tree()
     node = tree.nodes.new("ShaderNodeTexSky")
     kinds = node.bl_rna.properties["sky_type"].enum_items.keys()
-    node.sky_type = next(k for k in ("MULTIPLE_SCATTERING", "NISHITA", "HOSEK_WILKIE") if k in kinds)
+    node.sky_type = next(k
+                         for k in ("MULTIPLE_SCATTERING", "NISHITA", "HOSEK_WILKIE") if k in kinds)
     node.sun_elevation, node.sun_rotation, node.sun_disc = sun_elevation, sun_rotation, disc
     background(tree, node.outputs[0], strength)
 
@@ -181,7 +191,8 @@ def background(tree: bpy.types.NodeTree, colour: bpy.types.NodeSocket, strength:
 
 def lamp(kind: str, pose: Matrix, power: float, size: float = 0.2, colour: Colour = (1, 1, 1),
          cone: float = 1.0) -> bpy.types.Object:
-    """A light of ``kind`` POINT, SPOT, AREA or SUN; ``power`` in watts, of a SUN in watts a square metre."""
+    """A light of ``kind`` POINT, SPOT, AREA or SUN; ``power`` in watts, of a SUN in watts a square
+    metre."""
     data = bpy.data.lights.new(kind.lower(), kind)
     data.energy, data.color = power, colour
     if kind == "AREA":
@@ -207,7 +218,8 @@ def colour_of(rng: Rng) -> Colour:
         return (float(rng.uniform(0.7, 0.9)),) * 3
     if pick < 0.2:
         return (float(rng.uniform(0.01, 0.05)),) * 3
-    value, dull = rng.uniform(0.1, 0.85), rng.uniform(0.3, 1) if rng.random() < 0.6 else rng.uniform(0, 0.3)
+    value, dull = (rng.uniform(0.1, 0.85),
+                   rng.uniform(0.3, 1) if rng.random() < 0.6 else rng.uniform(0, 0.3))
     hue = rng.random(3)
     hue = hue / hue.max()
     return tuple(float(x) for x in value * (dull + (1 - dull) * hue))
@@ -215,12 +227,14 @@ def colour_of(rng: Rng) -> Colour:
 
 def material(rng: Rng, kind: str | None = None) -> bpy.types.Material:
     """A Principled material: plastic, rough, metal, glass, frosted, coat, sheen, skin, or any."""
-    kind = kind or str(rng.choice(["rough", "plastic", "metal", "glass", "frosted", "coat", "sheen", "skin"],
-                                  p=[0.38, 0.2, 0.14, 0.05, 0.03, 0.08, 0.06, 0.06]))
+    kind = (kind or str(rng.choice(["rough", "plastic", "metal", "glass", "frosted", "coat",
+                                    "sheen", "skin"],
+                                   p=[0.38, 0.2, 0.14, 0.05, 0.03, 0.08, 0.06, 0.06])))
     made, shader = principled(kind)
     tree, base = made.node_tree, colour_of(rng)
     shader.inputs["Base Color"].default_value = (*base, 1)
-    shader.inputs["Roughness"].default_value = {"rough": rng.uniform(0.5, 1), "frosted": rng.uniform(0.15, 0.5),
+    shader.inputs["Roughness"].default_value = {"rough": rng.uniform(0.5, 1),
+                                                "frosted": rng.uniform(0.15, 0.5),
                                                 "glass": 0.0}.get(kind, rng.uniform(0, 1) ** 1.5)
     if kind == "metal":
         shader.inputs["Metallic"].default_value = 1.0
@@ -251,7 +265,8 @@ def principled(name: str) -> tuple[bpy.types.Material, bpy.types.Node]:
 
 
 def paint(tree: bpy.types.NodeTree, shader: bpy.types.Node, base: Colour, rng: Rng) -> None:
-    """A computed texture of one to a thousand features a metre in the colour, and at times in roughness or relief."""
+    """A computed texture of one to a thousand features a metre in the colour, and at times in
+    roughness or relief."""
     kind = str(rng.choice(["Noise", "Voronoi", "Wave", "Checker", "Brick", "Magic", "WhiteNoise"],
                           p=[0.3, 0.15, 0.12, 0.14, 0.14, 0.07, 0.08]))
     texture = tree.nodes.new(f"ShaderNodeTex{kind}")
@@ -267,7 +282,8 @@ def paint(tree: bpy.types.NodeTree, shader: bpy.types.Node, base: Colour, rng: R
         tree.links.new(socket, snap.inputs[0])
         socket = snap.outputs[0]
     tree.links.new(socket, texture.inputs["Vector"])
-    value = next((o for o in texture.outputs if o.name in ("Fac", "Factor", "Value", "Distance")), texture.outputs[0])
+    value = next((o for o in texture.outputs if o.name in ("Fac", "Factor", "Value", "Distance")),
+                 texture.outputs[0])
     ramp = tree.nodes.new("ShaderNodeValToRGB")
     ramp.color_ramp.interpolation = str(rng.choice(["LINEAR", "CONSTANT", "EASE"]))
     stops = ramp.color_ramp.elements
@@ -295,7 +311,8 @@ def glow(colour: Colour, strength: float) -> bpy.types.Material:
     return made
 
 
-def page_material(image: Path, ink: Colour, paper: Colour, emission: float = 0.0) -> bpy.types.Material:
+def page_material(image: Path, ink: Colour, paper: Colour,
+                  emission: float = 0.0) -> bpy.types.Material:
     """A printed page: dark parts of the picture are ink. It glows if ``emission`` is above 0."""
     made, shader = principled("page")
     tree = made.node_tree
@@ -311,7 +328,8 @@ def page_material(image: Path, ink: Colour, paper: Colour, emission: float = 0.0
 
 
 def halftone_material(rng: Rng) -> bpy.types.Material:
-    """A print of dots in one to three inks, each at an angle of its own; dots grow where a soft pattern is dark."""
+    """A print of dots in one to three inks, each at an angle of its own; dots grow where a soft
+    pattern is dark."""
     made, shader = principled("halftone")
     tree = made.node_tree
     at, shade = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexNoise")
@@ -356,9 +374,12 @@ def leaf_material(rng: Rng) -> bpy.types.Material:
     return made
 
 
-def let_light_through(tree: bpy.types.NodeTree, shader: bpy.types.Node, colour: np.ndarray, share: float) -> None:
-    """Replace a ``share`` of a surface by one that scatters light to its other side, in this ``colour``."""
-    through, mix = tree.nodes.new("ShaderNodeBsdfTranslucent"), tree.nodes.new("ShaderNodeMixShader")
+def let_light_through(tree: bpy.types.NodeTree, shader: bpy.types.Node, colour: np.ndarray,
+                      share: float) -> None:
+    """Replace a ``share`` of a surface by one that scatters light to its other side, in this
+    ``colour``."""
+    through, mix = (tree.nodes.new("ShaderNodeBsdfTranslucent"),
+                    tree.nodes.new("ShaderNodeMixShader"))
     through.inputs["Color"].default_value = (*colour, 1)
     mix.inputs[0].default_value = share
     out = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL")
@@ -373,7 +394,8 @@ def empty_volume(name: str) -> tuple[bpy.types.Material, bpy.types.Node]:
     made.use_nodes = True
     tree = made.node_tree
     tree.nodes.clear()
-    shade, out = tree.nodes.new("ShaderNodeVolumePrincipled"), tree.nodes.new("ShaderNodeOutputMaterial")
+    shade, out = (tree.nodes.new("ShaderNodeVolumePrincipled"),
+                  tree.nodes.new("ShaderNodeOutputMaterial"))
     tree.links.new(shade.outputs[0], out.inputs["Volume"])
     return made, shade
 
@@ -390,7 +412,9 @@ def volume_material(rng: Rng, density: float, wisps: float = 0.0) -> bpy.types.M
         noise, at = tree.nodes.new("ShaderNodeTexNoise"), tree.nodes.new("ShaderNodeTexCoord")
         noise.inputs["Scale"].default_value = wisps
         spread = tree.nodes.new("ShaderNodeMapRange")
-        spread.inputs["From Min"].default_value, spread.inputs["From Max"].default_value = rng.uniform(0.4, 0.55), 0.75
+        spread.inputs["From Min"].default_value, spread.inputs["From Max"].default_value = (
+            rng.uniform(0.4, 0.55), 0.75
+        )
         spread.inputs["To Max"].default_value = 3 * density
         tree.links.new(at.outputs["Object"], noise.inputs["Vector"])
         tree.links.new(noise.outputs[0], spread.inputs[0])
@@ -398,8 +422,10 @@ def volume_material(rng: Rng, density: float, wisps: float = 0.0) -> bpy.types.M
     return made
 
 
-def smoke_material(rng: Rng, half: np.ndarray, density: float, heat: float, frames: int) -> bpy.types.Material:
-    """Smoke that rises and changes in a box of sides 2 ``half``; it glows by ``heat`` where it is thick."""
+def smoke_material(rng: Rng, half: np.ndarray, density: float, heat: float,
+                   frames: int) -> bpy.types.Material:
+    """Smoke that rises and changes in a box of sides 2 ``half``; it glows by ``heat`` where it is
+    thick."""
     made, shade = empty_volume("smoke")
     tree = made.node_tree
     dark = rng.uniform(0.02, 0.95)
@@ -431,17 +457,22 @@ def smoke_material(rng: Rng, half: np.ndarray, density: float, heat: float, fram
     both.operation = "MULTIPLY"
     tree.links.new(noise.outputs[0], both.inputs[0])
     tree.links.new(inner.outputs[0], both.inputs[1])
-    spread.inputs["From Min"].default_value, spread.inputs["From Max"].default_value = rng.uniform(0.15, 0.4), 0.7
+    spread.inputs["From Min"].default_value, spread.inputs["From Max"].default_value = (rng.uniform(
+        0.15, 0.4
+    ), 0.7)
     spread.inputs["To Max"].default_value = density
     tree.links.new(both.outputs[0], spread.inputs[0])
     tree.links.new(spread.outputs[0], shade.inputs["Density"])
     if heat:
         hot = tree.nodes.new("ShaderNodeMapRange")
-        hot.inputs["From Min"].default_value, hot.inputs["From Max"].default_value = rng.uniform(0.35, 0.5), 0.7
+        hot.inputs["From Min"].default_value, hot.inputs["From Max"].default_value = (rng.uniform(
+            0.35, 0.5
+        ), 0.7)
         hot.inputs["To Max"].default_value = heat
         tree.links.new(both.outputs[0], hot.inputs[0])
         tree.links.new(hot.outputs[0], shade.inputs["Emission Strength"])
-        shade.inputs["Emission Color"].default_value = (1, rng.uniform(0.2, 0.5), rng.uniform(0.01, 0.1), 1)
+        shade.inputs["Emission Color"].default_value = (1, rng.uniform(0.2, 0.5),
+                                                        rng.uniform(0.01, 0.1), 1)
     return made
 
 
@@ -475,7 +506,8 @@ def thin_material(rng: Rng) -> bpy.types.Material:
 
 
 def grid(count: int, side: float) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices ((count + 1)^2, 3) of a flat square of ``side`` metres, and its faces (count^2, 4)."""
+    """Vertices ((count + 1)^2, 3) of a flat square of ``side`` metres, and its faces (count^2,
+    4)."""
     line = np.linspace(-side / 2, side / 2, count + 1)
     x, y = np.meshgrid(line, line)
     i = (np.arange(count)[:, None] * (count + 1) + np.arange(count)).ravel()
@@ -484,15 +516,19 @@ def grid(count: int, side: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def waves(rng: Rng, side: float, frames: int) -> bpy.types.Object:
-    """A water surface of running sines, one shape key a frame, so that vectors show how it moves."""
+    """A water surface of running sines, one shape key a frame, so that vectors show how it
+    moves."""
     points, faces = grid(280, side)
     item = mesh("water", points, faces, None, smooth=True)
     item.shape_key_add(name="flat")
     height, speed = rng.uniform(0.01, 0.12), rng.uniform(0.1, 1.2)
-    sines = [(2 ** rng.uniform(-1, 3.3), rng.uniform(0, 6.3), rng.uniform(0, 6.3)) for _ in range(12)]
+    sines = [(2 ** rng.uniform(-1, 3.3), rng.uniform(0, 6.3), rng.uniform(0, 6.3))
+             for _ in range(12)]
     for frame in range(-1, frames + 2):
-        z = sum(height / k**1.1 * np.sin(k * (points[:, 0] * math.cos(a) + points[:, 1] * math.sin(a))
-                                         + p + speed * math.sqrt(k) * frame / 3) for k, a, p in sines)
+        z = sum(height / k**1.1 * np.sin(k
+                                         * (points[:, 0] * math.cos(a) + points[:, 1] * math.sin(a))
+                                         + p + speed * math.sqrt(k) * frame / 3)
+                for k, a, p in sines)
         key = item.shape_key_add(name=f"frame {frame}")
         key.data.foreach_set("co", (points + np.stack((0 * z, 0 * z, z), -1)).ravel())
         for at, value in ((frame - 1, 0.0), (frame, 1.0), (frame + 1, 0.0)):
@@ -502,7 +538,8 @@ def waves(rng: Rng, side: float, frames: int) -> bpy.types.Object:
     return item
 
 
-def flakes(rng: Rng, centres: np.ndarray, size: float, made: bpy.types.Material) -> bpy.types.Object:
+def flakes(rng: Rng, centres: np.ndarray, size: float,
+           made: bpy.types.Material) -> bpy.types.Object:
     """Small tetrahedra in one mesh."""
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * 0.6
     scale = size * rng.uniform(0.5, 1.5, (len(centres), 1, 1))
@@ -515,9 +552,12 @@ def flakes(rng: Rng, centres: np.ndarray, size: float, made: bpy.types.Material)
 def sheet(rng: Rng, side: float, made: bpy.types.Material) -> bpy.types.Object:
     """A hanging cloth with folds."""
     points, faces = grid(90, side)
-    depth = sum(rng.normal(0, 0.02 * side) * np.sin(points[:, 0] * k / side + points[:, 1] * q / side + p)
-                for k, q, p in ((rng.uniform(4, 50), rng.normal(0, 4), rng.uniform(0, 6.3)) for _ in range(5)))
-    return mesh("sheet", np.stack((points[:, 0], depth, points[:, 1]), -1), faces, made, smooth=True)
+    depth = sum(rng.normal(0, 0.02 * side) * np.sin(points[:, 0] * k / side
+                                                    + points[:, 1] * q / side + p)
+                for k, q, p in ((rng.uniform(4, 50), rng.normal(0, 4), rng.uniform(0, 6.3))
+                                for _ in range(5)))
+    return mesh("sheet", np.stack((points[:, 0], depth, points[:, 1]), -1), faces, made,
+                smooth=True)
 
 
 def mesh(name: str, vertices: np.ndarray, faces: np.ndarray, made: bpy.types.Material | None,
@@ -540,13 +580,17 @@ def quad(centre: Sequence[float], u: Sequence[float], v: Sequence[float],
     """A rectangle with half sides ``u`` and ``v``, and texture coordinates over it."""
     c, u, v = (np.array(x, float) for x in (centre, u, v))
     corners = np.array([c - u - v, c + u - v, c + u + v, c - u + v])
-    return mesh("quad", corners, np.array([[0, 1, 2, 3]]), made, uv=np.array([[0, 0], [1, 0], [1, 1], [0, 1]]))
+    return mesh("quad", corners, np.array([[0, 1, 2, 3]]), made,
+                uv=np.array([[0, 0], [1, 0], [1, 1], [0, 1]]))
 
 
-def box(low: Sequence[float], high: Sequence[float], made: bpy.types.Material | None) -> bpy.types.Object:
+def box(low: Sequence[float], high: Sequence[float],
+        made: bpy.types.Material | None) -> bpy.types.Object:
     low, high = np.array(low, float), np.array(high, float)
-    corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)]) * (high - low) / 1.0
-    faces = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]])
+    corners = (np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)]) * (high - low)
+               / 1.0)
+    faces = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2],
+                      [1, 3, 7, 5]])
     item = mesh("box", corners - (high - low) / 2, faces, made)
     item.location = (low + high) / 2
     return item
@@ -555,18 +599,23 @@ def box(low: Sequence[float], high: Sequence[float], made: bpy.types.Material | 
 def solid(rng: Rng, at: Sequence[float], size: float, made: bpy.types.Material) -> bpy.types.Object:
     """A random body that stands on ``at``: ball, box, torus, cone, cylinder, monkey or a lump."""
     kind = str(rng.choice(["ball", "box", "torus", "cone", "cylinder", "monkey", "lump"]))
-    calls = {"ball": lambda: bpy.ops.mesh.primitive_uv_sphere_add(segments=48, ring_count=24, radius=0.5),
+    calls = {
+        "ball": lambda: bpy.ops.mesh.primitive_uv_sphere_add(segments=48, ring_count=24,
+                                                             radius=0.5),
              "box": lambda: bpy.ops.mesh.primitive_cube_add(size=0.9),
-             "torus": lambda: bpy.ops.mesh.primitive_torus_add(major_radius=0.38, minor_radius=rng.uniform(0.05, 0.16)),
+        "torus": lambda: bpy.ops.mesh.primitive_torus_add(major_radius=0.38,
+                                                          minor_radius=rng.uniform(0.05, 0.16)),
              "cone": lambda: bpy.ops.mesh.primitive_cone_add(vertices=48, radius1=0.5, depth=1),
-             "cylinder": lambda: bpy.ops.mesh.primitive_cylinder_add(vertices=48, radius=0.4, depth=1),
+        "cylinder": lambda: bpy.ops.mesh.primitive_cylinder_add(vertices=48, radius=0.4, depth=1),
              "monkey": lambda: bpy.ops.mesh.primitive_monkey_add(size=0.9),
              "lump": lambda: bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=5, radius=0.5)}
     calls[kind]()
     item = bpy.context.object
     item.data.materials.append(made)
     if kind not in ("box",):
-        bpy.ops.object.shade_smooth_by_angle() if kind in ("cone", "cylinder") else bpy.ops.object.shade_smooth()
+        bpy.ops.object.shade_smooth_by_angle() if kind in (
+            "cone", "cylinder"
+        ) else bpy.ops.object.shade_smooth()
     if kind == "monkey":
         item.modifiers.new("smooth", "SUBSURF").render_levels = 2
     if kind == "lump":
@@ -580,23 +629,29 @@ def solid(rng: Rng, at: Sequence[float], size: float, made: bpy.types.Material) 
     return item
 
 
-def terrain(rng: Rng, side: float, height: float, made: bpy.types.Material, count: int = 96) -> np.ndarray:
-    """Hills as a grid (count + 1, count + 1) of heights, ``side`` metres long; returns the vertices (N, 3)."""
+def terrain(rng: Rng, side: float, height: float, made: bpy.types.Material,
+            count: int = 96) -> np.ndarray:
+    """Hills as a grid (count + 1, count + 1) of heights, ``side`` metres long; returns the vertices
+    (N, 3)."""
     line = np.linspace(-side / 2, side / 2, count + 1)
     x, y = np.meshgrid(line, line)
-    z = sum(rng.normal(0, 1) / k * np.sin(k * (x * a + y * b) * 3 / side + p) for k in (1, 2, 4, 8, 16)
+    z = sum(rng.normal(0, 1) / k * np.sin(k * (x * a + y * b) * 3 / side + p)
+            for k in (1, 2, 4, 8, 16)
             for a, b, p in [(rng.normal(), rng.normal(), rng.uniform(0, 6.3))])
     points = np.stack((x, y, height * z), -1).reshape(-1, 3)
     i = (np.arange(count)[:, None] * (count + 1) + np.arange(count)).ravel()
-    mesh("terrain", points, np.stack((i, i + 1, i + count + 2, i + count + 1), -1), made, smooth=True)
+    mesh("terrain", points, np.stack((i, i + 1, i + count + 2, i + count + 1), -1), made,
+         smooth=True)
     return points
 
 
 def leaves(rng: Rng, centres: np.ndarray, length: float, width: float, made: bpy.types.Material,
            upright: float = 0.0) -> bpy.types.Object:
-    """Thousands of bent leaves or blades, each of two quads, one mesh; ``upright`` 1 makes grass."""
+    """Thousands of bent leaves or blades, each of two quads, one mesh; ``upright`` 1 makes
+    grass."""
     n = len(centres)
-    along = rng.normal(size=(n, 3)) * (1, 1, 1 - 0.5 * upright) * (1 - 0.8 * upright) + np.array([0, 0, upright])
+    along = (rng.normal(size=(n, 3)) * (1, 1, 1 - 0.5 * upright) * (1 - 0.8 * upright)
+             + np.array([0, 0, upright]))
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     side = np.cross(along, rng.normal(size=(n, 3)))
     side /= np.linalg.norm(side, axis=1, keepdims=True)
@@ -604,7 +659,8 @@ def leaves(rng: Rng, centres: np.ndarray, length: float, width: float, made: bpy
     size = length * rng.uniform(0.5, 1.3, (n, 1))
     half = side * width * rng.uniform(0.6, 1.2, (n, 1)) / 2
     middle, tip = centres + along * size * 0.5, centres + (along + droop) * size
-    points = np.stack((centres - half * 0.3, centres + half * 0.3, middle + half, middle - half, tip), 1).reshape(-1, 3)
+    points = np.stack((centres - half * 0.3, centres + half * 0.3, middle + half, middle - half,
+                       tip), 1).reshape(-1, 3)
     first = 5 * np.arange(n)[:, None]
     data = bpy.data.meshes.new("leaves")
     faces = [*(first + [0, 1, 2, 3]).tolist(), *(first + [3, 2, 4]).tolist()]
@@ -613,13 +669,15 @@ def leaves(rng: Rng, centres: np.ndarray, length: float, width: float, made: bpy
     return link("leaves", data)
 
 
-def tree_crown(rng: Rng, at: np.ndarray, height: float, made: bpy.types.Material, bark: bpy.types.Material) -> None:
+def tree_crown(rng: Rng, at: np.ndarray, height: float, made: bpy.types.Material,
+               bark: bpy.types.Material) -> None:
     """A trunk with some branches and a crown of leaves."""
     top = at + np.array([rng.normal(0, 0.08), rng.normal(0, 0.08), 0.55]) * height
     segments = [(at, top, 0.03 * height)]
     for _ in range(int(rng.integers(3, 9))):
         start = at + (top - at) * rng.uniform(0.5, 1)
-        segments.append((start, start + rng.normal(0, 0.22, 3) * height + (0, 0, 0.2 * height), 0.012 * height))
+        segments.append((start, start + rng.normal(0, 0.22, 3) * height + (0, 0, 0.2 * height),
+                         0.012 * height))
     for a, b, r in segments:
         rod(a, b, r, bark)
     puffs = np.array([b for _, b, _ in segments])
@@ -628,10 +686,12 @@ def tree_crown(rng: Rng, at: np.ndarray, height: float, made: bpy.types.Material
     leaves(rng, centres, 0.05 * height, 0.03 * height, made)
 
 
-def rod(start: np.ndarray, end: np.ndarray, radius: float, made: bpy.types.Material) -> bpy.types.Object:
+def rod(start: np.ndarray, end: np.ndarray, radius: float,
+        made: bpy.types.Material) -> bpy.types.Object:
     """A thin cylinder between two points."""
     way = Vector(end) - Vector(start)
-    bpy.ops.mesh.primitive_cylinder_add(vertices=12, radius=radius, depth=way.length, end_fill_type="NOTHING")
+    bpy.ops.mesh.primitive_cylinder_add(vertices=12, radius=radius, depth=way.length,
+                                        end_fill_type="NOTHING")
     item = bpy.context.object
     item.data.materials.append(made)
     turn = way.to_track_quat("Z", "Y").to_matrix().to_4x4()
@@ -645,7 +705,8 @@ def fur(rng: Rng, item: bpy.types.Object, count: int, length: float) -> None:
     made.use_nodes = True
     tree = made.node_tree
     tree.nodes.clear()
-    shade, out = tree.nodes.new("ShaderNodeBsdfHairPrincipled"), tree.nodes.new("ShaderNodeOutputMaterial")
+    shade, out = (tree.nodes.new("ShaderNodeBsdfHairPrincipled"),
+                  tree.nodes.new("ShaderNodeOutputMaterial"))
     shade.parametrization = "COLOR"
     shade.inputs["Color"].default_value = (*np.clip(np.array(colour_of(rng)), 0.02, 0.9), 1)
     tree.links.new(shade.outputs[0], out.inputs["Surface"])
@@ -653,7 +714,8 @@ def fur(rng: Rng, item: bpy.types.Object, count: int, length: float) -> None:
     system = item.modifiers.new("fur", "PARTICLE_SYSTEM").particle_system.settings
     system.type, system.count, system.hair_length = "HAIR", count, length
     system.material = len(item.data.materials)
-    system.brownian_factor, system.factor_random = rng.uniform(0, 0.05), rng.uniform(0, 0.3) * length
+    system.brownian_factor, system.factor_random = (rng.uniform(0, 0.05),
+                                                    rng.uniform(0, 0.3) * length)
     system.child_type = "INTERPOLATED"
     system.rendered_child_count = int(rng.integers(4, 12))
     system.clump_factor = rng.uniform(-0.2, 0.6)

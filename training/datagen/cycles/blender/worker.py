@@ -1,8 +1,9 @@
 """Render clips inside Blender: one JSON request a line in, one answer a line out.
 
-Request: {"clip": n, "seed": s, "folder": where EXR files go, "library": folder or null, "kind": name or null, "frames",
-"width", "height": of the noisy frames, "scale", "spp": [of each noisy render], "half_spp": of each half of the
-reference}. Answer: {"clip": n, "facts": {...}} or {"clip": n, "error": text}.
+Request: {"clip": n, "seed": s, "folder": where EXR files go, "library": folder or null, "kind":
+name or null, "frames", "width", "height": of the noisy frames, "scale", "spp": [of each noisy
+render], "half_spp": of each half of the reference}. Answer: {"clip": n, "facts": {...}} or {"clip":
+n, "error": text}.
 
 `exchange.py` names the EXR files that a clip leaves in its folder, and draws its seeds.
 """
@@ -18,19 +19,28 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..exchange import clip_generator, half_file, noisy_file, read_pass, scene_generator, vectors_file
+from ..exchange import (
+    clip_generator,
+    half_file,
+    noisy_file,
+    read_pass,
+    scene_generator,
+    vectors_file,
+)
 from . import kinds
 from .kinds import Library
 
 THREADS = 2  # a process: many run side by side
 DARKEST_SHARE = 0.02  # of the mean light: darker pixels do not make a picture brighter
 LEAST_HALF_SHARE = 0.4  # of the samples of a half of a reference that each pixel gets, at least
-HALF_ERROR = 0.006  # of each half, as Cycles' adaptive sampling counts it, at a mean brightness of 0.2
+# of each half, as Cycles' adaptive sampling counts it, at a mean brightness of 0.2
+HALF_ERROR = 0.006
 PATTERNS = ("AUTOMATIC", "TABULATED_SOBOL", "BLUE_NOISE")
 
 
 def use_device() -> str:
-    """Use CUDA if there is a GPU, else the CPU. Needed for every new scene: Blender resets its preferences with it."""
+    """Use CUDA if there is a GPU, else the CPU. Needed for every new scene: Blender resets its
+    preferences with it."""
     chosen = bpy.context.preferences.addons["cycles"].preferences
     try:
         chosen.compute_device_type = "CUDA"
@@ -53,9 +63,11 @@ def set_up(scene: bpy.types.Scene, device: str, rng: np.random.Generator) -> dic
     cycles.max_bounces = int(rng.choice([12, 6, 24], p=[0.7, 0.2, 0.1]))
     cycles.diffuse_bounces = cycles.glossy_bounces = int(rng.choice([4, 8]))
     cycles.volume_bounces = int(rng.choice([0, 1, 2, 4], p=[0.4, 0.2, 0.2, 0.2]))
-    cycles.pixel_filter_type = str(rng.choice(["BLACKMAN_HARRIS", "BOX", "GAUSSIAN"], p=[0.8, 0.1, 0.1]))
+    cycles.pixel_filter_type = str(rng.choice(["BLACKMAN_HARRIS", "BOX", "GAUSSIAN"],
+                                              p=[0.8, 0.1, 0.1]))
     cycles.filter_width = 1.5
-    render.use_persistent_data = device == "GPU"  # on a CPU, Blender 5.0.1 crashes with it now and then
+    # on a CPU, Blender 5.0.1 crashes with it now and then
+    render.use_persistent_data = device == "GPU"
     render.threads_mode, render.threads = "FIXED", THREADS
     render.film_transparent = bool(rng.random() < 0.1)
     render.image_settings.media_type = "MULTI_LAYER_IMAGE"
@@ -68,11 +80,14 @@ def set_up(scene: bpy.types.Scene, device: str, rng: np.random.Generator) -> dic
     return {"filter": cycles.pixel_filter_type, "clamp": cycles.sample_clamp_indirect}
 
 
-def shoot(scene: bpy.types.Scene, path: Path, frame: int, size: tuple[int, int], spp: int, seed: int,
-          error: float = 0.0) -> None:
-    """Render one frame into an EXR file. With an ``error``, pixels whose noise is below it get fewer samples."""
+def shoot(scene: bpy.types.Scene, path: Path, frame: int, size: tuple[int, int], spp: int,
+          seed: int, error: float = 0.0) -> None:
+    """Render one frame into an EXR file. With an ``error``, pixels whose noise is below it get
+    fewer samples."""
     scene.cycles.use_adaptive_sampling = error > 0
-    scene.cycles.adaptive_threshold, scene.cycles.adaptive_min_samples = error, round(LEAST_HALF_SHARE * spp)
+    scene.cycles.adaptive_threshold, scene.cycles.adaptive_min_samples = (error, round(
+        LEAST_HALF_SHARE * spp
+    ))
     scene.render.resolution_x, scene.render.resolution_y = size
     scene.render.resolution_percentage = 100
     scene.cycles.samples, scene.cycles.seed = spp, seed
@@ -82,7 +97,8 @@ def shoot(scene: bpy.types.Scene, path: Path, frame: int, size: tuple[int, int],
 
 
 def probe(scene: bpy.types.Scene, folder: Path, frame: int) -> tuple[float, float, float]:
-    """A coarse render of a frame: log-average luminance, share of black pixels, share of pixels at edges."""
+    """A coarse render of a frame: log-average luminance, share of black pixels, share of pixels at
+    edges."""
     path = folder / "probe.exr"
     blur, scene.render.use_motion_blur = scene.render.use_motion_blur, False
     shoot(scene, path, frame, (32, 32), 32, 7)
@@ -90,7 +106,8 @@ def probe(scene: bpy.types.Scene, folder: Path, frame: int) -> tuple[float, floa
     light = read_pass(path, "Combined", 3) @ np.array([0.2126, 0.7152, 0.0722])
     level = float(np.exp(np.log(light + DARKEST_SHARE * light.mean() + 1e-9).mean()))
     normal, albedo = read_pass(path, "Normal", 3), read_pass(path, "Denoising Albedo", 3)
-    change = [np.abs(np.diff(plane, axis=axis)).max(-1)[:31, :31] for plane in (normal, albedo) for axis in (0, 1)]
+    change = [np.abs(np.diff(plane, axis=axis)).max(-1)[:31, :31] for plane in (normal, albedo)
+              for axis in (0, 1)]
     return level, float((light < 1e-6).mean()), float((np.max(change, 0) > 0.15).mean())
 
 
@@ -119,7 +136,8 @@ def make(request: dict, library: Library) -> dict:
         for k, spp in enumerate(request["spp"]):
             shoot(scene, noisy_file(folder, k, frame), frame, (w, h), spp, next(seeds))
         for half in range(2):
-            shoot(scene, half_file(folder, half, frame), frame, output, request["half_spp"], next(seeds), error)
+            shoot(scene, half_file(folder, half, frame), frame, output, request["half_spp"],
+                  next(seeds), error)
         if blur:
             scene.render.use_motion_blur, layer.use_pass_vector = False, True
             shoot(scene, vectors_file(folder, frame), frame, (w, h), 1, next(seeds))
