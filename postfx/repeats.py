@@ -43,7 +43,7 @@ SAME_NOISE_ENERGY = 0.3
 NEW_NOISE_ENERGY = 0.6
 
 # Of the squares, that must repeat.
-LEAST_SHARE = 0.05
+REPEATING_SQUARE_SHARE = 0.05
 FEWEST_REPEATING_SQUARES = 4
 
 BLACK_ALBEDO = np.float32(0.03)  # of albedo: what is darker is as good as black
@@ -100,7 +100,7 @@ class RepeatDetector:
         repeats = (noisy & (change < SAME_NOISE_ENERGY * energy)).sum()
         new = (slow & (change > NEW_NOISE_ENERGY * energy) & (change > NEW**2)).sum()
         self.share = float(repeats / slow.size)
-        return bool(repeats >= FEWEST_REPEATING_SQUARES and self.share >= LEAST_SHARE
+        return bool(repeats >= FEWEST_REPEATING_SQUARES and self.share >= REPEATING_SQUARE_SHARE
                     and repeats > 2 * new)
 
     def _light(self, planes: Mapping[Role, np.ndarray]) -> np.ndarray:
@@ -160,7 +160,7 @@ class Alike(Enum):
     SAME = 2
 
 
-LOOKED_AT = 31
+SAMPLED_PIXEL_STEP = 31
 """Every so many pixels of a row and of a column tell whether a frame may be the one before."""
 
 
@@ -186,7 +186,7 @@ class FrameMemory:
 
         The first plane is the one whose pixels are looked at.
         """
-        some = next(iter(planes.values()))[::LOOKED_AT, ::LOOKED_AT].tobytes()
+        some = next(iter(planes.values()))[::SAMPLED_PIXEL_STEP, ::SAMPLED_PIXEL_STEP].tobytes()
         before, self._some = self._some, some
         if some != before or facts != self._facts:
             self._facts, self._planes = facts, None

@@ -30,7 +30,7 @@ from postfx.passes.denoise.models import (
     model_of,
 )
 from postfx.passes.denoise.network import FEATURE_PARTS, alike_heads, free_dimensions
-from postfx.passes.denoise.tiling import LEVELS
+from postfx.passes.denoise.tiling import PYRAMID_LEVELS
 from postfx.passes.tonemap import find_model as find_look
 from postfx.passes.tonemap import shaper
 from postfx.runtime import Device
@@ -219,17 +219,17 @@ def save_denoiser(path: Path, tag: str, scale: int) -> None:
     common |= kernel("open_phased", phased_fine=heads["phased_fine"])
     common |= (found := kernel("accumulate"))
     levels, importance = [channels(found["level"], 0, 3, 0)], channels(found["level"], 3, 4, 0)
-    for i in range(1, LEVELS + 1):
+    for i in range(1, PYRAMID_LEVELS + 1):
         finer = [places.counted(places.level(axis, i), times=2) for axis in (0, 1)]
         found = kernel("pool", finer=levels[-1], finer_importance=importance, finer_rows=finer[0],
                        finer_columns=finer[1])
         levels.append(found["level"])
         importance = found["importance"]
     filtered = ""
-    for i in range(LEVELS, -1, -1):
+    for i in range(PYRAMID_LEVELS, -1, -1):
         head = common["fine"] if i == 0 else heads[f"level{i}"]
         mixed = levels[i]
-        if i < LEVELS:
+        if i < PYRAMID_LEVELS:
             coarse = [places.counted(places.level(axis, i), over=2) for axis in (0, 1)]
             mixed = kernel("mix", coarse=filtered, level=levels[i], heads=head,
                            coarse_rows=coarse[0], coarse_columns=coarse[1])["mixed"]

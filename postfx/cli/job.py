@@ -69,7 +69,7 @@ from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
-from postfx.passes.denoise import ALONE
+from postfx.passes.denoise import NO_HISTORY_REMARK
 from postfx.passes.denoise.options import output_size
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
@@ -458,7 +458,8 @@ class Job:
     def _remarks(self) -> list[str]:
         """What the passes remark; a picture that is no part of a shot cannot flicker."""
         is_still = len(self.sequence.present()) == 1
-        return [remark for remark in self.plan.remarks if not (is_still and ALONE in remark)]
+        return [remark
+                for remark in self.plan.remarks if not (is_still and NO_HISTORY_REMARK in remark)]
 
     def _later_frames(self) -> list[int]:
         """The second, the middle and the last frame."""

@@ -59,13 +59,14 @@ class Target(NamedTuple):
     flags: tuple[str, ...] = ()
 
 
-ALONE = ("-nostdlib",)
+NO_LIBRARY_FLAGS = ("-nostdlib",)
 """On Linux, what a kernel calls of C's library is found in the process: nothing is linked, which
 takes seconds less."""
 TARGETS = {
-    "linux-x86_64": Target("x86_64-linux-gnu.2.28", X86_64, ".so", "manylinux_2_28_x86_64", ALONE),
+    "linux-x86_64": Target("x86_64-linux-gnu.2.28", X86_64, ".so", "manylinux_2_28_x86_64",
+                           NO_LIBRARY_FLAGS),
     "linux-aarch64": Target("aarch64-linux-gnu.2.28", {"baseline": "generic"}, ".so",
-                            "manylinux_2_28_aarch64", ALONE),
+                            "manylinux_2_28_aarch64", NO_LIBRARY_FLAGS),
     "macos-arm64": Target("aarch64-macos.11.0", {"baseline": "apple_m1"}, ".dylib",
                           "macosx_11_0_arm64", ("-nostdlib++",)),
     "macos-x86_64": Target("x86_64-macos.11.0", X86_64, ".dylib", "macosx_11_0_x86_64",
@@ -243,7 +244,7 @@ class _Compiler:
                  flags: Sequence[str]) -> None:
         self._command, self._target, self._folder, self._flags = command, target, folder, flags
         self._environment = os.environ | {"ZIG_LOCAL_CACHE_DIR": str(folder / "local")}
-        if target.flags == ALONE:
+        if target.flags == NO_LIBRARY_FLAGS:
             # there is nothing to keep in it
             self._environment["ZIG_GLOBAL_CACHE_DIR"] = str(folder / "global")
 

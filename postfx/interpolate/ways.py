@@ -14,7 +14,7 @@ import numpy as np
 
 from postfx.sampling import bilinear, is_inside
 
-LOOKED_AT = 100
+COMPARED_ROWS = 100
 """Rows or columns of the shorter side that are looked at."""
 MOST_APART, LEAST_INSIDE = 0.1, 0.25
 """Difference of toned light up to which a pixel counts, and the share of pixels that must lead into
@@ -31,11 +31,11 @@ count, and from which it does in full. Both numbers below are ranges likewise.""
 LEAD_APART = 0.5, 0.6
 """Difference of what both ways show, in that of standing still: up to 0.48 in renders, 0.63 to 1.2
 in dissolves."""
-APART = 0.5
+DIFFERENT_WAY_CELLS = 0.5
 """Cells by which ways differ."""
-MOSTLY = 0.5
+DIFFERENT_WAY_SHARE = 0.5
 """Share of pixels whose ways must differ for vectors not to fit."""
-DIFFERENT = 0.5, 0.8
+DIFFERENT_VECTOR_SHARES = 0.5, 0.8
 """Share of pixels whose vectors differ: 0.33 where it snows, which has 0.62 of the former."""
 
 
@@ -46,7 +46,8 @@ class Ways:
     Attributes:
         flow, motion, still: along estimated motion, along vectors, and at the same place.
         between: of what estimated motion and vectors show in the earlier picture.
-        apart: share of the pixels at which the two ways differ by more than APART.
+        apart: share of the pixels at which the two ways differ by more than
+            DIFFERENT_WAY_CELLS.
         different: share of those at which vectors differ from standing still as well.
     """
 
@@ -61,7 +62,7 @@ class Ways:
     def vectors_fit(self) -> bool:
         """Whether vectors may be used. They are where estimated motion is the same mostly: a thing
         may have none."""
-        if self.apart < MOSTLY:
+        if self.apart < DIFFERENT_WAY_SHARE:
             return True
         if self.motion > MUCH_WORSE * self.flow:
             return False
@@ -76,14 +77,14 @@ class Ways:
             return 0.0
         better = min(self.flow, self.motion) / self.still
         return (_ramp(better, LIKE_STILL) * _ramp(self.between / self.still, LEAD_APART)
-                * _ramp(self.different, DIFFERENT))
+                * _ramp(self.different, DIFFERENT_VECTOR_SHARES))
 
 
 def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
                  motion: np.ndarray) -> Ways | None:
     """Compare two grey pictures (h, w) along two fields of motion (h, w, 2) of the later one, in
     pixels, NaN where unknown. None where too little leads into the earlier one."""
-    step = max(2, min(after.shape) // LOOKED_AT)
+    step = max(2, min(after.shape) // COMPARED_ROWS)
     y, x = np.mgrid[:after.shape[0]:step, :after.shape[1]:step]
     fields = [one[::step, ::step] for one in (flow, motion)]
     places = [(x + one[..., 0], y + one[..., 1]) for one in fields]
@@ -93,7 +94,7 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
     now, still = (picture[::step, ::step][inside] for picture in (after, before))
     one, other = (bilinear(before, across[inside], down[inside]) for across, down in places)
     misfits = (_misfit(one, now), _misfit(other, now), _misfit(still, now), _misfit(one, other))
-    apart, moving = (np.abs(one).max(-1)[inside] > APART
+    apart, moving = (np.abs(one).max(-1)[inside] > DIFFERENT_WAY_CELLS
                      for one in (fields[0] - fields[1], fields[1]))
     return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()))
 

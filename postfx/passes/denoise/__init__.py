@@ -57,7 +57,7 @@ from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 READ_PLANES = tuple(ABSENT)
 NO_NETWORKS = ("the package onnxruntime is missing, so the classical filter stands in for the "
                "network, and more noise stays: install it, or accept that by the model classic")
-ALONE = "no motion vectors, so every frame is denoised alone and may flicker"
+NO_HISTORY_REMARK = "no motion vectors, so every frame is denoised alone and may flicker"
 """A remark, before what helps."""
 SHARPENING = Role.DIFFUSE_ALBEDO, Role.NORMAL, Role.DEPTH
 """Planes without which results are 0.2 dB worse or more; the others are worth less than a line."""
@@ -205,7 +205,7 @@ class DenoiseUpscale(Pass):
         can_be_estimated = any(map(spec.has, (Role.DIFFUSE_ALBEDO, Role.NORMAL)))
         remedy = ("--motion auto estimates them" if can_be_estimated
                   else "render them, or albedo to estimate them from")
-        alone = f"{ALONE}: {remedy}"
+        alone = f"{NO_HISTORY_REMARK}: {remedy}"
         found = [NO_NETWORKS] if self._is_fallback else []
         found += [] if spec.has(Role.MOTION) else [alone]
         found += [f"no {' and no '.join(lost)}: results are blurrier"] if lost else []

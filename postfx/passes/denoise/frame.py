@@ -202,7 +202,7 @@ MOST_GRAPHS = 4
 """Most window sizes, beside the whole frame's, that are kept ready."""
 CLOSE = 1.15
 """A window that is ready is taken if it takes at most this many times as long as the best one."""
-STEPS = 8
+WINDOW_SIDE_PARTS = 8
 """Sides of further windows are multiples of this part of the frame's, so that masks that move soon
 find one ready."""
 
@@ -340,7 +340,7 @@ class Frames:
         before."""
         if self._graphs:
             grid = self._sizes.grid
-            rows, columns = (max(1, side // STEPS // grid) * grid
+            rows, columns = (max(1, side // WINDOW_SIDE_PARTS // grid) * grid
                              for side in (self._sizes.h, self._sizes.w))
             shape = whole_sides(self._sizes,
                                 (whole_steps(shape[0], rows), whole_steps(shape[1], columns)))
@@ -426,7 +426,8 @@ def widen_history(history: Mapping[str, np.ndarray],
 
 def _lit_part(plane: np.ndarray) -> float:
     """The share of a plane's pixels that are not 0, by a few of them."""
-    some = plane[LOOKED_AT // 2::LOOKED_AT, LOOKED_AT // 2::LOOKED_AT].any(axis=2)
+    some = plane[LIT_PIXEL_STEP // 2::LIT_PIXEL_STEP,
+                 LIT_PIXEL_STEP // 2::LIT_PIXEL_STEP].any(axis=2)
     return float(some.mean()) if some.size else 1.0
 
 
@@ -444,7 +445,8 @@ class Ready:
 LIGHT_REACH = 80
 """Render pixels that the light of one can come to in the result: 62 by filters of five levels, 16
 by the cells of the last one, 2 by enlarging."""
-LOOKED_AT = 16  # every so many pixels of a row and of a column tell how much of a picture is lit
+# every so many pixels of a row and of a column tell how much of a picture is lit
+LIT_PIXEL_STEP = 16
 MOST_LIT = 0.75  # of these pixels
 
 

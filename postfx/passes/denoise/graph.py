@@ -3,7 +3,7 @@
     planes.py      brings planes and guides to the sizes that are read, makes the reactive mask;
                    history.py finds the motion of reflections
     FRAME_NEEDS    runs once a frame
-    WINDOW_STEPS   take the picture of each window through a network; CLASSIC_STEPS do so without one
+    WINDOW_STEPS   take the picture of a window through a network; CLASSIC_STEPS do so without one
     LAYER_STEPS    filter what lies beside the picture in the same window, and so does ALPHA
     frame.py       puts windows together
     planes.py      gives detail back, blends with the input by strength, corrects alpha, resamples
@@ -90,7 +90,7 @@ from postfx.passes.denoise.network import (
     seen_by,
     upload,
 )
-from postfx.passes.denoise.tiling import LEVELS, Window
+from postfx.passes.denoise.tiling import PYRAMID_LEVELS, Window
 from postfx.runtime import CommandBuffer, Device, PipelineState, Tensor
 
 PLAIN, GUIDES_KIND, UNSCALED_KIND, GIVEN = "plain", "guides", "unscaled", "given"
@@ -137,7 +137,7 @@ def _filtering(i: int) -> Steps:
     """Filters one level of the pyramid, mixed with the filtered level below it."""
     head, area = f"head level{i}" if i else "head fine", f"area {i}"
     buffers = {"heads": head, "area": area, "filtered": f"filtered {i}"}
-    if i == LEVELS:
+    if i == PYRAMID_LEVELS:
         return (step(FILTER, unless="given", mixed=f"pool {i}", **buffers),)
     buffers |= {"mixed": f"mixed {i}", "level": f"pool {i}", "coarse": f"filtered {i + 1}",
                 "coarse_rows": f"coarse_rows {i}", "coarse_columns": f"coarse_columns {i}"}
@@ -158,8 +158,8 @@ _POOLS = step(POOLS, "gpu", "given", finer="pool 0", finer_importance="importanc
               level1="pool 1", level2="pool 2", level3="pool 3", level4="pool 4",
               importance1="importance 1", importance2="importance 2",
               importance3="importance 3", importance4="importance 4")
-PYRAMID: Steps = (_POOLS, *map(_pool, range(1, LEVELS + 1)),
-                  *(one for i in range(LEVELS, -1, -1) for one in _filtering(i)))
+PYRAMID: Steps = (_POOLS, *map(_pool, range(1, PYRAMID_LEVELS + 1)),
+                  *(one for i in range(PYRAMID_LEVELS, -1, -1) for one in _filtering(i)))
 """Filters 'pool 0' into 'filtered 0'."""
 
 PREPARE: Steps = (
@@ -469,15 +469,15 @@ class WindowGraph:
                 "importance 0": accumulated.view("importance 0", (1, *level(0)),
                                                  3 * math.prod(level(0)))}
         made |= {f"importance {i}": self._new(f"importance {i}", (1, *level(i)))
-                 for i in range(1, LEVELS + 1)}
+                 for i in range(1, PYRAMID_LEVELS + 1)}
         made |= {f"radiance {end}": self._new(f"radiance {end}", (3 if end == PLAIN else 6, *size))
                  for end in set(self._ends.values()) - {GIVEN}}
         return made | self._levels(3)
 
     def _levels(self, channels: int) -> dict[str, Tensor]:
         """Levels of the pyramid above the first, mixed and filtered ones."""
-        counts = {"pool": range(1, LEVELS + 1), "mixed": range(LEVELS),
-                  "filtered": range(LEVELS + 1)}
+        counts = {"pool": range(1, PYRAMID_LEVELS + 1), "mixed": range(PYRAMID_LEVELS),
+                  "filtered": range(PYRAMID_LEVELS + 1)}
         return {f"{name} {i}": self._new(f"{name} {i}", (channels, *self._window.level(i)))
                 for name, levels in counts.items() for i in levels}
 

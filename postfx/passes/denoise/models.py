@@ -11,14 +11,14 @@ from typing import Any
 from postfx.compiled.library import has_byte_products
 from postfx.errors import ModelError, PassOptionError
 from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY
-from postfx.passes.denoise.tiling import LEVELS
+from postfx.passes.denoise.tiling import PYRAMID_LEVELS
 from postfx.runtime import Device, Library, PipelineState
 from postfx.runtime.convolutions import Head
 
 PASS = "denoise_upscale"
 HEADS = {"raw_fine": Head("fine", FINE, BLEND, MEMORY, side=2)} | {
     f"raw_level{level}": Head(f"level{level}", KERNEL + 1, KERNEL, KERNEL + 1)
-    for level in range(1, LEVELS + 1)}
+    for level in range(1, PYRAMID_LEVELS + 1)}
 """Outputs that a GPU gives after their activations: weights of filters, shares, and states."""
 EXACT_SUFFIX, FILE = ".fp32", ".onnx"
 """Suffixes of a tag: for the network as trained, in float32, and for one in a file."""
@@ -251,7 +251,7 @@ def _card(model: str) -> dict[str, Any]:
 def _grid(outputs: Mapping[str, Mapping[str, Any]]) -> int:
     levels = [int(name[-1])
               for name, facts in outputs.items() if "level" in name and not facts.get("constant")]
-    return 1 << max(levels, default=LEVELS)
+    return 1 << max(levels, default=PYRAMID_LEVELS)
 
 
 def load_network(device: Device, model: str, dims: Mapping[str, int]) -> PipelineState:

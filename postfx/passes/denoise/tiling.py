@@ -16,9 +16,9 @@ from postfx.kernels.statistics import mark_positive
 from postfx.runtime import Tensor
 from postfx.system import PROCESS, Scratch
 
-LEVELS = 4
+PYRAMID_LEVELS = 4
 """Times that the filter pyramid halves its size."""
-SIDE_MULTIPLE = 2**LEVELS
+SIDE_MULTIPLE = 2**PYRAMID_LEVELS
 """Height and width of a network's input are multiples of this if it computes all levels of the
 pyramid."""
 
@@ -122,12 +122,12 @@ class Window:
             "seen_columns": _mirrored(self.padded_size[1], min(self.columns, frame.w - self.left)),
             "out_rows": _counted(out.top, out.rows, frame.height),
             "out_columns": _counted(out.left, out.columns, frame.width)}
-        values |= {f"area {i}": self.area(i) for i in range(LEVELS + 1)}
-        for i in range(LEVELS):
+        values |= {f"area {i}": self.area(i) for i in range(PYRAMID_LEVELS + 1)}
+        for i in range(PYRAMID_LEVELS):
             values[f"coarse_rows {i}"], values[f"coarse_columns {i}"] = self.coarser(i)
             values[f"finer_rows {i + 1}"], values[f"finer_columns {i + 1}"] = self.finer(i + 1)
         values["firsts"] = [values[f"finer_{side} {i}"][0] for side in ("rows", "columns")
-                            for i in range(1, LEVELS + 1)]
+                            for i in range(1, PYRAMID_LEVELS + 1)]
         return {name: np.asarray(value, np.float32) for name, value in values.items()}
 
 
