@@ -178,7 +178,7 @@ CHOSEN = (
     ("h", "found.inside = px <= float(w) - 0.5f", "found.inside = px <= float(w) + 0.5f"),
     ("h", "Four{gain, gain, gain, share}", "Four{gain, gain, gain, 1.0f}"),
     ("py", "BLEND = TAP_WEIGHTS + PHASES", "BLEND = TAP_WEIGHTS + PHASES - 1"),
-    ("h", "x + tap % SIDE - REACH", "x - tap % SIDE + REACH"),
+    ("h", "x + column - REACH", "x - column + REACH"),
     ("cpp", "below + (x + second) / 2", "below + x / 2"),
     ("cpp", "phase = 4 * channel + 2 * (y % 2)", "phase = 4 * channel + (y % 2)"),
     ("cu", "2 * (y % 2) + x % 2) * part", "2 * (x % 2) + y % 2) * part"),

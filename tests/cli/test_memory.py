@@ -35,7 +35,7 @@ def test_budgets_that_cannot_be(postfx, shot, write_exr, tmp_path):
 
 def test_what_a_mask_spared_is_told_with_its_time(postfx, write_exr):
     for number in range(1, 5):
-        planes = ({name: np.full((256, 320), 0.3) for name in "RGB"}
+        planes = ({name: np.full((256, 320), 0.3 + 0.01 * number) for name in "RGB"}
                   | {"strength.Y": np.zeros((256, 320))})
         planes["strength.Y"][230:] = 1
         write_exr(f"in/shot.{number:04d}.exr", planes)

@@ -19,8 +19,8 @@ PLACES = {
     "while a frame is processed": ("postfx.pipeline.Flow._run", 4, "before"),
     "before a frame is written": ("postfx.cli.job.write_frame", 4, "before"),
     "between writing a frame and naming it": ("postfx.io.writer.write_exr", 4, "after"),
-    "between naming a frame and entering it into the "
-    "manifest": ("postfx.cli.job.write_frame", 4, "after"),
+    "between naming a frame and entering it into the manifest": (
+        "postfx.cli.job.write_frame", 4, "after"),
     "while the manifest is written": ("postfx.runs.manifest.write_atomically", 2, "before"),
     "after the manifest was written": ("postfx.runs.folder.update_manifest", 2, "after"),
     "between writing a checkpoint and naming it": ("os.replace", 3, "before", ".checkpoint"),

@@ -467,9 +467,11 @@ class DenoiseUpscale(Pass):
         """Record a copy of a frame's picture, for frames that are the same."""
         if self._result is None or self._result.shape != colour.shape:
             self._result = self._device.heap.tensor("picture of the same frames", colour.shape)
-        copier = self._device.host_state("keep", ("colour",), ("output",),
-                                         lambda seen, kept: np.copyto(kept, seen))
-        commands.run(copier, "keep", colour=colour, output=self._result)
+            self._copier = self._device.host_state("keep", ("colour",), ("output",),
+                                                   lambda seen, kept: np.copyto(kept, seen))
+        commands.repeat((self, "keep", colour, self._result),
+                        partial(commands.run, self._copier, "keep", colour=colour,
+                                output=self._result))
 
     def _tell_of_alpha(self) -> None:
         """Say once that noisy alpha takes another network."""

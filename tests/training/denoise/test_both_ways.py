@@ -101,7 +101,7 @@ def told_clip(cuts: list[int]) -> Batch:
     planes[:, :, MOTION:CHANNELS], planes[:, :, CHANNELS:] = 1, 2
     repeated = {name: getattr(clip, name)[:, :1].repeat(1, len(cuts),
                                                         *[1] * (getattr(clip, name).ndim - 2))
-                for name in ("jitter", "reference", "albedos", "guides")}
+                for name in ("jitter", "reference", "surfaces", "guides")}
     keep = 1 - torch.tensor([cuts], dtype=torch.float32)
     return to_batch(replace(clip, planes=planes, pairs=("inverse",), keep=keep, **repeated))
 
