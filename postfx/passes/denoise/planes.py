@@ -311,9 +311,9 @@ class Reactive:
 
 
 # Samples a pixel: up to which no detail is looked for, that count once, and that count at most.
-FEW_SAMPLES = 16
-MANY_SAMPLES = 64
-MOST_SAMPLES = 96
+NO_DETAIL_SAMPLES = 16
+FULL_EVIDENCE_SAMPLES = 64
+MOST_EVIDENCE_SAMPLES = 96
 PER_TILE = "judged", "sums", "detail"
 
 
@@ -336,7 +336,8 @@ class Restore:
 
     def acts_on(self, frame: ResidentFrame) -> bool:
         """Whether a frame may get detail back."""
-        return frame.jitter == (0.0, 0.0) and (frame.samples or MANY_SAMPLES) > FEW_SAMPLES
+        return (frame.jitter == (0.0, 0.0)
+                and (frame.samples or FULL_EVIDENCE_SAMPLES) > NO_DETAIL_SAMPLES)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
                cells: np.ndarray | None = None) -> Tensor:
@@ -347,7 +348,8 @@ class Restore:
         self._rows = rows
         self._judge_only(np.ones(self._tiles, bool) if cells is None else tiles_with(cells))
         self._params.upload([frame.exposure_factor, 0.0, 0.0, 0.0])
-        self._evidence.upload([min(frame.samples or MANY_SAMPLES, MOST_SAMPLES) / MANY_SAMPLES])
+        self._evidence.upload([min(frame.samples or FULL_EVIDENCE_SAMPLES, MOST_EVIDENCE_SAMPLES)
+                               / FULL_EVIDENCE_SAMPLES])
         planes = {**self._tensors, "colour": frame[Role.COLOUR], "denoised": denoised}
         for work in (JUDGE, DETAIL, RESTORE):
             self._run(commands, work, planes)
