@@ -15,6 +15,8 @@ from postfx.compiled.library import Rows
 
 INFINITY_BITS = 0x7F800000
 """The bits of an infinite float32; those of NaN, without the sign, are larger."""
+LARGEST_HALF = 65504
+"""The largest number that a half float holds."""
 WORTH = 1 << 20
 """Bytes to look at or to copy that are worth another thread."""
 

@@ -13,6 +13,7 @@ from postfx.errors import WriteError
 from postfx.files import output_file
 from postfx.frame import Frame, Role
 from postfx.io.writer import OVERLAY_LAYER
+from postfx.planes import LARGEST_HALF
 
 PLANE_CHANNELS = {
     Role.COLOUR: ("R", "G", "B"),
@@ -40,8 +41,6 @@ FULL_FLOAT = (Role.DEPTH, Role.SPECULAR_HIT_DISTANCE, Role.VARIANCE_OF_MEAN, Rol
 """Planes that half floats cannot hold: a miss is 1e10, and squares of radiance are tiny or huge.
 Motion would only lose fractions beyond 2048 pixels."""
 
-_HALF_MAX = 65504.0
-
 
 def write_planes(path: str | PathLike[str], frame: Frame) -> Path:
     """Write all planes of a frame and its headers into one EXR file; returns the path.
@@ -55,8 +54,8 @@ def write_planes(path: str | PathLike[str], frame: Frame) -> Path:
         raise WriteError(f"{path}: planes can only be written as OpenEXR: name it .exr")
     roles = [role for role in Role if role in frame]
     storage = {role: oiio.FLOAT if role in FULL_FLOAT else oiio.HALF for role in roles}
-    pixels = [frame[role] if role in FULL_FLOAT else np.clip(frame[role], -_HALF_MAX, _HALF_MAX)
-              for role in roles]
+    pixels = [frame[role] if role in FULL_FLOAT
+              else np.clip(frame[role], -LARGEST_HALF, LARGEST_HALF) for role in roles]
     spec = oiio.ImageSpec(frame.spec.width, frame.spec.height,
                           sum(len(PLANE_CHANNELS[role]) for role in roles), oiio.HALF)
     spec.channelnames = [name for role in roles for name in PLANE_CHANNELS[role]]

@@ -16,13 +16,16 @@ from postfx.sampling import bilinear, is_inside
 
 COMPARED_ROWS = 100
 """Rows or columns of the shorter side that are looked at."""
-MOST_APART, LEAST_INSIDE = 0.1, 0.25
-"""Difference of toned light up to which a pixel counts, and the share of pixels that must lead into
-the picture."""
-WORSE, LEAST_EXPLAINED = 1.35, 0.5
-"""Misfit of vectors, in that of the flow, beyond which they are not used if they explain less than
-this share of what the flow explains. Right vectors of nine noisy renders have up to 1.7 and at
-least 0.53, half of them 0.27 to 0.48."""
+MOST_APART = 0.1
+"""Difference of toned light up to which a pixel counts."""
+LEAST_INSIDE = 0.25
+"""Share of the pixels that must lead into the picture."""
+WORSE = 1.35
+"""Misfit of vectors, in that of the flow, beyond which they are not used if they explain too
+little. Right vectors of nine noisy renders have up to 1.7."""
+LEAST_EXPLAINED = 0.5
+"""Share of what the flow explains that such vectors must explain. Right ones have at least 0.53,
+those of half the motion 0.27 to 0.48."""
 MUCH_WORSE = 2.2
 """Misfit beyond which they are not used whatever they explain."""
 LIKE_STILL = 0.5, 0.55

@@ -31,7 +31,7 @@ from postfx.io.quantisation import Dither, quantise
 from postfx.io.sequence import Sequence
 from postfx.io.wholeness import has_end
 from postfx.io.windows import OutputWindows, Pixels, crop, output_windows
-from postfx.planes import largest_bits_of
+from postfx.planes import LARGEST_HALF, largest_bits_of
 from postfx.version import __version__
 
 LINEAR_FORMATS = (".exr",)
@@ -49,11 +49,9 @@ _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": 
 SRGB_DISPLAY = parse_display("srgb")
 LEAST_FACTOR = np.float32(1 / 256)
 """Black in 8 bits: what light that reached a place without colour is divided by."""
-MOST_HALF = 65504
-"""The largest half float."""
 BEYOND_HALF = np.float32(65520)
 """The least number that is not rounded to the largest half float."""
-_BEYOND_HALF = int(BEYOND_HALF.view(np.uint32))
+BEYOND_HALF_BITS = int(BEYOND_HALF.view(np.uint32))
 ERROR_CHANNEL = "error.V"
 OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 
@@ -191,7 +189,7 @@ def write_frame(
                      path, limit, compression)
     elif cut:
         TOLD.warning("%s: %s above %d is cut there, as half floats hold no more: give 32 bits "
-                     "(--bits 32) to keep it", path, " and ".join(sorted(cut)), MOST_HALF)
+                     "(--bits 32) to keep it", path, " and ".join(sorted(cut)), LARGEST_HALF)
     return path
 
 
@@ -331,7 +329,7 @@ def _linear_pixels(frame: Frame, half: bool, cut: set[str]) -> Pixels:
                              rows)
         pixels = (np.concatenate([pixels, frame[Role.ERROR][rows]], axis=2) if Role.ERROR in frame
                   else pixels)
-        if half and largest_bits_of(pixels) >= _BEYOND_HALF:
+        if half and largest_bits_of(pixels) >= BEYOND_HALF_BITS:
             beyond = (np.abs(pixels) >= BEYOND_HALF).any((0, 1))
             cut.update(name for name, is_beyond in zip(names, beyond, strict=True) if is_beyond)
         return to_halves(pixels) if half else pixels

@@ -21,6 +21,7 @@ from postfx.io.sequence import Sequence
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan
+from postfx.planes import LARGEST_HALF
 from postfx.runtime import Device
 from postfx.temporal.reverse_motion import (
     LONGEST_HISTORY_FRAMES,
@@ -36,8 +37,6 @@ run-up."""
 PART_FRAMES = 32
 """Frames of a part, which run in reverse order together; their results are kept until they are
 needed."""
-HALF_MAX = np.float32(65504)
-"""Largest number of half precision."""
 
 
 class RunUp:
@@ -325,7 +324,8 @@ class Backwards:
         except PostfxError:
             return None, 1.0
         factor = self._pipeline.exposure_factor or 1.0
-        return np.clip(colour * np.float32(factor), -HALF_MAX, HALF_MAX).astype(np.float16), factor
+        return np.clip(colour * np.float32(factor), -LARGEST_HALF,
+                       LARGEST_HALF).astype(np.float16), factor
 
     def _plan_of(self, number: int) -> Plan:
         with self._sequence.open(number) as files:

@@ -30,7 +30,9 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
     parser.add_argument("--width", type=int, default=128, help="noisy width")
     parser.add_argument("--height", type=int, default=128, help="noisy height")
     parser.add_argument("--frames", type=int, default=8)
-    parser.add_argument("--variants", type=int, default=3, help="noisy renders of the same frames")
+    parser.add_argument("--variants", type=int, metavar="N",
+                        help="noisy renders of the same frames (default: 3; with Cycles 2, beside "
+                             "half of the reference)")
     parser.add_argument("--reference-spp", type=int, default=128,
                         help="takes half to four times as many, by noise")
     parser.add_argument("--reference-error", type=float, default=0.015,
@@ -101,7 +103,8 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
     if unknown := [name for name in families if name not in FINE]:
         sys.exit(f"--families: no kind '{unknown[0]}': there are {', '.join(FINE)}")
     fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}
-    options = ClipOptions(args.width, args.height, args.frames, args.variants, args.reference_spp,
+    options = ClipOptions(args.width, args.height, args.frames,
+                          args.variants or ClipOptions.variants, args.reference_spp,
                           args.reference_error, real_share=args.real_share, even_spp=args.even_spp,
                           families=families, **fixed)
     maps, real = Environments(args.real and args.real / "environments"), RealScenes(args.real)
@@ -116,7 +119,8 @@ def cycles_maker(args: argparse.Namespace) -> Callable[[int], tuple]:
     fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}
     options = CyclesOptions(args.width, args.height, args.frames,
                             args.even_spp or CyclesOptions.most_spp,
-                            args.half_samples, args.variants, kind=args.kind, **fixed)
+                            args.half_samples, args.variants or CyclesOptions.renders,
+                            kind=args.kind, **fixed)
     blender = Blender(args.blender, args.real)
     return lambda index: make_clip(blender, options, args.seed, index)
 

@@ -312,7 +312,8 @@ class ClipPool:
         weights = [[clip.weight for clip in clips] for clips in there]
         drawn = random.Random(seed).choices(range(len(shapes)), [sum(w) for w in weights])[0]
         clips = random.choices(there[drawn], weights[drawn], k=size)
-        order = [random.sample(compared(c), len(compared(c))) for c in clips]
+        renders_of = [compared(clip) for clip in clips]
+        order = [random.sample(renders, len(renders)) for renders in renders_of]
         variants = [renders[turn % len(renders)] for renders in order]
         thinned = [random.random() < sparse for _ in clips]
         surfaces = [sparser(c, v, turn) if thin else v

@@ -1,10 +1,11 @@
-"""A network of the denoiser at 1x that gives the denoised picture itself. None ships yet.
+"""A network of the denoiser at 1x that gives the denoised picture itself. `l` is one.
 
 The trunks of `model.py` and `residual.py` predict filters, so a pixel stays within the hull of its
 neighbours. This one is a U-Net that predicts the colour of each pixel. It has the layers of Open
 Image Denoise's network for noisy planes (2.5, Apache-2.0), so that a training may begin with the
 weights that were published with it (`open_weights.py`). That network knows neither the history nor
-Blender's planes that follow mirrors: this one learns them.
+Blender's planes that follow mirrors: this one learns them. The layout `LARGE` is that of the
+network for planes without noise. With it, planes must be cleaned, too.
 
 Its first nine inputs are those of Open Image Denoise: colour behind the curve `encode`, albedo and
 normal. The others are the features of `model.features`, the planes that follow mirrors and glass,

@@ -32,7 +32,7 @@ else
 fi
 views=(--out "$work/raw" --gpus "$renderer" --processes-per-gpu "$processes" --minutes "$rendering" --seed "$seed"
     --blender "$blender" --real "$library" --clips 8000 --report 20
-    --even-spp 128 --half-samples 160 --frames 4 --width 320 --height 192 --scale 1)
+    --even-spp 128 --half-samples 160 --variants 3 --frames 4 --width 320 --height 192 --scale 1)
 small=(--out "$work/mitsuba" --gpus 0 --processes-per-gpu 7 --minutes "$head" --seed "$((seed + 1))"
     --real "$library" --clips 4000 --report 20 --even-spp 128
     --reference-spp 256 --reference-error 0.008 --frames 4 --width 128 --height 128 --scale 1)

@@ -45,6 +45,7 @@ from postfx.io.read_options import ReadOptions
 from postfx.io.render_time import AVERAGED, SUMMED, format_time, parse_time
 from postfx.io.windows import Part, Window
 from postfx.masks.noise import count_unit
+from postfx.planes import LARGEST_HALF
 
 
 class Rule(StrEnum):
@@ -81,8 +82,6 @@ _UNIT = 2e-3
 """By how much the length of a unit vector of half floats may differ from 1."""
 _SAME = 0.95
 """Share of a rectangle's area from which on another one within it is taken for the same."""
-_LARGEST_HALF = 65504
-"""The largest half float."""
 _BLOCK_ROWS = 64
 """Rows that are looked at together."""
 _SAMPLES = re.compile(r"cycles\..+\.samples|postfx:spp|samplesPerPixel")
@@ -451,7 +450,7 @@ def _combine(rule: Rule, stack: np.ndarray, weights: np.ndarray, there: np.ndarr
 def _as_stored(values: np.ndarray, kind: int) -> np.ndarray:
     """Values in the type of a channel; what half floats cannot hold is cut to what they can."""
     if kind == HALF_KIND and values.dtype != np.float16:
-        values = np.where(np.isfinite(values), np.clip(values, -_LARGEST_HALF, _LARGEST_HALF),
+        values = np.where(np.isfinite(values), np.clip(values, -LARGEST_HALF, LARGEST_HALF),
                           values)
     return values.astype((np.uint32, np.float16, np.float32)[kind])
 
