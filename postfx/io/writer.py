@@ -240,8 +240,10 @@ def write_channels(
 _LIMITS = (None, 60000, 52000, 40000, 24000)
 """Light at which pictures are cut, one after the other, until lossy compression, which errs by some
 percent of what is around a pixel, leaves all within half floats."""
-_CODING, _ROUNDING = (*_LEVELLED, "lj2k"), "b44"
-"""Compressions that alter colours, and how those are called that alter all half floats."""
+_CODING = (*_LEVELLED, "lj2k")
+"""Compressions that alter colours."""
+_ROUNDING = "b44"
+"""How the names of compressions begin that alter all half floats."""
 _CODED = ("r", "g", "b", "y", "ry", "by")
 """Last words of the names of colours' channels."""
 
