@@ -11,7 +11,9 @@ Its first nine inputs are those of Open Image Denoise: colour behind the curve `
 normal. The others are the features of `model.features`, the planes that follow mirrors and glass,
 and the accumulated colour and the last output behind the same curve. A branch of three levels reads
 all of them. It corrects the nine inputs, which is how noise leaves the planes, and it joins the
-first and the finest level. All that it adds begins as zero. The controls are found last, beside the
+first and the finest level. All that it adds begins as zero. With a gate, it also chooses the share
+of the accumulated colour and of the last output in the colour that the network reads: a share is a
+product with the picture, which convolutions cannot give. The controls are found last, beside the
 difference of the new picture and the history.
 
 Published weights have a learning rate of their own (`train.py --published-rate`). Two trainings at
@@ -54,11 +56,14 @@ LEAST_BASE = 1e-12  # of a power, whose gradient at 0 is infinite
 
 GUIDED_INPUTS = 9  # colour, albedo, normal: what Open Image Denoise reads
 FURTHER_INPUTS = FEATURES + MIRRORED + 6
+ACCUMULATED = FURTHER_INPUTS - 6  # where the codes of the accumulated colour begin among them
 HISTORY = FURTHER_INPUTS - 3  # where the codes of the last output begin among them
+VALID = 21  # the feature that says where a pixel has a history
 JUDGE = 24  # channels of what compares the picture with the history
 LEVELS = 4
 BLEND_BEGINS = 1.5  # logit of the new picture's share beside the history
 DISTRUST_BEGINS = -2.0  # logit
+GATE_BEGINS = -3.0  # logit of a share of the history in the colour that is read: 5 %
 HEAD_STD = 0.01
 # Channels of the controls: as the last ones of a fine head, of which the mix is the blend here.
 BLEND = 0
@@ -95,6 +100,7 @@ class PictureConfig:
         beside: channels of the branch at 1, 1/2 and 1/4 of the size.
         large: two convolutions a level on the way down, too, as in Open Image Denoise's large
             networks.
+        gated: the branch mixes the history into the colour that is read.
     """
 
     picture: bool = True
@@ -103,6 +109,7 @@ class PictureConfig:
     last: int = 32
     beside: tuple[int, ...] = (32, 48, 64)
     large: bool = False
+    gated: bool = False
     trust: bool = False
     guides: bool = False
     mirrored: bool = True
@@ -190,8 +197,9 @@ class Layer(NamedTuple):
     level: int
 
 
-LARGE = PictureConfig(down=(64, 96, 128, 192, 256), up=(64, 96, 128, 192), last=64, large=True)
-"""The layout of Open Image Denoise's large networks."""
+LARGE = PictureConfig(down=(64, 96, 128, 192, 256), up=(64, 96, 128, 192), last=64, large=True,
+                      gated=True)
+"""The layout of Open Image Denoise's large networks, with a gate for the history."""
 BRANCH_LEVELS = {"branch.half_down": 1, "branch.half_up": 1, "branch.quarter_in": 2,
                  "branch.quarter_out": 2}
 """Levels of convolutions of the branch below the render size."""
@@ -223,12 +231,15 @@ class PictureNetwork(nn.Module):
         self.correct = conv(known, GUIDED_INPUTS)
         self.enter = nn.Conv2d(known, self.config.down[0], 3, padding=1, bias=False)
         self.join = nn.Conv2d(known, up_one, 1)
+        if self.config.gated:
+            self.gate = conv(known, 2)
         self.judge = nn.Sequential(conv(last + known + 6, JUDGE), nn.ReLU())
         self.controls = nn.Conv2d(JUDGE, CONTROLS, 1)
         self.error = nn.Conv2d(JUDGE, 1, 1)
-        for added in (self.correct, self.enter, self.join):
+        gates = (self.gate,) if self.config.gated else ()
+        for added in (self.correct, self.enter, self.join, *gates):
             nn.init.zeros_(added.weight)
-        for added in (self.correct, self.join):
+        for added in (self.correct, self.join, *gates):
             nn.init.zeros_(added.bias)
         for head in (self.controls, self.error):
             nn.init.normal_(head.weight, std=HEAD_STD)
@@ -241,6 +252,9 @@ class PictureNetwork(nn.Module):
         guided, further = network_inputs(features, mirrored)
         known = self.branch(torch.cat((guided, further), 1))
         corrected = guided + self.correct(known)
+        if self.config.gated:
+            corrected = torch.cat((corrected[:, :3] + self.mixed_in(guided, further, known),
+                                   corrected[:, 3:]), 1)
         way_down = self.large_way_down if self.config.large else self.way_down
         stream = self.way_up(*way_down(corrected, known), corrected) + self.join(known)
         stream = F.relu(self.dec_conv1b(F.relu(stream)))
@@ -254,6 +268,15 @@ class PictureNetwork(nn.Module):
             judged = judged.float()
             found = activate(codes, self.controls(judged), self.error(judged))
         return *found, corrected[:, 3:]
+
+    def mixed_in(self, guided: Tensor, further: Tensor, known: Tensor) -> Tensor:
+        """What shares of the accumulated colour and of the last output change in the codes of
+        colour, (N, 3, h, w)."""
+        shares = torch.sigmoid(self.gate(known) + GATE_BEGINS) * further[:, VALID:VALID + 1]
+        colour = guided[:, :3]
+        accumulated = further[:, ACCUMULATED:HISTORY] - colour
+        history = further[:, HISTORY:] - colour
+        return shares[:, :1] * accumulated + shares[:, 1:] * history
 
     def way_down(self, guided: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The streams at 1/2, 1/4, 1/8 and 1/16 of the size, each before its level's convolutions;

@@ -12,12 +12,17 @@ from postfx import DenoiseUpscale, Device, Frame, Pipeline
 from postfx.errors import PassOptionError
 from postfx.frame import Role
 from training.denoise import open_weights
-from training.denoise.checkpoint import PREFIX, graft, mix, save, widen
+from training.denoise.checkpoint import ADDED, PREFIX, graft, mix, save, widen
 from training.denoise.export import card, export_trunk, load_trunk
 from training.denoise.model import Inputs, empty_state
 from training.denoise.picture import (
+    ACCUMULATED,
+    FURTHER_INPUTS,
+    GUIDED_INPUTS,
+    HISTORY,
     LARGE,
     MOST_LIGHT,
+    VALID,
     PictureConfig,
     PictureDenoiser,
     PictureNetwork,
@@ -27,7 +32,7 @@ from training.denoise.picture import (
 )
 from training.denoise.train import parse, rate_groups
 
-SMALL = PictureConfig(down=(8, 8, 8, 8, 8), up=(8, 8, 8, 8), last=8)
+SMALL = PictureConfig(down=(8, 8, 8, 8, 8), up=(8, 8, 8, 8), last=8, gated=True)
 SIZE = 40, 56
 EXPOSURE_STOPS = 1.0
 JITTER = 0.25, -0.125
@@ -149,7 +154,22 @@ def test_what_is_added_to_a_published_network_begins_as_nothing():
     torch.manual_seed(1)
     network = PictureNetwork(SMALL)
     assert not any(weight.any() for name, weight in network.named_parameters()
-                   if name.startswith(("correct", "enter", "join")))
+                   if name.startswith(ADDED))
+
+
+def test_an_open_gate_reads_the_history_instead_of_the_noise():
+    """Where a pixel has a history, and there alone."""
+    torch.manual_seed(1)
+    network = PictureNetwork(SMALL)
+    guided, further = torch.rand(1, GUIDED_INPUTS, 16, 16), torch.rand(1, FURTHER_INPUTS, 16, 16)
+    known = torch.rand(1, SMALL.beside[0], 16, 16)
+    further[:, VALID] = 0
+    further[:, VALID, :, 8:] = 1
+    with torch.no_grad():
+        network.gate.bias.copy_(torch.tensor([20.0, -20.0]))
+        colour = guided[:, :3] + network.mixed_in(guided, further, known)
+    torch.testing.assert_close(colour[..., 8:], further[:, ACCUMULATED:HISTORY, :, 8:])
+    torch.testing.assert_close(colour[..., :8], guided[:, :3, :, :8])
 
 
 def test_it_keeps_the_size(denoiser):
