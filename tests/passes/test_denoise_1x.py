@@ -82,9 +82,16 @@ def test_a_plan_tells_that_another_network_stands_in_at_1x() -> None:
 
 
 @pytest.mark.usefixtures("models")
+def test_a_plan_tells_that_another_network_enlarges_instead_of_one_for_1x_alone() -> None:
+    spec = noisy(1).spec
+    assert DenoiseUpscale(model="xl", scale=2).remarks(spec) == (
+        "model 'xl' does not enlarge: 'l' stands in",)
+
+
+@pytest.mark.usefixtures("models")
 @pytest.mark.parametrize(("model", "scale", "tag"), [
     ("m", 1, "m.1x"), ("m", 1.5, "m"), ("m", 2, "m"), ("m.fp32", 1, "m.1x"), ("s", 1, "s.1x"),
-    ("l", 1, "m.1x"), ("l", 2, "l"), ("own", 1, "own"),
+    ("l", 1, "m.1x"), ("l", 2, "l"), ("xl", 2, "l"), ("own", 1, "own"),
 ])
 def test_it_runs_where_the_output_has_the_render_size(model: str, scale: float, tag: str) -> None:
     pipeline = chain(model=model, scale=scale)

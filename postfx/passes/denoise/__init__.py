@@ -28,6 +28,7 @@ from postfx.passes.denoise.models import (
     UNSCALED,
     Ladder,
     cost,
+    enlarging_remarks,
     family,
     filter_remarks,
     gives_picture,
@@ -65,7 +66,7 @@ PART_FILTERS = "picture", "own"
 """Values of the option `part_filters`: whose filters parts get."""
 NETWORK_PREFIX = "network "
 """In a history, the name of the network's entry ends in the network's tag."""
-LARGEST_TAG = "l"
+LARGEST_TAG = "xl"
 """Tag of the largest network that comes with postfx."""
 WIDER = "wider primaries"
 """In a history, whether its light is in wider primaries than the frames'."""
@@ -83,11 +84,11 @@ class DenoiseUpscale(Pass):
             without guides.
         size: width and height of the output, in place of a scale; frames may change their size, and
             the history goes on.
-        model: tag of the network, 's', 'm' or 'l', which runs in the device's fast precision, or
-            with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own
+        model: tag of the network, 's', 'm', 'l' or 'xl', which runs in the device's fast precision,
+            or with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own
             network, 'nets/mine.onnx', with its card beside it, and mine.guides.onnx and
             mine.1x.onnx if they exist; or 'classic', a filter without a network, on a CPU and for
-            frames without parts.
+            frames without parts. 'xl' is for the render size; 'l' enlarges in its place.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit. Where `model`
@@ -212,6 +213,8 @@ class DenoiseUpscale(Pass):
         if self._is_render_size(spec):
             found += unscaled_remarks(self._tag)
             found += filter_remarks(self._tag) if self._parts else []
+        else:
+            found += enlarging_remarks(self._tag)
         return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
 
     def accumulates(self, spec: FrameSpec) -> bool:
