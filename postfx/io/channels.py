@@ -62,7 +62,8 @@ Names = tuple[tuple[str, str], ...]
 
 
 class Channel(NamedTuple):
-    """One channel of one part of one of a frame's files, which is told by its word."""
+    """One channel of one part of one of a frame's files, which is told by its word: files that are
+    alike share their parts."""
 
     word: str
     part: Part
@@ -208,12 +209,12 @@ class ChannelIndex:
 
     def contents(self, without: Iterable[Channel] = ()) -> list[str]:
         """What the files hold, layer by layer, except some channels: 'albedo.R,G,B'."""
-        left_out = {(id(channel.part), channel.name) for channel in without}
+        left_out = set(without)
         layers: dict[str, list[str]] = {}
-        for parts in self._files.values():
+        for word, parts in self._files.items():
             for part in parts:
                 for name in part.channels:
-                    if (id(part), name) in left_out:
+                    if Channel(word, part, name) in left_out:
                         continue
                     layer, _, letter = name.rpartition(".")
                     layers.setdefault(layer or (part.name if len(parts) > 1 else ""),
@@ -250,7 +251,7 @@ def before(names: Names, ending: str) -> list[str]:
 def are_together(channels: Iterable[Channel]) -> bool:
     """Whether channels are of one part of one file."""
     first, *others = channels
-    return all(channel.part is first.part for channel in others)
+    return all(channel[:2] == first[:2] for channel in others)
 
 
 def has_siblings(channel: Channel, letters: Iterable[str]) -> bool:
@@ -266,13 +267,13 @@ def read_channels(
 ) -> dict[Channel, np.ndarray]:
     """Every channel, or some of its rows, with one read of each part that holds any. `fills` gives
     the value for pixels without data; `files` are the open ones of a frame, by their words."""
-    wanted: dict[Part, list[Channel]] = {}
+    wanted: dict[tuple[str, Part], list[Channel]] = {}
     for channel in fills:
-        wanted.setdefault(channel.part, []).append(channel)
+        wanted.setdefault((channel.word, channel.part), []).append(channel)
     pixels: dict[Channel, np.ndarray] = {}
-    for part, channels in wanted.items():
+    for (word, part), channels in wanted.items():
         values = {channel.name: fills[channel] for channel in channels}
-        read = files[channels[0].word].read(part, values, rows)
+        read = files[word].read(part, values, rows)
         pixels.update({channel: read[channel.name] for channel in channels})
     return pixels
 

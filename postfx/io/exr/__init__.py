@@ -180,17 +180,16 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
     early or are larger than `MAX_HEADERS`.
     """
     start = _Start(file)
-    magic, version = start.unpack("<iI")
+    magic, version = struct.unpack("<iI", start.take(8))
     if magic != EXR_MAGIC or version & 0xFF != EXR_VERSION:
         raise ReadError("it is not an OpenEXR file")
-    headers, several = [], bool(version & MULTI_PART)
-    while header := _header(start, several):
-        headers.append(header)
-        if not several:
-            break
+    several = bool(version & MULTI_PART)
+    headers = [Header(start.attributes())]
+    while several and (attributes := start.attributes()):  # an empty one ends the headers
+        headers.append(Header(attributes))
         if len(headers) > MAX_PARTS:
             raise ReadError(f"it has more than {MAX_PARTS} parts")
-    if not headers:
+    if several and not headers[0].attributes:
         raise ReadError("it holds no image")
     if not several:
         _correct_type(headers[0], version)
@@ -203,17 +202,6 @@ def _correct_type(header: Header, version: int) -> None:
     wrong = TILED_IMAGE if not version & TILED else SCANLINE_IMAGE
     if not version & DEEP and header.part_type == wrong:
         header.set_text("type", SCANLINE_IMAGE if wrong == TILED_IMAGE else TILED_IMAGE)
-
-
-def _header(start: _Start, may_end: bool) -> Header | None:
-    """The next header; None for the empty one that ends the headers of a multi-part file."""
-    attributes: dict[str, Attribute] = {}
-    while stored := start.attribute():
-        name, kind, value = stored
-        attributes[str(name, *_AS_TEXT)] = Attribute(str(kind, *_AS_TEXT), value)
-    if not attributes and may_end:
-        return None
-    return Header(attributes)
 
 
 class _Start:
@@ -233,11 +221,7 @@ class _Start:
                 raise ReadError("its header ends early")
         return self._held[begin : self.at]
 
-    def unpack(self, layout: str) -> tuple[int, ...]:
-        """The next numbers."""
-        return struct.unpack(layout, self.take(struct.calcsize(layout)))
-
-    def name(self) -> bytes:
+    def _name(self) -> bytes:
         """The bytes before the next zero, which is taken too."""
         most = self.at + MAX_NAME + 1
         if len(self._held) < most:
@@ -249,26 +233,42 @@ class _Start:
         begin, self.at = self.at, end + 1
         return self._held[begin:end]
 
-    def attribute(self) -> tuple[bytes, bytes, bytes] | None:
-        """Name, type and value of the next attribute; None for the zero that ends a header.
+    def attributes(self) -> dict[str, Attribute]:
+        """The attributes of the next header by name; none where its end comes at once.
 
-        Where all of it is held, which is nearly always so, it is taken at once.
+        An attribute that is held whole, as nearly all are, is taken at once.
         """
-        held, begin = self._held, self.at
-        name_end = held.find(b"\0", begin, begin + MAX_NAME + 1)
-        kind_end = held.find(b"\0", name_end + 1, name_end + MAX_NAME + 2)
-        if begin < name_end < kind_end and kind_end + 5 <= len(held):
+        found: dict[str, Attribute] = {}
+        while True:
+            held, begin = self._held, self.at
+            name_end = held.find(b"\0", begin, begin + MAX_NAME + 1)
+            kind_end = held.find(b"\0", name_end + 1, name_end + MAX_NAME + 2)
             value_begin = kind_end + 5
-            (size,) = struct.unpack_from("<i", held, kind_end + 1)
-            if 0 <= size and value_begin + size <= min(len(held), MAX_HEADERS):
-                self.at = value_begin + size
-                return (held[begin:name_end], held[name_end + 1 : kind_end],
-                        held[value_begin : self.at])
-        name = self.name()
+            value_end = -1
+            if begin < name_end < kind_end and value_begin <= len(held):
+                (size,) = struct.unpack_from("<i", held, kind_end + 1)
+                value_end = value_begin + size
+            if name_end == begin:
+                name = b""
+                self.at += 1
+            elif value_begin <= value_end <= min(len(held), MAX_HEADERS):
+                name, kind = held[begin:name_end], held[name_end + 1 : kind_end]
+                value = held[value_begin:value_end]
+                self.at = value_end
+            else:
+                name, kind, value = self._attribute_in_pieces()
+            if not name:
+                return found
+            found[str(name, *_AS_TEXT)] = Attribute(str(kind, *_AS_TEXT), value)
+
+    def _attribute_in_pieces(self) -> tuple[bytes, bytes, bytes]:
+        """Name, type and value of the next attribute; no name where the zero comes that ends a
+        header."""
+        name = self._name()
         if not name:
-            return None
-        kind = self.name()
-        (size,) = self.unpack("<i")
+            return name, b"", b""
+        kind = self._name()
+        (size,) = struct.unpack("<i", self.take(4))
         if size < 0 or self.at + size > MAX_HEADERS:
             raise ReadError(f"its header claims {size} bytes for {ascii(text(name))}")
         return name, kind, self.take(size)
