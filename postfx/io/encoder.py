@@ -20,13 +20,13 @@ PIECE_ROWS = 16
 """Pieces have a multiple of them, which is what tiles and strips have."""
 
 
-def tag_codes(spec: oiio.ImageSpec, display: Display, path: Path) -> None:
+def tag_codes(spec: oiio.ImageSpec, display: Display, suffix: str) -> None:
     """Say in a PNG, TIFF or JPEG for which display its code values are.
 
     PNG: chunk sRGB, or for other displays iCCP, an ICC profile, and before it cICP (ITU-T H.273)
     where that can say it. TIFF and JPEG: an ICC profile.
     """
-    if path.suffix.lower() == ".png" and display.name == "srgb":
+    if suffix == ".png" and display.name == "srgb":
         spec.attribute("oiio:ColorSpace", "sRGB")
         return
     icc = np.frombuffer(make_profile(display), np.uint8)

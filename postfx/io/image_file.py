@@ -201,8 +201,7 @@ class ImageFile(ExitStack):
         is stored as it is or by ZIP."""
         if self._container is None or part.data != part.area:
             return None
-        storage = self._container.storages[part.index]
-        return storage.columns(names) if {*names} <= storage.channels.keys() else None
+        return self._container.storages[part.index].columns(names)
 
     def read_planes(self, part: Part, planes: ChannelPlanes, rows: tuple[int, int]) -> bool:
         """Read some rows of a part's area into planes (rows, width, channels) float32 of the
@@ -216,9 +215,10 @@ class ImageFile(ExitStack):
         if self._container is None or part.data.height <= 0:
             return False
         storage = self._container.storages[part.index]
-        if not planes.keys() <= storage.channels.keys():
+        found = [(storage.columns([name]), plane) for name, plane in planes.items()]
+        targets = [(columns, plane) for columns, plane in found if columns is not None]
+        if len(targets) < len(found):
             return False
-        targets = [(storage.columns([name]), plane) for name, plane in planes.items()]
         top = storage.window.y0
         return read_rows_by_threads(self._container, part.index, targets, part.data.y0 - top,
                                     part.data.y1 + 1 - top)

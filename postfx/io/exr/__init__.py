@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import BinaryIO, NamedTuple
+from functools import lru_cache
+from typing import Any, BinaryIO, NamedTuple
 
 from postfx.errors import ReadError
 from postfx.io.windows import Window
@@ -32,6 +33,8 @@ DEEP_TILES = "deeptile"
 PART_TYPES = (SCANLINE_IMAGE, TILED_IMAGE, DEEP_SCANLINES, DEEP_TILES)
 SAMPLE_BYTES = (4, 2, 4)
 """Bytes of a sample by the pixel type of its channel: uint, half, float."""
+SAMPLE_TYPES = ("<u4", "<f2", "<f4")
+"""The same as NumPy names them."""
 
 
 class Attribute(NamedTuple):
@@ -134,10 +137,8 @@ class Header:
 
     def has_long_names(self) -> bool:
         """Whether a name in it needs the flag for names of more than 31 bytes."""
-        names = [raw(name)
-                 for name in (*self.attributes, *(kind for kind, _ in self.attributes.values()))]
-        return any(len(name) > SHORT_NAME
-                   for name in names + [raw(channel.name) for channel in self.channels])
+        kinds = [kind for kind, _ in self.attributes.values()]
+        return _holds_long((*self.attributes, *kinds), self.attributes["channels"])
 
     def _value(self, name: str) -> bytes:
         if name not in self.attributes:
@@ -149,6 +150,13 @@ class Header:
         if len(value) != struct.calcsize(layout):
             raise ReadError(f"its header has a broken {name}")
         return struct.unpack(layout, value)
+
+
+@lru_cache(64)
+def _holds_long(names: tuple[str, ...], channels: Attribute) -> bool:
+    """Whether one of these names, or of those of channels, is long."""
+    listed = [channel.name for channel in Header({"channels": channels}).channels]
+    return any(len(raw(name)) > SHORT_NAME for name in (*names, *listed))
 
 
 _AS_TEXT = ("utf-8", "surrogateescape")
@@ -163,6 +171,22 @@ def text(stored: bytes) -> str:
 def raw(name: str) -> bytes:
     """Inverse of `text`."""
     return name.encode(*_AS_TEXT)
+
+
+_LETTERS = {"chromaticities": "f", "double": "d", "float": "f", "floatvector": "f", "int": "i",
+            "m33f": "f", "m44f": "f", "timecode": "I", "v2f": "f", "v2i": "i", "v3f": "f"}
+"""Types of attributes that are numbers, and how `struct` writes each number."""
+
+
+def pack_value(kind: str, value: Any) -> bytes | None:
+    """A text, a number or several as an attribute of a type stores them; None for other types."""
+    if kind == "string":
+        return raw(value) if isinstance(value, str) else None
+    numbers = value if isinstance(value, tuple) else (value,)
+    try:
+        return struct.pack(f"<{len(numbers)}{_LETTERS[kind]}", *numbers)
+    except (KeyError, struct.error, OverflowError):
+        return None
 
 
 def pack_channels(channels: list[ChannelInfo]) -> bytes:

@@ -33,6 +33,7 @@ from postfx.io.exr import (
     MULTI_PART,
     PART_TYPES,
     SAMPLE_BYTES,
+    SAMPLE_TYPES,
     SCANLINE_IMAGE,
     TILED,
     TILED_IMAGE,
@@ -74,10 +75,13 @@ class Storage:
         coordinates: bytes of a chunk's coordinates.
         sizes: the numbers after them, as `struct` writes it.
         least_bytes: of a file whose part has so many pixels.
-        window: data window.
+        window, display: data window and display window.
+        is_display_possible: whether the display window is of a size that files have.
         lines: rows of a chunk of scanlines.
-        words: numbers of two bytes in a row.
-        channels: of the channels that `read_rows` reads, kind and place of the first word in a row.
+        compression: OpenEXR's number of it.
+        line_bytes: of a row.
+        channels: of a part whose scanlines are as they are or compressed by ZIP, kind of each
+            channel and place of its first word of two bytes in a row; else none.
     """
 
     count: int
@@ -85,13 +89,20 @@ class Storage:
     sizes: str
     least_bytes: int
     window: Window
+    display: Window
+    is_display_possible: bool
     lines: int
-    words: int
+    compression: int
+    line_bytes: int
     channels: Mapping[str, tuple[int, int]]
 
-    def columns(self, names: Sequence[str]) -> np.ndarray:
-        """Kinds and places of channels that `read_rows` reads, (channels, 2)."""
-        return np.array([self.channels[name] for name in names])
+    def columns(self, names: Sequence[str]) -> np.ndarray | None:
+        """Kinds and places of channels, (channels, 2), for `read_rows`; None where it cannot read
+        them: it reads half floats and floats."""
+        found = [self.channels.get(name) for name in names]
+        if any(place is None or place[0] not in (HALF_KIND, FLOAT_KIND) for place in found):
+            return None
+        return np.array(found)
 
 
 def storage_of(header: Header) -> Storage:
@@ -106,9 +117,20 @@ def _find_storage(*stored: Attribute | None) -> Storage:
     header = Header({name: attribute for name, attribute in named if attribute is not None})
     count = _count_chunks(header)
     coordinates, sizes = _HEADS.get(header.part_type, (16, "<3q"))
-    channels, words = _find_plain_channels(header)
-    return Storage(count, coordinates, sizes, _find_least_bytes(header), header.data,
-                   LINES[header.compression], words, channels)
+    data, display = header.data, header.display
+    return Storage(
+        count=count,
+        coordinates=coordinates,
+        sizes=sizes,
+        least_bytes=_find_least_bytes(header),
+        window=data,
+        display=display,
+        is_display_possible=_is_display_possible(display, data),
+        lines=LINES[header.compression],
+        compression=header.compression,
+        line_bytes=data.width * sum(SAMPLE_BYTES[channel.kind] for channel in header.channels),
+        channels=_find_plain_channels(header),
+    )
 
 
 _HEADS = {SCANLINE_IMAGE: (4, "<i"), TILED_IMAGE: (16, "<i"), DEEP_SCANLINES: (4, "<3q")}
@@ -130,33 +152,33 @@ def _count_chunks(header: Header) -> int:
 
 
 def _find_least_bytes(header: Header) -> int:
-    """Bytes that a file must have for a picture of this size to come out of it. ReadError for a
-    display window with hardly any data in it."""
-    data, display = header.data, header.display
-    if not (1 <= display.width <= MAX_SIDE and 1 <= display.height <= MAX_SIDE) or \
-            display.width * display.height > MAX_EMPTY + 16 * data.width * data.height:
-        raise ReadError(f"its header claims a display window of {display.width}x{display.height}")
+    """Bytes that a file must have for a picture of this size to come out of it."""
     if header.part_type not in (SCANLINE_IMAGE, TILED_IMAGE):
         return 0
     pixel = sum(SAMPLE_BYTES[channel.kind] for channel in header.channels)
     most = _BOUNDED.get(header.compression, _UNBOUNDED)
-    return -(-(data.width * data.height * pixel - _FREE_BYTES) // most)
+    return -(-(header.data.width * header.data.height * pixel - _FREE_BYTES) // most)
 
 
-def _find_plain_channels(header: Header) -> tuple[dict[str, tuple[int, int]], int]:
-    """Channels that `read_rows` reads, with their kind and place in a row, and the words of a
-    row; none where the part is stored in another way."""
+def _is_display_possible(display: Window, data: Window) -> bool:
+    """Whether a display window is of a size that files have, for all that it holds of data."""
+    return (1 <= display.width <= MAX_SIDE and 1 <= display.height <= MAX_SIDE
+            and display.width * display.height <= MAX_EMPTY + 16 * data.width * data.height)
+
+
+def _find_plain_channels(header: Header) -> dict[str, tuple[int, int]]:
+    """Kind of each channel and place of its first word in a row; none where the part is stored in
+    another way than as scanlines that are as they are or compressed by ZIP."""
     is_plain = header.part_type == SCANLINE_IMAGE and header.compression in OWN_COMPRESSIONS
     channels = header.channels if is_plain else []
+    if any((channel.x_sampling, channel.y_sampling) != (1, 1) for channel in channels):
+        return {}
     found: dict[str, tuple[int, int]] = {}
     words = 0
-    if any((channel.x_sampling, channel.y_sampling) != (1, 1) for channel in channels):
-        return found, words
     for channel in channels:
-        if channel.kind in (HALF_KIND, FLOAT_KIND):
-            found[channel.name] = channel.kind, words
+        found[channel.name] = channel.kind, words
         words += header.data.width * SAMPLE_BYTES[channel.kind] // 2
-    return found, words
+    return found
 
 
 def _tile_count(header: Header) -> int:
@@ -354,8 +376,11 @@ class ExrContainer(AbstractContextManager["ExrContainer"]):
         if 8 * count > self.size - begin:
             raise ReadError(f"its header claims {count} chunks in {self.size} bytes")
         for storage in self.storages:
+            window, display = storage.window, storage.display
+            if not storage.is_display_possible:
+                raise ReadError("its header claims a display window of "
+                                f"{display.width}x{display.height}")
             if self.size < storage.least_bytes:
-                window = storage.window
                 raise ReadError(f"its header claims {window.width}x{window.height} pixels in "
                                 f"{self.size} bytes")
         offsets = np.frombuffer(self._file.read(8 * count), "<u8").astype(np.int64)
@@ -438,15 +463,43 @@ def read_rows(file: ExrContainer, part: int, planes: ChannelPlanes, first: int, 
     """Read rows of a part whose scanlines are as they are or compressed by ZIP, in half of
     OpenImageIO's time: those of the data window from `first` to `last`, not included, both counted
     from its top. False where the file is broken. Several threads may read at once."""
+    from postfx.io.pixel_formats import widen_rows  # headers must not wait
+
     storage = file.storages[part]
     begin, end = first // storage.lines, -(-last // storage.lines)
     if not 0 <= first < last <= storage.window.height or end > file.counts[part]:
         return False
     stored = file.read_chunks(part, begin, end)
     step = max(1, ZIP_LINES // storage.lines)
-    return all(_unpack(storage, stored[place : place + step], (begin + place) * storage.lines,
-                       planes, first)
-               for place in range(0, len(stored), step))
+    for place in range(0, len(stored), step):
+        top = (begin + place) * storage.lines
+        words = _unpack(storage, stored[place : place + step], top)
+        if words is None:
+            return False
+        wanted = words[max(first - top, 0):]
+        for columns, plane in planes:
+            target = plane[max(top - first, 0):][:len(wanted)]
+            widen_rows(wanted[:len(target)], columns, target)
+    return True
+
+
+def read_stored(file: ExrContainer, part: int, names: Sequence[str], first: int,
+                last: int) -> list[np.ndarray] | None:
+    """The same rows as they are stored, bit for bit: of each channel uint32, float16 or float32
+    (rows, width); None where the file is broken or the part is stored in another way."""
+    storage = file.storages[part]
+    if not {*names} <= storage.channels.keys():
+        return None
+    begin, end = first // storage.lines, -(-last // storage.lines)
+    words = _unpack(storage, file.read_chunks(part, begin, end), begin * storage.lines)
+    if words is None:
+        return None
+    rows, found = words[first - begin * storage.lines:][:last - first], []
+    for name in names:
+        kind, column = storage.channels[name]
+        width = storage.window.width * SAMPLE_BYTES[kind] // 2
+        found.append(rows[:, column : column + width].view(SAMPLE_TYPES[kind]))
+    return found
 
 
 def read_rows_by_threads(file: ExrContainer, part: int, planes: ChannelPlanes, first: int,
@@ -460,24 +513,20 @@ def read_rows_by_threads(file: ExrContainer, part: int, planes: ChannelPlanes, f
     return all(run_in_order(file_threads(count), tasks, 2 * count))
 
 
-def _unpack(storage: Storage, stored: list[memoryview], top: int, planes: ChannelPlanes,
-            first: int) -> bool:
-    """Put chunks, whose rows begin with `top`, into planes whose rows begin with `first`; False
-    where one is broken."""
-    from postfx.io.pixel_formats import decompress_rows, widen_rows  # headers must not wait
+def _unpack(storage: Storage, stored: list[memoryview], top: int) -> np.ndarray | None:
+    """Rows (rows, words) uint16 of chunks that begin with the row `top`; None where one is
+    broken."""
+    from postfx.io.pixel_formats import decompress_rows  # headers must not wait
 
     lines, window = storage.lines, storage.window
-    words = np.empty((min(len(stored) * lines, window.height - top), storage.words), np.uint16)
+    words = np.empty((min(len(stored) * lines, window.height - top), storage.line_bytes // 2),
+                     np.uint16)
     for place, chunk in enumerate(stored):
         row = place * lines
         is_whole = decompress_rows(chunk[8:], words[row : row + lines].reshape(-1))
         if not is_whole or struct.unpack_from("<i", chunk)[0] != window.y0 + top + row:
-            return False
-    wanted = words[max(first - top, 0):]
-    for columns, plane in planes:
-        target = plane[max(top - first, 0):][:len(wanted)]
-        widen_rows(wanted[:len(target)], columns, target)
-    return True
+            return None
+    return words
 
 
 COMPRESSIONS = {0: "none", 1: "rle", 2: "zips", 3: "zip", 4: "piz", 5: "pxr24", 6: "b44", 7: "b44a",
@@ -549,9 +598,10 @@ def picture_part(header: Header, read: Rows, apart: bool = False) -> NewPart:
     reads and writes with, which does all others: there the channels must be of one type. `apart`:
     these threads may call `read`, too.
     """
-    chunks = (_plain_chunks(header, read, apart) if header.compression in OWN_COMPRESSIONS
+    storage = storage_of(header)
+    chunks = (_plain_chunks(storage, read, apart) if storage.compression in OWN_COMPRESSIONS
               else _library_chunks(header, read))
-    return NewPart(header, storage_of(header).count, chunks)
+    return NewPart(header, storage.count, chunks)
 
 
 @cache
@@ -599,11 +649,10 @@ def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
             yield from made.copy_chunks(0)
 
 
-def _plain_chunks(header: Header, read: Rows, apart: bool) -> Iterator[tuple[int, bytes]]:
+def _plain_chunks(storage: Storage, read: Rows, apart: bool) -> Iterator[tuple[int, bytes]]:
     """The same from the top, packed here."""
-    data, line_bytes = header.data, header.data.width * sum(SAMPLE_BYTES[channel.kind]
-                                                            for channel in header.channels)
-    count, lines = oiio.get_int_attribute("threads"), LINES[header.compression]
+    data, line_bytes = storage.window, storage.line_bytes
+    count = oiio.get_int_attribute("threads")
     rows = rows_of_task(count)
     step = rows if apart else max(1, _PIECE_BYTES // (line_bytes * rows)) * rows
 
@@ -615,27 +664,28 @@ def _plain_chunks(header: Header, read: Rows, apart: bool) -> Iterator[tuple[int
                 some = slice(top - first, top - first + rows)
                 get = (partial(read, first, last) if apart
                        else partial(list, [channel[some] for channel in channels]))
-                yield partial(_pack, get, line_bytes, lines, data.y0 + top, header.compression)
+                yield partial(_pack, get, storage, data.y0 + top)
 
     packed = (chunk for chunks in run_in_order(file_threads(count), tasks(), 2 * count)
               for chunk in chunks)
     yield from enumerate(packed)
 
 
-def _pack(get: Callable[[], Sequence[np.ndarray]], line_bytes: int, lines: int, top: int,
-          compression: int) -> list[bytes]:
+def _pack(get: Callable[[], Sequence[np.ndarray]], storage: Storage, top: int) -> list[bytes]:
     """Chunks of the channels (rows, width) that `get` gives; the number of their first row is
     `top`."""
     from postfx.io.pixel_formats import compress_rows  # reading must not wait
 
     channels, at = get(), 0
-    stored = np.empty((len(channels[0]), line_bytes), np.uint8)
+    stored = np.empty((len(channels[0]), storage.line_bytes), np.uint8)
     for channel in channels:
         end = at + channel.shape[1] * channel.itemsize
         stored[:, at:end].view(channel.dtype)[:] = channel
         at = end
-    chunks = [stored[first : first + lines] for first in range(0, len(stored), lines)]
-    packed = [compress_rows(chunk) if compression != NO_COMPRESSION else chunk.tobytes()
-              for chunk in chunks]
-    return [struct.pack("<2i", top + place * lines, len(chunk)) + chunk
-            for place, chunk in enumerate(packed)]
+    found = []
+    for first in range(0, len(stored), storage.lines):
+        lines = stored[first : first + storage.lines]
+        chunk = (lines.tobytes() if storage.compression == NO_COMPRESSION
+                 else compress_rows(lines))
+        found.append(struct.pack("<2i", top + first, len(chunk)) + chunk)
+    return found
