@@ -415,6 +415,10 @@ class OutputFiles:
     for one frame; with {view} each view has a file of its own. Raises WriteError when the format is
     unknown, when several frames would share a file, when views that were read from files of their
     own would, or when an output would be an input; OutputExistsError from `check`.
+
+    Attributes:
+        display: whether they are pictures for a display.
+        has_views: whether every view has a file of its own.
     """
 
     def __init__(self, target: str, sequence: Sequence,
@@ -423,6 +427,7 @@ class OutputFiles:
         target = with_slashes(os.path.expanduser(target))
         self._pattern = _output_pattern(target, sequence.pattern)
         self.display = is_display_format(str(self._pattern))
+        self.has_views = self._pattern.has_views
         if len(sequence) > 1 and not self._pattern.is_numbered:
             stem, suffix = Path(target).stem, Path(target).suffix
             raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like "
@@ -441,11 +446,6 @@ class OutputFiles:
         """How the files are named, with # for digits."""
         return Path(str(self._pattern)).name
 
-    @property
-    def has_views(self) -> bool:
-        """Whether every view has a file of its own."""
-        return self._pattern.has_views
-
     def path(self, number: int) -> Path:
         """Output file of a frame, or of its first view."""
         return self.paths(number)[0]
@@ -456,10 +456,10 @@ class OutputFiles:
 
     def split(self, frame: Frame) -> list[tuple[Path, Frame]]:
         """A frame's output files, each with what goes into it."""
-        if not self.has_views:
-            return [(self.path(frame.number), frame)]
-        return [(path, replace(one, views={})) for path, one in
-                zip(self.paths(frame.number), (frame, *frame.views.values()), strict=True)]
+        pictures = [frame]
+        if self.has_views:
+            pictures = [replace(one, views={}) for one in (frame, *frame.views.values())]
+        return list(zip(self.paths(frame.number), pictures, strict=True))
 
     def check(self, numbers: tuple[int, ...]) -> None:
         """OutputExistsError when a file is already there and is to be neither overwritten nor

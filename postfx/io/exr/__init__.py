@@ -234,7 +234,7 @@ class _Start:
 
     def __init__(self, file: BinaryIO) -> None:
         self.at = 0
-        self._file, self._held = file, b""
+        self._file, self._held = file, file.read(_HEADER_BLOCK_BYTES)
 
     def take(self, count: int) -> bytes:
         """The next bytes."""
@@ -299,5 +299,4 @@ class _Start:
 
     def _hold(self, end: int) -> None:
         # twice as much each time
-        self._held += self._file.read(max(end - len(self._held), len(self._held),
-                                          _HEADER_BLOCK_BYTES))
+        self._held += self._file.read(max(end - len(self._held), len(self._held)))

@@ -11,7 +11,7 @@ import os
 import struct
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from itertools import islice
@@ -267,7 +267,7 @@ MAX_EMPTY = 1 << 28
 """Pixels that a display window may have with hardly any data in it: 16384x16384."""
 
 
-class ExrContainer(AbstractContextManager["ExrContainer"]):
+class ExrContainer(ExitStack):
     """An open OpenEXR file, its headers, and its chunks without decoding them. Use as a context
     manager.
 
@@ -282,8 +282,9 @@ class ExrContainer(AbstractContextManager["ExrContainer"]):
     """
 
     def __init__(self, path: Path, file: BinaryIO | None = None) -> None:
+        super().__init__()
         self.path = path
-        self._file = file or path.open("rb")
+        self._file = self.enter_context(file or path.open("rb"))
         self._lock = threading.Lock()  # of the place in the file
         try:
             self.size = os.fstat(self._file.fileno()).st_size
@@ -293,19 +294,12 @@ class ExrContainer(AbstractContextManager["ExrContainer"]):
             self.counts = [storage.count for storage in self.storages]
             self._offsets = self._read_table()
         except ReadError as error:
-            self._file.close()
+            self.close()
             raise ReadError(f"{path}: broken file: {error}; render or copy this frame "
                             "again") from None
         except BaseException:
-            self._file.close()
+            self.close()
             raise
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
 
     def chunks(self, part: int) -> list[Chunk]:
         """Chunks of a part in the order of its table. ReadError when one is missing or beyond the
