@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.colour.displays import Display
+from postfx.colour.displays import Display, parse_display
 from postfx.files import memory_file
+from postfx.frame import LINEAR, Frame
 from postfx.io.icc import make_profile
 from postfx.io.windows import Pixels
 
@@ -18,6 +19,11 @@ PIECE_BYTES = 16 << 20
 """Of pixels in float32 that are converted and written at once."""
 PIECE_ROWS = 16
 """Pieces have a multiple of them, which is what tiles and strips have."""
+
+
+def display_of(frame: Frame) -> Display | None:
+    """Display that a frame's code values are for, None where its colour is light."""
+    return None if frame.encoding in LINEAR else parse_display(frame.encoding)
 
 
 def tag_codes(spec: oiio.ImageSpec, display: Display, suffix: str) -> None:

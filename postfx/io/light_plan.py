@@ -15,11 +15,11 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.caching import Kept
-from postfx.colour.displays import Display, parse_display
-from postfx.frame import LINEAR, Frame, Role
+from postfx.frame import Frame, Role
+from postfx.io.encoder import display_of
 from postfx.io.exr import Header
-from postfx.io.exr.passthrough import enlargement_of, select_attributes, set_attributes, type_of
-from postfx.io.exr.picture import PictureHeader, tag_light
+from postfx.io.exr.passthrough import enlargement_of, select_attributes
+from postfx.io.exr.picture import PictureHeader, set_attributes, tag_light, type_of
 from postfx.io.windows import WINDOW_ATTRIBUTES, output_windows
 from postfx.version import __version__
 
@@ -36,11 +36,6 @@ _CODED = ("r", "g", "b", "y", "ry", "by")
 """Last words of the names of colours' channels."""
 
 
-def display_of(frame: Frame) -> Display | None:
-    """Display that a frame's code values are for, None where its colour is light."""
-    return None if frame.encoding in LINEAR else parse_display(frame.encoding)
-
-
 def find_light_plan(frame: Frame, half: bool, compression: str,
                     provenance: Mapping[str, Any]) -> tuple[LightPlan, Header]:
     """The plan of a frame, and the header of its picture."""
@@ -53,10 +48,10 @@ def find_light_plan(frame: Frame, half: bool, compression: str,
         half,
         compression,
     )
-    plan = _PLANS.find(key)
+    plan = _LIGHT_PLANS.find(key)
     header = plan.tell_header(frame, provenance) if plan else None
     if plan is None or header is None:
-        plan = _PLANS.keep(key, LightPlan(frame, half, compression, provenance, key))
+        plan = _LIGHT_PLANS.keep(key, LightPlan(frame, half, compression, provenance, key))
         header = plan.tell_header(frame, provenance)
     assert header is not None, "the plan is of this frame"
     return plan, header
@@ -131,7 +126,7 @@ class LightPlan:
 
 
 _VERSION = "postfx:version"
-_PLANS: Kept[object, LightPlan] = Kept(MOST_LIGHT_PLANS)
+_LIGHT_PLANS: Kept[object, LightPlan] = Kept(MOST_LIGHT_PLANS)
 
 
 def _name_parts(frame: Frame, parts: tuple[str, ...]) -> list[str]:

@@ -21,14 +21,20 @@ from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import OutputExistsError, WriteError
 from postfx.files import is_utf8, make_printable, output_file, with_slashes
 from postfx.frame import LINEAR, TOLD, Frame, Role
-from postfx.io.encoder import cut_pieces, encode_all, encode_pixel, tag_codes
+from postfx.io.encoder import cut_pieces, display_of, encode_all, encode_pixel, tag_codes
 from postfx.io.exr import Header
 from postfx.io.exr.container import COMPRESSIONS, Rows, can_compress
-from postfx.io.exr.passthrough import set_attributes
-from postfx.io.exr.picture import Picture, PictureHeader, light_of, to_halves, write_exr
+from postfx.io.exr.picture import (
+    Picture,
+    PictureHeader,
+    light_of,
+    set_attributes,
+    to_halves,
+    write_exr,
+)
 from postfx.io.image_file import reason_of
 from postfx.io.jpeg import JPEG_SUFFIXES, write_jpeg
-from postfx.io.light_plan import LightPlan, display_of, find_light_plan
+from postfx.io.light_plan import LightPlan, find_light_plan
 from postfx.io.pattern import PLANE_FIELD, VIEW_FIELD, Pattern, parse_pattern, split_folder
 from postfx.io.png import OWN_CHANNELS, write_png
 from postfx.io.quantisation import Dither, quantise

@@ -227,10 +227,21 @@ def test_pixels_are_taken_up_to_what_a_file_can_hold(source: Path, compression: 
         header = file.headers[0]
     pixel = sum(SAMPLE_BYTES[channel.kind] for channel in header.channels)
     size = next(size for size in range(4096, 8192) if (most * size + (1 << 20)) % pixel == 0)
-    header.set("compression", "compression", bytes([compression]))
-    header.set("dataWindow", "box2i", window(0, 0, (most * size + (1 << 20)) // pixel - 1, 0))
-    header.set("displayWindow", "box2i", header.attributes["dataWindow"].value)
-    assert storage_of(header).least_bytes == size
+    bounds = window(0, 0, (most * size + (1 << 20)) // pixel - 1, 0)
+
+    def change(header: Header) -> None:
+        header.set("compression", "compression", bytes([compression]))
+        header.set("dataWindow", "box2i", bounds)
+        header.set("displayWindow", "box2i", bounds)
+
+    with_header(source, change)
+    content = source.read_bytes().ljust(size, b"\0")
+    source.write_bytes(content[:size])
+    with ExrContainer(source) as file:
+        assert file.counts == [1]
+    source.write_bytes(content[:size - 1])
+    with pytest.raises(ReadError, match=f"its header claims .* pixels in {size - 1} bytes"):
+        ExrContainer(source)
 
 
 HDR = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n"

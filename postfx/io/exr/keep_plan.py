@@ -53,8 +53,8 @@ def merge_source(own: Header, rows: Rows, frame: Frame, alike: Hashable,
     if frame.source is None or Path(frame.source).suffix.lower() != ".exr":
         return [picture_part(own, rows, apart=True)]
     source = stack.enter_context(ExrContainer(Path(frame.source)))
-    key = alike, _key_of(source, frame)
-    plan = _PLANS.find(key) or _PLANS.keep(key, KeepPlan(own, source, frame))
+    key = alike, tuple(own.attributes), _key_of(source, frame)
+    plan = _KEEP_PLANS.find(key) or _KEEP_PLANS.keep(key, KeepPlan(own, source, frame))
     return plan.parts(own, rows, source, stack)
 
 
@@ -166,4 +166,4 @@ def _find_part(file: ImageFile, index: int) -> Part:
     return next(part for part in file.parts if part.index == index)
 
 
-_PLANS: Kept[tuple[Hashable, ...], KeepPlan] = Kept(MOST_KEEP_PLANS)
+_KEEP_PLANS: Kept[tuple[Hashable, ...], KeepPlan] = Kept(MOST_KEEP_PLANS)

@@ -24,13 +24,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
-import OpenImageIO as oiio
 
 from postfx.errors import WriteError
 from postfx.frame import ColourSource, Frame
@@ -40,7 +37,6 @@ from postfx.io.image_file import ImageFile
 from postfx.io.layout import ALPHA_OF_RED
 from postfx.io.windows import (
     AREA,
-    EXR_NAMES,
     PICTURE_ATTRIBUTE,
     Part,
     Window,
@@ -137,11 +133,6 @@ _DROPPED = (
     "wrapmodes",
 )
 _SCENE_REFERRED = ("chromaticities", "colorinteropid", "postfx:exposure", "postfx:exposureev")
-_NAMED_TYPES = {"timeCode": "timecode", "keyCode": "keycode", "framesPerSecond": "rational"}
-_STORED_NAMES = {name: stored for stored, name in EXR_NAMES.items()}
-_TUPLE_TYPES = {(float, 9): "matrix33", (float, 16): "matrix", (float, 3): "vector",
-                (int, 2): "vector2i"}
-_TYPE_WORDS = {float: "float", int: "int", str: "string"}
 
 
 def select_attributes(frame: Frame) -> dict[str, Any]:
@@ -160,33 +151,6 @@ def is_outdated(name: str, frame: Frame) -> bool:
     written with it."""
     outdated = _OUTDATED if frame.encoding == "scene-linear" else _OUTDATED + _SCENE_REFERRED
     return name.lower().startswith(outdated)
-
-
-def set_attributes(spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> None:
-    """Put attributes into an image's spec with the EXR types they had; values of other types are
-    left out."""
-    for name, value in attributes.items():
-        kind = type_of(value, name)
-        # another type than its name promises, or broken text
-        with suppress(TypeError, ValueError, RuntimeError):
-            if kind == "rational":
-                value = Fraction(value).limit_denominator(1001).as_integer_ratio()
-            if kind:
-                spec.attribute(_STORED_NAMES.get(name, name), oiio.TypeDesc(kind), value)
-
-
-def type_of(value: Any, name: str = "") -> str:
-    """The EXR type that an attribute is written as; '' where it cannot be."""
-    if name in _NAMED_TYPES:
-        return _NAMED_TYPES[name]
-    if isinstance(value, tuple):
-        kinds = {type(item) for item in value}
-        if len(kinds) != 1:
-            return ""
-        kind = kinds.pop()
-        return _TUPLE_TYPES.get((kind, len(value)),
-                                f"{_TYPE_WORDS[kind]}[{len(value)}]" if kind in _TYPE_WORDS else "")
-    return _TYPE_WORDS.get(type(value), "")
 
 
 RENDER = "render:"

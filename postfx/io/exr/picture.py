@@ -7,7 +7,8 @@ import io
 import struct
 import time
 from collections.abc import Hashable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +26,7 @@ from postfx.io.exr.keep_plan import merge_source
 from postfx.io.exr.passthrough import INVENTED
 from postfx.io.exr.views import View, merge_views
 from postfx.io.pixel_formats import halve, look_up
+from postfx.io.windows import EXR_NAMES
 
 TABLE_STEPS = 1 << 16
 """Of the table from code values to light."""
@@ -70,6 +72,40 @@ def tag_light(spec: oiio.ImageSpec, primaries: Chromaticities, white: float | No
     spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), primaries)
     if white is not None:
         spec.attribute("whiteLuminance", float(white))
+
+
+def set_attributes(spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> None:
+    """Put attributes into an image's spec with the EXR types they had; values of other types are
+    left out."""
+    for name, value in attributes.items():
+        kind = type_of(value, name)
+        # another type than its name promises, or broken text
+        with suppress(TypeError, ValueError, RuntimeError):
+            if kind == "rational":
+                value = Fraction(value).limit_denominator(1001).as_integer_ratio()
+            if kind:
+                spec.attribute(_STORED_NAMES.get(name, name), oiio.TypeDesc(kind), value)
+
+
+def type_of(value: Any, name: str = "") -> str:
+    """The EXR type that an attribute is written as; '' where it cannot be."""
+    if name in _NAMED_TYPES:
+        return _NAMED_TYPES[name]
+    if isinstance(value, tuple):
+        kinds = {type(item) for item in value}
+        if len(kinds) != 1:
+            return ""
+        kind = kinds.pop()
+        return _TUPLE_TYPES.get((kind, len(value)),
+                                f"{_TYPE_WORDS[kind]}[{len(value)}]" if kind in _TYPE_WORDS else "")
+    return _TYPE_WORDS.get(type(value), "")
+
+
+_NAMED_TYPES = {"timeCode": "timecode", "keyCode": "keycode", "framesPerSecond": "rational"}
+_STORED_NAMES = {name: stored for stored, name in EXR_NAMES.items()}
+_TUPLE_TYPES = {(float, 9): "matrix33", (float, 16): "matrix", (float, 3): "vector",
+                (int, 2): "vector2i"}
+_TYPE_WORDS = {float: "float", int: "int", str: "string"}
 
 
 class PictureHeader:
