@@ -147,6 +147,9 @@ class FrameFiles(ExitStack):
         guides: planes at output size, or None.
         alone: the parts of the picture that --leave keeps, or None.
         parts: layers that are parts of the picture, by name, of those that were asked for.
+        views: of stereo files, those that hold a colour, the one that is read first.
+        area: rectangle that the planes cover; None without any.
+        lacks_motion: whether the plane motion is to be estimated from the others.
     """
 
     def __init__(

@@ -295,8 +295,10 @@ class ImageFile(ExitStack):
 
 _PART_ATTRIBUTES = (*STORAGE_ATTRIBUTES, "name", "view", "multiView", PICTURE_ATTRIBUTE)
 """Of a header: those that tell what is known of its part."""
-_PARTS: Kept[tuple[object, ...], tuple[Part, ...]] = Kept(64)
-"""Parts of files by what their headers tell of them, or else by all of it."""
+MOST_KINDS_OF_FILES = 64
+"""Whose parts are kept."""
+_PARTS: Kept[tuple[object, ...], tuple[Part, ...]] = Kept(MOST_KINDS_OF_FILES)
+"""Parts of files by what their headers tell of them, or else by all that is known of them."""
 
 
 def _check_still(path: Path, spec: oiio.ImageSpec) -> None:
