@@ -35,6 +35,7 @@ _DECIDING = (*STORAGE_ATTRIBUTES, *SHARED_ATTRIBUTES, "name")
 _VARYING = "timeCode"
 """The one of these that every frame has its own of: only whether parts have the same counts."""
 MOST_KEEP_PLANS = 32
+"""A sequence has one for each kind of header that its frames have."""
 
 
 def merge_source(own: Header, rows: Rows, frame: Frame, alike: Hashable,
@@ -72,9 +73,8 @@ def _key_of(source: ExrContainer, frame: Frame) -> tuple[object, ...]:
     if colour is None:
         return tuple(stored), None
     changed = tuple([name for name, value in colour.attributes.items()
-                     if now.get(name, value) is not value
-                     and not np.array_equal(value, now[name])])
-    values = tuple([str(now[name]) for name in changed if name in SHARED_ATTRIBUTES])
+                     if not np.array_equal(value, now.get(name, value))])
+    values = tuple([str(now.get(name)) for name in changed if name in SHARED_ATTRIBUTES])
     return (tuple(stored), tuple(colour.attributes), changed, values, colour.part, colour.channels,
             colour.renders, tuple(colour.pixels.items()))
 
