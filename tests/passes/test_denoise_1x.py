@@ -211,7 +211,7 @@ def test_a_recalled_history_of_a_budget_is_of_the_same_network() -> None:
     assert whole.passes[0].choice() == "m"
     again = chain(size=OUTPUT, budget=1000)
     again.recall(sized(5, 1), {name: np.array(value) for name, value in whole.history().items()})
-    assert again.passes[0]._history._model == "denoise_upscale.m.1x"
+    assert again.passes[0]._history.model == "denoise_upscale.m.1x"
 
 
 @pytest.mark.usefixtures("models")

@@ -1,0 +1,374 @@
+"""The networks for windows of one size, and the buffers of the steps that take a window's picture
+through them."""
+
+from __future__ import annotations
+
+import math
+from collections import ChainMap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from postfx.caching import LRUCache
+from postfx.kernels.denoise import FINE, IN_HALF, MIX, TRUST_CELL
+from postfx.kernels.denoise.classic import STEPS
+from postfx.kernels.denoise.features import FEATURE
+from postfx.kernels.denoise.network_io import SOME
+from postfx.kernels.denoise.prepare import means_size
+from postfx.passes.denoise.graph import (
+    ALPHA,
+    CLASSIC_STEPS,
+    LAYER_STEPS,
+    NO_WORDS,
+    NOTHING,
+    SOMETIMES,
+    WINDOW_STEPS,
+    Each,
+    Over,
+    Table,
+    kernels_of,
+    run_steps,
+)
+from postfx.passes.denoise.history import ALPHA_LAYER, alone, one_of, some_of
+from postfx.passes.denoise.models import CLASSIC, doubts_planes, load_network
+from postfx.passes.denoise.network import (
+    CONTROLS_NAME,
+    ERROR,
+    PICTURE,
+    PRODUCTS,
+    Network,
+    alike_heads,
+    check_bindings,
+    free_dimensions,
+    heads_of,
+    is_half,
+    seen_by,
+    upload,
+)
+from postfx.passes.denoise.tiling import PYRAMID_LEVELS, Band, Window
+from postfx.runtime import CommandBuffer, Device, PipelineState, Tensor
+
+PLAIN, GUIDES_KIND, UNSCALED_KIND, GIVEN = "plain", "guides", "unscaled", "given"
+"""Words for what ends a window."""
+MOST_PLACES = 64
+"""Windows of one size whose positions stay on the device."""
+TOGETHER = 3
+"""Layers that are filtered at once: of each further one the weights are not read from memory again,
+but its intermediate results take memory."""
+THE_PICTURE = ""
+"""In `Targets`, in place of a layer's name."""
+
+Targets = Mapping[str, Mapping[str, Tensor]]
+"""What windows write: by layer, and by binding."""
+
+
+class Work(NamedTuple):
+    """What is done about a frame.
+
+    Attributes:
+        model: the network that runs.
+        params: exposure, jitter and gain, see `postfx.kernels.denoise`.
+        keep: whether the frame has a history.
+        still: whether everything is where it was in the last frame.
+        cells: squares of 4 pixels that have strength; None: all.
+        band: the windows that are worked on; None: the whole frame.
+        wider: whether light goes to wider primaries.
+        camera: what tells the motion of reflections; None: they move with their surfaces.
+    """
+
+    model: str
+    params: np.ndarray
+    keep: bool
+    still: bool
+    cells: np.ndarray | None
+    band: Band | None
+    wider: bool
+    camera: np.ndarray | None
+
+
+@dataclass
+class Layer:
+    """A layer beside the picture that a window's filters run on.
+
+    Attributes:
+        name: the filters write its 'light', and its 'next_part' unless it is the picture itself.
+        tensors: what the filters read of this frame, by binding. Without a 'part' the picture's
+            radiance is enlarged once more; without albedos the part has the picture's reflectance.
+        alone: whether it has no history in this frame, though the picture may have one.
+        last: the stack (n, height, width, 3) that holds its last output.
+        stack: the stack that its output goes to, where a window is the whole frame.
+        place: its place in both.
+    """
+
+    name: str
+    tensors: dict[str, Tensor]
+    alone: bool
+    last: Tensor
+    stack: Tensor
+    place: int
+
+    def follows(self, other: Layer) -> bool:
+        """Whether it can be filtered together with another one, behind it."""
+        alike = self.alone == other.alone and "part" in self.tensors and "part" in other.tensors
+        return alike and self.stack is other.stack and self.place == other.place + 1
+
+
+class Way(NamedTuple):
+    """How windows become pictures: by a network, or by the classical filter.
+
+    Attributes:
+        steps: what runs.
+        words: that hold in every frame.
+        half: whether heads and features are in half precision.
+        end: the word for what ends a window.
+        buffers: the network's own, among them its heads as 'head NAME'.
+        over: what steps run over.
+    """
+
+    steps: Table
+    words: frozenset[str] = NO_WORDS
+    half: bool = False
+    end: str = PLAIN
+    buffers: Mapping[str, Tensor] = MappingProxyType({})
+    over: Over = NOTHING
+
+
+class WindowGraph:
+    """The networks, and the buffers of the tables' steps, for windows of one size.
+
+    A guided one's models also read guides. A reactive one can use masks of how much history counts.
+    Models that doubt planes also read their mean. Where layers are filtered, too, the `whole` fine
+    head is kept for them.
+    """
+
+    def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
+                 reactive: bool = False, whole: bool = False) -> None:
+        self._device, self._window, self._guided, self._whole = device, window, guided, whole
+        dims = free_dimensions(window.padded_size)
+        states = {model: load_network(device, model, dims) for model in models if model != CLASSIC}
+        for state in states.values():
+            check_bindings(state)
+        self._places: LRUCache[Window, dict[str, Tensor]] = LRUCache(MOST_PLACES)
+        self._made = self._common_buffers(reactive, any(map(doubts_planes, states)))
+        between = cache(self._new)  # of several networks only one runs in a frame
+        seen = {name: shape for state in states.values() for name, shape in seen_by(state).items()}
+        read = {name: self._new(name, shape) for name, shape in seen.items()}
+        read |= {name: between(name, state.shapes[name], "float16")
+                 for state in states.values() if is_half(state)
+                 for name in IN_HALF[FEATURE].writes if name in state.shapes}
+        self._ways = {model: self._way_of(state, doubts_planes(model), read, between)
+                      for model, state in states.items()}
+        if states:
+            ends = {way.end for way in self._ways.values()}
+            level = self._new("level 0", (4, *window.level(0)))
+            self._made |= read | self._pyramid_buffers(level, ends)
+        if CLASSIC in models:
+            self._made |= self._classic_buffers()
+            self._ways[CLASSIC] = Way(CLASSIC_STEPS)
+        may = SOMETIMES - (NO_WORDS if reactive else {"masked"})
+        for way in self._ways.values():
+            some = may if f"head {ERROR}" in way.buffers else may - {ERROR}
+            device.make_ready(*kernels_of(way.steps, way.words | some, way.over, way.half))
+        self._layer_buffers: dict[int, dict[str, Tensor]] = {}
+
+    def encode(self, commands: CommandBuffer, window: Window, model: str,
+               tensors: Mapping[str, Tensor], targets: Targets, moves: bool, masked: bool,
+               layers: Sequence[Layer] = ()) -> None:
+        """Record the work on a window of this graph's size.
+
+        Args:
+            tensors: the frame's planes, its history and whatever exists once a frame, by the
+                kernels' names.
+            targets: what is written. The expected error is, where there is a place for it.
+            moves: whether the last output has to be warped to this frame. If not, it is read as it
+                is, in a window of the whole frame, because it is in place already or does not
+                matter.
+            masked: whether the reactive masks of this frame and the last say how much of the
+                history each pixel keeps. If not, one number says it for all.
+            layers: what is filtered beside the picture.
+        """
+        picture, way = targets[THE_PICTURE], self._ways[model]
+        now = {"moves": moves, "masked": masked, ERROR: ERROR in picture}
+        words = frozenset(word for word, holds in now.items() if holds)
+        own = {"keep": self._made["keep"] if masked else tensors["keep"],
+               "warped": self._made["warped"] if moves else tensors["history"]}
+        buffers = ChainMap(own, self._place(window), dict(picture), dict(tensors),
+                           dict(way.buffers), self._made)
+        run_steps(commands, way.steps, buffers, words | way.words, way.over, way.half)
+        at_once = window == Window.whole(window.frame) and not self._device.scratch
+        for some in _together(layers, TOGETHER if at_once else 1):
+            self._encode_layers(commands, some, way, buffers, targets)
+
+    def _encode_layers(self, commands: CommandBuffer, layers: Sequence[Layer], way: Way,
+                       buffers: ChainMap[str, Tensor], targets: Targets) -> None:
+        """Record the work on layers that are filtered at once, after the picture's."""
+        first, words = layers[0], way.words & {"gpu"}
+        light = targets[first.name]["light"]
+        seen = buffers.new_child({**(self._nothing if first.alone else {}), **first.tensors})
+        if first.name == ALPHA_LAYER:
+            own = self._layers_of(1, 1) | {"enlarged": light}
+            run_steps(commands, ALPHA, seen.new_child(own), words, half=way.half)
+            return
+        own = dict(self._layers_of(len(layers), 3))
+        own["last"] = some_of(first.last, first.place, len(layers))
+        own["light"] = alone(light)
+        if len(layers) > 1:
+            own["light"] = some_of(first.stack, first.place, len(layers))
+        shares = []
+        if "part" in first.tensors:
+            words |= {"filtered"}
+            shares = [self._share(layer, i, own, targets) for i, layer in enumerate(layers)]
+        else:
+            own["radiance"] = self._shaded(way.end)
+        run_steps(commands, LAYER_STEPS, seen.new_child(own), words, {"layers": shares}, way.half)
+
+    def _share(self, layer: Layer, i: int, stacks: Mapping[str, Tensor], targets: Targets) -> Each:
+        """What kernels of one layer read and write, the `i`-th of some."""
+        divided = "diffuse_albedo" in layer.tensors
+        own = {**layer.tensors, "part_level": some_of(stacks["pool 0"], 3 * i, 3),
+               "next_part": targets[layer.name]["next_part"],
+               **{name: some_of(stacks[name], 3 * i, 3) for name in ("filtered 0", "radiance")},
+               "factor": one_of(stacks["factor"], i) if divided else self._made["factor"]}
+        return Each(frozenset({"divided"} if divided else ()), own)
+
+    def _way_of(self, state: PipelineState, doubts: bool, read: Mapping[str, Tensor],
+                between: Callable[..., Tensor]) -> Way:
+        """The way through a network, which reads some tensors; `between` makes others."""
+        half = is_half(state)
+        coded = bool(state.products) and not (half or self._whole)
+        heads, end = self._heads_of(state, half, coded, between), self._end_of(state, doubts)
+        network = Network(state, read, heads, between)
+        holding = {end: True, "guided": self._guided, "mirrored": "mirrored" in seen_by(state),
+                   "doubts": doubts, "stored": bool(network.stored), "coded": coded,
+                   "gpu": bool(self._device.gpu),
+                   "shaded": bool(self._device.gpu) and end == PLAIN}
+        words = frozenset(word for word, holds in holding.items() if holds)
+        means = self._made["means" if doubts else "no means"]
+        buffers = {"means": means, "fine": heads["fine"],
+                   **{f"head {name}": head for name, head in heads.items()},
+                   **network.coded, **network.stored}
+        return Way(WINDOW_STEPS, words, half, end, buffers, network.over)
+
+    def _end_of(self, state: PipelineState, doubts: bool) -> str:
+        frame = self._window.frame
+        unscaled = (frame.h, frame.w) == (frame.height, frame.width)
+        if PICTURE in heads_of(state):
+            return GIVEN
+        if self._guided:
+            return GUIDES_KIND
+        return UNSCALED_KIND if unscaled and doubts else PLAIN
+
+    def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
+        return self._device.heap.transient(name, shape, dtype)
+
+    def _heads_of(self, network: PipelineState, half: bool, coded: bool,
+                  between: Callable[..., Tensor]) -> dict[str, Tensor]:
+        """The heads that the filters read, by name; for levels that the network does not compute,
+        their constants. Of a fine head that is `coded`, made row by row in the kernels that read
+        it, only its last channels lie in memory."""
+        shapes, products = heads_of(network), f"{PRODUCTS}fine"
+        dtype = "float16" if half else "float32"
+        if coded:
+            shapes["fine"] = (1, FINE - MIX, *shapes["fine"][2:])
+        heads = {name: between(name, shape, dtype) for name, shape in shapes.items()}
+        if products in network.shapes and self._device.runs_rows:
+            behind = SOME * math.prod(shapes["fine"][2:])
+            both = between("fine and its products", (behind + math.prod(shapes["fine"]),))
+            heads |= {"fine": both.view("fine", shapes["fine"]),
+                      products: both.view(products, network.shapes[products], behind, "int32")}
+        if PICTURE in heads:
+            heads["fine"] = heads[CONTROLS_NAME]
+        for name, values in alike_heads(network).items():
+            size = (1, values.shape[1], *self._window.level(int(name[-1])))
+            heads[name] = upload(self._device.heap, name,
+                                 np.broadcast_to(values, size).astype(dtype), dtype)
+        return heads
+
+    def _common_buffers(self, reactive: bool, doubting: bool) -> dict[str, Tensor]:
+        """Buffers that the steps before the network write, and constants in their place."""
+        rows, columns, out = self._window.rows, self._window.columns, self._window.out
+        cells = (-(-side // TRUST_CELL) for side in (rows, columns))
+        shapes: dict[str, tuple[int, ...]] = {
+            "moved": (rows, columns, 2), "past": (rows, columns, 4),
+            "warped": (out.rows, out.columns, 3), "factor": (rows, columns, 3)}
+        shapes |= {"means": (*means_size(rows, columns), 3)} if doubting else {}
+        shapes |= {"trust": (*cells, 1)} if self._guided else {}
+        shapes |= {"keep": (rows, columns, 1)} if reactive else {}
+        made = {name: self._new(name, shape) for name, shape in shapes.items()}
+        return made | {"no means": upload(self._device.heap, "no means",
+                                          np.zeros((1, 1, 3), np.float32))}
+
+    def _pyramid_buffers(self, accumulated: Tensor, ends: set[str]) -> dict[str, Tensor]:
+        """Buffers of the steps behind the network, for windows that end in these ways."""
+        level, size = self._window.level, (self._window.rows + 2, self._window.columns + 2)
+        made = {"level 0": accumulated, "pool 0": accumulated.view("light 0", (3, *level(0))),
+                "importance 0": accumulated.view("importance 0", (1, *level(0)),
+                                                 3 * math.prod(level(0)))}
+        made |= {f"importance {i}": self._new(f"importance {i}", (1, *level(i)))
+                 for i in range(1, PYRAMID_LEVELS + 1)}
+        made |= {f"radiance {end}": self._new(f"radiance {end}", (3 if end == PLAIN else 6, *size))
+                 for end in ends - {GIVEN}}
+        return made | self._levels(3)
+
+    def _levels(self, channels: int) -> dict[str, Tensor]:
+        """Levels of the pyramid above the first, mixed and filtered ones."""
+        counts = {"pool": range(1, PYRAMID_LEVELS + 1), "mixed": range(PYRAMID_LEVELS),
+                  "filtered": range(PYRAMID_LEVELS + 1)}
+        return {f"{name} {i}": self._new(f"{name} {i}", (channels, *self._window.level(i)))
+                for name, levels in counts.items() for i in levels}
+
+    def _layers_of(self, count: int, channels: int) -> dict[str, Tensor]:
+        """Buffers for as many layers, made when as many are first filtered at once: of alpha, with
+        one channel, or of light."""
+        if count * channels not in self._layer_buffers:
+            rows, columns = self._window.rows, self._window.columns
+            made = self._layer_buffers[count * channels] = {
+                "pool 0": self._new("level of layers", (count * channels, *self._window.level(0))),
+                **self._levels(count * channels)}
+            if channels == 3:
+                made["radiance"] = self._new("radiance of parts",
+                                             (3 * count, rows + 2, columns + 2))
+                made["factor"] = self._new("factors of parts", (count, rows, columns, 3))
+        return self._layer_buffers[count * channels]
+
+    def _classic_buffers(self) -> dict[str, Tensor]:
+        rows, columns = self._window.rows, self._window.columns
+        distances = {f"step {far}": upload(self._device.heap, "step", np.full(1, far, np.float32))
+                     for far in STEPS}
+        return {"surface": self._new("surface", (6, rows, columns)), **distances,
+                **{f"smooth {k}": self._new(f"light {k}", (4, rows, columns)) for k in range(2)}}
+
+    @cached_property
+    def _nothing(self) -> dict[str, Tensor]:
+        """In place of a history, for layers without one."""
+        arrays = {"past": np.zeros(self._made["past"].shape, np.float32),
+                  "keep": np.zeros((1, 1, 1), np.float32)}
+        return {name: upload(self._device.heap, f"no {name}", array)
+                for name, array in arrays.items()}
+
+    def _shaded(self, end: str) -> Tensor:
+        """The picture's radiance with the reflectance of the render size."""
+        radiance = self._made[f"radiance {end}"]
+        size = (3, *radiance.shape[1:])
+        return radiance if end == PLAIN else radiance.view("radiance", size, math.prod(size))
+
+    def _place(self, window: Window) -> dict[str, Tensor]:
+        """Tensors that describe a window to the kernels, by buffer: see `Window.places`."""
+        return self._places.get_or_make(window, lambda: {
+            name: upload(self._device.heap, name, array)
+            for name, array in window.places().items()})
+
+
+def _together(layers: Sequence[Layer], most: int) -> list[list[Layer]]:
+    """Layers that are filtered at once, neighbours in a stack."""
+    found: list[list[Layer]] = []
+    for layer in layers:
+        if found and len(found[-1]) < most and layer.follows(found[-1][-1]):
+            found[-1].append(layer)
+        else:
+            found.append([layer])
+    return found
