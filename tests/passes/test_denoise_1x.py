@@ -14,7 +14,7 @@ from postfx.errors import PassOptionError
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise import models as model_names
-from postfx.passes.denoise.frame import Frames
+from postfx.passes.denoise.assembly import Frames
 from postfx.passes.denoise.models import UNSCALED, halo_of, model_of, seamless
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library

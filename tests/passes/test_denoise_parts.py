@@ -12,7 +12,7 @@ from postfx.errors import FrameError, PassOptionError
 from postfx.frame import PART_KINDS, Frame, Part, Role
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.passes.denoise import DenoiseUpscale, kinds
-from postfx.passes.denoise.frame import Frames
+from postfx.passes.denoise.assembly import Frames
 from postfx.passes.denoise.parts import coverage, mean_stops
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

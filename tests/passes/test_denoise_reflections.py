@@ -16,7 +16,7 @@ from postfx.integrate import pixel_positions, project
 from postfx.kernels.denoise.history import REFLECTIONS
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.history import NO_CAMERA, NO_FIT, Camera, Cameras
+from postfx.passes.denoise.reflections import NO_CAMERA, NO_FIT, Camera, Cameras
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.kernels import host_cuda

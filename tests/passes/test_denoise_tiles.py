@@ -13,8 +13,8 @@ from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.masks import Threshold, strength_of_converged
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.frame import Frames
-from postfx.passes.denoise.planes import Restore
+from postfx.passes.denoise.assembly import Frames
+from postfx.passes.denoise.output import Restore
 from postfx.passes.denoise.tiling import (
     CELL,
     COARSE,

@@ -17,8 +17,8 @@ from postfx.caching import LRUCache
 from postfx.errors import DeviceError, FrameError, PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.passes import MOST_SIZES, Pass, Reflection, ResidentFrame
-from postfx.passes.denoise.frame import Ready, ReadyNetwork, Wishes, widen_history
-from postfx.passes.denoise.history import Cameras, History, PartHistory, can_follow
+from postfx.passes.denoise.frame import Ready, ReadyNetwork, Wishes
+from postfx.passes.denoise.history import History, PartHistory
 from postfx.passes.denoise.models import (
     CLASSIC,
     GUIDED,
@@ -47,6 +47,8 @@ from postfx.passes.denoise.options import (
 )
 from postfx.passes.denoise.parts import Layers, checked_parts, has_noisy_alpha
 from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES, passthrough_roles
+from postfx.passes.denoise.primaries import widen_history
+from postfx.passes.denoise.reflections import Cameras, can_follow
 from postfx.passes.denoise.savings import (
     ALONE,
     EMPTY,

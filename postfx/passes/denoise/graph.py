@@ -1,22 +1,26 @@
 """The denoiser's frame as tables, to be read from top to bottom: which kernels run, when, on what.
 
-    WIDENED        colours in wider primaries, where the frame's own do not hold its light; at the
-                   end of the frame they come back
-    RESIZED        what the frame before left comes to this frame's size
-    PLANES         planes and guides come to the sizes at which they are read
+    WIDENED        colours go to wider primaries, where the frame's own do not hold its light, and
+                   come back at last (primaries.py)
+    PLANES         planes and guides come to the sizes at which they are read (planes.py)
     MASKED         the mask of where the history is not used, from the difference of two colours
-    REFLECTED      the motion of what smooth surfaces reflect
-    GATHERED       the frame's own alpha joins the mean of its samples
-    FRAME_NEEDS    what windows need of the whole frame
-    WINDOW_STEPS   take the picture of a window through a network; CLASSIC_STEPS do so without one
+    REFLECTED      the motion of what smooth surfaces reflect (reflections.py)
+    GATHERED       the frame's own alpha joins the mean of its samples (alpha.py)
+    RESIZED        what the frame before left comes to this frame's size (history.py)
+    FRAME_NEEDS    what windows need of the whole frame (assembly.py)
+    WINDOW_STEPS   take the picture of a window through a network (window.py, network.py);
+                   CLASSIC_STEPS do so without one
     LAYER_STEPS    filter what lies beside the picture in the same window, and so does ALPHA
     ASSEMBLED      windows are put together
-    RESTORED       the picture gets detail back; so do its parts
+    RESTORED       the picture gets detail back; so do its parts (output.py)
     BLENDED        the picture is blended with the input by strength; so are its parts
+    SUMMED         light adds up to the picture (parts.py)
     CORRECTED      alpha comes nearer to its mean and to the picture's colours
-    SUMMED         light adds up to the picture
     DECODED        what was filtered in the place of light gets its own values back
     PASSED_ON      planes beside colour come to the output's size
+
+`ReadyNetwork.encode` in frame.py records them in this order; the files named here hold their
+buffers.
 
 A step runs where all of its words hold, and none of those behind `unless`:
 
@@ -167,9 +171,6 @@ def step(kernel: Kernel | None, when: str = "", unless: str = "", over: str = ""
 # Before the windows: planes and history as these read them.
 
 WIDENED: Table = {"primaries": (step(CONVERT_PRIMARIES),)}
-RESIZED: Table = {"resize": (
-    step(RESIZE, "state"),
-    step(RESAMPLE, over="planes", rows="at_rows", columns="at_columns"))}
 PLANES: Table = {"resample": (step(RESAMPLE, over="planes"),)}
 MASKED: Table = {"reactive": (step(REACTIVE),)}
 REFLECTED: Table = {"reflections": (step(REFLECTIONS),)}
@@ -177,6 +178,9 @@ GATHERED: Table = {"gather alpha": (
     step(DILATE),
     step(alpha.NEAR_ALPHA, "gpu"),
     step(alpha.GATHER))}
+RESIZED: Table = {"resize": (
+    step(RESIZE, "state"),
+    step(RESAMPLE, over="planes", rows="at_rows", columns="at_columns"))}
 FRAME_NEEDS: Table = {"scale": (
     step(SCALE),
     step(SPREAD_MASK, "reactive"))}
@@ -210,7 +214,7 @@ def _filtering(i: int) -> Steps:
         step(FILTER, "", "gpu given coded", **buffers),
         step(FILTER_CODES, "coded", "given", **buffers),
         step(FILTER_MIXED, "gpu", "given shaded", **buffers),
-        step(FILTER_SHADED, "gpu shaded", radiance="radiance plain", **buffers))
+        step(FILTER_SHADED, "gpu shaded", **buffers))
 
 
 _POOLS = step(POOLS, "gpu", "given", finer="pool 0", finer_importance="importance 0",
@@ -248,16 +252,16 @@ OPENED: Steps = (
 ACCUMULATE_AND_FILTER: Steps = (
     step(ACCUMULATE, level="level 0"),
     *PYRAMID,
-    step(REMODULATE, "plain", "shaded", filtered="filtered 0", radiance="radiance plain"),
-    step(REMODULATE_BOTH, "guides", filtered="filtered 0", radiance="radiance guides"),
-    step(REMODULATE_BOTH, "unscaled", filtered="filtered 0", radiance="radiance unscaled"))
+    step(REMODULATE, "plain", "shaded", filtered="filtered 0"),
+    step(REMODULATE_BOTH, "guides", filtered="filtered 0"),
+    step(REMODULATE_BOTH, "unscaled", filtered="filtered 0"))
 ENLARGE: Steps = (
-    step(UPSAMPLE, "plain", "coded", radiance="radiance plain"),
-    step(CODES_PLAIN, "plain coded", radiance="radiance plain"),
-    step(UPSAMPLE_GUIDED, "guides", "coded", radiance="radiance guides"),
-    step(CODES_GUIDED, "guides coded", radiance="radiance guides"),
-    step(UPSAMPLE_UNSCALED, "unscaled", "coded", radiance="radiance unscaled"),
-    step(CODES_UNSCALED, "unscaled coded", radiance="radiance unscaled"),
+    step(UPSAMPLE, "plain", "coded"),
+    step(CODES_PLAIN, "plain coded"),
+    step(UPSAMPLE_GUIDED, "guides", "coded"),
+    step(CODES_GUIDED, "guides coded"),
+    step(UPSAMPLE_UNSCALED, "unscaled", "coded"),
+    step(CODES_UNSCALED, "unscaled coded"),
     step(BLEND_PICTURE, "given", picture="head picture", controls="head controls"),
     step(OPEN_ERROR, "error", log_error="head error"))
 WINDOW_STEPS: Table = {
@@ -303,10 +307,10 @@ BLENDED: Table = {
         step(STRENGTH, "mixed in_place", over="rows", plain="result", denoised="result",
              output="denoised"),
         step(STRENGTH, "mixed", over="rows"))}
+SUMMED: Table = {"balance": (step(BALANCE),)}
 CORRECTED: Table = {"correct alpha": (
     step(alpha.FIT),
     step(alpha.CORRECT))}
-SUMMED: Table = {"balance": (step(BALANCE),)}
 DECODED: Table = {"decode": (
     step(DECODE, unless="single"),
     step(DECODE_ONE, "single"))}

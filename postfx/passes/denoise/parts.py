@@ -12,10 +12,12 @@ from postfx.errors import FrameError
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
 from postfx.passes import ResidentFrame
+from postfx.passes.denoise.alpha import Alpha
 from postfx.passes.denoise.graph import DECODED, SUMMED, run_steps
 from postfx.passes.denoise.history import (
     ALPHA_LAYER,
     WHOLE,
+    LayerHistory,
     PartHistory,
     alone,
     make_zeros,
@@ -25,7 +27,8 @@ from postfx.passes.denoise.history import (
 )
 from postfx.passes.denoise.kinds import KINDS, LARGEST_FLOAT, LIGHT, REFLECTANCE_ROLES, Kind
 from postfx.passes.denoise.options import Size
-from postfx.passes.denoise.planes import ABSENT, Alpha, Resampler, Restore, Strength, absent_plane
+from postfx.passes.denoise.output import Restore, Strength
+from postfx.passes.denoise.planes import ABSENT, Resampler, absent_plane
 from postfx.passes.denoise.tiling import Rows
 from postfx.passes.denoise.window import THE_PICTURE, Layer, Work
 from postfx.runtime import CommandBuffer, Device, Tensor
@@ -137,33 +140,33 @@ class Layers:
                 continue
             fresh = history.turn(commands, self._render, work.keep)
             if name == ALPHA_LAYER and self._alpha:
-                tensors = {"params": self._params,
-                           **self._alpha.gather(commands, frame, planes, history, fresh)}
-                targets[name] = {"light": self._alpha.enlarged}
-                runs.append(Layer(name, tensors, True, self._alpha.enlarged, self._alpha.enlarged,
-                                  0))
+                tensors = self._alpha.gather(commands, frame, planes, history, fresh)
+                enlarged = self._alpha.enlarged
+                targets[name] = {"light": enlarged}
+                runs.append(Layer(name, {"params": self._params, **tensors}, True, enlarged,
+                                  enlarged, 0))
                 continue
-            output, part = history.output, history.next["last_part"]
-            tensors = {"params": self._exposed if name == WHOLE else self._params}
-            if name != WHOLE:
-                tensors |= {"last_part": history.last["last_part"],
-                            **self._inputs(name, frame, planes)}
-            last, stack, place = (alone(history.last["history"]), alone(output),
-                                  self._places.get(name, 0))
-            if name in self._places:
-                last, stack = self._history.stacks
-            if self._is_light(name):
-                stack = self._stack("blended")
+            last, stack, place = self._stacks_of(name, history)
             targets[name] = {"light": one_of(stack, place)}
+            tensors = {"params": self._exposed}
             if name != WHOLE:
-                targets[name]["next_part"] = part
-            alone_now = not (fresh and self._kind(name).stays)
-            runs.append(Layer(name, tensors, alone_now, last, stack, place))
+                targets[name]["next_part"] = history.next["last_part"]
+                tensors = {"params": self._params, "last_part": history.last["last_part"],
+                           **self._inputs(name, frame, planes)}
+            is_first = not (fresh and self._kind(name).stays)
+            runs.append(Layer(name, tensors, is_first, last, stack, place))
         if self._groups:
             targets[THE_PICTURE] = {"output": one_of(self._history.stacks[1], 0)}
             whole = self._history.layers[WHOLE]
             whole.frames = max(whole.frames, 1)  # the picture is its history where it does not run
         return runs, targets
+
+    def _stacks_of(self, name: str, history: LayerHistory) -> tuple[Tensor, Tensor, int]:
+        """The stacks that hold a layer's last output and its new one, and its place in both."""
+        if name not in self._places:
+            return alone(history.last["history"]), alone(history.output), 0
+        last, stack = self._history.stacks
+        return last, self._stack("blended") if self._is_light(name) else stack, self._places[name]
 
     def skip(self) -> None:
         """Begin a frame in which no layer runs."""
@@ -199,29 +202,31 @@ class Layers:
             whole = one_of(self._stack("blended"), 0) if WHOLE in self._runs else denoised
             self._balance(commands, group, self._stack("blended"), whole, denoised,
                           self._history.stacks[1])
-        values = {}
-        for name in self._runs:
-            if name == WHOLE:
-                continue
-            is_alpha = name == ALPHA_LAYER
-            value = self._history.layer(name).output
-            if self._alpha and is_alpha:
-                value = self._alpha.correct(commands, denoised)
-            elif not (self._is_light(name) or self._kind(name).are_distances):
-                value = self._decoded(commands, name, value)
-            raw = frame[Role.ALPHA] if is_alpha else self._raw[name]
-            if restore and self._kind(name).is_detailed:
-                place = (self._between(f"restored {name}", value.shape[2]) if strength
-                         else self._finished(name))
-                value = restore.encode_part(commands, raw, value, place)
-            if strength:
-                plain = self._plain_alpha if is_alpha else self._plain
-                value = strength.encode_part(commands, raw, value, rows, plain,
-                                             self._finished(name))
-            values[name] = value
+        values = {name: self._finish_layer(commands, frame, name, denoised, rows, restore, strength)
+                  for name in self._runs if name != WHOLE}
         values |= {name: self._resampled(commands, frame, name)
                    for name in self._parts if not self._kind(name).is_filtered}
         self._leave_all(commands, frame, values, picture, bool(restore or strength))
+
+    def _finish_layer(self, commands: CommandBuffer, frame: ResidentFrame, name: str,
+                      denoised: Tensor, rows: Rows, restore: Restore | None,
+                      strength: Strength | None) -> Tensor:
+        """Record what becomes of one layer behind the windows, as of the picture; returns it."""
+        kind, value, raw, plain = (self._kind(name), self._history.layer(name).output,
+                                   self._raw.get(name), self._plain)
+        if name == ALPHA_LAYER and self._alpha:
+            raw, plain = frame[Role.ALPHA], self._plain_alpha
+            value = self._alpha.correct(commands, denoised)
+        elif not (self._is_light(name) or kind.are_distances):
+            value = self._decoded(commands, name, value)
+        assert raw is not None  # as the layer ran
+        if restore and kind.is_detailed:
+            place = (self._between(f"restored {name}", value.shape[2]) if strength
+                     else self._finished(name))
+            value = restore.encode_part(commands, raw, value, place)
+        if strength:
+            value = strength.encode_part(commands, raw, value, rows, plain, self._finished(name))
+        return value
 
     def resample(self, commands: CommandBuffer, frame: ResidentFrame, picture: Tensor) -> None:
         """Record the work that only resamples the parts to output size, as for a picture that is

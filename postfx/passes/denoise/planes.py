@@ -1,39 +1,26 @@
 """Planes of a frame beside the network: stand-ins for those that it lacks or that are noise, planes
-that are only resampled, and the reactive mask; at the end the detail that the colour gets back,
-what alpha gets of its samples, and the blend with the input by strength.
-"""
+that are only resampled, and the reactive mask."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
-from functools import partial
 
 import numpy as np
 
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
-from postfx.kernels.denoise import FARTHEST, NEAR_CELL
-from postfx.kernels.denoise.alpha import near_cells
-from postfx.kernels.denoise.output import SUMS, TILE
+from postfx.kernels.denoise import FARTHEST
 from postfx.kernels.image import positions
 from postfx.kernels.statistics import coverage_noise
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.graph import (
     BLENDED,
-    CORRECTED,
-    GATHERED,
     MASKED,
-    NO_WORDS,
     ONE,
     PASSED_ON,
     PLANES,
-    RESTORED,
     Each,
     kernels_of,
     run_steps,
 )
-from postfx.passes.denoise.history import LayerHistory
 from postfx.passes.denoise.options import ReactiveOption, Size
-from postfx.passes.denoise.tiling import Rows, full_rows, rows_of, tiles_with
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 # Values of planes that a frame lacks at both sizes; networks are trained with the same values.
@@ -327,225 +314,3 @@ class Reactive:
             "colour": frame[Role.COLOUR], "opaque_colour": frame[Role.OPAQUE_COLOUR],
             "difference": self._difference, "reactive": self._output})
         return self._output
-
-
-# Samples a pixel: up to which no detail is looked for, that count once, and that count at most.
-NO_DETAIL_SAMPLES = 16
-FULL_EVIDENCE_SAMPLES = 64
-MOST_EVIDENCE_SAMPLES = 96
-PER_PIXEL, PER_TILE = ("colour", "denoised", "output"), ("judged", "sums", "detail")
-"""Buffers of restored detail that have the frame's rows, and those that have rows of tiles."""
-
-
-class Restore:
-    """For results of the input's size. Leaves frames alone that are known to have at most 16
-    samples a pixel, and jittered ones, whose samples do not lie where the result's pixels do."""
-
-    def __init__(self, device: Device, size: Size) -> None:
-        self._device = device
-        new, between = device.heap.tensor, device.heap.transient
-        tiles = -(-size.height // TILE), -(-size.width // TILE)
-        self._params, self._evidence = new("restore params", (4,)), new("evidence", (1,))
-        self._output = between("restored", (*size, 3))
-        self._judged, self._tiles = new("judged", (*tiles, 1)), tiles
-        self._rows, self._known = (0, size.height), np.zeros(tiles, bool)  # what 'judged' holds
-        self._tensors = {"params": self._params, "evidence": self._evidence,
-                         "sums": between("sums", (*tiles, SUMS)), "judged": self._judged,
-                         "detail": between("detail", (*tiles, 1)), "output": self._output}
-        device.make_ready(*kernels_of(RESTORED))
-
-    def acts_on(self, frame: ResidentFrame) -> bool:
-        """Whether a frame may get detail back."""
-        return (frame.jitter == (0.0, 0.0)
-                and (frame.samples or FULL_EVIDENCE_SAMPLES) > NO_DETAIL_SAMPLES)
-
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
-               cells: np.ndarray | None = None) -> Tensor:
-        """Record the work on the frame's own colour and the denoised one in `rows`, of which tiles
-        with active `cells` are judged, without cells all; returns the colour. For frames that it
-        acts on."""
-        self._rows = rows
-        self._judge_only(np.ones(self._tiles, bool) if cells is None else tiles_with(cells))
-        self._params.upload([frame.exposure_factor, 0.0, 0.0, 0.0])
-        self._evidence.upload([min(frame.samples or FULL_EVIDENCE_SAMPLES, MOST_EVIDENCE_SAMPLES)
-                               / FULL_EVIDENCE_SAMPLES])
-        planes = {**self._tensors, "colour": frame[Role.COLOUR], "denoised": denoised}
-        run_steps(commands, RESTORED, self._in_rows(planes))
-        return self._output
-
-    def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
-                    output: Tensor) -> Tensor:
-        """Record the same work on a part of the picture, after the picture itself: the part gets
-        back the same share."""
-        planes = {**self._tensors, "colour": noisy, "denoised": denoised, "output": output}
-        run_steps(commands, RESTORED, self._in_rows(planes), frozenset({"part"}))
-        return output
-
-    def _judge_only(self, tiles: np.ndarray) -> None:
-        if not np.array_equal(tiles, self._known):
-            self._known = tiles
-            self._judged.upload(tiles[..., None].astype(np.float32))
-
-    def _in_rows(self, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The frame's rows of tensors, or the rows of tiles that these are in."""
-        first, end = self._rows
-        tiles = first // TILE, -(-end // TILE)
-        return {name: rows_of(tensor, self._rows) if name in PER_PIXEL
-                else rows_of(tensor, tiles) if name in PER_TILE else tensor
-                for name, tensor in tensors.items()}
-
-
-FEW_SAMPLES, DRIFT_VARIANCE, SETTLED, LONGEST_ALPHA_FRAMES, RANDOM, SHARPER_ALPHA, BY_COLOUR = (
-    4, 1 / 32, 6, 16, 1 / 48, 0.4, 0.5
-)
-"""Samples a pixel of files that do not say. Variance, in units of a sample's, that a move adds to a
-mean of alpha; as how many samples filtered alpha counts; frames over which still alpha is averaged;
-variance in a sample's units that structure is compared with; how much sharper alpha is made that is
-twice as large; and the share of alpha that comes from colours where it has structure."""
-
-
-class Alpha:
-    """Brings filtered alpha nearer to a mean of its samples over the frames, which knows the
-    quarters of a pixel where things move by parts of one, and to the colours. Where alpha is 0 or 1
-    all around, there is nothing to do.
-
-    Attributes:
-        enlarged: where filtered alpha goes.
-    """
-
-    def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
-        self._scale = min(max(output.width / spec.width - 1, 0.0), 1.0)
-        new, between = device.heap.tensor, device.heap.transient
-        self._rates, self._gain = new("rates of alpha", (4,)), new("gain of alpha", (4,))
-        rows, columns = (device.wrap(name, np.arange(size, dtype=np.float32)) for name, size in
-                         (("alpha rows", spec.height), ("alpha columns", spec.width)))
-        moved = between("motion of alpha", (spec.height, spec.width, 2))
-        self._output, self.enlarged = (between("alpha", (*output, 1)),
-                                       between("enlarged alpha", (*output, 1)))
-        self._pixels = {"part_rows": rows, "part_columns": columns}
-        self._near = new("near alpha", (-(-spec.height // NEAR_CELL), -(-spec.width // NEAR_CELL)))
-        self._moved, self._finds_cells = moved, device.gpu is not None
-        self._fit = between("alpha by colours", (4, spec.height, spec.width))
-        self._words = frozenset({"gpu"} if self._finds_cells else ())
-        device.make_ready(*kernels_of(GATHERED, self._words), *kernels_of(CORRECTED))
-
-    def gather(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
-               history: LayerHistory, keep: bool) -> dict[str, Tensor]:
-        """Record the work that adds a frame's own alpha to the mean; returns what filters read of
-        it. Jittered alpha does not lie where the pixels do, and counts for nothing but in its own
-        frame."""
-        samples, jittered = frame.samples or FEW_SAMPLES, frame.jitter != (0.0, 0.0)
-        if not self._finds_cells:
-            self._near.upload(near_cells(frame.host_planes[Role.ALPHA][..., 0]))
-        self._rates.upload([float(keep and not history.resized and not jittered), 1 / samples,
-                            DRIFT_VARIANCE, 1 / LONGEST_ALPHA_FRAMES])
-        self._gain.upload([0.0 if jittered else 1 / SETTLED, RANDOM / samples,
-                           0.0 if jittered else SHARPER_ALPHA * self._scale,
-                           0.0 if jittered else BY_COLOUR])
-        last, found = (quarters.view(quarters.name,
-                                     (2 * quarters.shape[0], 2 * quarters.shape[1], 1))
-                                 for quarters in (history.last["samples"], history.next["samples"]))
-        self._next = {"next_samples": found, "next_doubt": history.next["doubt"]}
-        run_steps(commands, GATHERED, {
-            "alpha": frame[Role.ALPHA], "motion": planes[Role.MOTION], "depth": planes[Role.DEPTH],
-            "moved": self._moved, "rates": self._rates, "near": self._near, "samples": last,
-            "doubt": history.last["doubt"], **self._pixels, **self._next}, self._words)
-        return {"next_samples": found, "near": self._near}
-
-    def correct(self, commands: CommandBuffer, picture: Tensor) -> Tensor:
-        """Record the work on alpha that was filtered and enlarged, given the picture that the
-        filters made; returns alpha."""
-        run_steps(commands, CORRECTED, {
-            "picture": picture, "enlarged": self.enlarged, "moved": self._moved,
-            "near": self._near, "gain": self._gain, "fit": self._fit,
-            "corrected": self._output, **self._next})
-        return self._output
-
-
-class Strength:
-    """Blends from the input, which `plain` resamples, to the result by `amount`, times the plane
-    `strength` if the frame has one."""
-
-    def __init__(self, device: Device, spec: FrameSpec, output: Size, amount: float,
-                 plain: Resampler) -> None:
-        render, held = Size(spec.height, spec.width), spec.has(Role.STRENGTH)
-        self._plain = plain
-        self._in_place = device.runs_rows
-        self._output, self._copy = (device.heap.transient(name, (*output, 3))
-                                    for name in ("blend", "denoised rows"))
-        self._is_whole = amount == 1
-        self._amount = device.wrap("amount", np.full(1, amount, np.float32))
-        device.make_ready(*kernels_of(BLENDED, over={"rows": [Each(frozenset({"mixed"}))]}))
-        self._plane = Resampler(device, "strength", Role.STRENGTH, render, output) if held else None
-        self._strength = self._plane.output if self._plane else device.wrap(
-            "full strength", np.ones((*output, 1), np.float32))
-
-    def begin(self, frame: ResidentFrame, rows: Rows) -> dict[str, Tensor]:
-        """Where the denoised picture should go: to the result, as 'output', if most of its rows are
-        denoised fully, so that these are neither blended nor copied."""
-        plane = frame.host_planes.get(Role.STRENGTH) if self._is_whole and self._in_place else None
-        if plane is None:
-            return {}
-        first, end = self._full = full_rows(plane, positions(len(plane), self._output.shape[0],
-                                                             frame.jitter[1]), rows)
-        return {"output": self._output} if 2 * (end - first) > rows[1] - rows[0] else {}
-
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor,
-               rows: Rows) -> Tensor:
-        """Record the blend of the frame's own colour with the denoised one in `rows`, all others
-        have no strength; returns the colour. Not for frames whose strength `is_full`."""
-        colour, strength = frame[Role.COLOUR], frame[Role.STRENGTH] if self._plane else None
-        full = self._full if denoised is self._output else (rows[1], rows[1])
-        self._plain.aim(frame.jitter)
-        if self._plane:
-            self._plane.aim(frame.jitter)
-        commands.repeat((self, colour, strength, denoised, rows, full),
-                        partial(self._record, commands, colour, strength, denoised, rows, full))
-        return self._output
-
-    def _record(self, commands: CommandBuffer, colour: Tensor, strength: Tensor | None,
-                denoised: Tensor, rows: Rows, full: Rows) -> None:
-        words = {"mixed"}
-        pictures = {"denoised": denoised, "output": self._output}
-        if denoised is self._output:
-            words |= {"in_place"}
-            pictures |= {"denoised": self._copy, "result": denoised}
-        if self._plane and strength:
-            words |= {"varied"}
-            pictures["strength_rows"] = self._plane.rows
-            given = {"strength_plane": strength, "strength_columns": self._plane.columns}
-        else:
-            given = {}
-        self._blend(commands, self._plain, {**given, "colour": colour}, pictures,
-                    [(rows[0], full[0]), (full[1], rows[1])], rows, frozenset(words))
-
-    def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
-                    rows: Rows, plain: Resampler, output: Tensor) -> Tensor:
-        """Record the same work on a part of the picture, after the picture itself; `plain`
-        resamples parts."""
-        self._blend(commands, plain, {"colour": noisy}, {"denoised": denoised, "output": output},
-                    [rows], rows, frozenset({"mixed"}))
-        return output
-
-    def _blend(self, commands: CommandBuffer, plain: Resampler, given: Mapping[str, Tensor],
-               pictures: Mapping[str, Tensor], mixed: Sequence[Rows], rows: Rows,
-               words: frozenset[str]) -> None:
-        """Record the work on `pictures`, whose rows that are `mixed` are some of `rows`; beyond
-        these lies the input alone."""
-        output = pictures["output"]
-        between = {**pictures, "plain": plain.output, "plain_rows": plain.rows,
-                   "strength": self._strength}
-        alone = {"plain": output, "plain_rows": plain.rows}
-        over = [Each(kind, {name: rows_of(tensor, some) for name, tensor in tensors.items()})
-                for kind, tensors, ranges in (
-                    (words, between, mixed),
-                    (NO_WORDS, alone, [(0, rows[0]), (rows[1], output.shape[0])]))
-                for some in ranges if some[0] < some[1]]
-        run_steps(commands, BLENDED, {**given, "plain_columns": plain.columns,
-                                      "amount": self._amount}, over={"rows": over})
-
-    def is_full(self, frame: ResidentFrame) -> bool:
-        """Whether a frame is denoised fully everywhere, although it has a plane that could say
-        otherwise."""
-        strength = frame.host_planes.get(Role.STRENGTH) if self._is_whole else None
-        return strength is not None and bool((strength >= 1).all())

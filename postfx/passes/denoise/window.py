@@ -124,7 +124,6 @@ class Way(NamedTuple):
         steps: what runs.
         words: that hold in every frame.
         half: whether heads and features are in half precision.
-        end: the word for what ends a window.
         buffers: the network's own, among them its heads as 'head NAME'.
         over: what steps run over.
     """
@@ -132,7 +131,6 @@ class Way(NamedTuple):
     steps: Table
     words: frozenset[str] = NO_WORDS
     half: bool = False
-    end: str = PLAIN
     buffers: Mapping[str, Tensor] = MappingProxyType({})
     over: Over = NOTHING
 
@@ -163,9 +161,8 @@ class WindowGraph:
         self._ways = {model: self._way_of(state, doubts_planes(model), read, between)
                       for model, state in states.items()}
         if states:
-            ends = {way.end for way in self._ways.values()}
             level = self._new("level 0", (4, *window.level(0)))
-            self._made |= read | self._pyramid_buffers(level, ends)
+            self._made |= read | self._pyramid_buffers(level)
         if CLASSIC in models:
             self._made |= self._classic_buffers()
             self._ways[CLASSIC] = Way(CLASSIC_STEPS)
@@ -223,7 +220,7 @@ class WindowGraph:
             words |= {"filtered"}
             shares = [self._share(layer, i, own, targets) for i, layer in enumerate(layers)]
         else:
-            own["radiance"] = self._shaded(way.end)
+            own["radiance"] = _shaded(way.buffers["radiance"])
         run_steps(commands, LAYER_STEPS, seen.new_child(own), words, {"layers": shares}, way.half)
 
     def _share(self, layer: Layer, i: int, stacks: Mapping[str, Tensor], targets: Targets) -> Each:
@@ -251,7 +248,11 @@ class WindowGraph:
         buffers = {"means": means, "fine": heads["fine"],
                    **{f"head {name}": head for name, head in heads.items()},
                    **network.coded, **network.stored}
-        return Way(WINDOW_STEPS, words, half, end, buffers, network.over)
+        if end != GIVEN:
+            channels, border = 3 if end == PLAIN else 6, 2
+            buffers["radiance"] = between(f"radiance {end}", (
+                channels, self._window.rows + border, self._window.columns + border))
+        return Way(WINDOW_STEPS, words, half, buffers, network.over)
 
     def _end_of(self, state: PipelineState, doubts: bool) -> str:
         frame = self._window.frame
@@ -302,16 +303,14 @@ class WindowGraph:
         return made | {"no means": upload(self._device.heap, "no means",
                                           np.zeros((1, 1, 3), np.float32))}
 
-    def _pyramid_buffers(self, accumulated: Tensor, ends: set[str]) -> dict[str, Tensor]:
-        """Buffers of the steps behind the network, for windows that end in these ways."""
-        level, size = self._window.level, (self._window.rows + 2, self._window.columns + 2)
+    def _pyramid_buffers(self, accumulated: Tensor) -> dict[str, Tensor]:
+        """Buffers of the steps behind the network."""
+        level = self._window.level
         made = {"level 0": accumulated, "pool 0": accumulated.view("light 0", (3, *level(0))),
                 "importance 0": accumulated.view("importance 0", (1, *level(0)),
                                                  3 * math.prod(level(0)))}
         made |= {f"importance {i}": self._new(f"importance {i}", (1, *level(i)))
                  for i in range(1, PYRAMID_LEVELS + 1)}
-        made |= {f"radiance {end}": self._new(f"radiance {end}", (3 if end == PLAIN else 6, *size))
-                 for end in ends - {GIVEN}}
         return made | self._levels(3)
 
     def _levels(self, channels: int) -> dict[str, Tensor]:
@@ -350,17 +349,18 @@ class WindowGraph:
         return {name: upload(self._device.heap, f"no {name}", array)
                 for name, array in arrays.items()}
 
-    def _shaded(self, end: str) -> Tensor:
-        """The picture's radiance with the reflectance of the render size."""
-        radiance = self._made[f"radiance {end}"]
-        size = (3, *radiance.shape[1:])
-        return radiance if end == PLAIN else radiance.view("radiance", size, math.prod(size))
-
     def _place(self, window: Window) -> dict[str, Tensor]:
         """Tensors that describe a window to the kernels, by buffer: see `Window.places`."""
         return self._places.get_or_make(window, lambda: {
             name: upload(self._device.heap, name, array)
             for name, array in window.places().items()})
+
+
+def _shaded(radiance: Tensor) -> Tensor:
+    """Of the picture's radiance, the planes with the reflectance of the render size, the last
+    ones."""
+    channels, *size = radiance.shape
+    return radiance.view("radiance", (3, *size), (channels - 3) * math.prod(size))
 
 
 def _together(layers: Sequence[Layer], most: int) -> list[list[Layer]]:
