@@ -16,7 +16,7 @@ from postfx.frame import FrameSpec, Role
 from postfx.kernels import Kernel
 from postfx.kernels import denoise as kernels
 from postfx.passes.denoise import DenoiseUpscale, graph
-from postfx.passes.denoise.graph import WINDOW_STEPS, Step, kernels_of
+from postfx.passes.denoise.graph import WINDOW_STEPS, Step, kernels_of, shapes_of
 from postfx.passes.denoise.models import (
     CLASSIC,
     GUIDED,
@@ -195,6 +195,23 @@ def test_words_choose_the_steps_of_a_window(words, half, kernels):
     of a picture."""
     found = kernels_of(WINDOW_STEPS, frozenset(words.split()), half=half)
     assert [kernel.name for kernel in found] == [f"denoise_{name}" for name in kernels.split()]
+
+
+@pytest.mark.parametrize("end", ["plain", "plain coded", "plain gpu"])
+def test_buffers_have_the_shapes_of_the_kernels_that_write_them(end):
+    """By the size of the window, and of the pyramid's level."""
+    def sizes(level):
+        rows, columns = 48 >> level, 64 >> level
+        return {"th": 40, "tw": 50, "hp": rows, "wp": columns, "half_hp": rows // 2,
+                "half_wp": columns // 2, "planes": 3, "padded_h": 42, "padded_w": 52} | {
+            f"level{i}_{side}": size >> i
+            for i in range(1, 5) for side, size in (("h", 48), ("w", 64))}
+
+    found = shapes_of(WINDOW_STEPS, sizes, frozenset(end.split()))
+    assert found["moved"] == (40, 50, 2) and found["radiance"] == (3, 42, 52)
+    assert found["level 0"] == (4, 48, 64) and found["filtered 0"] == (3, 48, 64)
+    assert found["pool 2"] == (3, 12, 16) and found["importance 4"] == (1, 3, 4)
+    assert "keep" not in found and "warped" not in found, "of frames that are masked, or move"
 
 
 def steps_of_the_frame() -> list[Step]:

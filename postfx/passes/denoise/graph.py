@@ -70,7 +70,7 @@ A step that runs over several things runs on each of them by itself, where its o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -138,6 +138,7 @@ from postfx.kernels.image import ENLARGE_OVERLAY, RESAMPLE
 from postfx.kernels.partner import ENLARGE_MOTION
 from postfx.passes.denoise.tiling import PYRAMID_LEVELS
 from postfx.runtime import CommandBuffer, PipelineState, Tensor
+from postfx.runtime.states import parse
 
 
 class Step(NamedTuple):
@@ -147,6 +148,7 @@ class Step(NamedTuple):
         kernel: None for the network that the step runs over.
         when, unless: words of this module's description that must hold, and must not.
         over: what it runs over, each by itself; empty for one run.
+        level: of the pyramid, whose size its buffers have.
         buffers: names of the buffers of those bindings whose buffers have other names.
     """
 
@@ -154,6 +156,7 @@ class Step(NamedTuple):
     when: frozenset[str]
     unless: frozenset[str]
     over: str
+    level: int
     buffers: Mapping[str, str]
 
 
@@ -165,7 +168,7 @@ Table = Mapping[str, Steps]
 def step(kernel: Kernel | None, when: str = "", unless: str = "", over: str = "",
          **buffers: str) -> Step:
     """A step, with its words in one text."""
-    return Step(kernel, frozenset(when.split()), frozenset(unless.split()), over, buffers)
+    return Step(kernel, frozenset(when.split()), frozenset(unless.split()), over, 0, buffers)
 
 
 # Before the windows: planes and history as these read them.
@@ -201,7 +204,7 @@ def _filtering(i: int) -> Steps:
     head, area = f"head level{i}" if i else "head fine", f"area {i}"
     buffers = {"heads": head, "area": area, "filtered": f"filtered {i}"}
     if i == PYRAMID_LEVELS:
-        return (step(FILTER, unless="given", mixed=f"pool {i}", **buffers),)
+        return (step(FILTER, "", "given", mixed=f"pool {i}", **buffers),)
     buffers |= {"mixed": f"mixed {i}", "level": f"pool {i}", "coarse": f"filtered {i + 1}",
                 "coarse_rows": f"coarse_rows {i}", "coarse_columns": f"coarse_columns {i}"}
     if i > 0:
@@ -221,8 +224,10 @@ _POOLS = step(POOLS, "gpu", "given", finer="pool 0", finer_importance="importanc
               level1="pool 1", level2="pool 2", level3="pool 3", level4="pool 4",
               importance1="importance 1", importance2="importance 2",
               importance3="importance 3", importance4="importance 4")
-PYRAMID: Steps = (_POOLS, *map(_pool, range(1, PYRAMID_LEVELS + 1)),
-                  *(one for i in range(PYRAMID_LEVELS, -1, -1) for one in _filtering(i)))
+PYRAMID: Steps = (
+    _POOLS,
+    *(_pool(i)._replace(level=i) for i in range(1, PYRAMID_LEVELS + 1)),
+    *(one._replace(level=i) for i in range(PYRAMID_LEVELS, -1, -1) for one in _filtering(i)))
 """Filters 'pool 0' into 'filtered 0'."""
 
 PREPARE: Steps = (
@@ -356,6 +361,22 @@ def run_steps(commands: CommandBuffer, table: Table, buffers: Mapping[str, Tenso
             name = one.buffers.get(binding, binding)
             tensors[binding] = each.buffers[name] if name in each.buffers else buffers[name]
         commands.run(kernel, label, **tensors)
+
+
+def shapes_of(table: Table, sizes: Callable[[int], Mapping[str, int]],
+              words: frozenset[str] = NO_WORDS) -> dict[str, tuple[int, ...]]:
+    """Shapes of the buffers that steps may write where no more than these words hold, but for those
+    of what they run over; `sizes` of symbols at a level. What has other symbols is left out."""
+    found = dict[str, tuple[int, ...]]()
+    for _, one, _ in _steps_of(table, words, NOTHING, SOMETIMES):
+        assert one.kernel  # as it runs over nothing
+        known = sizes(one.level)
+        for binding in one.kernel.writes:
+            sides = [parse(side) for side in one.kernel.shapes[binding]]
+            if all(side.symbol is None or side.symbol in known for side in sides):
+                found[one.buffers.get(binding, binding)] = tuple(
+                    side.factor * known.get(side.symbol or "", 1) for side in sides)
+    return found
 
 
 def kernels_of(table: Table, words: frozenset[str] = NO_WORDS, over: Over = NOTHING,

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import math
 from collections import ChainMap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ from postfx.passes.denoise.graph import (
     LAYER_STEPS,
     NO_WORDS,
     NOTHING,
+    PYRAMID,
     SOMETIMES,
     WINDOW_STEPS,
     Each,
@@ -32,6 +33,7 @@ from postfx.passes.denoise.graph import (
     Table,
     kernels_of,
     run_steps,
+    shapes_of,
 )
 from postfx.passes.denoise.history import ALPHA_LAYER, alone, one_of, some_of
 from postfx.passes.denoise.models import CLASSIC, doubts_planes, load_network
@@ -123,13 +125,15 @@ class Way(NamedTuple):
     Attributes:
         steps: what runs.
         words: that hold in every frame.
+        may: those that hold in some.
         half: whether heads and features are in half precision.
-        buffers: the network's own, among them its heads as 'head NAME'.
+        buffers: what lies between the steps, and the network's heads as 'head NAME'.
         over: what steps run over.
     """
 
     steps: Table
     words: frozenset[str] = NO_WORDS
+    may: frozenset[str] = NO_WORDS
     half: bool = False
     buffers: Mapping[str, Tensor] = MappingProxyType({})
     over: Over = NOTHING
@@ -151,25 +155,20 @@ class WindowGraph:
         for state in states.values():
             check_bindings(state)
         self._places: LRUCache[Window, dict[str, Tensor]] = LRUCache(MOST_PLACES)
-        self._made = self._common_buffers(reactive, any(map(doubts_planes, states)))
-        between = cache(self._new)  # of several networks only one runs in a frame
+        self._may = SOMETIMES - (NO_WORDS if reactive else {"masked"})
+        between = self._between = cache(self._new)  # of several networks only one runs in a frame
         seen = {name: shape for state in states.values() for name, shape in seen_by(state).items()}
         read = {name: self._new(name, shape) for name, shape in seen.items()}
         read |= {name: between(name, state.shapes[name], "float16")
                  for state in states.values() if is_half(state)
                  for name in IN_HALF[FEATURE].writes if name in state.shapes}
-        self._ways = {model: self._way_of(state, doubts_planes(model), read, between)
+        self._ways = {model: self._way_of(state, doubts_planes(model), read)
                       for model, state in states.items()}
-        if states:
-            level = self._new("level 0", (4, *window.level(0)))
-            self._made |= read | self._pyramid_buffers(level)
         if CLASSIC in models:
-            self._made |= self._classic_buffers()
-            self._ways[CLASSIC] = Way(CLASSIC_STEPS)
-        may = SOMETIMES - (NO_WORDS if reactive else {"masked"})
+            self._ways[CLASSIC] = self._classic_way()
         for way in self._ways.values():
-            some = may if f"head {ERROR}" in way.buffers else may - {ERROR}
-            device.make_ready(*kernels_of(way.steps, way.words | some, way.over, way.half))
+            device.make_ready(*kernels_of(way.steps, way.words | way.may, way.over, way.half))
+        self._gpu_words = frozenset({"gpu"} if device.gpu else ())
         self._layer_buffers: dict[int, dict[str, Tensor]] = {}
 
     def encode(self, commands: CommandBuffer, window: Window, model: str,
@@ -191,10 +190,10 @@ class WindowGraph:
         picture, way = targets[THE_PICTURE], self._ways[model]
         now = {"moves": moves, "masked": masked, ERROR: ERROR in picture}
         words = frozenset(word for word, holds in now.items() if holds)
-        own = {"keep": self._made["keep"] if masked else tensors["keep"],
-               "warped": self._made["warped"] if moves else tensors["history"]}
-        buffers = ChainMap(own, self._place(window), dict(picture), dict(tensors),
-                           dict(way.buffers), self._made)
+        own = {} if masked else {"keep": tensors["keep"]}
+        own |= {} if moves else {"warped": tensors["history"]}
+        buffers = ChainMap(own, self._place(window), dict(picture), dict(way.buffers),
+                           dict(tensors))
         run_steps(commands, way.steps, buffers, words | way.words, way.over, way.half)
         at_once = window == Window.whole(window.frame) and not self._device.scratch
         for some in _together(layers, TOGETHER if at_once else 1):
@@ -203,7 +202,7 @@ class WindowGraph:
     def _encode_layers(self, commands: CommandBuffer, layers: Sequence[Layer], way: Way,
                        buffers: ChainMap[str, Tensor], targets: Targets) -> None:
         """Record the work on layers that are filtered at once, after the picture's."""
-        first, words = layers[0], way.words & {"gpu"}
+        first, words = layers[0], self._gpu_words
         light = targets[first.name]["light"]
         seen = buffers.new_child({**(self._nothing if first.alone else {}), **first.tensors})
         if first.name == ALPHA_LAYER:
@@ -218,41 +217,65 @@ class WindowGraph:
         shares = []
         if "part" in first.tensors:
             words |= {"filtered"}
-            shares = [self._share(layer, i, own, targets) for i, layer in enumerate(layers)]
+            shares = [_share(layer, i, own, targets[layer.name]["next_part"],
+                             way.buffers["factor"]) for i, layer in enumerate(layers)]
         else:
             own["radiance"] = _shaded(way.buffers["radiance"])
         run_steps(commands, LAYER_STEPS, seen.new_child(own), words, {"layers": shares}, way.half)
 
-    def _share(self, layer: Layer, i: int, stacks: Mapping[str, Tensor], targets: Targets) -> Each:
-        """What kernels of one layer read and write, the `i`-th of some."""
-        divided = "diffuse_albedo" in layer.tensors
-        own = {**layer.tensors, "part_level": some_of(stacks["pool 0"], 3 * i, 3),
-               "next_part": targets[layer.name]["next_part"],
-               **{name: some_of(stacks[name], 3 * i, 3) for name in ("filtered 0", "radiance")},
-               "factor": one_of(stacks["factor"], i) if divided else self._made["factor"]}
-        return Each(frozenset({"divided"} if divided else ()), own)
-
-    def _way_of(self, state: PipelineState, doubts: bool, read: Mapping[str, Tensor],
-                between: Callable[..., Tensor]) -> Way:
-        """The way through a network, which reads some tensors; `between` makes others."""
+    def _way_of(self, state: PipelineState, doubts: bool, read: Mapping[str, Tensor]) -> Way:
+        """The way through a network, which reads some tensors."""
         half = is_half(state)
         coded = bool(state.products) and not (half or self._whole)
-        heads, end = self._heads_of(state, half, coded, between), self._end_of(state, doubts)
-        network = Network(state, read, heads, between)
+        heads, end = self._heads_of(state, half, coded), self._end_of(state, doubts)
+        network = Network(state, read, heads, self._between)
         holding = {end: True, "guided": self._guided, "mirrored": "mirrored" in seen_by(state),
                    "doubts": doubts, "stored": bool(network.stored), "coded": coded,
                    "gpu": bool(self._device.gpu),
                    "shaded": bool(self._device.gpu) and end == PLAIN}
         words = frozenset(word for word, holds in holding.items() if holds)
-        means = self._made["means" if doubts else "no means"]
-        buffers = {"means": means, "fine": heads["fine"],
+        may = self._may if ERROR in heads else self._may - {ERROR}
+        accumulated = self._between("level 0", (4, *self._window.level(0)))
+        size, light = accumulated.shape[1:], 3
+        buffers = {"means": self._no_means, **self._written(WINDOW_STEPS, words | may), **read,
+                   "level 0": accumulated,
+                   "pool 0": accumulated.view("light 0", (light, *size)),
+                   "importance 0": accumulated.view("importance 0", (1, *size),
+                                                    light * math.prod(size)),
+                   "fine": heads["fine"],
                    **{f"head {name}": head for name, head in heads.items()},
                    **network.coded, **network.stored}
-        if end != GIVEN:
-            channels, border = 3 if end == PLAIN else 6, 2
-            buffers["radiance"] = between(f"radiance {end}", (
-                channels, self._window.rows + border, self._window.columns + border))
-        return Way(WINDOW_STEPS, words, half, buffers, network.over)
+        return Way(WINDOW_STEPS, words, may, half, buffers, network.over)
+
+    def _classic_way(self) -> Way:
+        """The way through the classical filter."""
+        may = self._may - {ERROR}
+        distances = {f"step {far}": upload(self._device.heap, "step", np.full(1, far, np.float32))
+                     for far in STEPS}
+        return Way(CLASSIC_STEPS, may=may,
+                   buffers=distances | self._written(CLASSIC_STEPS, may))
+
+    def _written(self, steps: Table, words: frozenset[str]) -> dict[str, Tensor]:
+        """The buffers that steps write where some words hold, at most. Frames bring those of what
+        windows write for them: the ones made here in their place then take no memory."""
+        return {name: self._between(name, shape)
+                for name, shape in shapes_of(steps, self._sizes, words).items()}
+
+    def _sizes(self, level: int, planes: int = 3) -> dict[str, int]:
+        """What symbols stand for in the shapes of kernels, at a level of the pyramid."""
+        window, out = self._window, self._window.out
+        sides = {
+            "t": (window.rows, window.columns),
+            "out_t": (out.rows, out.columns),
+            "padded_": (window.rows + 2, window.columns + 2),
+            "cells_": [-(-side // TRUST_CELL) for side in (window.rows, window.columns)],
+            "means_": means_size(window.rows, window.columns),
+            **{f"level{i}_": window.level(i) for i in range(1, PYRAMID_LEVELS + 1)}}
+        found = {f"{name}{side}": size for name, sizes in sides.items()
+                 for side, size in zip("hw", sizes, strict=True)}
+        rows, columns = window.level(level)
+        return found | {"hp": rows, "wp": columns, "half_hp": rows // 2, "half_wp": columns // 2,
+                        "planes": planes}
 
     def _end_of(self, state: PipelineState, doubts: bool) -> str:
         frame = self._window.frame
@@ -266,8 +289,8 @@ class WindowGraph:
     def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
         return self._device.heap.transient(name, shape, dtype)
 
-    def _heads_of(self, network: PipelineState, half: bool, coded: bool,
-                  between: Callable[..., Tensor]) -> dict[str, Tensor]:
+    def _heads_of(self, network: PipelineState, half: bool,
+                  coded: bool) -> dict[str, Tensor]:
         """The heads that the filters read, by name; for levels that the network does not compute,
         their constants. Of a fine head that is `coded`, made row by row in the kernels that read
         it, only its last channels lie in memory."""
@@ -275,10 +298,10 @@ class WindowGraph:
         dtype = "float16" if half else "float32"
         if coded:
             shapes["fine"] = (1, FINE - MIX, *shapes["fine"][2:])
-        heads = {name: between(name, shape, dtype) for name, shape in shapes.items()}
+        heads = {name: self._between(name, shape, dtype) for name, shape in shapes.items()}
         if products in network.shapes and self._device.runs_rows:
             behind = SOME * math.prod(shapes["fine"][2:])
-            both = between("fine and its products", (behind + math.prod(shapes["fine"]),))
+            both = self._between("fine and its products", (behind + math.prod(shapes["fine"]),))
             heads |= {"fine": both.view("fine", shapes["fine"]),
                       products: both.view(products, network.shapes[products], behind, "int32")}
         if PICTURE in heads:
@@ -289,71 +312,53 @@ class WindowGraph:
                                  np.broadcast_to(values, size).astype(dtype), dtype)
         return heads
 
-    def _common_buffers(self, reactive: bool, doubting: bool) -> dict[str, Tensor]:
-        """Buffers that the steps before the network write, and constants in their place."""
-        rows, columns, out = self._window.rows, self._window.columns, self._window.out
-        cells = (-(-side // TRUST_CELL) for side in (rows, columns))
-        shapes: dict[str, tuple[int, ...]] = {
-            "moved": (rows, columns, 2), "past": (rows, columns, 4),
-            "warped": (out.rows, out.columns, 3), "factor": (rows, columns, 3)}
-        shapes |= {"means": (*means_size(rows, columns), 3)} if doubting else {}
-        shapes |= {"trust": (*cells, 1)} if self._guided else {}
-        shapes |= {"keep": (rows, columns, 1)} if reactive else {}
-        made = {name: self._new(name, shape) for name, shape in shapes.items()}
-        return made | {"no means": upload(self._device.heap, "no means",
-                                          np.zeros((1, 1, 3), np.float32))}
-
-    def _pyramid_buffers(self, accumulated: Tensor) -> dict[str, Tensor]:
-        """Buffers of the steps behind the network."""
-        level = self._window.level
-        made = {"level 0": accumulated, "pool 0": accumulated.view("light 0", (3, *level(0))),
-                "importance 0": accumulated.view("importance 0", (1, *level(0)),
-                                                 3 * math.prod(level(0)))}
-        made |= {f"importance {i}": self._new(f"importance {i}", (1, *level(i)))
-                 for i in range(1, PYRAMID_LEVELS + 1)}
-        return made | self._levels(3)
-
-    def _levels(self, channels: int) -> dict[str, Tensor]:
-        """Levels of the pyramid above the first, mixed and filtered ones."""
-        counts = {"pool": range(1, PYRAMID_LEVELS + 1), "mixed": range(PYRAMID_LEVELS),
-                  "filtered": range(PYRAMID_LEVELS + 1)}
-        return {f"{name} {i}": self._new(f"{name} {i}", (channels, *self._window.level(i)))
-                for name, levels in counts.items() for i in levels}
-
     def _layers_of(self, count: int, channels: int) -> dict[str, Tensor]:
         """Buffers for as many layers, made when as many are first filtered at once: of alpha, with
         one channel, or of light."""
-        if count * channels not in self._layer_buffers:
-            rows, columns = self._window.rows, self._window.columns
-            made = self._layer_buffers[count * channels] = {
-                "pool 0": self._new("level of layers", (count * channels, *self._window.level(0))),
-                **self._levels(count * channels)}
+        planes = count * channels
+        if planes not in self._layer_buffers:
+            sizes = partial(self._sizes, planes=planes)
+            shapes = shapes_of({"pyramid": PYRAMID}, sizes, self._gpu_words)
+            made = self._layer_buffers[planes] = {
+                name: self._new(name, shape) for name, shape in shapes.items()
+                if not name.startswith("importance")}  # which is the picture's
+            made["pool 0"] = self._new("level of layers", (planes, *self._window.level(0)))
             if channels == 3:
-                made["radiance"] = self._new("radiance of parts",
-                                             (3 * count, rows + 2, columns + 2))
+                rows, columns = self._window.rows, self._window.columns
+                made["radiance"] = self._new("radiance of parts", (planes, rows + 2, columns + 2))
                 made["factor"] = self._new("factors of parts", (count, rows, columns, 3))
-        return self._layer_buffers[count * channels]
-
-    def _classic_buffers(self) -> dict[str, Tensor]:
-        rows, columns = self._window.rows, self._window.columns
-        distances = {f"step {far}": upload(self._device.heap, "step", np.full(1, far, np.float32))
-                     for far in STEPS}
-        return {"surface": self._new("surface", (6, rows, columns)), **distances,
-                **{f"smooth {k}": self._new(f"light {k}", (4, rows, columns)) for k in range(2)}}
+        return self._layer_buffers[planes]
 
     @cached_property
     def _nothing(self) -> dict[str, Tensor]:
         """In place of a history, for layers without one."""
-        arrays = {"past": np.zeros(self._made["past"].shape, np.float32),
+        size = self._window.rows, self._window.columns
+        arrays = {"past": np.zeros((*size, 4), np.float32),
                   "keep": np.zeros((1, 1, 1), np.float32)}
         return {name: upload(self._device.heap, f"no {name}", array)
                 for name, array in arrays.items()}
+
+    @cached_property
+    def _no_means(self) -> Tensor:
+        """In place of the mean reflectance, where planes are not doubted."""
+        return upload(self._device.heap, "no means", np.zeros((1, 1, 3), np.float32))
 
     def _place(self, window: Window) -> dict[str, Tensor]:
         """Tensors that describe a window to the kernels, by buffer: see `Window.places`."""
         return self._places.get_or_make(window, lambda: {
             name: upload(self._device.heap, name, array)
             for name, array in window.places().items()})
+
+
+def _share(layer: Layer, i: int, stacks: Mapping[str, Tensor], next_part: Tensor,
+           factor: Tensor) -> Each:
+    """What kernels of one layer read and write, the `i`-th of some. `factor`: the picture's."""
+    divided = "diffuse_albedo" in layer.tensors
+    own = {**layer.tensors, "part_level": some_of(stacks["pool 0"], 3 * i, 3),
+           "next_part": next_part,
+           **{name: some_of(stacks[name], 3 * i, 3) for name in ("filtered 0", "radiance")},
+           "factor": one_of(stacks["factor"], i) if divided else factor}
+    return Each(frozenset({"divided"} if divided else ()), own)
 
 
 def _shaded(radiance: Tensor) -> Tensor:
