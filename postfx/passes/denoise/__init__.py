@@ -50,16 +50,11 @@ from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES, passthrough_rol
 from postfx.passes.denoise.primaries import widen_history
 from postfx.passes.denoise.reflections import Cameras, can_follow
 from postfx.passes.denoise.savings import (
-    ALONE,
-    EMPTY,
-    LIT,
-    NOTHING,
-    REPEATED,
-    SAME,
-    STILL,
-    TILES,
-    UNFOLLOWED,
-    WHOLE,
+    NO_HISTORY,
+    NOTHING_MOVES,
+    REPEATED_NOISE,
+    UNFOLLOWED_REFLECTIONS,
+    Amount,
     Savings,
 )
 from postfx.passes.denoise.tiling import Sizes, active_cells, whole_tiles
@@ -393,19 +388,19 @@ class DenoiseUpscale(Pass):
             ready.error.forget()
         savings = Savings() if frame.history_only else self._savings
         if cells is not None and not cells.any():
-            savings.note_frame(NOTHING, 0.0)
+            savings.note_frame(Amount.NOTHING, 0.0)
             self._fresh = False
             return ready.encode_input(commands, frame)
         repeats = self._is_repeated(frame)
         keep = self._fresh and not (frame.reset or repeats) and Role.MOTION in frame
         if not keep and ready.is_empty(frame):
-            savings.note_frame(EMPTY, 0.0)
+            savings.note_frame(Amount.EMPTY, 0.0)
             self._fresh = False
             return ready.encode_empty(frame)
-        reasons = [REPEATED] if repeats else [] if keep else [ALONE]
+        reasons = [REPEATED_NOISE] if repeats else [] if keep else [NO_HISTORY]
         alike = self._likeness(frame, ready, keep)
         if alike is Alike.SAME and self._fresh and self._result:
-            savings.note_frame(SAME, 0.0, [REPEATED] if repeats else [])
+            savings.note_frame(Amount.SAME, 0.0, [REPEATED_NOISE] if repeats else [])
             return self._result
 
         lit = ready.lit_cells(frame) if cells is None and Role.MOTION not in frame else None
@@ -421,7 +416,7 @@ class DenoiseUpscale(Pass):
         camera = None
         if ready.reflections:
             camera, why = self._cameras.step(frame, keep and not still)
-            reasons += [(UNFOLLOWED, why)] if why else []
+            reasons += [(UNFOLLOWED_REFLECTIONS, why)] if why else []
         params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
         work = Work(ready.models[self._used], params, keep, still, cells, band, self._wider, camera)
         colour = ready.encode(commands, frame, work, reasons)
@@ -430,10 +425,10 @@ class DenoiseUpscale(Pass):
             self._keep_result(commands, colour)
 
         share = 1.0 if band is None else band.share
-        kind = WHOLE if share == 1 else TILES if lit is None else LIT
-        if still and kind == WHOLE:
-            reasons.append(STILL)
-        savings.note_frame(kind, share, reasons)
+        some = Amount.TILES if lit is None else Amount.LIT
+        if still and share == 1:
+            reasons.append(NOTHING_MOVES)
+        savings.note_frame(Amount.WHOLE if share == 1 else some, share, reasons)
         return colour
 
     def _choose(self, frame: ResidentFrame, ready: ReadyNetwork) -> str:

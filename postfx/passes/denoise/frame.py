@@ -37,7 +37,7 @@ from postfx.passes.denoise.planes import (
 )
 from postfx.passes.denoise.primaries import WiderPrimaries
 from postfx.passes.denoise.reflections import Reflections, can_follow
-from postfx.passes.denoise.savings import FULL, HAZY, Reason
+from postfx.passes.denoise.savings import FULL_STRENGTH, HAZY_DEPTH, Reason
 from postfx.passes.denoise.tiling import CELL, Sizes, grown
 from postfx.passes.denoise.window import THE_PICTURE, Work
 from postfx.runtime import CommandBuffer, Device, Tensor
@@ -159,7 +159,7 @@ class ReadyNetwork(Ready):
         self.frames.use(work.model)
         planes = self._planes.encode(commands, frame, work.model in self._blanking)
         if self._planes.hazy:
-            reasons.append(HAZY)
+            reasons.append(HAZY_DEPTH)
         if self._mask:
             planes["reactive"] = self._mask.encode(commands, frame)
         if self.reflections and work.camera is not None:
@@ -184,7 +184,7 @@ class ReadyNetwork(Ready):
 
         strength = self.strength
         if strength and strength.is_full(frame):
-            reasons.append(FULL)
+            reasons.append(FULL_STRENGTH)
             strength = None
         colour = denoised
         if restore:

@@ -2,7 +2,7 @@
 
     WIDENED        colours go to wider primaries, where the frame's own do not hold its light, and
                    come back at last (primaries.py)
-    PLANES         planes and guides come to the sizes at which they are read (planes.py)
+    RESAMPLED      planes and guides come to the sizes at which they are read (planes.py)
     MASKED         the mask of where the history is not used, from the difference of two colours
     REFLECTED      the motion of what smooth surfaces reflect (reflections.py)
     GATHERED       the frame's own alpha joins the mean of its samples (alpha.py)
@@ -14,7 +14,7 @@
     ASSEMBLED      windows are put together
     RESTORED       the picture gets detail back; so do its parts (output.py)
     BLENDED        the picture is blended with the input by strength; so are its parts
-    SUMMED         light adds up to the picture (parts.py)
+    BALANCED       light adds up to the picture (parts.py)
     CORRECTED      alpha comes nearer to its mean and to the picture's colours
     DECODED        what was filtered in the place of light gets its own values back
     PASSED_ON      planes beside colour come to the output's size
@@ -174,7 +174,7 @@ def step(kernel: Kernel | None, when: str = "", unless: str = "", over: str = ""
 # Before the windows: planes and history as these read them.
 
 WIDENED: Table = {"primaries": (step(CONVERT_PRIMARIES),)}
-PLANES: Table = {"resample": (step(RESAMPLE, over="planes"),)}
+RESAMPLED: Table = {"resample": (step(RESAMPLE, over="planes"),)}
 MASKED: Table = {"reactive": (step(REACTIVE),)}
 REFLECTED: Table = {"reflections": (step(REFLECTIONS),)}
 GATHERED: Table = {"gather alpha": (
@@ -240,11 +240,11 @@ PREPARE: Steps = (
     step(GUIDE, "guided"),
     step(TRUST, "guided"),
     step(MIRROR, "mirrored"))
-PACKED: Steps = (
+PACK_STEPS: Steps = (
     step(PACK, "halves", over="inputs", packed="closed"),
     step(STORE, "codes", "ringed", over="inputs", stored="closed"),
     step(STORE_RINGED, "codes ringed", over="inputs", stored="closed"))
-OPENED: Steps = (
+OPEN_STEPS: Steps = (
     step(OPEN_PHASED, "phased", over="outputs", phased_fine="closed", fine="head"),
     step(OPEN_LOGITS, "logits", over="outputs", fine_logits="closed", fine="head"),
     step(OPEN_FINE, "raw fine", over="outputs", raw_fine="closed", fine="head"),
@@ -271,9 +271,9 @@ ENLARGE: Steps = (
     step(OPEN_ERROR, "error", log_error="head error"))
 WINDOW_STEPS: Table = {
     "prepare": PREPARE,
-    "pack": PACKED,
+    "pack": PACK_STEPS,
     "network": (step(None, over="network"),),
-    "open": OPENED,
+    "open": OPEN_STEPS,
     "filter": ACCUMULATE_AND_FILTER,
     "upsample": ENLARGE}
 CLASSIC_STEPS: Table = {
@@ -312,7 +312,7 @@ BLENDED: Table = {
         step(STRENGTH, "mixed in_place", over="rows", plain="result", denoised="result",
              output="denoised"),
         step(STRENGTH, "mixed", over="rows"))}
-SUMMED: Table = {"balance": (step(BALANCE),)}
+BALANCED: Table = {"balance": (step(BALANCE),)}
 CORRECTED: Table = {"correct alpha": (
     step(alpha.FIT),
     step(alpha.CORRECT))}
@@ -340,14 +340,15 @@ class Each(NamedTuple):
 Over = Mapping[str, Sequence[Each]]
 """What steps run over, by name."""
 ONE: Sequence[Each] = (Each(),)
-NOTHING: Over = MappingProxyType({})
+OVER_NOTHING: Over = MappingProxyType({})
 NO_WORDS = frozenset[str]()
 SOMETIMES = frozenset({"moves", "masked", "error"})
 """Words that hold in some frames of a window and not in others."""
 
 
 def run_steps(commands: CommandBuffer, table: Table, buffers: Mapping[str, Tensor],
-              words: frozenset[str] = NO_WORDS, over: Over = NOTHING, half: bool = False) -> None:
+              words: frozenset[str] = NO_WORDS, over: Over = OVER_NOTHING,
+              half: bool = False) -> None:
     """Record the steps of a table that run where these words hold, on these buffers; in `half`
     precision where a kernel has that form. Buffers of what a step runs over come before others."""
     for label, one, each in _steps_of(table, words, over):
@@ -368,7 +369,7 @@ def shapes_of(table: Table, sizes: Callable[[int], Mapping[str, int]],
     """Shapes of the buffers that steps may write where no more than these words hold, but for those
     of what they run over; `sizes` of symbols at a level. What has other symbols is left out."""
     found = dict[str, tuple[int, ...]]()
-    for _, one, _ in _steps_of(table, words, NOTHING, SOMETIMES):
+    for _, one, _ in _steps_of(table, words, OVER_NOTHING, SOMETIMES):
         assert one.kernel  # as it runs over nothing
         known = sizes(one.level)
         for binding in one.kernel.writes:
@@ -379,7 +380,7 @@ def shapes_of(table: Table, sizes: Callable[[int], Mapping[str, int]],
     return found
 
 
-def kernels_of(table: Table, words: frozenset[str] = NO_WORDS, over: Over = NOTHING,
+def kernels_of(table: Table, words: frozenset[str] = NO_WORDS, over: Over = OVER_NOTHING,
                half: bool = False) -> list[Kernel]:
     """The kernels that may run where no more than these words hold."""
     found = [one.kernel for _, one, _ in _steps_of(table, words, over, SOMETIMES) if one.kernel]

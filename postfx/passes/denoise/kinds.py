@@ -49,9 +49,9 @@ class Kind:
         return self.divided == REFLECTANCE_ROLES
 
 
-LIGHT = Kind(divided=REFLECTANCE_ROLES)
+LIGHT_KIND = Kind(divided=REFLECTANCE_ROLES)
 KINDS = {
-    "light": LIGHT,
+    "light": LIGHT_KIND,
     "diffuse": Kind(divided=(Role.DIFFUSE_ALBEDO,), is_seen=True, is_sparse=True),
     "specular": Kind(divided=(Role.SPECULAR_ALBEDO,), is_seen=True, is_sparse=True),
     "scatter": Kind(on_surface=False),

@@ -37,7 +37,7 @@ CODES_NAME = "codes_"
 RING = 1
 """Border in pixels around 8-bit inputs, for networks whose first convolution reads beyond the
 picture."""
-WORDS = {PHASED_FINE: "phased", FINE_LOGITS: "logits", RAW: "raw", PRODUCTS: "sums"}
+OUTPUT_WORDS = {PHASED_FINE: "phased", FINE_LOGITS: "logits", RAW: "raw", PRODUCTS: "sums"}
 """Words for outputs that kernels open, by how their names begin: see `graph`."""
 MADE = (PACKED, RAW, PHASED_FINE, FINE_LOGITS, STORED, PRODUCTS, CODES_NAME)
 CHANNELS = {"features": FEATURES, "guides": GUIDES, "mirrored": MIRRORED}
@@ -158,7 +158,7 @@ class Network:
         if codes_features(state):
             packed.remove(name := f"{STORED}features")
             self.stored = {"coding": constants[f"{CODING}features"], "stored": made[name]}
-        outputs = [one for name, closed in made.items() if name.startswith((*WORDS,))
+        outputs = [one for name, closed in made.items() if name.startswith((*OUTPUT_WORDS,))
                    for one in _outputs(closed, constants, heads)]
         self.coded: dict[str, Tensor] = {}
         for output, product in state.products.items():
@@ -188,9 +188,9 @@ def _input(closed: Tensor, constants: Mapping[str, Tensor], seen: Mapping[str, T
 def _outputs(closed: Tensor, constants: Mapping[str, Tensor],
              heads: Mapping[str, Tensor]) -> list[Each]:
     """An output that a kernel opens, perhaps in several runs."""
-    begin = next(begin for begin in WORDS if closed.name.startswith(begin))
+    begin = next(begin for begin in OUTPUT_WORDS if closed.name.startswith(begin))
     name = closed.name.removeprefix(begin) or "fine"
-    words, head = frozenset({WORDS[begin]} | {"fine"} & {name}), heads[name]
+    words, head = frozenset({OUTPUT_WORDS[begin]} | {"fine"} & {name}), heads[name]
     if begin != PRODUCTS:
         return [Each(words, {"closed": closed, "head": head})]
     scaling = constants[f"{SCALING}{name}"]

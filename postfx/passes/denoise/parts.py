@@ -13,7 +13,7 @@ from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.alpha import Alpha
-from postfx.passes.denoise.graph import DECODED, SUMMED, run_steps
+from postfx.passes.denoise.graph import BALANCED, DECODED, run_steps
 from postfx.passes.denoise.history import (
     ALPHA_LAYER,
     WHOLE,
@@ -25,7 +25,7 @@ from postfx.passes.denoise.history import (
     places_of,
     some_of,
 )
-from postfx.passes.denoise.kinds import KINDS, LARGEST_FLOAT, LIGHT, REFLECTANCE_ROLES, Kind
+from postfx.passes.denoise.kinds import KINDS, LARGEST_FLOAT, LIGHT_KIND, REFLECTANCE_ROLES, Kind
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.output import Restore, Strength
 from postfx.passes.denoise.planes import ABSENT, Resampler, absent_plane
@@ -341,7 +341,7 @@ class Layers:
     def _balance(self, commands: CommandBuffer, group: Group, parts: Tensor, whole: Tensor,
                  picture: Tensor, balanced: Tensor) -> None:
         count = len(group.names)
-        run_steps(commands, SUMMED, {
+        run_steps(commands, BALANCED, {
             "parts": some_of(parts, group.first, count), "whole": whole, "picture": picture,
             "reached": self._reached[group.first], "complete": self._complete[group.first],
             "balanced": some_of(balanced, group.first, count)})
@@ -392,7 +392,7 @@ class Layers:
         return name == WHOLE or (name in self._parts and self._parts[name].is_light)
 
     def _kind(self, name: str) -> Kind:
-        return KINDS[self._parts[name].kind] if name in self._parts else LIGHT
+        return KINDS[self._parts[name].kind] if name in self._parts else LIGHT_KIND
 
 
 def _groups_of(parts: Sequence[Part]) -> list[Group]:

@@ -15,7 +15,7 @@ from postfx.passes.denoise.graph import (
     MASKED,
     ONE,
     PASSED_ON,
-    PLANES,
+    RESAMPLED,
     Each,
     kernels_of,
     run_steps,
@@ -54,7 +54,7 @@ class Resampler:
         self.columns = new(f"{name} columns", out_size[1:])
         self._aimed: tuple[tuple[float, float], tuple[float, float]] | None = None
         self.output = device.heap.transient(name, (*out_size, ROLES[role].channels))
-        device.make_ready(*kernels_of(PLANES, over={"planes": ONE}))
+        device.make_ready(*kernels_of(RESAMPLED, over={"planes": ONE}))
 
     def aim(self, jitter: tuple[float, float],
             out_jitter: tuple[float, float] = (0.0, 0.0)) -> None:
@@ -130,7 +130,7 @@ class Planes:
         moved += [resampler.plane(frame[role], frame.jitter, frame.guide_jitter)
                   for role, resampler in self._enlarged.items()]
         if moved:
-            run_steps(commands, PLANES, {}, over={"planes": moved})
+            run_steps(commands, RESAMPLED, {}, over={"planes": moved})
         planes = {"colour": frame[Role.COLOUR]} | {name: frame[role]
                                                    for role, name in self._held.items()}
         planes |= {f"guide_{role}": frame.guides[role] for role in self._guides}

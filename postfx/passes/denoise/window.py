@@ -24,7 +24,7 @@ from postfx.passes.denoise.graph import (
     CLASSIC_STEPS,
     LAYER_STEPS,
     NO_WORDS,
-    NOTHING,
+    OVER_NOTHING,
     PYRAMID,
     SOMETIMES,
     WINDOW_STEPS,
@@ -136,7 +136,7 @@ class Way(NamedTuple):
     may: frozenset[str] = NO_WORDS
     half: bool = False
     buffers: Mapping[str, Tensor] = MappingProxyType({})
-    over: Over = NOTHING
+    over: Over = OVER_NOTHING
 
 
 class WindowGraph:
@@ -156,9 +156,10 @@ class WindowGraph:
             check_bindings(state)
         self._places: LRUCache[Window, dict[str, Tensor]] = LRUCache(MOST_PLACES)
         self._may = SOMETIMES - (NO_WORDS if reactive else {"masked"})
-        between = self._between = cache(self._new)  # of several networks only one runs in a frame
+        new = device.heap.transient
+        between = self._between = cache(new)  # of several networks only one runs in a frame
         seen = {name: shape for state in states.values() for name, shape in seen_by(state).items()}
-        read = {name: self._new(name, shape) for name, shape in seen.items()}
+        read = {name: new(name, shape) for name, shape in seen.items()}
         read |= {name: between(name, state.shapes[name], "float16")
                  for state in states.values() if is_half(state)
                  for name in IN_HALF[FEATURE].writes if name in state.shapes}
@@ -286,9 +287,6 @@ class WindowGraph:
             return GUIDES_KIND
         return UNSCALED_KIND if unscaled and doubts else PLAIN
 
-    def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
-        return self._device.heap.transient(name, shape, dtype)
-
     def _heads_of(self, network: PipelineState, half: bool,
                   coded: bool) -> dict[str, Tensor]:
         """The heads that the filters read, by name; for levels that the network does not compute,
@@ -317,16 +315,16 @@ class WindowGraph:
         one channel, or of light."""
         planes = count * channels
         if planes not in self._layer_buffers:
-            sizes = partial(self._sizes, planes=planes)
+            new, sizes = self._device.heap.transient, partial(self._sizes, planes=planes)
             shapes = shapes_of({"pyramid": PYRAMID}, sizes, self._gpu_words)
             made = self._layer_buffers[planes] = {
-                name: self._new(name, shape) for name, shape in shapes.items()
+                name: new(name, shape) for name, shape in shapes.items()
                 if not name.startswith("importance")}  # which is the picture's
-            made["pool 0"] = self._new("level of layers", (planes, *self._window.level(0)))
+            made["pool 0"] = new("level of layers", (planes, *self._window.level(0)))
             if channels == 3:
                 rows, columns = self._window.rows, self._window.columns
-                made["radiance"] = self._new("radiance of parts", (planes, rows + 2, columns + 2))
-                made["factor"] = self._new("factors of parts", (count, rows, columns, 3))
+                made["radiance"] = new("radiance of parts", (planes, rows + 2, columns + 2))
+                made["factor"] = new("factors of parts", (count, rows, columns, 3))
         return self._layer_buffers[planes]
 
     @cached_property
