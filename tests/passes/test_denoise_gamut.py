@@ -12,7 +12,8 @@ from postfx.colour import TO_WIDER_PRIMARIES
 from postfx.doctor.first_frames import FirstFrames
 from postfx.frame import GUIDE_ROLES, Frame, Role
 from postfx.kernels.statistics import OUTSIDE, light_outside
-from postfx.passes.denoise import DenoiseUpscale, primaries
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise import frame as denoise_frame
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import flat, guided
@@ -90,7 +91,7 @@ def test_saturated_light_keeps_its_colour(options: dict[str, object], device: De
     pipeline = upscaler(device, **options)
     assert error_of_mean([pipeline(frame) for frame in frames][-1]) < 0.1
     assert is_wider(pipeline)
-    monkeypatch.setattr(primaries, "OUTSIDE", 1.0)
+    monkeypatch.setattr(denoise_frame, "OUTSIDE", 1.0)
     cut = upscaler(device, **options)
     assert error_of_mean([cut(frame)
                           for frame in frames][-1]) > 0.3, "each pixel's negative light is cut"
@@ -108,7 +109,7 @@ def test_ordinary_frames_stay_as_they_are(device: Device, monkeypatch: pytest.Mo
     pipeline = upscaler(device)
     found = [pipeline(frame)[Role.COLOUR] for frame in frames]
     assert not is_wider(pipeline)
-    monkeypatch.setattr(primaries, "OUTSIDE", 1.0)
+    monkeypatch.setattr(denoise_frame, "OUTSIDE", 1.0)
     never = upscaler(device)
     for one, frame in zip(found, frames, strict=True):
         np.testing.assert_array_equal(one, never(frame)[Role.COLOUR])
@@ -126,7 +127,7 @@ def test_a_light_comes_on_in_the_middle_of_a_shot(device: Device,
     assert states == [False, False, True, True]
     pipeline(replace(frames[0], reset=True))
     assert not is_wider(pipeline)
-    monkeypatch.setattr(primaries, "OUTSIDE", -1.0)
+    monkeypatch.setattr(denoise_frame, "OUTSIDE", -1.0)
     always = upscaler(device)
     for one, frame in zip(found, frames, strict=True):
         assert np.sqrt(np.mean((one - always(frame)[Role.COLOUR]) ** 2)) < 0.002, "0.018 without"

@@ -409,7 +409,7 @@ class DenoiseUpscale(Pass):
         if band and lit is not None:
             band = band.over(frame.spec.height)  # what is not lit is written, too
         gain = frame.exposure_factor / self._exposure if keep else 1.0
-        if not self._wider and ready.wider.help(frame):
+        if not self._wider and ready.is_outside(frame):
             self._widen(keep)
         self._used = self._choose(frame, ready)
         still = keep and gain == 1 and frame.is_blank(Role.MOTION)
@@ -478,8 +478,7 @@ class DenoiseUpscale(Pass):
         """Where the frame's strength is not 0, as squares of 4 pixels, or as tiles if these are
         judged."""
         cells = active_cells(frame.host_planes[Role.STRENGTH])
-        judges = ready.restore and ready.restore.acts_on(frame)
-        return whole_tiles(cells) if judges else cells
+        return whole_tiles(cells) if ready.may_restore(frame) else cells
 
     def _is_repeated(self, frame: ResidentFrame) -> bool:
         """Whether a frame's noise is that of the frame before. Not looked for where frames come on

@@ -11,7 +11,7 @@ import numpy as np
 
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise import GAIN
-from postfx.kernels.statistics import lit_cells
+from postfx.kernels.statistics import OUTSIDE, light_outside, lit_cells
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.assembly import Frames
 from postfx.passes.denoise.history import History, PartHistory
@@ -25,7 +25,12 @@ from postfx.passes.denoise.models import (
     reads_mirrored,
 )
 from postfx.passes.denoise.options import ReactiveOption, Size
-from postfx.passes.denoise.output import Restore, Strength
+from postfx.passes.denoise.output import (
+    FULL_EVIDENCE_SAMPLES,
+    NO_DETAIL_SAMPLES,
+    Restore,
+    Strength,
+)
 from postfx.passes.denoise.parts import Layers, OwnRun
 from postfx.passes.denoise.planes import (
     ExpectedError,
@@ -170,7 +175,7 @@ class ReadyNetwork(Ready):
                            else ([], {}))
         if self.layers and not filtered:  # alpha is only resampled
             self.layers.skip()
-        restore = self.restore if self.restore and self.restore.acts_on(frame) else None
+        restore = self.restore if self.may_restore(frame) else None
         rows = (self.frames.rows(work.band, work.cells) if filtered or restore or self.strength
                 else (0, 0))
         picture = targets.setdefault(THE_PICTURE, {})
@@ -202,6 +207,17 @@ class ReadyNetwork(Ready):
             frames.use(work.model)
             own = work._replace(params=run.params, still=work.still and bool(still))
             frames.encode(commands, run.planes, own, (), {THE_PICTURE: {"output": run.output}})
+
+    def is_outside(self, frame: ResidentFrame) -> bool:
+        """Whether so much of a frame's light lies outside its gamut. Not looked for on a GPU."""
+        colour = frame.host_planes.get(Role.COLOUR) if self._device.memory.host_visible else None
+        return colour is not None and light_outside(colour) > OUTSIDE
+
+    def may_restore(self, frame: ResidentFrame) -> bool:
+        """Whether a frame may get detail back. Not one that is known to have at most 16 samples a
+        pixel, nor a jittered one, whose samples do not lie where the result's pixels do."""
+        enough = (frame.samples or FULL_EVIDENCE_SAMPLES) > NO_DETAIL_SAMPLES
+        return self.restore is not None and frame.jitter == (0.0, 0.0) and enough
 
     def lit_cells(self, frame: ResidentFrame) -> np.ndarray | None:
         """The squares of 4 pixels whose result the picture's light decides; None if that is not

@@ -31,8 +31,7 @@ PER_TILE = ("judged", "sums", "detail")
 
 
 class Restore:
-    """For results of the input's size. Leaves frames alone that are known to have at most 16
-    samples a pixel, and jittered ones, whose samples do not lie where the result's pixels do."""
+    """Gives results of the input's size back what was detail in what the network removed."""
 
     def __init__(self, device: Device, size: Size) -> None:
         self._device = device
@@ -47,16 +46,10 @@ class Restore:
                          "detail": between("detail", (*tiles, 1)), "output": self._output}
         device.make_ready(*kernels_of(RESTORED))
 
-    def acts_on(self, frame: ResidentFrame) -> bool:
-        """Whether a frame may get detail back."""
-        return (frame.jitter == (0.0, 0.0)
-                and (frame.samples or FULL_EVIDENCE_SAMPLES) > NO_DETAIL_SAMPLES)
-
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
                cells: np.ndarray | None = None) -> Tensor:
         """Record the work on the frame's own colour and the denoised one in `rows`, of which tiles
-        with active `cells` are judged, without cells all; returns the colour. For frames that it
-        acts on."""
+        with active `cells` are judged, without cells all; returns the colour."""
         self._rows = rows
         self._judge_only(np.ones(self._tiles, bool) if cells is None else tiles_with(cells))
         self._params.upload([frame.exposure_factor, 0.0, 0.0, 0.0])

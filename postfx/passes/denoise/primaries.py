@@ -10,7 +10,6 @@ import numpy as np
 
 from postfx.colour import TO_WIDER_PRIMARIES
 from postfx.frame import Part, Role
-from postfx.kernels.statistics import OUTSIDE, light_outside
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.graph import WIDENED, run_steps
 from postfx.passes.denoise.history import WHOLE
@@ -33,11 +32,6 @@ class WiderPrimaries:
         self._lights = [part.name for part in parts if part.is_light]
         self._matrices: dict[bool, Tensor] = {}
         self._made: dict[str, Tensor] = {}
-
-    def help(self, frame: ResidentFrame) -> bool:
-        """Whether so much of a frame's light lies outside its gamut. Not looked for on a GPU."""
-        colour = frame.host_planes.get(Role.COLOUR) if self._device.memory.host_visible else None
-        return colour is not None and light_outside(colour) > OUTSIDE
 
     def widen(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         """Record the conversion of a frame's planes, guides and parts, which are replaced."""
