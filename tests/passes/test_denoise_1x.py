@@ -14,7 +14,7 @@ from postfx.errors import PassOptionError
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise import models as model_names
-from postfx.passes.denoise.frame import Frames
+from postfx.passes.denoise.assembly import Frames
 from postfx.passes.denoise.models import UNSCALED, halo_of, model_of, seamless
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
@@ -218,7 +218,7 @@ def test_a_recalled_history_of_a_budget_is_of_the_same_network() -> None:
     assert whole.passes[0].choice() == "m"
     again = chain(size=OUTPUT, budget=1000)
     again.recall(sized(5, 1), {name: np.array(value) for name, value in whole.history().items()})
-    assert again.passes[0]._history._model == "denoise_upscale.m.1x"
+    assert again.passes[0]._history.model == "denoise_upscale.m.1x"
 
 
 @pytest.mark.usefixtures("models")
