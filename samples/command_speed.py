@@ -3,10 +3,10 @@
 python samples/command_speed.py [--width 960] [--height 540] [--frames 40] [--runs 5] \\
     [--model m] [--ways 4]
 
-The frames are those of the sample, enlarged, with two kinds of noise in turn, as half floats in ZIP,
-one file each. A frame of the command is what 2 + `frames` of them take beyond 2; a frame of the
-passes is the median of calls with planes that are in memory, measured just before. Prints medians
-and ranges of seconds and of the ratio.
+The frames are those of the sample, enlarged, with two kinds of noise in turn, as half floats in
+ZIP, one file each. A frame of the command is what 2 + `frames` of them take beyond 2; a frame of
+the passes is the median of calls with planes that are in memory, measured just before. Prints
+medians and ranges of seconds and of the ratio.
 """
 import argparse
 import itertools
