@@ -20,14 +20,15 @@ LARGEST_HALF = 65504
 WORTH = 1 << 20
 """Bytes to look at or to copy that are worth another thread."""
 
-Divide = Callable[[Callable[[int, int], None], int], None]
+Divide = Callable[[Callable[[int, int], None], int, int], None]
+"""`divide(rows, count, nbytes)` runs `rows(first, last)` over 0 to count - 1, in several threads or
+in pieces that fit a memory budget. nbytes: of what all of it reads."""
 _lent: ContextVar[Divide | None] = ContextVar("divide", default=None)
 
 
 @contextmanager
 def lend(divide: Divide | None) -> Iterator[None]:
-    """Let `share` divide work by `divide(rows, count)`, which runs `rows(first, last)` in several
-    threads."""
+    """Let `share` divide work by `divide`."""
     token = _lent.set(divide)
     try:
         yield
@@ -36,13 +37,13 @@ def lend(divide: Divide | None) -> Iterator[None]:
 
 
 def share(rows: Rows, count: int, *arrays: np.ndarray) -> None:
-    """Run `rows(first, last, *arrays)` over rows 0 to count - 1, on the threads that are lent if it
-    is worth that. The first array is by far the largest."""
+    """Run `rows(first, last, *arrays)` over rows 0 to count - 1, divided as a pipeline lends it if
+    it is worth that. The first array is by far the largest."""
     divide = _lent.get()
     if divide is None or arrays[0].nbytes < 2 * WORTH:
         rows(0, count, *arrays)
     else:
-        divide(rows.bind(arrays), count)
+        divide(rows.bind(arrays), count, arrays[0].nbytes)
 
 
 copy_pieces = Rows("copy_pieces")
