@@ -53,7 +53,13 @@ from postfx.interpolate.timing import (
     keep_sparks,
     settle_sparks,
 )
-from postfx.interpolate.ways import Ways, compare_ways
+from postfx.interpolate.ways import (
+    FLOW_HANDICAP,
+    Ways,
+    compare_ways,
+    foretelling_error,
+    shares_of,
+)
 from postfx.motion.flow import (
     bring_to_time,
     consistent_motion,
@@ -288,9 +294,7 @@ class Between:
     @cached_property
     def _small(self) -> tuple[np.ndarray, np.ndarray]:
         """The grey pictures at one pixel a cell."""
-        first, last = (halve(toned, MARGIN) if self._scale == 2 else
-                       np.ascontiguousarray(toned[MARGIN:-MARGIN, MARGIN:-MARGIN])
-                       for toned in self._toned)
+        first, last = (_at_cells(toned, self._scale) for toned in self._toned)
         return first, last
 
     @cached_property
@@ -354,9 +358,46 @@ class Between:
     def _share_of_mean(self) -> float:
         """How much the mean of both frames counts, 0 to 1: all where one of them is black, as
         nothing shows how its light changed."""
-        if not all(picture.any() for picture in self._pictures):
+        if not self._all_lit:
             return 1.0
         return 0.0 if self._ways is None else self._ways.share_of_mean
+
+    @property
+    def _all_lit(self) -> bool:
+        return all(picture.any() for picture in self._pictures)
+
+    @cached_property
+    def _without_vectors(self) -> Between:
+        """The same time by estimated motion alone."""
+        frames = [replace(frame, views={}, planes={
+            role: plane for role, plane in frame.planes.items()
+            if role not in (Role.MOTION, Role.DEPTH)}) for frame in (self.before, self.after)]
+        return Between(*frames, **self._options)
+
+    @cached_property
+    def _shares(self) -> tuple[float, float, float] | None:
+        """How much the picture by vectors, the one by estimated motion and the mean of both frames
+        count, where the vectors or both ways may be wrong and a frame beside the two shows more;
+        None elsewhere."""
+        ways = self._ways
+        if ways is None or not self._all_lit or (ways.vectors_fit and not ways.share_of_mean):
+            return None
+        row = [self.before, self.after]
+        if self._earlier is not None and not self.before.reset:
+            row.insert(0, self._earlier)
+        if self._later is not None and not self._later.reset:
+            row.append(self._later)
+        if len(row) == 2 or any(frame[Role.COLOUR].shape[:2] != self._size for frame in row):
+            return None
+        other = self._without_vectors
+        shown = [_at_cells(tone(_finite(frame[Role.COLOUR]), self._level, MARGIN), self._scale)
+                 for frame in row]
+        motion, _ = self._cells_of(self.after)
+        flow = other._enlarge(other._estimated[1])
+        errors = [foretelling_error(shown, way)
+                  for way in (flow, np.zeros_like(flow), *([motion] if ways.vectors_fit else ()))]
+        flowing, mean, *given = shares_of([FLOW_HANDICAP * errors[0], *errors[1:]])
+        return (given[0] if given else 0.0), flowing, mean
 
     @cached_property
     def _has_depth(self) -> bool:
@@ -507,6 +548,12 @@ class Between:
     def _make_planes(self, t: float,
                      previous: float) -> tuple[dict[Role, np.ndarray], dict[str, np.ndarray]]:
         """Planes and parts at a time."""
+        made = self._make_all(t, previous)
+        return ({role: plane for role, plane in made.items() if isinstance(role, Role)},
+                {name: plane for name, plane in made.items() if not isinstance(name, Role)})
+
+    def _make_all(self, t: float, previous: float) -> dict[Role | str, np.ndarray]:
+        """Planes and parts at a time, together."""
         before, after = self.before, self.after
         cells, own, marks = self._choose(t)
         shared = [name for name, part in before.parts.items()
@@ -529,7 +576,7 @@ class Between:
         planes = Planes(self._lit(t), self._known, self._depths, *stacks)
         mixture = Mixture(t, self._scale, float(self._level), self._masked, back)
         picture, mixed, taken, motion = compose(cells, planes, mixture, Role.MOTION in after)
-        if self._share_of_mean > 0:
+        if self._shares is None and self._share_of_mean > 0:
             picture, mixed = (self._with_mean(t, picture, self._pictures),
                               self._with_mean(t, mixed, stacks[0]))
         if self._pictures is self._colours:
@@ -538,14 +585,15 @@ class Between:
             keep_sparks(self._sparks, t, own, marks, picture)
         made = split_planes(mixed, light) | split_planes(taken, data)
         made[Role.COLOUR] = self._put_over(picture, t)
+        if self._shares is not None:
+            made |= self._weigh_ways(t, made, light)
         if Role.MOTION in after:
             made[Role.MOTION] = motion
         if self._both_have(Role.OPAQUE_COLOUR):
             made[Role.OPAQUE_COLOUR] = picture
         if self._both_have(Role.OVERLAY):
             made[Role.OVERLAY] = self._overlay_at(t)
-        return ({role: plane for role, plane in made.items() if isinstance(role, Role)},
-                {name: plane for name, plane in made.items() if not isinstance(name, Role)})
+        return made
 
     def _with_mean(self, t: float, made: np.ndarray, pair: Pair) -> np.ndarray:
         """Planes of a time with as much of both frames' mean as counts."""
@@ -553,6 +601,19 @@ class Between:
         mean = one + np.float32(t) * (other - one)
         mixed: np.ndarray = made + np.float32(self._share_of_mean) * (mean - made)
         return mixed
+
+    def _weigh_ways(self, t: float, made: dict[Role | str, np.ndarray],
+                    light: dict[Role | str, Pair]) -> dict[Role | str, np.ndarray]:
+        """The colour and light of both frames, by all ways as they count; `made` by vectors."""
+        assert self._shares is not None
+        by_vectors, by_flow, by_mean = map(np.float32, self._shares)
+        flowing = self._without_vectors._make_all(t, 0.0)
+        means = {name: one + np.float32(t) * (other - one)
+                 for name, (one, other) in light.items()}
+        one, other = self._pictures
+        means[Role.COLOUR] = self._put_over(one + np.float32(t) * (other - one), t)
+        return {name: by_vectors * made[name] + by_flow * flowing[name] + by_mean * mean
+                for name, mean in means.items()}
 
     def _overlay_at(self, t: float) -> np.ndarray:
         one, other = self._overlays
@@ -623,6 +684,12 @@ class Interpolator:
         """Likewise, at a time in the unit of `push`, counted from the first frame's delta on."""
         first, last = self._times
         return self.frame((time - first) / (last - first), number)
+
+
+def _at_cells(toned: np.ndarray, scale: int) -> np.ndarray:
+    """A grey picture with margins, at one pixel a cell."""
+    return (halve(toned, MARGIN) if scale == 2
+            else np.ascontiguousarray(toned[MARGIN:-MARGIN, MARGIN:-MARGIN]))
 
 
 def _without_lost(motion: np.ndarray, longest: np.float32) -> np.ndarray:
