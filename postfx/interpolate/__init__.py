@@ -377,10 +377,9 @@ class Between:
     @cached_property
     def _shares(self) -> tuple[float, float, float] | None:
         """How much the picture by vectors, the one by estimated motion and the mean of both frames
-        count, where the vectors or both ways may be wrong and a frame beside the two shows more;
-        None elsewhere."""
+        count, where the mean would count and a frame beside the two shows more; None elsewhere."""
         ways = self._ways
-        if ways is None or not self._all_lit or (ways.vectors_fit and not ways.share_of_mean):
+        if ways is None or not self._all_lit or not ways.share_of_mean:
             return None
         row = [self.before, self.after]
         if self._earlier is not None and not self.before.reset:
@@ -548,14 +547,7 @@ class Between:
     def _make_planes(self, t: float,
                      previous: float) -> tuple[dict[Role, np.ndarray], dict[str, np.ndarray]]:
         """Planes and parts at a time."""
-        made = self._make_all(t, previous)
-        return ({role: plane for role, plane in made.items() if isinstance(role, Role)},
-                {name: plane for name, plane in made.items() if not isinstance(name, Role)})
-
-    def _make_all(self, t: float, previous: float) -> dict[Role | str, np.ndarray]:
-        """Planes and parts at a time, together."""
         before, after = self.before, self.after
-        cells, own, marks = self._choose(t)
         shared = [name for name, part in before.parts.items()
                   if name in after.parts and part.shape == after.parts[name].shape]
         exact = [name for name in shared
@@ -570,50 +562,51 @@ class Between:
         stacks = [(stack_planes([pair[0] for pair in group.values()], self._size),
                    stack_planes([pair[1] for pair in group.values()], self._size))
                   for group in (light, data)]
-        # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and
-        # 1
-        back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
-        planes = Planes(self._lit(t), self._known, self._depths, *stacks)
-        mixture = Mixture(t, self._scale, float(self._level), self._masked, back)
-        picture, mixed, taken, motion = compose(cells, planes, mixture, Role.MOTION in after)
-        if self._shares is None and self._share_of_mean > 0:
-            picture, mixed = (self._with_mean(t, picture, self._pictures),
-                              self._with_mean(t, mixed, stacks[0]))
+        (picture, mixed, taken, motion), own, marks = self._compose(t, previous, *stacks)
+        picture, mixed = self._weigh(t, (picture, mixed), stacks)
         if self._pictures is self._colours:
             follow_light((self._earlier, before, after, self._later), t, picture)
         if self._sparks is not None and marks is not None:
             keep_sparks(self._sparks, t, own, marks, picture)
         made = split_planes(mixed, light) | split_planes(taken, data)
         made[Role.COLOUR] = self._put_over(picture, t)
-        if self._shares is not None:
-            made |= self._weigh_ways(t, made, light)
         if Role.MOTION in after:
             made[Role.MOTION] = motion
         if self._both_have(Role.OPAQUE_COLOUR):
             made[Role.OPAQUE_COLOUR] = picture
         if self._both_have(Role.OVERLAY):
             made[Role.OVERLAY] = self._overlay_at(t)
-        return made
+        return ({role: plane for role, plane in made.items() if isinstance(role, Role)},
+                {name: plane for name, plane in made.items() if not isinstance(name, Role)})
 
-    def _with_mean(self, t: float, made: np.ndarray, pair: Pair) -> np.ndarray:
-        """Planes of a time with as much of both frames' mean as counts."""
-        one, other = pair
-        mean = one + np.float32(t) * (other - one)
-        mixed: np.ndarray = made + np.float32(self._share_of_mean) * (mean - made)
-        return mixed
+    def _compose(self, t: float, previous: float, light: Pair,
+                 data: Pair) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray | None]:
+        """What `compose` makes of both frames along paths, of planes that are mixed and of those
+        that are taken; then the last two of `_choose`."""
+        cells, own, marks = self._choose(t)
+        # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and
+        # 1
+        back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
+        planes = Planes(self._lit(t), self._known, self._depths, light, data)
+        mixture = Mixture(t, self._scale, float(self._level), self._masked, back)
+        return compose(cells, planes, mixture, Role.MOTION in self.after), own, marks
 
-    def _weigh_ways(self, t: float, made: dict[Role | str, np.ndarray],
-                    light: dict[Role | str, Pair]) -> dict[Role | str, np.ndarray]:
-        """The colour and light of both frames, by all ways as they count; `made` by vectors."""
-        assert self._shares is not None
-        by_vectors, by_flow, by_mean = map(np.float32, self._shares)
-        flowing = self._without_vectors._make_all(t, 0.0)
-        means = {name: one + np.float32(t) * (other - one)
-                 for name, (one, other) in light.items()}
-        one, other = self._pictures
-        means[Role.COLOUR] = self._put_over(one + np.float32(t) * (other - one), t)
-        return {name: by_vectors * made[name] + by_flow * flowing[name] + by_mean * mean
-                for name, mean in means.items()}
+    def _weigh(self, t: float, made: Pair, stacks: list[Pair]) -> Pair:
+        """The picture of a time and planes that are mixed like it, by all ways as they count;
+        `made` along paths. stacks: of both frames, planes that are mixed and that are taken."""
+        shares = self._shares or (1 - self._share_of_mean, 0.0, self._share_of_mean)
+        if shares[0] == 1:
+            return made
+        flowing: tuple[np.ndarray, ...] = made
+        if shares[1]:
+            flowing = self._without_vectors._compose(t, 0.0, *stacks)[0][:2]
+        paths_count, flow_counts, mean_counts = map(np.float32, shares)
+        picture, mixed = (
+            paths_count * along + flow_counts * flow + mean_counts
+            * (one + np.float32(t) * (other - one))
+            for along, flow, (one, other) in zip(made, flowing, (self._pictures, stacks[0]),
+                                                 strict=True))
+        return picture, mixed
 
     def _overlay_at(self, t: float) -> np.ndarray:
         one, other = self._overlays
