@@ -46,6 +46,24 @@ def share(rows: Rows, count: int, *arrays: np.ndarray) -> None:
         divide(rows.bind(arrays), count, arrays[0].nbytes)
 
 
+def sampled(plane: np.ndarray, down: int, across: int, first: int = 0) -> np.ndarray:
+    """Every so many rows and columns of a plane (height, width, channels), from the `first` of both
+    on; a copy. It is divided like other work: a file's pages come into memory many at a time, so
+    that a few rows take as much of it as all."""
+    chosen = plane[first::down, first::across]
+    found = np.empty_like(chosen)
+
+    def copy(begin: int, end: int) -> None:
+        found[begin:end] = chosen[begin:end]
+
+    divide = _lent.get()
+    if divide is None or not found.size or plane.nbytes < 2 * WORTH:
+        copy(0, len(found))
+    else:
+        divide(copy, len(found), plane.nbytes)
+    return found
+
+
 copy_pieces = Rows("copy_pieces")
 """`copy_pieces(first, last, source, target)`: pieces of `WORTH` bytes of flat uint32, the last of
 which may be smaller."""

@@ -13,14 +13,14 @@ import pytest
 from postfx import Device, Frame, Pipeline, Role
 from postfx.errors import MemoryBudgetError
 from postfx.frame import ROLES
-from postfx.kernels.statistics import block_means, half_means
+from postfx.kernels.statistics import block_means, half_means, light_outside
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.models import seamless
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.planes import ABSENT, absent_plane
 from postfx.passes.denoise.tiling import Sizes, bands_within
 from postfx.passes.tonemap import ToneMap
-from postfx.planes import largest_bits_of, lend
+from postfx.planes import largest_bits_of, lend, sampled
 from postfx.runtime import DeviceError, device
 from postfx.system import Scratch, parse_size
 from tests.passes.denoise_frames import noisy
@@ -94,6 +94,7 @@ def test_tensors_of_zeros_are_not_written(can_clear: bool,
 
 @pytest.mark.parametrize("look", [
     lambda plane: half_means(plane, 16), lambda plane: block_means(plane, 16), largest_bits_of,
+    lambda plane: sampled(plane, 16, 16, 8), light_outside,
 ])
 def test_looking_at_a_whole_plane_takes_no_memory(look: Callable[[np.ndarray], object]) -> None:
     """Finding cuts and metering held all of a picture of 15360x8640 at once, 1.5 GiB of it."""

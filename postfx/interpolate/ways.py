@@ -3,8 +3,8 @@
 Where vectors explain much less than estimated motion does, they are not used: those of frames that
 are held, of a wrong sign or unit, of the shot that goes in a dissolve. In the middle of a dissolve
 neither explains much, and each leads another way: the mean of both frames is better then than
-either. Where frames beside the two are known, each way counts there by how well it foretells a known
-frame from those next to it.
+either. Where frames beside the two are known, ways count there as they foretell a known frame
+from those next to it.
 """
 
 from __future__ import annotations

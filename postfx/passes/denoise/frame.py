@@ -65,6 +65,7 @@ from postfx.passes.denoise.tiling import (
     whole_sides,
     whole_steps,
 )
+from postfx.planes import sampled
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 MOST_WINDOW_PLACES = 64
@@ -426,8 +427,7 @@ def widen_history(history: Mapping[str, np.ndarray],
 
 def _lit_part(plane: np.ndarray) -> float:
     """The share of a plane's pixels that are not 0, by a few of them."""
-    some = plane[LIT_PIXEL_STEP // 2::LIT_PIXEL_STEP,
-                 LIT_PIXEL_STEP // 2::LIT_PIXEL_STEP].any(axis=2)
+    some = sampled(plane, LIT_PIXEL_STEP, LIT_PIXEL_STEP, LIT_PIXEL_STEP // 2).any(axis=2)
     return float(some.mean()) if some.size else 1.0
 
 
