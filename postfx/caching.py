@@ -75,6 +75,28 @@ class LRUCache(Generic[Key, Value]):
             self._values.popitem(last=False)
 
 
+class Kept(Generic[Key, Value]):
+    """At most `most` values by key, of which the oldest goes first. Several threads may find and
+    keep."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._values: dict[Key, Value] = {}
+        self._lock = threading.Lock()
+
+    def find(self, key: Key) -> Value | None:
+        """The value of a key; None where there is none yet."""
+        return self._values.get(key)
+
+    def keep(self, key: Key, value: Value) -> Value:
+        """Keep a value in the place of one with the same key; returns it."""
+        with self._lock:
+            self._values[key] = value
+            if len(self._values) > self._most:
+                del self._values[next(iter(self._values))]
+        return value
+
+
 class SpareMemory:
     """Memory of arrays that are gone, for new ones: pages that are new from the system must be
     cleared first. That costs five to ten percent of an interpolated frame's time.

@@ -276,6 +276,7 @@ def is_process_alive(pid: int) -> bool:
         return False
 
 
+@cache
 def _host() -> str:
     """This machine's name, without the characters that separate the fields of a temporary name."""
     return re.sub(r"[^\w-]", "_", socket.gethostname())[:60]

@@ -17,6 +17,8 @@ INFINITY_BITS = 0x7F800000
 """The bits of an infinite float32; those of NaN, without the sign, are larger."""
 LARGEST_HALF = 65504
 """The largest number that a half float holds."""
+LARGEST_FLOAT = float(np.finfo(np.float32).max)
+"""The largest number that a float holds."""
 WORTH = 1 << 20
 """Bytes to look at or to copy that are worth another thread."""
 

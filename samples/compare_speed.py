@@ -14,6 +14,7 @@ import argparse
 import resource
 import statistics
 import time
+from functools import partial
 
 import numpy as np
 
@@ -32,6 +33,16 @@ def noisy_frame(width: int, height: int) -> postfx.Frame:
     planes["depth"] += 1
     return postfx.Frame({postfx.Role(role): plane for role, plane in planes.items()},
                         jitter=(0.25, -0.25))
+
+
+def noisy_frames(width: int, height: int) -> list[postfx.Frame]:
+    """Two frames with other noise, to take in turn: one that repeats the frame before it, bit for
+    bit, is not denoised again."""
+    random = np.random.default_rng(2)
+    frames = [noisy_frame(width, height) for _ in range(2)]
+    for plane in frames[1].planes.values():
+        random.shuffle(plane)  # rows: the same values at other places
+    return frames
 
 
 def oidn_on_cpu(frame: postfx.Frame, scale: int, quality: str) -> float:
@@ -91,24 +102,24 @@ def main() -> None:
     parser.add_argument("--quality", default="high",
                         help="of OIDN: high (default), balanced, fast, some, or ''")
     args = parser.parse_args()
-    frame, device = noisy_frame(args.width, args.height), Device(args.device)
+    frames, device = noisy_frames(args.width, args.height), Device(args.device)
     chains = {}
     for tag in args.models.split(","):
         passes = [postfx.DenoiseUpscale(scale=args.scale, model=tag), postfx.ToneMap()]
         chains[f"postfx {tag}"] = postfx.Pipeline(passes, device)
-    for chain in 4 * list(chains.values()):
-        timed(chain, frame)
+    for frame in 2 * frames:
+        for chain in chains.values():
+            timed(chain, frame)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    ways = {name: lambda chain=chain: timed(chain, frame) for name, chain in chains.items()}
+    ways = {name: partial(timed, chain) for name, chain in chains.items()}
     oidn = oidn_on_cpu if device.memory.host_visible else oidn_on_gpu
     for quality in filter(None, args.quality.split(",")):
         for scale, size in ((1, "render size"), (2, "output size"))[:args.scale]:
-            ways[f"OIDN {quality}, "
-                 f"{size}"] = lambda scale=scale, quality=quality: oidn(frame, scale, quality)
+            ways[f"OIDN {quality}, {size}"] = partial(oidn, scale=scale, quality=quality)
     found = {name: [] for name in ways}
-    for _ in range(args.runs):
+    for run in range(args.runs):
         for name, way in ways.items():
-            found[name].append(way())
+            found[name].append(way(frames[run % len(frames)]))
     first = next((name for name in ways if name.startswith("OIDN")), next(iter(ways)))
     other = statistics.median(found[first])
     for name, times in found.items():

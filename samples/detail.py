@@ -1,7 +1,8 @@
 """Does detail beyond the render size come back? A slow pan of jittered frames, known exactly,
 enlarged twice.
 
-python samples/detail.py [--models m,s] [--frames 16] [--noise 0.5] [--pan 0.31,0.13]
+python samples/detail.py [--models m,s] [--frames 16] [--noise 0.5] [--pan 0.31,0.13] \\
+    [--subsamples 8]
 
 Needs the extra 'bench'.
 
@@ -37,7 +38,7 @@ from postfx.bench.metrics import LUMINANCE_WEIGHTS, grey_factor, psnr
 from postfx.colour.views import to_codes
 
 PARTS = ("albedo", "light", "shadow edges")
-PATCH, COARSE, SCALE, SUBSAMPLES, SPECULAR = 64, 4, 2, 8, 0.04
+PATCH, COARSE, SCALE, SPECULAR = 64, 4, 2, 0.04
 PART = 2 * PATCH
 HEIGHT, WIDTH = PART, len(PARTS) * PART
 BARS, STROKE = (0.55, 0.65, 0.75, 0.85), 0.75
@@ -92,18 +93,18 @@ def sampled(t: int, pan: tuple[float, float], scale: int,
             np.where(lit, 0.15 + 0.85 * detail, 0.7) * even)
 
 
-def view(t: int, pan: tuple[float, float], noise: float) -> View:
+def view(t: int, pan: tuple[float, float], noise: float, subsamples: int) -> View:
     """Frame `t`, counted from 0, of a plane that moves by `pan` (x, y) render pixels a frame to the
     left and up.
 
     `noise` is the deviation of a pixel's light over its mean: 0.5 is that of four paths of
-    exponential light.
+    exponential light. The truth is the mean of `subsamples` squared points of an output pixel.
     """
     jitter = integrate.halton(t + 1, 2) - 0.5, integrate.halton(t + 1, 3) - 0.5
     albedo, light = sampled(t, pan, 1, jitter)
     random = np.random.default_rng([t, 1])
     lit = light * random.gamma(noise**-2, noise**2, light.shape) if noise else light
-    steps = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES - 0.5
+    steps = (np.arange(subsamples) + 0.5) / subsamples - 0.5
     fine = [sampled(t, pan, SCALE, (x, y)) for x in steps for y in steps]
     reference = np.mean([(albedo + SPECULAR) * light for albedo, light in fine],
                         0).astype(np.float32)
@@ -181,11 +182,13 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.5)
     parser.add_argument("--pan", type=lambda text: tuple(map(float, text.split(","))),
                         default=(0.31, 0.13))
+    parser.add_argument("--subsamples", type=int, default=8,
+                        help="points of a reference's pixel, along each side")
     arguments = parser.parse_args()
     ways, frames, figures = methods(arguments.models.split(",")), [], {}
     exposure = 0.0
     for t in range(arguments.frames):
-        noisy, clean, reference = view(t, arguments.pan, arguments.noise)
+        noisy, clean, reference = view(t, arguments.pan, arguments.noise, arguments.subsamples)
         exposure, frames = exposure or grey_factor(reference), [*frames, clean]
         mean = reference.reshape(HEIGHT, SCALE, WIDTH, SCALE, 3).mean((1, 3))
         pictures = {name: way(clean if name == "cubic" else noisy) for name, way in ways.items()}

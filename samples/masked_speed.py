@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from compare_speed import noisy_frame
+from compare_speed import noisy_frames
 
 import postfx
 from postfx.frame import GUIDE_ROLES
@@ -32,16 +32,9 @@ def masked(frame: postfx.Frame, percent: int) -> postfx.Frame:
     return replace(frame, planes={**frame.planes, postfx.Role.STRENGTH: strength})
 
 
-def noisy_frames(width: int, height: int, guided_scale: int | None) -> list[postfx.Frame]:
-    """Frames of the same kind with other noise, for runs in turn; with guides of so many times
-    their size."""
-    random = np.random.default_rng(2)
-    frames = [noisy_frame(width, height) for _ in range(2)]
-    for plane in frames[1].planes.values():
-        random.shuffle(plane)  # rows: the same values at other places
-    if guided_scale is None:
-        return frames
-    sharp = np.ones((guided_scale, guided_scale, 1), np.float32)
+def guided(frames: list[postfx.Frame], times: int) -> list[postfx.Frame]:
+    """The frames with guides of so many times their size."""
+    sharp = np.ones((times, times, 1), np.float32)
     return [replace(frame, guides={role: np.kron(frame[role], sharp)
                                    for role in GUIDE_ROLES if role in frame.planes})
             for frame in frames]
@@ -108,7 +101,8 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, help="picture to write")
     args = parser.parse_args()
     ratios = []
-    frames = noisy_frames(args.width, args.height, args.scale if args.guides else None)
+    frames = noisy_frames(args.width, args.height)
+    frames = guided(frames, args.scale) if args.guides else frames
     shares = map(int, args.shares.split(","))
     for share, found, whole in measure(frames, args.model, args.scale, args.runs, shares,
                                        args.threads):

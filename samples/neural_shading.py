@@ -8,8 +8,8 @@ The network, 33-64-64-64-3, reads position with four bands of Fourier features, 
 view direction, and gives the logarithm of light without reflectance, which the albedos put back. It
 learns from the references of all frames but the held-out ones, at render size, by the fused kernels
 of postfx.neural, and shades the held-out ones in a command buffer. Also measured: the frame before
-as it is. Prints PSNR after x/(1+x) and the sRGB curve, and frames a second; draws the held-out
-frames. Needs matplotlib.
+as it is. Prints PSNR after x/(1+x) and the sRGB curve, relMSE of light, and frames a second; draws
+the held-out frames. Needs matplotlib.
 """
 import argparse
 import statistics
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from sky import cleaned, shown
+from sky import cleaned, rel_mse, shown
 
 import postfx
 from postfx import Device, Frame, Role
@@ -89,8 +89,14 @@ print(f"{len(points)} pixels of {len(known)} frames, {network.count} parameters,
       f"{time.process_time() - began:.0f} s of the processor")
 
 
-def psnr(found: np.ndarray, truth: np.ndarray) -> float:
-    return float(-10 * np.log10(np.mean((shown(np.maximum(found, 0)) - shown(truth)) ** 2)))
+def errors(found: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
+    """PSNR of what is shown, in dB, and relMSE of light."""
+    codes = np.mean((shown(np.maximum(found, 0)) - shown(truth)) ** 2)
+    return float(-10 * np.log10(codes)), rel_mse(found, truth)
+
+
+def told(found: tuple[float, float]) -> str:
+    return f"{found[0]:.2f} dB, relMSE {found[1]:.4f}"
 
 
 rows, times, pictures = [], [], []
@@ -106,13 +112,14 @@ for frame in held:
         times.append(sum(taken for _, taken in commands.timings))
     found = np.expm1(np.clip(values.array.reshape(truth.shape), 0, 20)) * divisor_of(frame)
     near = max((number for number in wanted if number < frame.number), default=known[0].number)
-    rows.append((psnr(found, truth), psnr(frame[Role.COLOUR], truth), psnr(wanted[near], truth)))
+    rows.append([errors(light, truth) for light in (found, frame[Role.COLOUR], wanted[near])])
+    shaded, render, before = rows[-1]
     pictures.append((f"frame {frame.number}: reference", truth))
-    pictures.append((f"shaded, {rows[-1][0]:.1f} dB", found))
-    print(f"frame {frame.number}: shaded {rows[-1][0]:.2f} dB, the noisy render {rows[-1][1]:.2f}, "
-          f"frame {near} as it is {rows[-1][2]:.2f}")
-means = np.mean(rows, 0)
-print(f"mean {means[0]:.2f} dB, of the frames before as they are {means[2]:.2f}; "
+    pictures.append((f"shaded, {shaded[0]:.1f} dB", found))
+    print(f"frame {frame.number}: shaded {told(shaded)}; the noisy render {told(render)}; "
+          f"frame {near} as it is {told(before)}")
+shaded, render, before = np.mean(rows, 0)
+print(f"mean {told(shaded)}; of the frames before as they are {told(before)}; "
       f"{1000 / statistics.median(times):.0f} frames a second of "
       f"{held[0][Role.DEPTH].shape[1]}x{held[0][Role.DEPTH].shape[0]}, the network alone")
 

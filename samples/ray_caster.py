@@ -47,7 +47,7 @@ def ball(frame: float) -> np.ndarray:
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return (a * b).sum(axis=-1, keepdims=True)
+    return np.einsum("...i,...i->...", a, b)[..., None]
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:

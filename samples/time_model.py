@@ -22,7 +22,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from compare_speed import noisy_frame
+from compare_speed import noisy_frames
 from masked_speed import masked
 
 import postfx
@@ -48,7 +48,7 @@ def chain(model: str, threads: int | None, parts: int = 0,
     return postfx.Pipeline([denoiser, *toned], postfx.Device("cpu", threads=threads, memory=memory))
 
 
-def measure(chains: list[postfx.Pipeline], frame: postfx.Frame, runs: int,
+def measure(chains: list[postfx.Pipeline], frames: list[postfx.Frame], runs: int,
             clock: Callable[[], float], middle: Callable[[list[float]], float]) -> list[float]:
     """Milliseconds of each chain, the middle of runs in turn; three runs before them do not
     count."""
@@ -59,15 +59,15 @@ def measure(chains: list[postfx.Pipeline], frame: postfx.Frame, runs: int,
             break
         for times, way in zip(found, chains, strict=True):
             start = clock()
-            way(frame)
+            way(frames[run % len(frames)])
             if run >= 3:
                 times.append(1e3 * (clock() - start))
     return [middle(times) for times in found]
 
 
-def work_of(model: str, frame: postfx.Frame, runs: int, parts: int = 0) -> float:
+def work_of(model: str, frames: list[postfx.Frame], runs: int, parts: int = 0) -> float:
     """Milliseconds of processor time in one thread."""
-    return measure([chain(model, 1, parts)], frame, runs, time.process_time, min)[0]
+    return measure([chain(model, 1, parts)], frames, runs, time.process_time, min)[0]
 
 
 def with_parts(frame: postfx.Frame, count: int) -> postfx.Frame:
@@ -103,20 +103,21 @@ def measure_work(model: str, sizes: list[tuple[int, int]], full: tuple[int, int]
     rows, times, names = [], [], []
 
     def note(name: str, size: tuple[int, int], share: float, parts: int,
-             picture: postfx.Frame) -> None:
+             frames: list[postfx.Frame]) -> None:
         pixels = size[0] * size[1] / 1e6
         rows.append([1, pixels, pixels * windowed(share, size[1], model), pixels * (parts > 0),
                      pixels * parts])
-        times.append(work_of(model, picture, runs, parts))
+        times.append(work_of(model, frames, runs, parts))
         names.append(name)
 
     for size in sizes:
-        note("{}x{}".format(*size), size, 1, 0, noisy_frame(*size))
-    frame = noisy_frame(*full)
+        note("{}x{}".format(*size), size, 1, 0, noisy_frames(*size))
+    whole = noisy_frames(*full)
     for share in SHARES[1:]:
-        note(f"{share} % not masked", full, share / 100, 0, masked(frame, 100 - share))
+        note(f"{share} % not masked", full, share / 100, 0,
+             [masked(frame, 100 - share) for frame in whole])
     for count in PARTS[1:]:
-        note(f"{count} parts", full, 1, count, with_parts(frame, count))
+        note(f"{count} parts", full, 1, count, [with_parts(frame, count) for frame in whole])
     # Without masks the second and the third column cannot be told apart, and masks have one size.
     values, errors = fit(rows, times)
     print(f"{model}: work of P million render pixels, a share w of which the network sees, in n "
@@ -130,7 +131,7 @@ def measure_work(model: str, sizes: list[tuple[int, int]], full: tuple[int, int]
 
 def measure_threads(model: str, full: tuple[int, int], counts: list[int], runs: int) -> list[float]:
     """Print and fit times by the clock: Amdahl's a + b / n."""
-    times = measure([chain(model, count) for count in counts], noisy_frame(*full), runs,
+    times = measure([chain(model, count) for count in counts], noisy_frames(*full), runs,
                     time.perf_counter, statistics.median)
     (alone, shared), errors = fit([[1, 1 / count] for count in counts], times)
     print("{}: {}x{} by the clock in n threads: {:.1f} + {:.0f} / n "
@@ -153,14 +154,15 @@ def measure_memory(model: str, sizes: list[tuple[int, int]], budgets: list[str])
 
 
 def run_alone(model: str, size: tuple[int, int], budget: str) -> None:
-    frame, way = noisy_frame(*size), chain(model, None, memory=None if budget == "none" else budget)
-    for _ in range(3):
+    frames = noisy_frames(*size)
+    way = chain(model, None, memory=None if budget == "none" else budget)
+    for run in range(3):
         began = time.perf_counter()
-        way(frame)
+        way(frames[run % len(frames)])
         taken = time.perf_counter() - began
     peak = peak_memory() * 1e6 / 2**20
-    print(f"{peak:.0f} MiB, {sum(plane.nbytes for plane in frame.planes.values()) / 2**20:.0f} of "
-          f"them the planes; {1e3 * taken:.0f} ms")
+    planes = sum(plane.nbytes for plane in frames[0].planes.values()) / 2**20
+    print(f"{peak:.0f} MiB, {planes:.0f} of them the planes; {1e3 * taken:.0f} ms")
 
 
 def cut(frames: int, size: int, shot: int) -> list[tuple[int, int]]:

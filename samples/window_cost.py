@@ -13,7 +13,7 @@ import statistics
 import time
 
 import numpy as np
-from compare_speed import noisy_frame
+from compare_speed import noisy_frames
 
 import postfx
 from postfx import Role
@@ -32,26 +32,30 @@ def with_squares(frame: postfx.Frame, count: int, side: int) -> postfx.Frame:
     return postfx.Frame({**frame.planes, Role.STRENGTH: strength}, jitter=frame.jitter)
 
 
-def chain_of(frame: postfx.Frame, model: str) -> tuple[postfx.Pipeline, postfx.Frame]:
-    return postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=model)]), frame
+Way = tuple[postfx.Pipeline, list[postfx.Frame]]
+"""A chain, and frames to run in turn."""
 
 
-def measure(ways: list[tuple[postfx.Pipeline, postfx.Frame]], runs: int) -> list[float]:
+def chain_of(frames: list[postfx.Frame], model: str) -> Way:
+    return postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=model)]), frames
+
+
+def measure(ways: list[Way], runs: int) -> list[float]:
     """Milliseconds of processor time of each, medians of runs in turn."""
     times: list[list[float]] = [[] for _ in ways]
-    for _ in range(runs + 2):
-        for (chain, frame), some in zip(ways, times, strict=True):
+    for run in range(runs + 2):
+        for (chain, frames), some in zip(ways, times, strict=True):
             began = time.process_time()
-            chain(frame)
+            chain(frames[run % len(frames)])
             some.append(1e3 * (time.process_time() - began))
     return [statistics.median(some[2:]) for some in times]
 
 
-def windows_of(chain: postfx.Pipeline, frame: postfx.Frame) -> tuple[int, int]:
+def windows_of(chain: postfx.Pipeline, frames: list[postfx.Frame]) -> tuple[int, int]:
     """How many windows a frame was worked on in, and their render pixels."""
     from postfx.passes.denoise.tiling import active_cells
 
-    band = chain.passes[0]._ready.frames.layout(active_cells(frame[Role.STRENGTH]))
+    band = chain.passes[0]._ready.frames.layout(active_cells(frames[0][Role.STRENGTH]))
     pixels = sum(tile.window.rows * tile.window.columns for tile in band.tiles) if band else 0
     return (len(band.tiles) if band else 0), pixels
 
@@ -64,9 +68,10 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--model", default="m")
     args = parser.parse_args()
-    frame = noisy_frame(args.width, args.height)
-    masked = [chain_of(with_squares(frame, *each), args.model) for each in SQUARES]
-    *times, whole = measure([*masked, chain_of(frame, args.model)], args.runs)
+    frames = noisy_frames(args.width, args.height)
+    masked = [chain_of([with_squares(frame, *each) for frame in frames], args.model)
+              for each in SQUARES]
+    *times, whole = measure([*masked, chain_of(frames, args.model)], args.runs)
     found = [windows_of(*way) for way in masked]
     for (count, pixels), spent in zip(found, times, strict=True):
         print(f"{count} windows, {pixels:7} pixels: {spent:6.1f} ms")

@@ -19,14 +19,16 @@ LONGEST = (
     "test_quality.py",
     "kernels/test_library.py", "training/datagen/test_clip.py", "training/denoise/test_tune.py",
     "doctor/test_breakages.py", "training/denoise/test_train_processes.py", "test_windows.py",
-    "test_samples.py", "test_docs.py", "training/datagen/test_render.py",
+    "test_samples.py", "training/test_scene_network.py", "test_docs.py", "test_site.py",
+    "training/datagen/test_render.py",
     "training/datagen/scenes/test_interior.py", "training/measure/test_validation.py",
     "doctor/test_unbroken.py", "training/denoise/test_export.py", "cli/test_bench.py",
     "fuzz/test_fuzz.py", "passes/test_denoise_reactive.py",
     "passes/test_denoise_fp16.py", "exposure/test_debugger.py", "stress/test_precisions.py",
     "passes/test_denoise_tiles.py", "training/tonemap/test_flicker.py",
-    "training/tonemap/test_train.py", "test_shared_memory.py", "bench/test_measure.py",
-    "cli/test_inspect.py", "passes/test_contract.py",
+    "training/tonemap/test_train.py", "training/tonemap/test_model.py",
+    "kernels/test_denoise_definitions.py", "cli/test_streams.py", "test_shared_memory.py",
+    "bench/test_measure.py", "cli/test_inspect.py", "passes/test_contract.py",
     "stress/test_network_bounds.py", "stress/test_kernel_bounds.py", "passes/test_denoise_int8.py",
 )
 """Files that take about ten seconds of a core and more, longest first: begun last, one would keep a
@@ -39,17 +41,35 @@ def pytest_configure(config: pytest.Config) -> None:
     core take many times as long. Libraries that start threads when they are imported must not have
     been by now."""
     worker = getattr(config, "workerinput", None)
-    if worker and hasattr(os, "sched_setaffinity"):
-        number, cores = int(worker["workerid"].removeprefix("gw")), sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, cores[number::worker["workercount"]] or cores)
+    if worker:
+        number, count = int(worker["workerid"].removeprefix("gw")), worker["workercount"]
+        if hasattr(os, "sched_setaffinity"):
+            cores = sorted(os.sched_getaffinity(0))
+            os.sched_setaffinity(0, cores[number::count] or cores)
+        if config.args == config.getini("testpaths"):
+            config.args[:] = in_turn(number, count)
     config.pluginmanager.import_plugin("postfx.testing")
 
 
+def in_turn(number: int, count: int) -> list[str]:
+    """All folders and files of tests, begun elsewhere by each worker: in a new checkout it finds
+    compiled to bytecode what another one has collected meanwhile."""
+    parts = sorted(str(path) for path in (REPOSITORY / "tests").iterdir()
+                   if path.match("test_*.py") or any(path.rglob("test_*.py")))
+    begin = number * len(parts) // count
+    return parts[begin:] + parts[:begin]
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """The longest files come first, and tests marked soak run only when asked for."""
-    places = {name: place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: places.get(item.nodeid.partition("::")[0].removeprefix("tests/"),
-                                           len(places)))
+    """The longest files come first, the others by name, whatever the order they were found in.
+    Tests marked soak run only when asked for."""
+    places = {f"tests/{name}": place for place, name in enumerate(LONGEST)}
+
+    def place(item: pytest.Item) -> tuple[int, str]:
+        file = item.nodeid.partition("::")[0]
+        return places.get(file, len(places)), file
+
+    items.sort(key=place)
     if "soak" not in config.option.markexpr:
         for item in items:
             if item.get_closest_marker("soak"):

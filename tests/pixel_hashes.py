@@ -317,8 +317,8 @@ def write_table(path: Path) -> None:
 def hash_library(made: Path) -> Iterator[tuple[str, Hashes]]:
     """Planes that pipelines return, by case."""
     for name, run_frames in LIBRARY_CASES.items():
-        yield name, {f"frame {index}": {str(role): hash_array(plane)
-                                        for role, plane in sorted(frame.planes.items())}
+        yield name, {f"frame {index}": {str(role): hash_array(plane) for role, plane in
+                                        sorted({**frame.planes, **frame.parts}.items())}
                      for index, frame in enumerate(run_frames(made), 1)}
 
 
@@ -367,10 +367,85 @@ def run_with_states(made: Path) -> Iterator[Any]:
         yield passes(frame)
 
 
+def run_parts(**options: Any) -> Callable[[Path], Iterator[Any]]:
+    """Parts of each kind and noisy alpha beside the picture, with these options of the denoiser."""
+    def run_frames(_: Path) -> Iterator[Any]:
+        import postfx
+        from postfx.frame import Part, Role
+
+        parts = ("key", "fill", Part("diffuse", "diffuse", "kinds", "albedo"),
+                 Part("gloss", "specular", "kinds"), Part("lamps", "emission", "kinds"),
+                 Part("mist", "mist"), Part("z", "depth"), Part("place", "position"),
+                 Part("n", "normal"), Part("albedo", "factor"))
+        passes = postfx.Pipeline([postfx.DenoiseUpscale(parts=parts, **options)], exposure=0.5)
+        for frame in postfx.read_sequence(ROOM / "noisy.####.exr", frames="1-3"):
+            colour, random = frame.planes[Role.COLOUR], np.random.default_rng(frame.number)
+            shares = random.random((5, *colour.shape[:2], 1), np.float32)
+            shares[1, :, : colour.shape[1] // 3] = 0
+            albedo = frame.planes[Role.DIFFUSE_ALBEDO]
+            frame.parts = {"key": colour * shares[0], "fill": colour * (1 - shares[0]),
+                           "diffuse": colour * shares[1] * albedo, "gloss": colour * shares[2],
+                           "lamps": colour * (shares[1] > 0.9), "mist": shares[3],
+                           "z": frame.planes[Role.DEPTH], "place": colour - 0.5,
+                           "n": frame.planes[Role.NORMAL], "albedo": albedo}
+            frame.planes[Role.ALPHA] = (shares[4] * (shares[3] > 0.5)).astype(np.float32)
+            frame.jitter = (0.0, 0.0) if options.get("scale") == 1 else frame.jitter
+            yield passes(frame)
+    return run_frames
+
+
+def run_denoiser(change: Callable[[Any], None] = lambda _: None,
+                 **options: Any) -> Callable[[Path], Iterator[Any]]:
+    """The denoiser with these options over changed frames of the sample room."""
+    def run_frames(_: Path) -> Iterator[Any]:
+        import postfx
+
+        passes = postfx.Pipeline([postfx.DenoiseUpscale(**options)])
+        for frame in postfx.read_sequence(ROOM / "noisy.####.exr", frames="1-3"):
+            change(frame)
+            yield passes(frame)
+    return run_frames
+
+
+def hold_still(frame: Any) -> None:
+    """Samples spread over the pixel, and many of them, so that detail may come back."""
+    frame.jitter, frame.samples = (0.0, 0.0), 256
+
+
+def take_outside(frame: Any) -> None:
+    """Light outside of the gamut, as of a saturated lamp in wider primaries."""
+    from postfx.frame import Role
+
+    frame.planes[Role.COLOUR] = frame.planes[Role.COLOUR] * np.float32((1.2, 1, -0.3))
+
+
+def leave_half(frame: Any) -> None:
+    """Strength that varies in a box, is 1 below and 0 above."""
+    from postfx.frame import Role
+
+    hold_still(frame)
+    height, width = frame.planes[Role.COLOUR].shape[:2]
+    strength = np.zeros((height, width, 1), np.float32)
+    strength[height // 4:] = np.linspace(0, 1, width, dtype=np.float32)[:, None]
+    strength[height // 3:] = 1
+    frame.planes[Role.STRENGTH] = strength
+
+
 LIBRARY_CASES: dict[str, Callable[[Path], Iterator[Any]]] = {
     "library-picture": run_picture, "library-window": run_windows,
     "library-both-ways": run_both_ways,
-    "library-overlay": run_overlay, "library-reset": run_with_states}
+    "library-overlay": run_overlay, "library-reset": run_with_states,
+    "library-parts": run_parts(model="s"),
+    "library-parts-fp32": run_parts(model="s.fp32", scale=1.5),
+    "library-parts-1x": run_parts(model="m", scale=1),
+    "library-parts-own": run_parts(model="s", part_filters="own"),
+    "library-parts-strength": run_parts(model="s", strength=0.5),
+    "library-parts-strength-0": run_parts(model="s", strength=0),
+    "library-detail": run_denoiser(hold_still, model="m"),
+    "library-detail-strength": run_denoiser(leave_half, model="s"),
+    "library-wider": run_denoiser(take_outside, model="s", scale=2),
+    "library-classic": run_denoiser(model="classic", scale=2),
+    "library-error": run_denoiser(model="l", error=True)}
 
 
 # Hashes.

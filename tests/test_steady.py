@@ -17,13 +17,15 @@ from postfx.runtime.hazards import Footprint
 
 PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO,
           Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
+HEIGHT, WIDTH = 72, 128
 WARM = 10
 TAGS = "aces2", "local"
 
 
 def frame(number: int) -> Frame:
     random = np.random.default_rng(number % 4)
-    planes = {role: random.random((135, 240, ROLES[role].channels), np.float32) for role in PLANES}
+    planes = {role: random.random((HEIGHT, WIDTH, ROLES[role].channels), np.float32)
+              for role in PLANES}
     return Frame(planes, number=number, jitter=(0.1, -0.2))
 
 
@@ -113,9 +115,9 @@ def test_commands_of_a_steady_frame_are_recorded_once(
     for what in ("passage", "find"):
         monkeypatch.setattr(anew._flow._recordings, what, lambda key: None)
     lasting = frame(1)
-    masks = np.zeros((2, 135, 240, 1), np.float32)
+    masks = np.zeros((2, HEIGHT, WIDTH, 1), np.float32)
     masks[0, :20], masks[1, 8:12] = 1, 0.5
-    strength = np.zeros((135, 240, 1), np.float32)
+    strength = np.zeros((HEIGHT, WIDTH, 1), np.float32)
     shown = Frame({**lasting.planes, **({Role.STRENGTH: strength} if masked else {})})
     for number in range(12):
         strength[...] = masks[number // 2 % 2]

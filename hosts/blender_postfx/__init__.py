@@ -122,7 +122,8 @@ class Settings(bpy.types.PropertyGroup):
     scale: bpy.props.FloatProperty(name="Scale", default=1.0, min=1.0, max=3.0,
                                    description="Output over render size")
     model: bpy.props.EnumProperty(name="Network", default="m", items=[
-        ("s", "Small", "Fastest"), ("m", "Medium", "Recommended"), ("l", "Large", "Best")])
+        ("s", "Small", "Fastest"), ("m", "Medium", "Recommended"), ("l", "Large", "Better"),
+        ("xl", "Extra large", "Best at the render's own size, and slowest")])
     strength: bpy.props.FloatProperty(name="Strength", default=1.0, min=0.0, max=1.0)
 
 

@@ -144,7 +144,7 @@ class Denoise:
         return {"required": {
             "frames": (FRAMES,),
             "scale": ("FLOAT", {"default": 1.0, "min": 1.0, "max": 3.0, "step": 0.25}),
-            "model": (["m", "s", "l"],),
+            "model": (["m", "s", "l", "xl"],),
             "strength": ("FLOAT", {"default": 1.0, "min": 0.0, "max": 1.0, "step": 0.05})}}
 
     def add(self, frames: Shot, scale: float, model: str, strength: float) -> tuple[Shot]:

@@ -189,9 +189,9 @@ def _absent(names: list[str], guides: bool) -> list[Omission]:
 
 def _place(name: str) -> tuple[int, str]:
     """Order of networks: small to large, then others by name."""
-    sizes = "sml"
+    sizes = ("s", "m", "l", "xl")
     tag = name.split(".")[0]
-    return (sizes.index(tag) if tag in ("s", "m", "l") else len(sizes), name)
+    return (sizes.index(tag) if tag in sizes else len(sizes), name)
 
 
 def _words(text: str, known: set[str], option: str) -> set[str]:

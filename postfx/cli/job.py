@@ -441,8 +441,10 @@ class Job:
                 if frame is not None:
                     self._look(frame, progress.note)
                     frame.reset = frame.reset or is_unseen
-                    ahead = partial(self._look_ahead, frame, work.write, stop, progress)
-                    frame = self._faults.attempt(work.number, work.write, ahead)
+                    if self._backwards:
+                        ahead = partial(self._look_ahead, self._backwards, frame, work.write, stop,
+                                        progress)
+                        frame = self._faults.attempt(work.number, work.write, ahead)
                     is_unseen = frame is None
                 with capturing(work.number):
                     done = None if frame is None else self._process(work, frame, progress.note)
@@ -509,14 +511,13 @@ class Job:
             self._noticed.append(text)
             tell(f"warning  {text}")
 
-    def _look_ahead(self, frame: Frame, write: bool, stop: Stop, progress: FrameProgress) -> Frame:
+    def _look_ahead(self, backwards: Backwards, frame: Frame, write: bool, stop: Stop,
+                    progress: FrameProgress) -> Frame:
         """The frame with what those after it make of it, for --both-ways."""
-        if self._backwards is None:
-            return frame
-        part = self._backwards.part(frame.number) if write else None
+        part = backwards.part(frame.number) if write else None
         if part and part[0] != part[1]:
             progress.note(f"frames {part[1]} to {part[0]} first, in reverse order")  # may take long
-        return self._backwards(frame, write, stop.check)
+        return backwards(frame, write, stop.check)
 
     def _read(self, run: Run, work: Work) -> Frame | None:
         read = partial(self._read_checked, run, work.number)
@@ -570,9 +571,11 @@ class Job:
     def _write(self, run: Run, done: FrameResult, progress: FrameProgress) -> None:
         number, result, used = done.source.number, done.result, done.exposure_factor
         told = ({} if used is None
-                else {APPLIED if self._is_exposed else USED_EXPOSURE_ATTRIBUTE: log2(used)})
+                else {APPLIED if self._exposure.is_applied
+                      else USED_EXPOSURE_ATTRIBUTE: log2(used)})
         facts, paths = done.facts(), []
-        for path, picture in self._files().split(result):
+        assert self.outputs is not None, "a run has them"
+        for path, picture in self.outputs.split(result):
             write = partial(write_frame, path, picture, relax=self._relax,
                             provenance={**run.header(), **told}, **self._format)
             if self._faults.attempt(number, True, write) is None:
@@ -584,8 +587,8 @@ class Job:
             facts = {}  # those of a frame are told once
             paths.append(str(path))
         if used is not None:
-            self._exposure.multipliers[number], self._exposure.lit[number] = (used,
-                                                                              done.header_factor)
+            self._exposure.multipliers[number] = used
+            self._exposure.lit[number] = done.source.exposure_factor or 1.0
         self._written, self._frames = self._written + paths, self._frames + 1
         progress.advance(" ".join(paths), self._watch.seconds - self._preparation.compile_seconds)
         if self._arguments.verbose:

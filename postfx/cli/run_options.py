@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 PRESETS: dict[str, dict[str, Any]] = {
     "preview": {"model": "s", "run_up": 0, "preroll": 0, "fast_look": True},
-    "final": {"model": "l", "both_ways": True, "with": "auto"},
+    "final": {"model": "xl", "both_ways": True, "with": "auto"},
     "animation": {"both_ways": True, "exposure": "smooth"},
 }
 """Preset -> option -> value; `--preset` says them in words."""
@@ -219,8 +219,8 @@ def _find_network(tag: str) -> str:
             library.path(name)
         except ModelError as error:
             known, _, _ = str(error).partition(" there are ")
-            raise ModelError(f"{known} give s, m, l, classic or FILE.onnx; 'postfx models' lists "
-                             "all") from None
+            raise ModelError(f"{known} give s, m, l, xl, classic or FILE.onnx; 'postfx models' "
+                             "lists all") from None
     return tag
 
 

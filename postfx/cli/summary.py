@@ -290,11 +290,6 @@ class FrameResult:
     passes: Mapping[str, float] = field(default_factory=dict)
     bad_pixels: Mapping[Role, int] = field(default_factory=dict)
 
-    @property
-    def header_factor(self) -> float:
-        """What the header asks light to be multiplied by, else 1."""
-        return self.source.exposure_factor or 1.0
-
     def facts(self) -> dict[str, Any]:
         """What the log says."""
         passes = {name: round(elapsed, 3) for name, elapsed in self.passes.items()}

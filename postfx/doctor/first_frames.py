@@ -75,7 +75,7 @@ class FirstFrames:
 
     def look(self, frame: Frame) -> list[str]:
         """What this frame and those before it show, a line each: errors and warnings."""
-        if self.is_done:
+        if self._seen >= MOST_SEEN:
             return []
         self._seen += 1
         found = self._of_first(frame) if self._seen == 1 else []

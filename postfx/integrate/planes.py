@@ -12,7 +12,7 @@ import OpenImageIO as oiio
 from postfx.errors import WriteError
 from postfx.files import output_file
 from postfx.frame import Frame, Role
-from postfx.io.writer import OVERLAY_LAYER
+from postfx.io.light_plan import OVERLAY_LAYER
 from postfx.planes import LARGEST_HALF
 
 PLANE_CHANNELS = {

@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from enum import IntEnum
 from fnmatch import fnmatchcase
 from functools import cache, cached_property
 from typing import NamedTuple
@@ -62,7 +63,8 @@ Names = tuple[tuple[str, str], ...]
 
 
 class Channel(NamedTuple):
-    """One channel of one part of one of a frame's files, which is told by its word."""
+    """One channel of one part of one of a frame's files, which is told by its word: files that are
+    alike share their parts."""
 
     word: str
     part: Part
@@ -72,13 +74,9 @@ class Channel(NamedTuple):
 @dataclass(eq=False)
 class _Source:
     """One part of a file, seen from one view: full name in lower case -> the name as it is written,
-    and the channel.
+    and the channel."""
 
-    `rank` tells how likely its R, G and B are the frame's colour, the lowest first; parts of rank
-    `_NAMED` are found by the name of the part only.
-    """
-
-    rank: int
+    rank: _Rank
     channels: dict[str, tuple[str, Channel]] = field(default_factory=dict)
 
     def add(self, name: str, channel: Channel) -> None:
@@ -96,7 +94,17 @@ class _Source:
         return tuple(found)
 
 
-_PICTURE, _COLOUR, _UNKNOWN, _NAMED = range(4)
+class _Rank(IntEnum):
+    """How likely a part's R, G and B are the frame's colour, the likeliest first."""
+
+    PICTURE = 0
+    """That postfx wrote, or of a layer that is preferred."""
+    COLOUR = 1
+    """By its name."""
+    UNKNOWN = 2
+    """Its name tells of nothing else."""
+    NAMED = 3
+    """It tells of something else: its channels are found by the name of the part only."""
 
 
 class ChannelIndex:
@@ -208,12 +216,12 @@ class ChannelIndex:
 
     def contents(self, without: Iterable[Channel] = ()) -> list[str]:
         """What the files hold, layer by layer, except some channels: 'albedo.R,G,B'."""
-        left_out = {(id(channel.part), channel.name) for channel in without}
+        left_out = set(without)
         layers: dict[str, list[str]] = {}
-        for parts in self._files.values():
+        for word, parts in self._files.items():
             for part in parts:
                 for name in part.channels:
-                    if (id(part), name) in left_out:
+                    if Channel(word, part, name) in left_out:
                         continue
                     layer, _, letter = name.rpartition(".")
                     layers.setdefault(layer or (part.name if len(parts) > 1 else ""),
@@ -223,7 +231,7 @@ class ChannelIndex:
 
     @cached_property
     def _everything(self) -> _Source:
-        together = _Source(_NAMED)
+        together = _Source(_Rank.NAMED)
         for source in self._sources:
             for key, entry in source.channels.items():
                 together.channels.setdefault(key, entry)
@@ -236,7 +244,7 @@ class ChannelIndex:
                      for key, entry in source.channels.items() if key.startswith(start)}
             source.channels = inner | {key: entry for key, entry in source.channels.items()
                                        if key not in inner}
-            source.rank = _PICTURE if inner else source.rank
+            source.rank = _Rank.PICTURE if inner else source.rank
         self._sources.sort(key=lambda source: source.rank)
 
 
@@ -250,7 +258,7 @@ def before(names: Names, ending: str) -> list[str]:
 def are_together(channels: Iterable[Channel]) -> bool:
     """Whether channels are of one part of one file."""
     first, *others = channels
-    return all(channel.part is first.part for channel in others)
+    return all(channel[:2] == first[:2] for channel in others)
 
 
 def has_siblings(channel: Channel, letters: Iterable[str]) -> bool:
@@ -266,13 +274,13 @@ def read_channels(
 ) -> dict[Channel, np.ndarray]:
     """Every channel, or some of its rows, with one read of each part that holds any. `fills` gives
     the value for pixels without data; `files` are the open ones of a frame, by their words."""
-    wanted: dict[Part, list[Channel]] = {}
+    wanted: dict[tuple[str, Part], list[Channel]] = {}
     for channel in fills:
-        wanted.setdefault(channel.part, []).append(channel)
+        wanted.setdefault((channel.word, channel.part), []).append(channel)
     pixels: dict[Channel, np.ndarray] = {}
-    for part, channels in wanted.items():
+    for (word, part), channels in wanted.items():
         values = {channel.name: fills[channel] for channel in channels}
-        read = files[channels[0].word].read(part, values, rows)
+        read = files[word].read(part, values, rows)
         pixels.update({channel: read[channel.name] for channel in channels})
     return pixels
 
@@ -286,14 +294,14 @@ def _sources(word: str, parts: Parts, view: str) -> Iterator[_Source]:
     is_lone = len(parts) == 1
     for index, part in enumerate(parts):
         name, own = _name_and_view(part, views)
-        source = _Source(ranks.get(index, _NAMED))
+        source = _Source(ranks.get(index, _Rank.NAMED))
         shorts = [(*_without_view(channel, views, own, is_lone), Channel(word, part, channel))
                   for channel in part.channels]
         named = {short: found for short, seen, found in shorts if seen == "" or len(views) < 2}
         named |= {short: found for short, seen, found in shorts if seen == view}
         for short, found in (*named.items(),
                              *((_with_letter(short), found) for short, found in named.items())):
-            for full in _full_names(short, name, word, source.rank < _NAMED):
+            for full in _full_names(short, name, word, source.rank < _Rank.NAMED):
                 source.add(full, found)
         if source.channels:
             yield source
@@ -305,17 +313,17 @@ def _full_names(short: str, part: str, word: str, is_plain: bool) -> list[str]:
                   for head in (part, word) if head and not short.startswith(f"{head}.")]
 
 
-def _ranks(names: list[str], parts: Parts) -> dict[int, int]:
+def _ranks(names: list[str], parts: Parts) -> dict[int, _Rank]:
     """Ranks of the parts whose channels go by their bare names as well; of all, where none is
     likely to."""
-    ranks = {index: _PICTURE for index, part in enumerate(parts) if part.is_picture}
+    ranks = {index: _Rank.PICTURE for index, part in enumerate(parts) if part.is_picture}
     for index, name in enumerate(names):
         words = {name.lower(), name.lower().rpartition(".")[2]}
         if words & {*COLOUR_FILES}:
-            ranks.setdefault(index, _COLOUR)
+            ranks.setdefault(index, _Rank.COLOUR)
         elif not is_plane_word(name) and not _DATA.search(name):
-            ranks.setdefault(index, _UNKNOWN)
-    return ranks or dict.fromkeys(range(len(parts)), _UNKNOWN)
+            ranks.setdefault(index, _Rank.UNKNOWN)
+    return ranks or dict.fromkeys(range(len(parts)), _Rank.UNKNOWN)
 
 
 def _with_letter(name: str) -> str:

@@ -95,6 +95,14 @@ def convert(
     return np.ascontiguousarray(plane, np.float32)
 
 
+def is_converted(rule: PlaneRule) -> bool:
+    """Whether `convert` may change stored values."""
+    if rule.role in (Role.DEPTH, Role.MOTION) or (rule.role is Role.NORMAL
+                                                  and rule.space != "world"):
+        return True
+    return any(rule.offset) or {*rule.scale} != {1} or rule.clamp is not None
+
+
 def fill_value(rule: PlaneRule) -> float:
     """Stored value that means 'nothing here', for pixels outside the data window."""
     if rule.role is Role.DEPTH:
@@ -136,8 +144,7 @@ def _planar(plane: np.ndarray, rule: PlaneRule, camera: Camera, first: int,
             height: int) -> np.ndarray:
     """Depth along the view axis. Numbers of the camera that it needs are checked when the plane is
     found."""
-    fov = camera.fov_over(plane.shape[1])
-    if rule.kind == "ray" and fov is not None:
+    if rule.kind == "ray" and (fov := camera.fov_over(plane.shape[1])) is not None:
         sample = (camera.jitter[0] + camera.shift[0], camera.jitter[1] + camera.shift[1])
         return depth_from_ray(plane, fov, sample, camera.pixel_aspect, first, height)
     if rule.kind == "device":

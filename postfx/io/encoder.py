@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.colour.displays import Display
+from postfx.colour.displays import Display, parse_display
 from postfx.files import memory_file
+from postfx.frame import LINEAR, Frame
 from postfx.io.icc import make_profile
 from postfx.io.windows import Pixels
 
@@ -20,13 +21,18 @@ PIECE_ROWS = 16
 """Pieces have a multiple of them, which is what tiles and strips have."""
 
 
-def tag_codes(spec: oiio.ImageSpec, display: Display, path: Path) -> None:
+def display_of(frame: Frame) -> Display | None:
+    """Display that a frame's code values are for, None where its colour is light."""
+    return None if frame.encoding in LINEAR else parse_display(frame.encoding)
+
+
+def tag_codes(spec: oiio.ImageSpec, display: Display, suffix: str) -> None:
     """Say in a PNG, TIFF or JPEG for which display its code values are.
 
     PNG: chunk sRGB, or for other displays iCCP, an ICC profile, and before it cICP (ITU-T H.273)
     where that can say it. TIFF and JPEG: an ICC profile.
     """
-    if path.suffix.lower() == ".png" and display.name == "srgb":
+    if suffix == ".png" and display.name == "srgb":
         spec.attribute("oiio:ColorSpace", "sRGB")
         return
     icc = np.frombuffer(make_profile(display), np.uint8)

@@ -4,6 +4,9 @@ attributes."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -26,19 +29,20 @@ def merge_headers(files: Iterable[ImageFile]) -> dict[str, Any]:
     A larger part's jitter belongs to guides. Beside a picture that postfx wrote, other parts do not
     count.
     """
-    parts = [(part, file.headers[part.index]) for file in files for part in file.parts]
-    parts = [(part, header) for part, header in parts if part.is_picture] or parts
-    if len(parts) > 1:
-        parts.sort(key=_size_of_display)
+    opened = tuple(files)
     merged: dict[str, Any] = {}
-    for _, header in parts:
-        merged = {**header, **merged}
+    for place, index in _find_order(*[file.parts for file in opened]):
+        merged = {**opened[place].headers[index], **merged}
     return merged
 
 
-def _size_of_display(entry: tuple[Part, Mapping[str, Any]]) -> int:
-    display = entry[0].display
-    return display.width * display.height
+@lru_cache(64)
+def _find_order(*files: tuple[Part, ...]) -> tuple[tuple[int, int], ...]:
+    """Place of the file and index of the part whose header counts most, then of the others."""
+    parts = [(part.display.width * part.display.height, place, part)
+             for place, parts in enumerate(files) for part in parts]
+    parts = [entry for entry in parts if entry[2].is_picture] or parts
+    return tuple((place, part.index) for _, place, part in sorted(parts, key=itemgetter(0)))
 
 
 def tell_colours(merged: Mapping[str, Any], file: ImageFile, part: int) -> dict[str, Any]:
@@ -50,24 +54,20 @@ def tell_colours(merged: Mapping[str, Any], file: ImageFile, part: int) -> dict[
     return kept | found
 
 
+@dataclass(frozen=True)
 class Facts:
     """Header attributes by the names that a profile gives them; `layer` stands for {layer} in
     these."""
 
-    def __init__(self, profile: Profile, layer: str, attributes: Mapping[str, Any]) -> None:
-        self._profile, self._layer, self._attributes = profile, layer, attributes
-
-    def value(self, key: str) -> Any:
-        """The first attribute of this meaning; None where there is none."""
-        for name in self._profile.header.get(key, ()):
-            name = name.replace("{layer}", self._layer)
-            if name in self._attributes:
-                return self._attributes[name]
-        return None
+    profile: Profile
+    layer: str
+    attributes: Mapping[str, Any]
 
     def numbers(self, key: str, count: int) -> np.ndarray | None:
-        """Attribute of `count` numbers as float64; None when it is absent or something else."""
-        value = self.value(key)
+        """The first attribute of this meaning, `count` numbers as float64; None when there is none
+        or it is something else."""
+        names = (name.replace("{layer}", self.layer) for name in self.profile.header.get(key, ()))
+        value = next((self.attributes[name] for name in names if name in self.attributes), None)
         if value is None:
             return None
         try:
@@ -93,7 +93,7 @@ class Facts:
 
     def camera(self) -> Camera:
         """The camera, with the profile's numbers where the header says none."""
-        profile, matrix = self._profile, self.numbers("world_to_camera", WORLD_TO_CAMERA_NUMBERS)
+        profile, matrix = self.profile, self.numbers("world_to_camera", WORLD_TO_CAMERA_NUMBERS)
         if matrix is not None:
             matrix = matrix.reshape(4, 4)
             matrix = matrix.T if profile.column_vectors else matrix
@@ -105,5 +105,5 @@ class Facts:
             far=self.number("far", profile.far),
             max_velocity=self.number("max_velocity", profile.max_velocity),
             shutter=self.number("shutter", profile.shutter),
-            pixel_aspect=pixel_aspect(self._attributes),
+            pixel_aspect=pixel_aspect(self.attributes),
         )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain, repeat
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ import OpenImageIO as oiio
 
 from postfx.errors import MissingPlaneError
 from postfx.files import file_threads, run_in_order
-from postfx.frame import ROLES, ColourSource, Frame, FrameSpec, Role
+from postfx.frame import ROLES, Frame, FrameSpec, Role
 from postfx.io.channels import Channel, ChannelIndex, read_channels
 from postfx.io.convert import Camera, convert, fill_background_motion
 from postfx.io.exr.container import rows_of_task
@@ -33,7 +33,6 @@ from postfx.io.read_plan import (
     find_unread,
     find_unread_motion,
     key_of,
-    known_of,
     missing_error,
 )
 from postfx.io.windows import AREA
@@ -68,74 +67,65 @@ def read_planes(
     return planes
 
 
+@dataclass(frozen=True)
 class _Rows:
     """Reads rows of planes of one size."""
 
-    def __init__(
-        self,
-        files: Mapping[str, ImageFile],
-        plan: RowsPlan,
-        planes: Mapping[Role, np.ndarray],
-        camera: Camera,
-    ) -> None:
-        self._files, self._plan, self._planes, self._camera = files, plan, planes, camera
-        self._height = len(next(iter(planes.values())))
+    files: Mapping[str, ImageFile]
+    plan: RowsPlan
+    planes: Mapping[Role, np.ndarray]
+    camera: Camera
 
     def read(self, scratch: Scratch | None) -> None:
         """Read all rows: by several threads, if the files are stored so that it can be done."""
-        count = oiio.get_int_attribute("threads")
-        straight = self._plan.are_together and self._reads_straight()
+        count, (_, height) = oiio.get_int_attribute("threads"), self.plan.size
         if scratch:
             # Twice as much, with channels that nobody wants.
-            held = 8 * sum(plane.nbytes for plane in self._planes.values())
-            for rows in scratch.pieces(self._height, held // self._height):
-                if not (straight and self._read_straight(rows)):
+            held = 8 * sum(plane.nbytes for plane in self.planes.values())
+            for rows in scratch.pieces(height, held // height):
+                if not self._read_straight(rows):
                     self._read_any(rows)
             return
+        straight = self.plan.parts is not None
         step = (rows_of_task(count) if straight
                 else min(max(FEWEST_ROWS, 16 * count), MOST_CHUNK_ROWS))
-        step = -(-step // self._plan.chunk) * self._plan.chunk
-        pieces = [
-            (first, min(self._height, first + step)) for first in range(0, self._height, step)
-        ]
+        step = -(-step // self.plan.chunk) * self.plan.chunk
+        pieces = [(first, min(height, first + step)) for first in range(0, height, step)]
         tasks = [partial(self._read_straight, rows) for rows in pieces]
         done = run_in_order(file_threads(count), tasks, 2 * count) if straight else repeat(False)
         for rows, is_done in zip(pieces, done, strict=False):
             if not is_done:
                 self._read_any(rows)
 
-    def _reads_straight(self) -> bool:
-        """Whether rows of all parts can be unpacked into planes."""
-        for word, part, names in self._plan.parts:
-            if not self._files[word].reads_planes(part, chain.from_iterable(names.values())):
-                return False
-        return True
-
     def _read_any(self, rows: tuple[int, int]) -> None:
-        pixels, pieces = read_channels(self._files, self._plan.fills, rows), {}
-        for role, match in self._plan.matches.items():
+        """Read rows by OpenImageIO."""
+        pixels = read_channels(self.files, self.plan.fills, rows)
+        for role, match in self.plan.matches.items():
             stored = [pixels[channel] for channel in match.channels]
-            pieces[role] = np.stack(stored, axis=-1, out=self._planes[role][slice(*rows)])
-        self._convert(pieces, rows[0])
+            np.stack(stored, axis=-1, out=self.planes[role][slice(*rows)])
+        self._convert(rows)
 
     def _read_straight(self, rows: tuple[int, int]) -> bool:
-        """Read rows into planes as they are unpacked; False where a file is broken."""
-        pieces = {role: plane[slice(*rows)] for role, plane in self._planes.items()}
-        for word, part, names in self._plan.parts:
-            wanted = [(own, pieces[role]) for role, own in names.items()]
-            if not self._files[word].read_planes(part, wanted, rows):
+        """Read rows into planes as they are unpacked; False where a file is broken or is not stored
+        so."""
+        if self.plan.parts is None:
+            return False
+        for word, part, columns in self.plan.parts:
+            wanted = [(own, self.planes[role][slice(*rows)]) for role, own in columns.items()]
+            if not self.files[word].read_planes(part, wanted, rows):
                 return False
-        self._convert(pieces, rows[0])
+        self._convert(rows)
         return True
 
-    def _convert(self, pieces: Mapping[Role, np.ndarray], first: int) -> None:
-        for role, piece in pieces.items():
-            found = convert(piece, self._plan.matches[role].rule, self._camera, first, self._height)
+    def _convert(self, rows: tuple[int, int]) -> None:
+        for role in self.plan.converted:
+            piece, rule = self.planes[role][slice(*rows)], self.plan.matches[role].rule
+            found = convert(piece, rule, self.camera, rows[0], self.plan.size[1])
             if found is not piece:
                 piece[:] = found
 
 
-class FrameFiles:
+class FrameFiles(ExitStack):
     """The open files of one frame. Use as a context manager.
 
     `paths` maps a plane's word ('' where one file holds all planes) to its file; `guides` likewise,
@@ -157,6 +147,9 @@ class FrameFiles:
         guides: planes at output size, or None.
         alone: the parts of the picture that --leave keeps, or None.
         parts: layers that are parts of the picture, by name, of those that were asked for.
+        views: of stereo files, those that hold a colour, the one that is read first.
+        area: rectangle that the planes cover; None without any.
+        lacks_motion: whether the plane motion is to be estimated from the others.
     """
 
     def __init__(
@@ -167,15 +160,16 @@ class FrameFiles:
         guides: Mapping[str, Path] | None = None,
         plans: Plans | None = None,
     ) -> None:
-        self._stack, self._options = ExitStack(), options
+        super().__init__()
+        self._options = options
         self._guiding: FrameFiles | None = None
         try:
             self.files = {
-                word: self._stack.enter_context(ImageFile(path)) for word, path in paths.items()
+                word: self.enter_context(ImageFile(path)) for word, path in paths.items()
             }
             self.path = next(iter(self.files.values())).path
-            self.plan, self.layout = self._find_plan(settled, guides, plans or Plans())
-            self.guides = self._find_guides()
+            self.plan, self.layout = self._find_plan(settled, guides, plans or Plans(1))
+            self.guides = self._find_guides() if self.plan.guides else None
             entries = options.left_alone
             self.alone = (
                 LeftAlone(entries, self.plan.index, self.layout, self.files, not settled.named)
@@ -183,9 +177,16 @@ class FrameFiles:
                 else None
             )
         except BaseException:
-            self._stack.close()
+            self.close()
             raise
         self.parts, self.views, self.area = self.plan.parts, self.plan.views, self.plan.area
+
+        # Planes that are not in the files but are made from them.
+        made = {Role.STRENGTH} if self.alone else set()
+        if options.estimates_motion and {*MOTION_SOURCES} & self.layout.planes.keys():
+            made.add(Role.MOTION)
+        self._derived = made - self.layout.planes.keys()
+        self.lacks_motion = Role.MOTION in self._derived
 
     def _find_plan(
         self, settled: Settled, guides: Mapping[str, Path] | None, plans: Plans
@@ -193,30 +194,25 @@ class FrameFiles:
         """The plan of a frame whose headers are alike, or a new one, and the layout that it tells
         with this header."""
         attributes, depth = merge_headers(self.files.values()), self._options.stored_depth
-        parts = {word: file.parts for word, file in self.files.items()}
-        paths = {word: file.path for word, file in self.files.items()}
-        key = key_of(parts, attributes, self._options, settled)
-
-        # A plan that was made for a camera of which other numbers were known may use other planes.
-        plan, camera, planner = plans.find(key), None, None
-        if plan:
-            camera = plan.tell_camera(attributes, depth)
-            plan = plan if plan.known == known_of(camera) else None
-        if plan is None:
-            planner = Planner(parts, paths, attributes, self._options, settled)
+        key = key_of(self.files, attributes, self._options, settled)
+        plan = plans.find(key)
+        layout = plan.tell_layout(attributes, depth, self.files) if plan else None
+        planner = (None if layout
+                   else Planner(self.files, attributes, self._options, settled))
 
         # Files of guides have a plan of their own, on which this one depends.
-        views = planner.index.views if planner else plan.index.views if plan else ()
         if guides:
+            views = planner.index.views if planner else plan.index.views if plan else ()
             self._guiding = self._open_guides(guides, views, plans)
         guiding = self._guiding.plan if self._guiding else None
-        if plan is None or plan.guiding is not guiding:
-            planner = planner or Planner(parts, paths, attributes, self._options, settled)
-            plan = planner.finish(guiding, self._guiding.path if self._guiding else None)
-            plans.keep(key, plan)
-            camera = plan.tell_camera(attributes, depth)
-        assert camera is not None, "it is told by the plan"
-        return plan, plan.tell_layout(attributes, camera, self.files)
+        if plan and layout and plan.guiding is guiding:
+            return plan, layout
+        planner = planner or Planner(self.files, attributes, self._options, settled)
+        plan = planner.finish(guiding, self._guiding.path if self._guiding else None)
+        plans.keep(key, plan)
+        layout = plan.tell_layout(attributes, depth, self.files)
+        assert layout is not None, "the plan is of this header"
+        return plan, layout
 
     def _open_guides(
         self, paths: Mapping[str, Path], views: tuple[str, ...], plans: Plans
@@ -228,31 +224,19 @@ class FrameFiles:
                 view = next(
                     (own for own in ChannelIndex({"": file.parts}).views if own == views[0]), None
                 )
-        return self._stack.enter_context(
+        return self.enter_context(
             FrameFiles(paths, self._options.of_guides, Settled(view), plans=plans)
         )
 
-    def _find_guides(self) -> GuideLayout | None:
+    def _find_guides(self) -> GuideLayout:
         """Guides, and the camera that the header of their file or part tells."""
         planes = dict(self.plan.guides)
-        if not planes:
-            return None
         if self._guiding:
             return GuideLayout(self._guiding.path, planes, self._guiding.layout.camera)
         first, layout = next(iter(planes.values())).channels[0], self.layout
         file = self.files[first.word]
         own = Facts(layout.profile, layout.layer, file.headers[first.part.index])
         return GuideLayout(file.path, planes, replace(layout.camera, jitter=own.jitter()))
-
-    def __enter__(self) -> FrameFiles:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the files."""
-        self._stack.close()
 
     @property
     def begins_shot(self) -> bool:
@@ -263,7 +247,7 @@ class FrameFiles:
         """Size, planes and guides of the frame; MissingPlaneError when there is no colour."""
         width, height = self.match(Role.COLOUR).size
         guides = self.guides.spec() if self.guides else None
-        planes = (*self.layout.planes, *self._derived())
+        planes = (*self.layout.planes, *self._derived)
         parts = {name: len(part.channels) for name, part in self.parts.items()}
         return FrameSpec(width, height, planes, guides=guides, source=str(self.path), parts=parts)
 
@@ -284,15 +268,15 @@ class FrameFiles:
         if not wanted:
             raise self.missing_error(Role.COLOUR)
         alone = self.alone if Role.STRENGTH in wanted else None
-        stored = {*wanted, *(alone.reads if alone else ())} - self._derived()
+        stored = {*wanted, *(alone.reads if alone else ())} - self._derived
         matches = {role: self.match(role) for role in Role if role in stored}
         guide_matches = {role: self.guide(role) for role in guiding}
-        rows = self.plan.rows(matches, self.layout.paths)
+        rows = self.plan.rows(matches, self.files)
         planes = read_planes(self.files, rows, self.layout.camera, scratch)
         motion, depth = planes.get(Role.MOTION), planes.get(Role.DEPTH)
         if motion is not None and depth is not None and motion.shape[:2] == depth.shape[:2]:
             fill_background_motion(motion, depth)
-        guide_planes = self._read_guides(guide_matches, scratch)
+        guide_planes = self._read_guides(guide_matches, scratch) if guide_matches else {}
         if alone:
             strength = alone.strength(planes, scratch)
             planes = {role: strength if role is Role.STRENGTH else planes[role] for role in wanted}
@@ -306,11 +290,10 @@ class FrameFiles:
         self, matches: Mapping[Role, Match], scratch: Scratch | None
     ) -> dict[Role, np.ndarray]:
         """Guides at their size."""
-        if not matches or not self.guides:
-            return {}
+        assert self.guides is not None, "guides were matched"
         of = self._guiding or self
         return read_planes(
-            of.files, of.plan.rows(matches, of.layout.paths), self.guides.camera, scratch
+            of.files, of.plan.rows(matches, of.files), self.guides.camera, scratch
         )
 
     def select_present(
@@ -320,7 +303,7 @@ class FrameFiles:
         offered = self.guides.planes if self.guides else {}
         there = {
             *self.layout.planes,
-            *self._derived(),
+            *self._derived,
             Role.COLOUR,
             *(offered if guides is None else ()),
         }
@@ -355,24 +338,12 @@ class FrameFiles:
         motion is read."""
         return find_unread_motion(self.plan, self.layout)
 
-    def _derived(self) -> set[Role]:
-        """Planes that are not in the files but are made from them."""
-        made = {Role.STRENGTH} if self.alone else set()
-        if self._options.estimates_motion and {*MOTION_SOURCES} & self.layout.planes.keys():
-            made.add(Role.MOTION)
-        return made - self.layout.planes.keys()
-
-    @property
-    def lacks_motion(self) -> bool:
-        """Whether the plane motion is to be estimated from the others."""
-        return Role.MOTION in self._derived()
-
     def _split_roles(
         self, roles: Iterable[Role] | None, guides: Iterable[Role] | None
     ) -> tuple[list[Role], list[Role]]:
         """Roles to read as planes and as guides."""
         held, offered = self.layout.planes, self.guides.planes if self.guides else {}
-        planes = [*held, *self._derived()] if roles is None else [Role(role) for role in roles]
+        planes = [*held, *self._derived] if roles is None else [Role(role) for role in roles]
         if guides is not None:
             return planes, [Role(role) for role in guides]
         if roles is None:
@@ -388,6 +359,8 @@ class FrameFiles:
         first: Channel,
     ) -> Frame:
         layout, camera, part = self.layout, self.layout.camera, first.part
+        source = self.plan.source if Role.COLOUR in layout.planes else None
+        source = source and replace(source, attributes=layout.attributes)
         facts = Facts(layout.profile, layout.layer, layout.attributes)
         windows = {
             "displayWindow": tuple(part.display),
@@ -405,16 +378,9 @@ class FrameFiles:
             fov_x=camera.fov_over(part.area.width),
             metadata={**layout.attributes, **windows},
             source=str(self.files[first.word].path),
-            colour_source=self._colour_source(),
+            colour_source=source,
             guides=guides,
             guide_size=self.guides.size if self.guides else None,
             guide_jitter=self.guides.camera.jitter if self.guides else (0.0, 0.0),
             guide_source=str(self.guides.path) if self.guides else None,
         )
-
-    def _colour_source(self) -> ColourSource | None:
-        """Where the colour is, if it is in one part."""
-        source = self.plan.source
-        if source is None or Role.COLOUR not in self.layout.planes:
-            return None
-        return replace(source, attributes=self.layout.attributes)

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,19 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
+from postfx.caching import Kept
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8, make_printable
-from postfx.io.exr.container import MAX_SIDE, ExrContainer, NamedPlanes, PlainReader
+from postfx.io.exr.container import (
+    MAX_SIDE,
+    STORAGE_ATTRIBUTES,
+    ChannelPlanes,
+    ExrContainer,
+    read_rows,
+    read_rows_by_threads,
+)
 from postfx.io.windows import (
+    PICTURE_ATTRIBUTE,
     Part,
     Window,
     assign_windows,
@@ -55,14 +65,16 @@ def check_claims(path: Path) -> RadianceHeader | ExrContainer:
     hold.
     """
     try:
-        with path.open("rb") as file:
-            start = file.read(MAX_HEADER)
-            size = file.seek(0, 2)
-        if not start:
-            raise ReadError(f"{path}: is empty: render or copy this frame again")
-        if start.startswith(STARTS):
-            return _check_hdr(path, start, size)
-        return ExrContainer(path)
+        file = path.open("rb")
+        start = file.read(len(STARTS[0]))
+        if start and not start.startswith(STARTS):
+            file.seek(0)
+            return ExrContainer(path, file)
+        with file:
+            if not start:
+                raise ReadError(f"{path}: is empty: render or copy this frame again")
+            start += file.read(MAX_HEADER - len(start))
+            return _check_hdr(path, start, file.seek(0, os.SEEK_END))
     except OSError as error:
         raise ReadError(f"{path}: cannot be read: {error.strerror or error}; check the file's "
                         "rights") from error
@@ -77,7 +89,7 @@ def _check_hdr(path: Path, start: bytes, size: int) -> RadianceHeader:
     return header
 
 
-class ImageFile:
+class ImageFile(ExitStack):
     """An open file: `parts` says what is in it, `read` fetches channels. Use as a context manager.
 
     Attributes:
@@ -90,6 +102,7 @@ class ImageFile:
     """
 
     def __init__(self, path: Path, checked: bool = False) -> None:
+        super().__init__()
         self.path = Path(path)
         self._is_still = self.path.suffix.lower() in STILLS
         if self.path.suffix.lower() not in READABLE and not self._is_still:
@@ -101,9 +114,9 @@ class ImageFile:
         if not is_utf8(str(path)):
             raise ReadError(f"{make_printable(str(path))}: its name is not UTF-8: rename it")
         claims = None if checked or self._is_still else check_claims(self.path)
-        self._container = claims if isinstance(claims, ExrContainer) else None
+        self._container = (self.enter_context(claims) if isinstance(claims, ExrContainer)
+                           else None)
         self._radiance = claims if isinstance(claims, RadianceHeader) else None
-        self._readers: dict[int, PlainReader] = {}
         # pixels of a Radiance file that does not store them as they are
         self._upright: np.ndarray | None = None
         how = oiio.ImageSpec()
@@ -115,21 +128,11 @@ class ImageFile:
                    else "write the file again")
             raise ReadError(f"{path}: cannot be opened: {reason}; {fix}")
         self._input = opened
+        self.callback(opened.close)
         if self._is_still:
             _check_still(self.path, opened.spec())
         self.headers: dict[int, dict[str, Any]] = {}
         self.parts = self._scan()
-        if self._radiance:
-            self.parts = (_radiance_part(self.parts[0], self._radiance),)
-            self.headers = {0: _radiance_attributes(self.headers[0], self._radiance)}
-
-    def __enter__(self) -> ImageFile:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._input.close()
-        if self._container:
-            self._container.close()
 
     def read(
         self, part: Part, channels: Mapping[str, float], rows: tuple[int, int] | None = None
@@ -152,7 +155,7 @@ class ImageFile:
         planes = {name: np.empty((part.data.height, part.data.width), np.float32)
                   for name in channels}
         if not self._read_plain(part,
-                                [([name], plane[..., None]) for name, plane in planes.items()]):
+                                {name: plane[..., None] for name, plane in planes.items()}):
             indices = [part.channels.index(name) for name in channels]
             first, last = min(indices), max(indices)
             if rows is None and self._is_as_stored():
@@ -193,34 +196,32 @@ class ImageFile:
                       for column in range(end - begin)}
         return [found[name] for name in names]
 
-    def reads_planes(self, part: Part, names: Iterable[str]) -> bool:
-        """Whether `read_planes` reads these channels of a part: all are stored as they are or by
-        ZIP."""
-        reader = self._reader(part) if part.data == part.area else None
-        return reader is not None and all(name in reader.channels for name in names)
-
-    def read_planes(self, part: Part, planes: NamedPlanes, rows: tuple[int, int]) -> bool:
-        """Read some rows of a part's area into planes (rows, width, channels) float32 of the named
-        channels, which it reads; False for a broken file, about which OpenImageIO says more.
-        Several threads may read at once."""
-        reader = self._reader(part)
-        return reader is not None and reader.read(planes, *rows)
-
-    def _read_plain(self, part: Part, planes: NamedPlanes) -> bool:
-        """The same for a part's data window and any channels, by threads of its own."""
-        reader = self._reader(part) if part.data.height > 0 else None
-        if reader is None or not all(name in reader.channels for names, _ in planes
-                                     for name in names):
-            return False
-        return reader.read_by_threads(planes, part.data.y0 - reader.top,
-                                      part.data.y1 + 1 - reader.top)
-
-    def _reader(self, part: Part) -> PlainReader | None:
-        if self._container is None:
+    def plain_columns(self, part: Part, names: Sequence[str]) -> np.ndarray | None:
+        """These channels of a part for `read_planes`; None where it cannot read them: it reads what
+        is stored as it is or by ZIP."""
+        if self._container is None or part.data != part.area:
             return None
-        if part.index not in self._readers:
-            self._readers[part.index] = PlainReader(self._container, part.index)
-        return self._readers[part.index]
+        return self._container.storages[part.index].columns(names)
+
+    def read_planes(self, part: Part, planes: ChannelPlanes, rows: tuple[int, int]) -> bool:
+        """Read some rows of a part's area into planes (rows, width, channels) float32 of the
+        channels that `plain_columns` gives; False for a broken file, about which OpenImageIO says
+        more. Several threads may read at once."""
+        return (self._container is not None
+                and read_rows(self._container, part.index, planes, *rows))
+
+    def _read_plain(self, part: Part, planes: Mapping[str, np.ndarray]) -> bool:
+        """The same for a part's data window and any channels, by threads of its own."""
+        if self._container is None or part.data.height <= 0:
+            return False
+        storage = self._container.storages[part.index]
+        found = [(storage.columns([name]), plane) for name, plane in planes.items()]
+        targets = [(columns, plane) for columns, plane in found if columns is not None]
+        if len(targets) < len(found):
+            return False
+        top = storage.window.y0
+        return read_rows_by_threads(self._container, part.index, targets, part.data.y0 - top,
+                                    part.data.y1 + 1 - top)
 
     def _require_pixels(self, pixels: np.ndarray | None) -> np.ndarray:
         if pixels is None:
@@ -264,18 +265,40 @@ class ImageFile:
         return self._upright
 
     def _scan(self) -> tuple[Part, ...]:
-        parts: list[Part] = []
+        """The parts, and all header attributes. Files whose headers tell the same of their parts
+        share these: then what was found in one holds for all."""
+        specs: dict[int, oiio.ImageSpec] = {}
         index = 0
         while self._input.seek_subimage(index, 0):
             spec = self._input.spec()
             if not spec.deep:
+                specs[index] = spec
                 self.headers[index] = attributes_of(spec)
-                parts.append(part_of(index, spec, self.headers[index]))
             index += 1
-        if not parts:
+        if not specs:
             reason = "deep data is not supported: flatten it first, e.g. with oiiotool --flatten"
             raise ReadError(f"{self.path}: {reason if index else 'holds no image'}")
-        return assign_windows(parts)
+        stored = self._container.headers if self._container else ()
+        alike = tuple([tuple(map(header.attributes.get, _PART_ATTRIBUTES)) for header in stored])
+        found = _PARTS.find(alike) if alike else None
+        if found is None:
+            found = assign_windows([part_of(index, spec, self.headers[index])
+                                    for index, spec in specs.items()])
+            if self._radiance:
+                found = (_radiance_part(found[0], self._radiance),)
+            key: tuple[object, ...] = alike or tuple([part.key for part in found])
+            found = _PARTS.find(key) or _PARTS.keep(key, found)
+        if self._radiance:
+            self.headers = {0: _radiance_attributes(self.headers[0], self._radiance)}
+        return found
+
+
+_PART_ATTRIBUTES = (*STORAGE_ATTRIBUTES, "name", "view", "multiView", PICTURE_ATTRIBUTE)
+"""Of a header: those that tell what is known of its part."""
+MOST_KINDS_OF_FILES = 64
+"""Whose parts are kept."""
+_PARTS: Kept[tuple[object, ...], tuple[Part, ...]] = Kept(MOST_KINDS_OF_FILES)
+"""Parts of files by what their headers tell of them, or else by all that is known of them."""
 
 
 def _check_still(path: Path, spec: oiio.ImageSpec) -> None:

@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TypeAlias
 
@@ -61,7 +62,7 @@ class Pattern:
     def is_numbered(self) -> bool:
         return self.digits is not None
 
-    @property
+    @cached_property
     def has_views(self) -> bool:
         """Whether every view has files of its own."""
         return VIEW_FIELD in self.prefix + self.suffix

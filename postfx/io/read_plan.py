@@ -9,18 +9,21 @@ facts are read anew.
 from __future__ import annotations
 
 import re
-import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from postfx.caching import Kept
 from postfx.errors import MissingPlaneError, ReadError
 from postfx.files import make_printable
 from postfx.frame import ColourSource, Role
 from postfx.io.channels import Channel, ChannelIndex, Parts, are_together
-from postfx.io.convert import Camera, DepthOption, fill_value
+from postfx.io.colours import COLOUR_ATTRIBUTES
+from postfx.io.convert import Camera, DepthOption, fill_value, is_converted
 from postfx.io.facts import Facts, tell_colours
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import (
@@ -74,26 +77,8 @@ class Settled(NamedTuple):
 MOST_READ_PLANS = 32
 """That are kept: a sequence has one for each view, and for each kind of header that its frames
 have."""
-
-
-class Plans:
-    """The plans of a sequence by their keys; the oldest goes first. Several threads may find and
-    keep."""
-
-    def __init__(self) -> None:
-        self._held: dict[object, ReadPlan] = {}
-        self._lock = threading.Lock()
-
-    def find(self, key: object) -> ReadPlan | None:
-        """The plan of a key; None where there is none yet."""
-        return self._held.get(key)
-
-    def keep(self, key: object, plan: ReadPlan) -> None:
-        """Keep a plan in the place of one with the same key."""
-        with self._lock:
-            self._held[key] = plan
-            if len(self._held) > MOST_READ_PLANS:
-                del self._held[next(iter(self._held))]
+Plans = Kept[object, "ReadPlan"]
+"""The plans of a sequence by their keys."""
 
 
 class RowsPlan(NamedTuple):
@@ -104,19 +89,20 @@ class RowsPlan(NamedTuple):
         size: width and height.
         fills: channel -> the value of pixels without data.
         chunk: rows in which whole chunks lie.
-        parts: word of a file, part, and the names of the channels of each plane in it.
-        are_together: whether the channels of each plane are of one part.
+        parts: word of a file, part, and of each plane the columns that its rows are read from at
+            once; None where a file does not store them so.
+        converted: planes whose stored values are not what they become.
     """
 
     matches: Mapping[Role, Match]
     size: tuple[int, int]
     fills: Mapping[Channel, float]
     chunk: int
-    parts: tuple[tuple[str, Part, Mapping[Role, list[str]]], ...]
-    are_together: bool
+    parts: tuple[tuple[str, Part, Mapping[Role, np.ndarray]], ...] | None
+    converted: tuple[Role, ...]
 
 
-def plan_rows(matches: Mapping[Role, Match], paths: Mapping[str, Path]) -> list[RowsPlan]:
+def plan_rows(matches: Mapping[Role, Match], files: Mapping[str, ImageFile]) -> list[RowsPlan]:
     """A plan for the planes of each size. Raises ReadError for channels of one plane that differ in
     size."""
     sizes: dict[tuple[int, int], dict[Role, Match]] = {}
@@ -124,25 +110,38 @@ def plan_rows(matches: Mapping[Role, Match], paths: Mapping[str, Path]) -> list[
         areas = {(channel.part.area.width, channel.part.area.height) for channel in match.channels}
         if len(areas) > 1:
             raise ReadError(
-                f"{paths[match.channels[0].word]}: channels {match.names} differ in size; "
+                f"{files[match.channels[0].word].path}: channels {match.names} differ in size; "
                 "write them as one part"
             )
         sizes.setdefault(areas.pop(), {})[role] = match
-    return [_plan_rows(found, size) for size, found in sizes.items()]
+    return [_plan_rows(found, size, files) for size, found in sizes.items()]
 
 
-def _plan_rows(matches: Mapping[Role, Match], size: tuple[int, int]) -> RowsPlan:
+def _plan_rows(matches: Mapping[Role, Match], size: tuple[int, int],
+               files: Mapping[str, ImageFile]) -> RowsPlan:
     fills = {
         channel: fill_value(match.rule) for match in matches.values() for channel in match.channels
     }
-    parts: dict[Part, tuple[str, Part, dict[Role, list[str]]]] = {}
-    for role, match in matches.items():
-        first = match.channels[0]
-        names = parts.setdefault(first.part, (first.word, first.part, {}))[2]
-        names[role] = [channel.name for channel in match.channels]
-    together = all(are_together(match.channels) for match in matches.values())
     chunk = max(channel.part.chunk for channel in fills)
-    return RowsPlan(matches, size, fills, chunk, tuple(parts.values()), together)
+    converted = tuple(role for role, match in matches.items() if is_converted(match.rule))
+    return RowsPlan(matches, size, fills, chunk, _find_columns(matches, files), converted)
+
+
+def _find_columns(
+    matches: Mapping[Role, Match], files: Mapping[str, ImageFile]
+) -> tuple[tuple[str, Part, dict[Role, np.ndarray]], ...] | None:
+    """Of each part the columns of its planes; None where some are not stored as they are or by
+    ZIP, or spread over parts."""
+    parts: dict[tuple[str, Part], tuple[str, Part, dict[Role, np.ndarray]]] = {}
+    for role, match in matches.items():
+        word, part, _ = match.channels[0]
+        names = [channel.name for channel in match.channels]
+        together = are_together(match.channels)
+        columns = files[word].plain_columns(part, names) if together else None
+        if columns is None:
+            return None
+        parts.setdefault((word, part), (word, part, {}))[2][role] = columns
+    return tuple(parts.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +158,7 @@ class ReadPlan:
         views: of stereo files, those that hold a colour, the one that is read first; empty for
             files of one view.
         area: rectangle that the planes cover; None without any.
-        colour: a channel of the part whose header tells what the colours are; None without a
+        colours: what headers say of the colours in the part that the colour is in; None without a
             colour.
         source: where the colour is, for whoever writes the frame, without attributes; None if it is
             in several parts.
@@ -174,36 +173,42 @@ class ReadPlan:
     parts: Mapping[str, FoundPart]
     views: tuple[str, ...]
     area: Area | None
-    colour: Channel | None
+    colours: Mapping[str, Any] | None
     source: ColourSource | None
     known: tuple[bool, ...]
     _rows: dict[tuple[Role, ...], tuple[Mapping[Role, Match], list[RowsPlan]]] = field(
         default_factory=dict
     )
 
-    def tell_camera(self, attributes: Mapping[str, Any], depth: DepthOption | None) -> Camera:
-        """The camera of another frame, by its header; depth: what the user says of it."""
-        camera = Facts(self.layout.profile, self.layout.layer, attributes).camera()
-        return depth.camera(camera) if depth else camera
-
     def tell_layout(
-        self, attributes: Mapping[str, Any], camera: Camera, files: Mapping[str, ImageFile]
-    ) -> Layout:
-        """The layout of another frame, of its merged attributes, camera and open files."""
+        self, attributes: Mapping[str, Any], depth: DepthOption | None,
+        files: Mapping[str, ImageFile]
+    ) -> Layout | None:
+        """The layout of another frame, of its merged attributes and open files; depth: what the
+        user says of the camera. None where other numbers of the camera are known: then other planes
+        may be used."""
+        camera = Facts(self.layout.profile, self.layout.layer, attributes).camera()
+        camera = depth.camera(camera) if depth else camera
+        if known_of(camera) != self.known:
+            return None
         if self.area and self.area.is_wider:
             camera = camera_over(camera, self.area)
-        if self.colour:
-            attributes = tell_colours(attributes, files[self.colour.word], self.colour.part.index)
+        if self.colours is not None:
+            rest = {name: value
+                    for name, value in attributes.items() if name not in COLOUR_ATTRIBUTES}
+            attributes = {**rest, **self.colours}
         paths = {word: file.path for word, file in files.items()}
         return replace(self.layout, attributes=attributes, camera=camera, paths=paths)
 
-    def rows(self, matches: Mapping[Role, Match], paths: Mapping[str, Path]) -> list[RowsPlan]:
+    def rows(
+        self, matches: Mapping[Role, Match], files: Mapping[str, ImageFile]
+    ) -> list[RowsPlan]:
         """How these planes are read, found once unless their rules were changed."""
         roles = tuple(matches)
         held = self._rows.get(roles)
         if held is None:
-            held = self._rows[roles] = matches, plan_rows(matches, paths)
-        return held[1] if held[0] == matches else plan_rows(matches, paths)
+            held = self._rows[roles] = matches, plan_rows(matches, files)
+        return held[1] if held[0] == matches else plan_rows(matches, files)
 
 
 def camera_over(camera: Camera, area: Area) -> Camera:
@@ -220,16 +225,19 @@ def _middle(first: int, last: int) -> float:
 
 
 def key_of(
-    files: Mapping[str, Parts],
+    files: Mapping[str, ImageFile],
     attributes: Mapping[str, Any],
     options: ReadOptions,
     settled: Settled,
 ) -> tuple[object, ...]:
     """All on which a plan depends but the numbers of the camera: frames with one key have one
-    plan."""
-    parts = tuple([(word, *[part.key for part in own]) for word, own in files.items()])
+    plan. Files whose parts are alike share these."""
+    parts = tuple([(word, file.parts) for word, file in files.items()])
+    colours = tuple([str(header.get(name)) for file in files.values()
+                     for header in file.headers.values() for name in COLOUR_ATTRIBUTES])
     told = tuple([str(attributes.get(name, "")) for name in telling_names()])
-    return parts, told, str(attributes.get(PICTURE_ATTRIBUTE)), options.matching, settled
+    picture = str(attributes.get(PICTURE_ATTRIBUTE))
+    return parts, colours, told, picture, options.matching, settled
 
 
 def known_of(camera: Camera) -> tuple[bool, ...]:
@@ -253,17 +261,18 @@ class Planner:
     """
 
     def __init__(
-        self, files: Mapping[str, Parts], paths: Mapping[str, Path], attributes: Mapping[str, Any],
+        self, files: Mapping[str, ImageFile], attributes: Mapping[str, Any],
         options: ReadOptions, settled: Settled
     ) -> None:
-        self._files, self._paths, self._attributes = dict(files), paths, attributes
+        self._files = {word: file.parts for word, file in files.items()}
+        self._paths = {word: file.path for word, file in files.items()}
+        self._path = next(iter(self._paths.values()))
+        self._attributes = attributes
         self._options, self._settled = options, settled
-        self._path = next(iter(paths.values()))
         self._layer = settled.layer or options.layer
 
         # Where the planes are within the display window, then within all that holds data.
         self.index, self._layout = self._look()
-        self.known = known_of(self._layout.camera)
         self._area = _area_of(self._layout, settled.area)
         if self._area and self._area.is_wider:
             display, window = self._area
@@ -273,8 +282,11 @@ class Planner:
             self.index, self._layout = self._look()
 
         # Whose header tells of colours is decided by the render's own colour.
-        colour = self._layout.planes.get(Role.COLOUR)
-        self._colour = colour.channels[0] if colour else None
+        self._colours: dict[str, Any] | None = None
+        if colour := self._layout.planes.get(Role.COLOUR):
+            first = colour.channels[0]
+            told = tell_colours(attributes, files[first.word], first.part.index)
+            self._colours = {name: told[name] for name in COLOUR_ATTRIBUTES if name in told}
         drop_smaller_planes(self._layout)
         self._guides = take_larger_planes(self._layout)
         others = [view for view in self.index.views[1:] if self._holds_colour(view)]
@@ -309,9 +321,9 @@ class Planner:
             parts,
             self._views,
             self._area,
-            self._colour,
+            self._colours,
             _find_source(self.index, layout, parts),
-            self.known,
+            known_of(layout.camera),
         )
 
     def _look(self) -> tuple[ChannelIndex, Layout]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import replace
 from functools import update_wrapper
 from inspect import Signature, signature
@@ -21,7 +21,7 @@ from postfx.io.colours import parse_colourspace
 from postfx.io.frame_reader import READ_ALL, FrameFiles
 from postfx.io.pattern import VIEW_FIELD, Pattern, Source, format_frames, locate, parse_frames
 from postfx.io.read_options import AUTO_MOTION, ReadOptions, parse_views
-from postfx.io.read_plan import Area, Plans, Settled
+from postfx.io.read_plan import MOST_READ_PLANS, Area, Plans, Settled
 from postfx.io.windows import scale_windows
 from postfx.masks.cryptomatte import Coverage
 from postfx.motion import MOTION_SOURCES
@@ -67,7 +67,7 @@ class Sequence:
         self.fireflies = Fireflies()
         # Of each view's frame that was read last.
         self._pictures: dict[str | None, tuple[int, Picture | None]] = {}
-        self._plans = Plans()
+        self._plans = Plans(MOST_READ_PLANS)
         options.check()
         self._layer = options.layer
         self.view, self.views, self._all_views = parse_views(options.view)
@@ -242,7 +242,7 @@ class Sequence:
     def files(self, number: int) -> dict[str, Path]:
         """Plane word ('' where one file holds all planes) -> file of a frame; MissingFrameError
         when it has none."""
-        frames, *_ = self._read_files()
+        frames = self._found[self._key]
         if number not in frames:
             path = self.pattern.of_view(self.view or "").path(number)
             raise MissingFrameError(
@@ -288,13 +288,14 @@ class Sequence:
             self.views, self._known_views, self._all_views = tuple(others), files.views, False
         self._areas[self.view] = self._areas.get(self.view) or files.area
         try:
-            found = files.layout.warnings + self.colours.warnings(files.layout.attributes)
-            found += self._warn_of_views(files.views)
+            of_colours = self.colours.warnings(files.layout.attributes)
         except ColourError as error:
             files.close()
             raise ColourError(f"{files.path}: {error}") from None
-        for warning in found:
+        for warning in (*files.layout.warnings, *of_colours):
             self.warn(warning)
+        if files.views:
+            self._warn_of_views(files.views)
         return files
 
     def read(
@@ -307,7 +308,12 @@ class Sequence:
 
         Raises MissingFrameError, MissingPlaneError, GuideError or ReadError.
         """
-        return self._read(number, self._last, planes, guides)
+        return self._read(
+            number,
+            self._last,
+            None if planes is None else tuple(map(Role, planes)),
+            None if guides is None else tuple(map(Role, guides)),
+        )
 
     def begins_shot(self, number: int) -> bool:
         """Whether a frame is said to begin a shot, by the constructor's cuts or its header, whose
@@ -325,64 +331,55 @@ class Sequence:
             return files.alone.shares
 
     def _read(
-        self, number: int, previous: int | None, planes: Iterable[Role] | None = None,
-        guides: Iterable[Role] | None = None
+        self, number: int, previous: int | None, planes: Collection[Role] | None = None,
+        guides: Collection[Role] | None = None, is_lenient: bool = False
     ) -> Frame:
-        """A frame that comes after `previous`, with all views."""
-        planes = None if planes is None else tuple(planes)
-        frame = self._read_view(number, previous, planes, guides)
-        for view in self.views:
-            frame.views[view] = self.reader(view)._read_view(
-                number, previous, planes, guides, is_lenient=True
-            )
-        return frame
-
-    def _read_view(
-        self, number: int, previous: int | None, planes: Iterable[Role] | None = None,
-        guides: Iterable[Role] | None = None, is_lenient: bool = False
-    ) -> Frame:
-        """One view of such a frame; if `is_lenient`, without planes that it lacks, except the
-        colour."""
+        """A frame that comes after `previous`, with all views; if `is_lenient`, without planes that
+        it lacks, except the colour."""
         with self.open(number) as files:
-            wanted = self.options.planes if planes is None else planes
+            wanted, guiding = self.options.planes if planes is None else planes, guides
             if is_lenient:
-                wanted, guides = files.select_present(wanted, guides)
-            wanted, more = self._add_for_motion(files, wanted)
-            frame = files.read(number, wanted, guides, self.options.scratch)
-            lacks_motion = files.lacks_motion
+                wanted, guiding = files.select_present(wanted, guiding)
+            is_motion_wanted = files.lacks_motion and (wanted is None or Role.MOTION in wanted)
+            more = self._find_motion_sources(files, wanted) if is_motion_wanted else ()
+            asked = None if wanted is None else (*wanted, *more)
+            frame = files.read(number, asked, guiding, self.options.scratch)
             if files.alone:
                 self.coverage.add(files.alone.shares)
             lights = [name for name, found in files.parts.items() if found.part.is_light]
+
+        # Planes that are made of those that were read, and light that is mended.
         begins = frame.reset if self.options.cuts is None else number in self.options.cuts
-        self._estimate_motion(
-            frame, begins, lacks_motion and (wanted is None or Role.MOTION in wanted)
-        )
+        self._estimate_motion(frame, begins, is_motion_wanted)
         for role in more:
             del frame.planes[role]
         self.colours.apply(frame)
         if self.options.brightest and Role.COLOUR in frame:
             clamp_fireflies(frame, self.options.brightest, self.fireflies, lights)
+
+        # Where it stands in the sequence.
         self._last = number
-        after_gap = self._is_after_gap(number, previous)
-        frame.reset = begins or after_gap
+        is_after_gap = previous is not None and previous != number - self._step
+        if is_after_gap:
+            self.warn("frames are not consecutive: the history begins anew after each gap")
+        frame.reset = begins or is_after_gap
+        for view in self.views:
+            frame.views[view] = self.reader(view)._read(
+                number, previous, planes, guides, is_lenient=True
+            )
         return frame
 
-    def _add_for_motion(
+    def _find_motion_sources(
         self, files: FrameFiles, wanted: Iterable[Role] | None
-    ) -> tuple[tuple[Role, ...] | None, tuple[Role, ...]]:
-        """What to read so that wanted motion can be estimated, and what of that nobody else
-        wants."""
+    ) -> tuple[Role, ...]:
+        """Planes that motion is estimated from and nobody else wants."""
         if wanted is None:
-            return None, ()
-        asked = tuple(map(Role, wanted))
-        if not files.lacks_motion or Role.MOTION not in asked:
-            return asked, ()
-        more = tuple(
+            return ()
+        return tuple(
             role
             for role in (*MOTION_SOURCES, Role.DEPTH)
-            if role in files.layout.planes and role not in asked
+            if role in files.layout.planes and role not in wanted
         )
-        return asked + more, more
 
     def _estimate_motion(self, frame: Frame, begins: bool, is_wanted: bool) -> None:
         """Give a frame motion that is estimated from its planes and those of the frame before it on
@@ -469,14 +466,13 @@ class Sequence:
             for view in (self._key, *(self.views if self.pattern.has_views else ()))
         ]
 
-    def _warn_of_views(self, views: tuple[str, ...]) -> list[str]:
+    def _warn_of_views(self, views: tuple[str, ...]) -> None:
         others = ", ".join(view for view in views[1:] if view not in self._known_views)
-        return (
-            [
+        if others:
+            self.warn(
                 f"view {views[0]} is read; {others} not, and is only copied where the output keeps "
                 "other channels: --view all denoises all of them"
-            ] if others else []
-        )
+            )
 
     def _warn_of_overlooked(self) -> None:
         found = [
@@ -488,12 +484,6 @@ class Sequence:
                 f"{names}: fewer digits than frames of this pattern have: not read; rename them, "
                 "or name the frames with one #"
             )
-
-    def _is_after_gap(self, number: int, previous: int | None) -> bool:
-        if previous is None or previous == number - self._step:
-            return False
-        self.warn("frames are not consecutive: the history begins anew after each gap")
-        return True
 
     def warn(self, warning: str) -> None:
         """Keep a warning and tell the log of it, once."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +38,10 @@ render beside them."""
 AREA = "postfx:area"
 """Key of a frame's metadata: the rectangle that its planes cover, overscan included, like a
 window."""
+
+
+WINDOW_ATTRIBUTES = ("displayWindow", AREA, "dataWindow")
+"""Keys of a frame's metadata that are windows."""
 
 
 class Window(NamedTuple):
@@ -222,6 +227,7 @@ def output_windows(frame: Frame) -> OutputWindows:
                          width, height)
 
 
+@lru_cache(64)
 def scale_windows(covered: Window, display: Window, data: Window, width: int,
                   height: int) -> OutputWindows:
     """Windows of an output of this size, from the input's windows."""

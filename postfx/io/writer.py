@@ -9,8 +9,10 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from enum import StrEnum
+from functools import lru_cache
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
@@ -19,41 +21,46 @@ from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import OutputExistsError, WriteError
 from postfx.files import is_utf8, make_printable, output_file, with_slashes
 from postfx.frame import LINEAR, TOLD, Frame, Role
-from postfx.io.encoder import cut_pieces, encode_all, encode_pixel, tag_codes
-from postfx.io.exr.container import COMPRESSIONS, can_compress
-from postfx.io.exr.passthrough import enlargement_of, select_attributes, set_attributes
-from postfx.io.exr.picture import Picture, light_of, tag_light, to_halves, write_exr
+from postfx.io.encoder import cut_pieces, display_of, encode_all, encode_pixel, tag_codes
+from postfx.io.exr import Header
+from postfx.io.exr.container import COMPRESSIONS, Rows, can_compress
+from postfx.io.exr.picture import (
+    Picture,
+    PictureHeader,
+    light_of,
+    set_attributes,
+    to_halves,
+    write_exr,
+)
 from postfx.io.image_file import reason_of
 from postfx.io.jpeg import JPEG_SUFFIXES, write_jpeg
+from postfx.io.light_plan import LightPlan, find_light_plan
 from postfx.io.pattern import PLANE_FIELD, VIEW_FIELD, Pattern, parse_pattern, split_folder
 from postfx.io.png import OWN_CHANNELS, write_png
 from postfx.io.quantisation import Dither, quantise
 from postfx.io.sequence import Sequence
 from postfx.io.wholeness import has_end
-from postfx.io.windows import OutputWindows, Pixels, crop, output_windows
+from postfx.io.windows import Pixels, Window, crop, output_windows
 from postfx.planes import LARGEST_HALF, largest_bits_of
-from postfx.version import __version__
 
 LINEAR_FORMATS = (".exr",)
 DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG_SUFFIXES)
 WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
 _VIDEOS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".gif")
-_DEEP = (".tif", ".tiff")  # 16 bits, which PNG has for HDR displays if not told otherwise
+_DEEP = (".tif", ".tiff")
+"""Files of 16 bits, which PNG has for HDR displays if not told otherwise."""
 _LEVELLED = ("dwaa", "dwab")
-
-# With alpha: half the time of level 6 and a filter chosen for each row, for 4 % more
 _PNG_LEVEL = 3
+"""Of compression with alpha: half the time of level 6 and a filter chosen for each row, for 4 %
+more."""
 _PNG_PAETH = 128
 
-_STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
 SRGB_DISPLAY = parse_display("srgb")
 LEAST_FACTOR = np.float32(1 / 256)
 """Black in 8 bits: what light that reached a place without colour is divided by."""
 BEYOND_HALF = np.float32(65520)
 """The least number that is not rounded to the largest half float."""
 BEYOND_HALF_BITS = int(BEYOND_HALF.view(np.uint32))
-ERROR_CHANNEL = "error.V"
-OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 
 
 def is_display_format(path: str | PathLike[str]) -> bool:
@@ -104,7 +111,6 @@ def check_compression(path: Path, compression: str) -> None:
 def write_frame(
     path: str | PathLike[str],
     frame: Frame,
-    half: bool = True,
     relax: Callable[[], None] | None = None,
     dither: Dither | str = Dither.MOVING,
     provenance: Mapping[str, str | float] | None = None,
@@ -128,7 +134,6 @@ def write_frame(
     The file appears under its name only when it is complete; folders are made.
 
     Args:
-        half: whether an EXR's channels are half floats; `bits` says it for all formats.
         relax: called repeatedly while the file is written.
         dither: moving, static or none.
         provenance: attributes for an EXR header that tell how the frame came about.
@@ -150,64 +155,106 @@ def write_frame(
     if shown and frame.views:
         raise WriteError(f"{path}: {path.suffix[1:].upper()} holds one view: write EXR, or choose "
                          "one with --view NAME")
+    if shown:
+        _write_codes(path, frame, Dither(dither), bits, relax)
+        return path
     exact = any(source.exact for name, source in frame.part_sources.items() if name in frame.parts)
-    half = half and not exact if bits is None else bits == 16
-    pictures, cut = [], set[str]()
-    for view in (frame, *frame.views.values()):
-        convert = (_code_pixels(view, path, Dither(dither), bits) if shown
-                   else _linear_pixels(view, half, cut))
-        windows = output_windows(view)
-        convert = crop(convert, windows.area, windows.display if shown else windows.data)
-        spec = _spec(view, windows, convert(slice(0, 1)), path)
-        if not shown:
-            spec.attribute("compression", compression)
-            set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
-        pictures.append(Picture(spec, convert, view))
-    # only EXR keeps anything
-    keep = (not shown and enlargement_of(frame) is None if keep is None else keep)
-    altered = [np.zeros(0, np.bool_) if shown else _altered(picture.spec, compression)
-               for picture in pictures]
-    names = {name for picture, channels in zip(pictures, altered, strict=True)
-             for name, is_altered in zip(picture.spec.channelnames, channels, strict=False)
-             if is_altered}
-    names |= {f"{view}.{name}" for view in frame.views for name in names}
-    lost: list[bool] = []
+    half = not exact if bits is None else bits == 16
     with output_file(path) as temporary:
-        for limit in _LIMITS if names else _LIMITS[:1]:
-            limited = [_limited(picture, channels, limit, lost) if names else picture
-                       for picture, channels in zip(pictures, altered, strict=True)]
-            if shown:
-                _write_display(temporary, path.suffix.lower(), limited[0], relax)
-            else:
-                write_exr(temporary, limited, relax, keeps_rest=keep)
-            if not names or _is_finite(temporary, names):
-                break
-    if lost:
-        TOLD.warning("%s: pixels that are NaN become black by %s compression", path, compression)
-    if limit is not None:
-        TOLD.warning("%s: light above %d is cut there, as %s compression would make it infinite",
-                     path, limit, compression)
-    elif cut:
-        TOLD.warning("%s: %s above %d is cut there, as half floats hold no more: give 32 bits "
-                     "(--bits 32) to keep it", path, " and ".join(sorted(cut)), LARGEST_HALF)
+        found = [(view, *find_light_plan(view, half, compression, provenance or {}))
+                 for view in (frame, *frame.views.values())]
+        keep = not found[0][1].is_enlarged if keep is None else keep
+        notes = _write_light(temporary, found, keep, relax)
+    for note, *facts in notes:
+        TOLD.warning(note, path, *facts)
     return path
 
 
-def _write_display(path: Path, suffix: str, picture: Picture,
-                   relax: Callable[[], None] | None) -> None:
-    """Encode a picture for a display in the format of a suffix. Raises OSError unless all bytes are
+def _write_light(path: Path, found: list[tuple[Frame, LightPlan, Header]], keep: bool,
+                 relax: Callable[[], None] | None) -> list[tuple[Any, ...]]:
+    """Write an EXR of one view or several. Where a lossy compression makes light infinite, write it
+    again, cut at a limit. Returns what the user should know of it: notes on the file with their
+    facts."""
+    plans = [plan for _, plan, _ in found]
+    names = {name for plan in plans
+             for name, is_altered in zip(plan.names, plan.altered, strict=True) if is_altered}
+    names |= {f"{view}.{name}" for view in found[0][0].views for name in names}
+    cut, lost = set[str](), list[bool]()
+    for limit in _LIMITS if names else _LIMITS[:1]:
+        pictures = []
+        for frame, plan, header in found:
+            pixels = _linear_pixels(frame, plan, cut)
+            if names:
+                pixels = _limited(pixels, plan.altered, limit, lost)
+            pixels = crop(pixels, plan.windows.area, plan.windows.data)
+            rows = _channel_rows(pixels, plan.places, relax)
+            pictures.append(Picture(Header(dict(header.attributes)), rows, frame))
+        write_exr(path, pictures, keep, plans[0].key)
+        if not names or _is_finite(path, names):
+            break
+    notes: list[tuple[Any, ...]] = []
+    compression = plans[0].compression
+    if lost:
+        notes.append(("%s: pixels that are NaN become black by %s compression", compression))
+    if limit is not None:
+        notes.append(("%s: light above %d is cut there, as %s compression would make it infinite",
+                      limit, compression))
+    elif cut:
+        notes.append(("%s: %s above %d is cut there, as half floats hold no more: give 32 bits "
+                      "(--bits 32) to keep it", " and ".join(sorted(cut)), LARGEST_HALF))
+    return notes
+
+
+def _channel_rows(pixels: Pixels, places: list[int], relax: Callable[[], None] | None) -> Rows:
+    """Channels of pixels, in the order of these places."""
+    def rows(first: int, last: int) -> list[np.ndarray]:
+        found = pixels(slice(first, last))
+        if relax is not None:
+            relax()
+        return [found[:, :, place] for place in places]
+
+    return rows
+
+
+def _write_codes(path: Path, frame: Frame, dither: Dither, bits: int | None,
+                 relax: Callable[[], None] | None) -> None:
+    """Write a picture for a display in the format of a suffix. Raises OSError unless all bytes are
     in the file, which encoders do not tell."""
-    spec, convert, _ = picture
-    if suffix in JPEG_SUFFIXES:
-        write_jpeg(path, spec.image_bytes(),
-                   lambda to: encode_all(to, suffix, spec, convert, relax))
-    elif suffix == ".png" and spec.nchannels == OWN_CHANNELS:
-        write_png(path, encode_pixel(suffix, spec), (spec.width, spec.height),
-                  cut_pieces(spec, convert, relax))
-    else:
-        encode_all(path, suffix, spec, convert, relax)
-    if not has_end(path, suffix):
-        raise OSError(errno.ENOSPC, "the file has no end")
+    suffix, display, windows = path.suffix.lower(), display_of(frame), output_windows(frame)
+    opaque = (Role.ALPHA not in frame or suffix in JPEG_SUFFIXES
+              or bool(frame[Role.ALPHA].min() >= 1))
+    depth = bits or (16 if suffix in _DEEP or (display and display.hdr) else 8)
+    spec = _codes_spec(suffix, windows.display, 3 if opaque else 4, depth, display or SRGB_DISPLAY)
+    straight = suffix == ".png" and not opaque
+    convert = crop(_code_pixels(frame, display, opaque, straight, depth, dither), windows.area,
+                   windows.display)
+    with output_file(path) as temporary:
+        if suffix in JPEG_SUFFIXES:
+            write_jpeg(temporary, spec.image_bytes(),
+                       lambda to: encode_all(to, suffix, spec, convert, relax))
+        elif suffix == ".png" and spec.nchannels == OWN_CHANNELS:
+            write_png(temporary, encode_pixel(suffix, spec), (spec.width, spec.height),
+                      cut_pieces(spec, convert, relax))
+        else:
+            encode_all(temporary, suffix, spec, convert, relax)
+        if not has_end(temporary, suffix):
+            raise OSError(errno.ENOSPC, "the file has no end")
+
+
+@lru_cache(16)
+def _codes_spec(suffix: str, window: Window, channels: int, depth: int,
+                display: Display) -> oiio.ImageSpec:
+    """What OpenImageIO is told of a picture for a display. It is the same in all frames."""
+    spec = oiio.ImageSpec(window.width, window.height, channels, f"uint{depth}")
+    spec.channelnames = ("R", "G", "B", "A")[:channels]
+    tag_codes(spec, display, suffix)
+    if suffix == ".png":
+        spec.attribute("oiio:UnassociatedAlpha", 1)
+    if suffix in JPEG_SUFFIXES:  # TIFF would take it for a level of deflate
+        spec.attribute("CompressionQuality", 95)
+    spec.attribute("png:compressionLevel", _PNG_LEVEL)
+    spec.attribute("png:filter", _PNG_PAETH)
+    return spec
 
 
 def write_channels(
@@ -231,53 +278,33 @@ def write_channels(
     spec.full_width, spec.full_height = full or (width, height)
     spec.attribute("compression", "zip")
     set_attributes(spec, attributes or {})
+    header = PictureHeader(spec, attributes or {})
+    rows = _channel_rows(lambda rows: np.stack([plane[rows] for plane in planes], axis=2),
+                         header.places, None)
     with output_file(path) as temporary:
-        write_exr(temporary,
-                  [Picture(spec, lambda rows: np.stack([plane[rows] for plane in planes], axis=2))])
+        write_exr(temporary, [Picture(header.first, rows)])
     return path
 
 
 _LIMITS = (None, 60000, 52000, 40000, 24000)
 """Light at which pictures are cut, one after the other, until lossy compression, which errs by some
 percent of what is around a pixel, leaves all within half floats."""
-_CODING = (*_LEVELLED, "lj2k")
-"""Compressions that alter colours."""
-_ROUNDING = "b44"
-"""How the names of compressions begin that alter all half floats."""
-_CODED = ("r", "g", "b", "y", "ry", "by")
-"""Last words of the names of colours' channels."""
-
-
-def _word(name: str) -> str:
-    """The last word of a channel's name."""
-    return name.lower().rpartition(".")[2]
-
-
-def _altered(spec: oiio.ImageSpec, compression: str) -> np.ndarray:
-    """Which channels a compression alters so that NaN is lost, and infinity or NaN may be made of
-    large light."""
-    if compression.startswith(_ROUNDING):
-        return np.full(spec.nchannels, spec.format == oiio.HALF)
-    return np.array([compression.startswith(_CODING) and _word(name) in _CODED
-                     for name in spec.channelnames])
-
-
-def _limited(picture: Picture, altered: np.ndarray, limit: float | None,
-             lost: list[bool]) -> Picture:
-    """A picture whose altered channels are cut at a limit and are 0 in place of NaN, of which
+def _limited(pixels: Pixels, altered: np.ndarray, limit: float | None,
+             lost: list[bool]) -> Pixels:
+    """Pixels whose altered channels are cut at a limit and are 0 in place of NaN, of which
     `lost` is told."""
 
     def convert(rows: slice) -> np.ndarray:
-        pixels = picture.convert(rows)
-        if (is_nan := altered & np.isnan(pixels)).any():
+        found = pixels(rows)
+        if (is_nan := altered & np.isnan(found)).any():
             lost.append(True)
-            pixels = np.where(is_nan, pixels.dtype.type(0), pixels)
+            found = np.where(is_nan, found.dtype.type(0), found)
         if limit is None:
-            return pixels
-        return np.where(altered & (np.abs(pixels) > limit),
-                        np.copysign(pixels.dtype.type(limit), pixels), pixels)
+            return found
+        return np.where(altered & (np.abs(found) > limit),
+                        np.copysign(found.dtype.type(limit), found), found)
 
-    return picture._replace(convert=convert)
+    return convert
 
 
 def _is_finite(path: Path, names: set[str]) -> bool:
@@ -314,50 +341,42 @@ def is_complete(path: str | PathLike[str], width: int, height: int) -> bool:
     return readable and has_end(Path(path), Path(path).suffix)
 
 
-def _display_of(frame: Frame) -> Display | None:
-    """Display that a frame's code values are for, None where its colour is light."""
-    return None if frame.encoding in LINEAR else parse_display(frame.encoding)
-
-
-def _linear_pixels(frame: Frame, half: bool, cut: set[str]) -> Pixels:
+def _linear_pixels(frame: Frame, plan: LightPlan, cut: set[str]) -> Pixels:
     """Rows of light as they are written. cut: gets the names of planes of which half floats hold
     less than there is."""
-    display, names = _display_of(frame), _names_of_planes(frame)
+    colour = frame[Role.COLOUR]
+    before, behind = plan.planes
 
     def convert(rows: slice) -> np.ndarray:
-        colour = frame[Role.COLOUR][rows]
-        colour = light_of(colour, display) if display else colour
-        pixels = _with_parts(_with_layer(_with_alpha(colour, frame, rows), frame, rows), frame,
-                             rows)
-        pixels = (np.concatenate([pixels, frame[Role.ERROR][rows]], axis=2) if Role.ERROR in frame
-                  else pixels)
-        if half and largest_bits_of(pixels) >= BEYOND_HALF_BITS:
+        light = light_of(colour[rows], plan.display) if plan.display else colour[rows]
+        planes = [light, *[frame[role][rows] for role in before]]
+        planes += [_divide_part(frame, name, rows) for name in plan.parts]
+        planes += [frame[role][rows] for role in behind]
+        pixels = np.concatenate(planes, axis=2) if len(planes) > 1 else light
+        if not plan.half:
+            return pixels
+        if largest_bits_of(pixels) >= BEYOND_HALF_BITS:
             beyond = (np.abs(pixels) >= BEYOND_HALF).any((0, 1))
-            cut.update(name for name, is_beyond in zip(names, beyond, strict=True) if is_beyond)
-        return to_halves(pixels) if half else pixels
+            cut.update(kind for kind, is_beyond in zip(plan.kinds, beyond, strict=True)
+                       if is_beyond)
+        return to_halves(pixels)
 
     return convert
 
 
-def _names_of_planes(frame: Frame) -> list[str]:
-    """What each channel that is written belongs to."""
-    layers = [name.rpartition(".")[0] or name for name in _further_channels(frame)]
-    return [*("light",) * 3, *("alpha",) * (Role.ALPHA in frame), *layers]
-
-
-def _code_pixels(frame: Frame, path: Path, dither: Dither, bits: int | None) -> Pixels:
-    suffix, display = path.suffix.lower(), _display_of(frame)
-    opaque = Role.ALPHA not in frame or suffix in JPEG_SUFFIXES or frame[Role.ALPHA].min() >= 1
-    straight = suffix == ".png" and not opaque
-    depth = bits or (16 if suffix in _DEEP or (display and display.hdr) else 8)
+def _code_pixels(frame: Frame, display: Display | None, opaque: bool, straight: bool, depth: int,
+                 dither: Dither) -> Pixels:
+    """Rows of code values as they are written, with alpha unless the picture is opaque, which PNG
+    wants straight."""
+    colour = frame[Role.COLOUR]
 
     def convert(rows: slice) -> np.ndarray:
-        colour = frame[Role.COLOUR][rows]
-        codes = colour if display else SRGB.encode(colour)
-        codes = (_divide_by_alpha(codes, frame[Role.ALPHA][rows], display or SRGB_DISPLAY)
-                 if straight else codes)
-        pixels = codes if opaque else _with_alpha(codes, frame, rows)
-        return quantise(pixels, depth, dither, frame.number, rows.start)
+        codes = colour[rows] if display else SRGB.encode(colour[rows])
+        if straight:
+            codes = _divide_by_alpha(codes, frame[Role.ALPHA][rows], display or SRGB_DISPLAY)
+        if not opaque:
+            codes = np.concatenate([codes, frame[Role.ALPHA][rows]], axis=2)
+        return quantise(codes, depth, dither, frame.number, rows.start)
 
     return convert
 
@@ -369,21 +388,6 @@ def _divide_by_alpha(codes: np.ndarray, alpha: np.ndarray, display: Display) -> 
     found = np.array(codes)
     found[partly] = display.encode(light_of(codes[partly], display) / alpha[partly])
     return found
-
-
-def _with_alpha(colour: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
-    return (np.concatenate([colour, frame[Role.ALPHA][rows]], axis=2) if Role.ALPHA in frame
-            else colour)
-
-
-def _with_layer(pixels: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
-    return (np.concatenate([pixels, frame[Role.OVERLAY][rows]], axis=2) if _has_layer(frame)
-            else pixels)
-
-
-def _with_parts(pixels: np.ndarray, frame: Frame, rows: slice) -> np.ndarray:
-    found = [_divide_part(frame, name, rows) for name in _list_parts(frame)]
-    return np.concatenate([pixels, *found], axis=2) if found else pixels
 
 
 def _divide_part(frame: Frame, name: str, rows: slice) -> np.ndarray:
@@ -402,58 +406,6 @@ def _divide_part(frame: Frame, name: str, rows: slice) -> np.ndarray:
     return stored
 
 
-def _list_parts(frame: Frame) -> tuple[str, ...]:
-    """Parts that are written: beside light of the scene, which they add up to."""
-    return tuple(sorted(frame.parts)) if frame.encoding == "scene-linear" else ()
-
-
-def _part_channels(frame: Frame) -> tuple[str, ...]:
-    names: list[str] = []
-    for name in _list_parts(frame):
-        source, count = frame.part_sources.get(name), frame.parts[name].shape[2]
-        letters = ("V",) if count == 1 else ("R", "G", "B")
-        names += source.channels if source else tuple(f"{name}.{letter}" for letter in letters)
-    return tuple(names)
-
-
-def _further_channels(frame: Frame) -> tuple[str, ...]:
-    """Names of the channels behind the picture's."""
-    overlay, error = (OVERLAY_LAYER if _has_layer(frame) else (),
-                      (ERROR_CHANNEL,) * (Role.ERROR in frame))
-    return (*overlay, *_part_channels(frame), *error)
-
-
-def _has_layer(frame: Frame) -> bool:
-    """Whether the overlay is written: it cannot be composited with light of a display."""
-    return Role.OVERLAY in frame and frame.encoding == "scene-linear"
-
-
-def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) -> oiio.ImageSpec:
-    channels, shown = pixels.shape[2], is_display_format(path)
-    window = windows.display if shown else windows.data
-    spec = oiio.ImageSpec(window.width, window.height, channels,
-                          oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
-    layer = () if shown else _further_channels(frame)
-    spec.channelnames = ("R", "G", "B", "A")[: channels - len(layer)] + layer
-    display = _display_of(frame)
-    if shown:
-        tag_codes(spec, display or SRGB_DISPLAY, path)
-        if path.suffix.lower() == ".png":
-            spec.attribute("oiio:UnassociatedAlpha", 1)
-        if path.suffix.lower() in JPEG_SUFFIXES:  # TIFF would take it for a level of deflate
-            spec.attribute("CompressionQuality", 95)
-        spec.attribute("png:compressionLevel", _PNG_LEVEL)
-        spec.attribute("png:filter", _PNG_PAETH)
-        return spec
-    spec.x, spec.y, full = window.x0, window.y0, windows.display
-    spec.full_x, spec.full_y, spec.full_width, spec.full_height = (full.x0, full.y0, full.width,
-                                                                   full.height)
-    set_attributes(spec, select_attributes(frame))
-    if display:
-        tag_light(spec, display.kind.primaries, display.white)
-    return spec
-
-
 class ExistingFiles(StrEnum):
     """What to do with output files that are already there."""
 
@@ -469,6 +421,10 @@ class OutputFiles:
     for one frame; with {view} each view has a file of its own. Raises WriteError when the format is
     unknown, when several frames would share a file, when views that were read from files of their
     own would, or when an output would be an input; OutputExistsError from `check`.
+
+    Attributes:
+        display: whether they are pictures for a display.
+        has_views: whether every view has a file of its own.
     """
 
     def __init__(self, target: str, sequence: Sequence,
@@ -477,6 +433,7 @@ class OutputFiles:
         target = with_slashes(os.path.expanduser(target))
         self._pattern = _output_pattern(target, sequence.pattern)
         self.display = is_display_format(str(self._pattern))
+        self.has_views = self._pattern.has_views
         if len(sequence) > 1 and not self._pattern.is_numbered:
             stem, suffix = Path(target).stem, Path(target).suffix
             raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like "
@@ -497,11 +454,6 @@ class OutputFiles:
         """How the files are named, with # for digits."""
         return Path(str(self._pattern)).name
 
-    @property
-    def has_views(self) -> bool:
-        """Whether every view has a file of its own."""
-        return self._pattern.has_views
-
     def path(self, number: int) -> Path:
         """Output file of a frame, or of its first view."""
         return self.paths(number)[0]
@@ -512,10 +464,10 @@ class OutputFiles:
 
     def split(self, frame: Frame) -> list[tuple[Path, Frame]]:
         """A frame's output files, each with what goes into it."""
-        if not self.has_views:
-            return [(self.path(frame.number), frame)]
-        return [(path, replace(one, views={})) for path, one in
-                zip(self.paths(frame.number), (frame, *frame.views.values()), strict=True)]
+        pictures = [frame]
+        if self.has_views:
+            pictures = [replace(one, views={}) for one in (frame, *frame.views.values())]
+        return list(zip(self.paths(frame.number), pictures, strict=True))
 
     def check(self, numbers: tuple[int, ...]) -> None:
         """OutputExistsError when a file is already there and is to be neither overwritten nor

@@ -141,6 +141,10 @@ struct Resampler {
                 typedef decltype(one) F;
                 store_pairs<F>(out + 2 * x, load<F>(sides[0] + x), load<F>(sides[1] + x));
             });
+        } else if (channels == 3) {
+            across(0, w, PIXELS(auto one, Long x) {
+                interleave_triples<decltype(one)>(out + 6 * x, sides[0] + 3 * x, sides[1] + 3 * x);
+            });
         } else {
             for (Long x = 0; x < w; x++) {
                 put(out, 2 * x, four_at(sides[0] + channels * x), sides[0] + channels * x);
@@ -211,6 +215,7 @@ static Status resample_rows(Long first, Long last, Picture image, Places rows, P
     Resampler resampler(image, rows, columns);
     if (!resampler) return NO_MEMORY;
     for (Long y = first; y < last; y++) resampler.put_row(y, output(y));
+    settle();
     return DONE;
 }
 EXPORT(resample, resample_rows)

@@ -70,6 +70,17 @@ template <class F> FN F load(const float* at) {
     return x;
 }
 template <class F> FN void store(float* at, F x) { __builtin_memcpy(at, &x, sizeof x); }
+// The same past the caches, where it can be, for pictures that are larger than they are. Other
+// threads see it after `settle`.
+template <class F> FN void store_past(float* at, F x) {
+    if ((__UINTPTR_TYPE__)at % sizeof x) store<F>(at, x);
+    else __builtin_nontemporal_store(x, (F*)at);
+}
+FN void settle() {
+#if defined(__x86_64__)
+    __builtin_ia32_sfence();
+#endif
+}
 
 // Places in a vector, which a compiler that knows them turns into few instructions.
 template <class T, T... PLACE> struct List {};
@@ -149,6 +160,31 @@ template <class F> FN void store_triples(float* at, F a, F b, F c) {
         store<Wide>(at, triples_from<0>(a, b, c, Lanes()));
         store<Wide>(at + WIDE, triples_from<WIDE>(a, b, c, Lanes()));
         store<Wide>(at + 2 * WIDE, triples_from<2 * WIDE>(a, b, c, Lanes()));
+    }
+}
+
+// Two rows of triples as one, a triple of each in turn, stored past the caches.
+constexpr int place_in_turn(int i) { return i / 6 * 3 + i % 3; }
+constexpr int first_in_turn(int i) {
+    const int own = place_in_turn(i), next = place_in_turn(i + 3 - i % 3);
+    const int first = own < next ? own : next;
+    return first < 2 * WIDE ? first : 2 * WIDE;  // nothing is read behind the last number
+}
+template <int FIRST, int... I>
+FN Wide triples_in_turn(const float* even, const float* odd, List<int, I...>) {
+    constexpr int SKIPPED = first_in_turn(FIRST);
+    const Wide a = load<Wide>(even + SKIPPED), b = load<Wide>(odd + SKIPPED);
+    return TWO_OF(a, b, place_in_turn(FIRST + I) - SKIPPED + (FIRST + I) / 3 % 2 * WIDE);
+}
+template <int... J> FN void store_in_turn(float* at, const float* even, const float* odd,
+                                          List<int, J...>) {
+    (store_past<Wide>(at + J * WIDE, triples_in_turn<J * WIDE>(even, odd, Lanes())), ...);
+}
+template <class F> FN void interleave_triples(float* at, const float* even, const float* odd) {
+    if constexpr (Of<F>::COUNT == 1) {
+        for (int i = 0; i < 6; i++) at[i] = (i < 3 ? even : odd)[i % 3];
+    } else {
+        store_in_turn(at, even, odd, __make_integer_seq<List, int, 6>());
     }
 }
 

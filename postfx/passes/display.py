@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import ClassVar, Never
 
 import numpy as np
@@ -179,8 +180,10 @@ class View(Pass):
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         self._params.put(np.array([frame.exposure_factor, AXIS_TOE, AXIS_SCALE], np.float32))
-        commands.run(self._state, "view", colour=frame[Role.COLOUR], params=self._params,
-                     output=self._output, **self._cube)
+        tensors = {"colour": frame[Role.COLOUR], "output": self._output}
+        commands.repeat((self, *tensors.values()),
+                        partial(commands.run, self._state, "view", params=self._params, **tensors,
+                                **self._cube))
         frame.set(Role.COLOUR, self._output)
 
     def _matrix(self) -> np.ndarray:

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from postfx.kernels.denoise.parts import DECODE
+from postfx.planes import LARGEST_FLOAT
 from postfx.runtime import CommandBuffer, Device, Tensor
 from postfx.runtime.states import State
 
@@ -19,7 +20,6 @@ LEAST_BELOW = 3e-3
 picture."""
 ROW_STEP = 8
 """One row in so many is looked at for that."""
-LARGEST_FLOAT = float(np.finfo(np.float32).max)
 ABOVE, BELOW = 1.0, -1.0
 """What light is multiplied by, before the rest is cut at 0."""
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ import numpy
 import numpy as np
 import OpenImageIO
 
-from postfx.errors import Interrupted, ReadError, WriteError
+from postfx.errors import Interrupted, MissingFrameError, ReadError, WriteError
 from postfx.frame import Frame
 from postfx.io.sequence import Sequence
 from postfx.io.writer import ExistingFiles, OutputFiles
@@ -103,15 +104,18 @@ class Provenance:
 
     def header(self, models: Mapping[str, str]) -> dict[str, str]:
         """Attributes for an image's header. models: name -> SHA-256 of the networks that ran."""
-        settings = {name: Path(str(value)).name if name in self.files and value else value
-                    for name, value in self.settings.items()}
         return {
             "postfx:version": self.versions["postfx"],
             "postfx:models": ", ".join(f"{name} sha256:{digest}"
                                        for name, digest in sorted(models.items())),
-            "postfx:settings": json.dumps({"settings": settings, "passes": dict(self.passes)},
-                                          default=str),
+            "postfx:settings": self._settings_text,
         }
+
+    @cached_property
+    def _settings_text(self) -> str:
+        settings = {name: Path(str(value)).name if name in self.files and value else value
+                    for name, value in self.settings.items()}
+        return json.dumps({"settings": settings, "passes": dict(self.passes)}, default=str)
 
 
 def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also: Iterable[Any] = (),
@@ -381,10 +385,10 @@ class Run:
         return run.get("fingerprint") == self._provenance.fingerprint
 
     def _inputs(self, number: int) -> dict[str, tuple[int, int]]:
-        return _states_of(self._sequence.inputs(number)) if self._sequence.holds(number) else {}
-
-
-def _states_of(paths: list[Path]) -> dict[str, tuple[int, int]]:
-    """Size and modification time of the files that exist, by path."""
-    found = {str(path): path.stat() for path in paths if os.path.isfile(path)}
-    return {path: (status.st_size, status.st_mtime_ns) for path, status in found.items()}
+        """Size and modification time of the files of a frame that exist, by path."""
+        try:
+            paths = self._sequence.inputs(number)
+        except MissingFrameError:
+            return {}
+        found = {str(path): path.stat() for path in paths if os.path.isfile(path)}
+        return {path: (status.st_size, status.st_mtime_ns) for path, status in found.items()}

@@ -168,9 +168,10 @@ class Recordings:
         parts: list[object] = [frozenset(item for item in kept if isinstance(item, Transient))]
         if sum([len(passage.records) for passage in passages]) == len(records):
             return (*parts, *passages)
-        first = records[0].encoder if records else 0
+        encoders = dict[int, int]()
         for record in records:
-            parts.append(record.encoder - first)
+            # by their order: those of a passage keep the numbers of its first recording
+            parts.append(encoders.setdefault(record.encoder, len(encoders)))
             if isinstance(record, Dispatch):
                 parts += (record.label, record.arguments)
             elif isinstance(record, EncoderBarrier):

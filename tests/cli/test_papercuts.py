@@ -23,7 +23,7 @@ def here(shot, tmp_path, monkeypatch) -> Path:
 
 
 @pytest.mark.parametrize(("words", "said"), [
-    (("--model", "x"), "give s, m, l, classic or FILE.onnx; 'postfx models' lists all"),
+    (("--model", "x"), "give s, m, l, xl, classic or FILE.onnx; 'postfx models' lists all"),
     (("--memory", "4"), "memory budget '4' is in bytes without a unit: 4G for gigabytes?"),
     (("--scale", "9"), "scales by 1 to 3, not 9"),
     (("--frames", "100-200"),

@@ -22,8 +22,7 @@ from postfx.io.exr.container import (
     MAX_SIDE,
     ExrContainer,
     NewPart,
-    check_claims,
-    count_chunks,
+    storage_of,
     write_container,
 )
 from postfx.io.sequence import read_sequence
@@ -210,13 +209,14 @@ def test_sides_are_taken_up_to_the_limit(source: Path, across: bool) -> None:
     for side in (1, MAX_SIDE):
         header.set("dataWindow", "box2i",
                    window(0, 0, *((side - 1, 0) if across else (0, side - 1))))
-        assert count_chunks(header) == (1 if across else -(-side // LINES[header.compression]))
+        chunks = 1 if across else -(-side // LINES[header.compression])
+        assert storage_of(header).count == chunks
     for side in (0, MAX_SIDE + 1):
         header.set("dataWindow", "box2i",
                    window(0, 0, *((side - 1, 0) if across else (0, side - 1))))
         with pytest.raises(ReadError,
                            match=f"claims {f'{side}x1' if across else f'1x{side}'} pixels"):
-            count_chunks(header)
+            storage_of(header)
 
 
 @pytest.mark.parametrize(("compression", "most"), [(0, 1), (3, 1100)])
@@ -227,11 +227,21 @@ def test_pixels_are_taken_up_to_what_a_file_can_hold(source: Path, compression: 
         header = file.headers[0]
     pixel = sum(SAMPLE_BYTES[channel.kind] for channel in header.channels)
     size = next(size for size in range(4096, 8192) if (most * size + (1 << 20)) % pixel == 0)
-    header.set("compression", "compression", bytes([compression]))
-    header.set("dataWindow", "box2i", window(0, 0, (most * size + (1 << 20)) // pixel - 1, 0))
-    check_claims(header, size)
+    bounds = window(0, 0, (most * size + (1 << 20)) // pixel - 1, 0)
+
+    def change(header: Header) -> None:
+        header.set("compression", "compression", bytes([compression]))
+        header.set("dataWindow", "box2i", bounds)
+        header.set("displayWindow", "box2i", bounds)
+
+    with_header(source, change)
+    content = source.read_bytes().ljust(size, b"\0")
+    source.write_bytes(content[:size])
+    with ExrContainer(source) as file:
+        assert file.counts == [1]
+    source.write_bytes(content[:size - 1])
     with pytest.raises(ReadError, match=f"its header claims .* pixels in {size - 1} bytes"):
-        check_claims(header, size - 1)
+        ExrContainer(source)
 
 
 HDR = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n"

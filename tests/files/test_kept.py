@@ -278,6 +278,20 @@ def test_a_source_that_lost_pixels_leaves_no_output(tmp_path: Path) -> None:
     assert list((tmp_path / "new").iterdir()) == []
 
 
+def test_pixels_that_broke_since_the_frame_was_read_are_told(tmp_path: Path) -> None:
+    source = write_mixed(tmp_path / "in.exr", "ZIP")
+    frame = processed(source)
+    with ExrContainer(source) as file:
+        last = file.chunks(0)[-1]
+    content = bytearray(source.read_bytes())
+    content[last.at + last.head : last.at + last.head + last.size] = bytes(last.size)
+    source.write_bytes(content)
+    with pytest.raises(ReadError, match=r"in\.exr: broken file: .*; render or copy this frame"):
+        write_frame(tmp_path / "out.exr", frame, keep=True)
+    assert not (tmp_path / "out.exr").exists()
+
+
+
 @pytest.mark.parametrize("scale", [1, 2])
 def test_a_file_with_a_damaged_kept_part_is_not_complete(tmp_path: Path, scale: int) -> None:
     out, frame = keep(write_studio(tmp_path), scale)

@@ -105,7 +105,7 @@ def test_exr_of_a_display_picture_is_light_with_its_primaries(tmp_path: Path) ->
     codes = np.ascontiguousarray(display.encode(light), np.float32)
     made = Frame({Role.COLOUR: codes}, encoding=str(display),
                  metadata={"colorInteropID": "lin_ap1_scene"})
-    file = openexr.File(str(write_frame(tmp_path / "a.exr", made, half=False)))
+    file = openexr.File(str(write_frame(tmp_path / "a.exr", made, bits=32)))
     header, pixels = file.header(), file.channels()["RGB"].pixels
     np.testing.assert_allclose(header["chromaticities"], REC2020, atol=1e-6)
     assert header["whiteLuminance"] == 203

@@ -11,7 +11,7 @@ import pytest
 
 from postfx.errors import MissingFrameError, ReadError
 from postfx.io.exr import container
-from postfx.io.exr.container import ExrContainer, PlainReader
+from postfx.io.exr.container import ExrContainer, read_rows
 from postfx.io.image_file import ImageFile
 from postfx.io.pixel_formats import (
     compress_rows,
@@ -178,13 +178,13 @@ def test_zip_leaves_rows_that_its_table_does_not_hold_to_openimageio(tmp_path: P
     OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage},
                  {name: np.ones((40, 8), np.float32) for name in "RGB"}).write(str(path))
     with ExrContainer(path) as file:
-        reader = PlainReader(file, 0)
-        plane = np.zeros((40, 8, 1), np.float32)
-        assert reader.read([(["G"], plane)], 0, 40) and (plane == 1).all()
-        assert not reader.read([(["G"], plane)], 0, 41) and not reader.read([(["G"], plane)], -1, 8)
+        green, plane = file.storages[0].columns(["G"]), np.zeros((40, 8, 1), np.float32)
+        assert read_rows(file, 0, [(green, plane)], 0, 40) and (plane == 1).all()
+        assert not read_rows(file, 0, [(green, plane)], 0, 41)
+        assert not read_rows(file, 0, [(green, plane)], -1, 8)
         file.counts[0] = 2  # as if the header told of fewer lines than OpenImageIO reads
-        assert (not reader.read([(["G"], plane)], 0, 40)
-                and reader.read([(["G"], plane[:32])], 0, 32))
+        assert not read_rows(file, 0, [(green, plane)], 0, 40)
+        assert read_rows(file, 0, [(green, plane[:32])], 0, 32)
 
 
 @pytest.mark.skipif(not hasattr(container.os, "register_at_fork"),

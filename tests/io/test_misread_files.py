@@ -73,7 +73,7 @@ def test_a_table_of_zeros(collection: Path, tmp_path: Path) -> None:
     path = collection / "zero_offset_table.exr"
     frame = read(path)
     np.testing.assert_array_equal(frame[Role.COLOUR], oiio.ImageBuf(str(path)).get_pixels("float"))
-    out = write_frame(tmp_path / "out.exr", frame, half=False, keep=True)
+    out = write_frame(tmp_path / "out.exr", frame, bits=32, keep=True)
     np.testing.assert_array_equal(oiio.ImageBuf(str(out)).get_pixels("float"), frame[Role.COLOUR])
 
 

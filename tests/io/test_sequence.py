@@ -353,3 +353,17 @@ def test_files_beside_those_of_planes_are_another_sequence(tmp_path):
         locate(tmp_path)
     (tmp_path / "turntable.0001.exr").unlink()
     assert str(locate(tmp_path)[0]) == f"{tmp_path}/{{plane}}.####.exr"
+
+
+def test_files_of_one_plane_each_may_have_the_same_channels(write_exr, tmp_path, ramp):
+    """Files that are alike share what is known of their parts, not their pixels."""
+    planes = {"beauty": ramp("R", "G", "B"),
+              "albedo": {name: 1 - plane for name, plane in ramp("R", "G", "B").items()}}
+    for number in (1, 2):
+        for word, channels in planes.items():
+            write_exr(f"{word}.{number:04d}.exr",
+                      {name: plane / number for name, plane in channels.items()})
+    for frame in read_sequence(str(tmp_path / "{plane}.####.exr")):
+        for role, word in ((Role.COLOUR, "beauty"), (Role.DIFFUSE_ALBEDO, "albedo")):
+            wanted = np.stack(list(planes[word].values()), -1) / frame.number
+            np.testing.assert_allclose(frame[role], wanted, atol=1e-3)

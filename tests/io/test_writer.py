@@ -52,7 +52,7 @@ def test_values_beyond_half_stay_finite(frame, tmp_path):
 
 def test_display_frames_are_decoded_for_exr(frame, tmp_path):
     frame.encoding = "srgb"
-    written = pixels_of(write_frame(tmp_path / "a.exr", frame, half=False))
+    written = pixels_of(write_frame(tmp_path / "a.exr", frame, bits=32))
     np.testing.assert_allclose(written[:, :, :3], srgb_decode(frame[Role.COLOUR]), atol=1e-6)
 
 
@@ -261,7 +261,7 @@ def test_every_reader_of_exr_finds_the_pixels(tmp_path, half, size, noisy):
     bits = random.integers(0, 0x7BFF, (*size, 4), np.uint16).view(np.float16).astype(np.float32)
     pixels = bits if noisy else np.float32(0.25) + np.zeros_like(bits)
     frame = Frame({Role.COLOUR: pixels[:, :, :3], Role.ALPHA: pixels[:, :, 3:]})
-    path = write_frame(tmp_path / "a.exr", frame, half=half)
+    path = write_frame(tmp_path / "a.exr", frame, bits=16 if half else 32)
     np.testing.assert_array_equal(pixels_of(path), pixels)
     with OpenEXR.File(str(path), separate_channels=True) as file:
         for place, name in enumerate("RGBA"):
@@ -297,7 +297,10 @@ def test_exr_headers_are_those_of_openimageio(tmp_path):
 def test_the_newest_compressions_are_written(tmp_path, compression, loses, half):
     ramp = np.linspace(0.1, 4, 300 * 70 * 3, dtype=np.float32).reshape(300, 70, 3)
     light = ramp.astype(np.float16).astype(np.float32) if half else ramp
-    write_frame(tmp_path / "a.exr", Frame({Role.COLOUR: light}), half=half, compression=compression)
+    bits = 16 if half else 32
+    write_frame(
+        tmp_path / "a.exr", Frame({Role.COLOUR: light}), bits=bits, compression=compression
+    )
     image = oiio.ImageBuf(str(tmp_path / "a.exr"))
     assert image.spec()["compression"] == compression
     difference = np.abs(image.get_pixels(oiio.FLOAT) - light).max()
@@ -324,7 +327,7 @@ def test_light_near_the_largest_half_stays_finite_in_lossy_compression(tmp_path,
     depth = np.full((64, 96, 1), 1e6, np.float32)
     frame = Frame({Role.COLOUR: light}, parts={"Depth": depth, "key": light, "shadow": -light},
                   part_sources={"Depth": PartSource(("Depth.Z",))})
-    write_frame(tmp_path / "a.exr", frame, half=half, compression=compression)
+    write_frame(tmp_path / "a.exr", frame, bits=16 if half else 32, compression=compression)
     image = oiio.ImageBuf(str(tmp_path / "a.exr"))
     found = dict(zip(image.spec().channelnames, np.moveaxis(image.get_pixels(oiio.FLOAT), 2, 0),
                      strict=True))
@@ -368,7 +371,7 @@ def test_light_that_half_floats_cannot_hold_is_said(tmp_path, caplog, compressio
     light = np.full((32, 48, 3), 0.5, np.float32)
     light[3, 4, 1], light[5, 6] = most, np.nan
     frame = Frame({Role.COLOUR: light}, parts={"sky": -light})
-    write_frame(tmp_path / "a.exr", frame, half=half, compression=compression)
+    write_frame(tmp_path / "a.exr", frame, bits=16 if half else 32, compression=compression)
     assert caplog.text.count("above") == bool(said) and said in caplog.text
     found = oiio.ImageBuf(str(tmp_path / "a.exr")).get_pixels(oiio.FLOAT)[3, 4]
     kept = min(most, 65504.0) if half else most

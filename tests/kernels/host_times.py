@@ -44,7 +44,8 @@ from postfx.io.exr.picture import to_halves
 from postfx.io.quantisation import Dither, quantise
 from postfx.compiled import library
 from postfx.io import pixel_formats
-from postfx.passes.denoise.planes import near_cells, shows_volume
+from postfx.kernels.denoise.alpha import near_cells
+from postfx.passes.denoise.planes import shows_volume
 from postfx.passes.denoise.tiling import active_cells
 from postfx.repair import repair_nonfinite
 from postfx.runtime.memory import HostMemory

@@ -9,9 +9,9 @@ import pytest
 
 from postfx.kernels import Kernel, find_source
 from postfx.kernels.denoise import IN_HALF
+from postfx.kernels.denoise.alpha import NEAR_ALPHA
 from postfx.kernels.denoise.output import DETAIL, JUDGE, TILE
 from postfx.kernels.denoise.pyramid import FILTER_MIXED, FILTER_SHADED, POOLS
-from postfx.passes.denoise.planes import NEAR_ALPHA
 from postfx.runtime import Device
 from postfx.runtime.device import cuda_fault
 from tests.kernels import host_cuda, tonemap_cases

@@ -143,9 +143,24 @@ def test_resampling_follows_the_jitter() -> None:
     np.testing.assert_allclose(result[3, 4:-4, 0], (np.arange(24)[4:-4] + 0.5) / 2 - 0.5, atol=1e-5)
 
 
-def _resampled(inputs: dict[str, np.ndarray], case: Case, channels: int = 2) -> np.ndarray:
+@pytest.mark.parametrize("level", library.levels())
+@pytest.mark.parametrize("columns", [5, 16, 37, 64])
+def test_colours_of_twice_the_size_are_their_channels_resampled_alone(columns: int,
+                                                                      level: str) -> None:
+    """Vectors of pixels are stored otherwise than numbers: the same bits, at every level."""
+    image = np.random.default_rng(3).random((6, columns, 3), np.float32)
+    places = {"rows": positions(6, 12, 0.2), "columns": positions(columns, 2 * columns, -0.3)}
+    case, rows = Case(6, columns, 12, 2 * columns), Rows(RESAMPLE.rows.name, level=level)
+    wanted = [_resampled({"image": np.ascontiguousarray(image[..., one:one + 1]), **places}, case,
+                         1, rows) for one in range(3)]
+    found = _resampled({"image": image, **places}, case, 3, rows)
+    np.testing.assert_array_equal(found, np.concatenate(wanted, 2))
+
+
+def _resampled(inputs: dict[str, np.ndarray], case: Case, channels: int = 2,
+               rows: Rows = RESAMPLE.rows) -> np.ndarray:
     output = np.empty((case.height, case.width, channels), np.float32)
-    RESAMPLE.rows(0, case.height, *inputs.values(), output)
+    rows(0, case.height, *inputs.values(), output)
     return output
 
 

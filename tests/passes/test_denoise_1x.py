@@ -14,7 +14,7 @@ from postfx.errors import PassOptionError
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise import models as model_names
-from postfx.passes.denoise.frame import Frames
+from postfx.passes.denoise.assembly import Frames
 from postfx.passes.denoise.models import UNSCALED, halo_of, model_of, seamless
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
@@ -82,9 +82,16 @@ def test_a_plan_tells_that_another_network_stands_in_at_1x() -> None:
 
 
 @pytest.mark.usefixtures("models")
+def test_a_plan_tells_that_another_network_enlarges_instead_of_one_for_1x_alone() -> None:
+    spec = noisy(1).spec
+    assert DenoiseUpscale(model="xl", scale=2).remarks(spec) == (
+        "model 'xl' does not enlarge: 'l' stands in",)
+
+
+@pytest.mark.usefixtures("models")
 @pytest.mark.parametrize(("model", "scale", "tag"), [
     ("m", 1, "m.1x"), ("m", 1.5, "m"), ("m", 2, "m"), ("m.fp32", 1, "m.1x"), ("s", 1, "s.1x"),
-    ("l", 1, "m.1x"), ("l", 2, "l"), ("own", 1, "own"),
+    ("l", 1, "m.1x"), ("l", 2, "l"), ("xl", 2, "l"), ("own", 1, "own"),
 ])
 def test_it_runs_where_the_output_has_the_render_size(model: str, scale: float, tag: str) -> None:
     pipeline = chain(model=model, scale=scale)
@@ -211,7 +218,7 @@ def test_a_recalled_history_of_a_budget_is_of_the_same_network() -> None:
     assert whole.passes[0].choice() == "m"
     again = chain(size=OUTPUT, budget=1000)
     again.recall(sized(5, 1), {name: np.array(value) for name, value in whole.history().items()})
-    assert again.passes[0]._history._model == "denoise_upscale.m.1x"
+    assert again.passes[0]._history.model == "denoise_upscale.m.1x"
 
 
 @pytest.mark.usefixtures("models")

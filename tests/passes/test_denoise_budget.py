@@ -8,7 +8,7 @@ import pytest
 from postfx.errors import PassOptionError
 from postfx.frame import Role
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.frame import Frames
+from postfx.passes.denoise.assembly import Frames
 from postfx.passes.denoise.models import Ladder, cost, family
 from postfx.passes.denoise.options import RenderSize
 from postfx.pipeline import Pipeline

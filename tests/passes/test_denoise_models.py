@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import re
 import shutil
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 
 import numpy as np
 import pytest
 
 from postfx.errors import ModelError, PassOptionError, PostfxError
 from postfx.frame import FrameSpec, Role
+from postfx.kernels import Kernel
+from postfx.kernels import denoise as kernels
 from postfx.passes.denoise import DenoiseUpscale, graph
-from postfx.passes.denoise.graph import ALPHA, FRAME_NEEDS, LAYER_STEPS, WINDOW_STEPS, kernels_of
+from postfx.passes.denoise.graph import WINDOW_STEPS, Step, kernels_of, shapes_of
 from postfx.passes.denoise.models import (
     CLASSIC,
     GUIDED,
@@ -189,13 +193,47 @@ def test_a_file_that_is_no_denoiser(tmp_path: Path) -> None:
 def test_words_choose_the_steps_of_a_window(words, half, kernels):
     """The orders of frames without guides and with them, in 8 bits, in half precision on a GPU, and
     of a picture."""
-    found = kernels_of(WINDOW_STEPS, frozenset(words.split()), half)
+    found = kernels_of(WINDOW_STEPS, frozenset(words.split()), half=half)
     assert [kernel.name for kernel in found] == [f"denoise_{name}" for name in kernels.split()]
 
 
+@pytest.mark.parametrize("end", ["plain", "plain coded", "plain gpu"])
+def test_buffers_have_the_shapes_of_the_kernels_that_write_them(end):
+    """By the size of the window, and of the pyramid's level."""
+    def sizes(level):
+        rows, columns = 48 >> level, 64 >> level
+        return {"th": 40, "tw": 50, "hp": rows, "wp": columns, "half_hp": rows // 2,
+                "half_wp": columns // 2, "planes": 3, "padded_h": 42, "padded_w": 52} | {
+            f"level{i}_{side}": size >> i
+            for i in range(1, 5) for side, size in (("h", 48), ("w", 64))}
+
+    found = shapes_of(WINDOW_STEPS, sizes, frozenset(end.split()))
+    assert found["moved"] == (40, 50, 2) and found["radiance"] == (3, 42, 52)
+    assert found["level 0"] == (4, 48, 64) and found["filtered 0"] == (3, 48, 64)
+    assert found["pool 2"] == (3, 12, 16) and found["importance 4"] == (1, 3, 4)
+    assert "keep" not in found and "warped" not in found, "of frames that are masked, or move"
+
+
+def steps_of_the_frame() -> list[Step]:
+    """All steps of the page."""
+    tables = [held for held in vars(graph).values() if isinstance(held, dict)]
+    return [one for table in tables for steps in table.values() if isinstance(steps, tuple)
+            for one in steps if isinstance(one, Step)]
+
+
 def test_all_words_of_steps_are_explained():
-    tables = (FRAME_NEEDS, WINDOW_STEPS, LAYER_STEPS, ALPHA, graph.CLASSIC_STEPS)
-    steps = [one for table in tables for some in table.values() for one in some]
-    words = {word for one in steps for word in one.when | one.unless}
-    assert {"moves", "gpu", "divided"} < words
+    steps = steps_of_the_frame()
+    words = {word for one in steps for word in (*one.when, *one.unless, one.over)} - {""}
+    assert {"moves", "gpu", "divided", "outputs", "rows"} < words
     assert not words - set(re.findall(r"\w+", graph.__doc__))
+
+
+def test_all_kernels_of_the_denoiser_stand_on_the_page():
+    """So whoever reads it has seen the whole frame."""
+    named = {one.kernel for one in steps_of_the_frame()} - {None}
+    modules = [import_module(f"{kernels.__name__}.{found.name}")
+               for found in iter_modules(kernels.__path__)]
+    made = {held for module in modules for held in vars(module).values()
+            if isinstance(held, Kernel)}
+    assert len(made) > 40
+    assert {kernel.name for kernel in made - named} == set()

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from postfx.errors import FrameError, PassOptionError
-from postfx.frame import Frame, Part, Role
+from postfx.frame import PART_KINDS, Frame, Part, Role
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
-from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.frame import Frames
+from postfx.passes.denoise import DenoiseUpscale, kinds
+from postfx.passes.denoise.assembly import Frames
 from postfx.passes.denoise.parts import coverage, mean_stops
 from postfx.passes.signed_light import lies_below
 from postfx.pipeline import Pipeline
@@ -220,6 +220,13 @@ def test_fog_is_filtered_without_the_reflectance_of_what_lies_behind(device: Dev
     assert_adds_up(parts, (*NAMES, "fog"))
     as_light = upscaler(device, parts=[*NAMES, Part("fog", "light")])(frame)
     assert parts.parts["fog"].std() < 0.6 * as_light.parts["fog"].std()
+
+
+def test_every_kind_of_parts_stands_in_the_table():
+    """In the order in which users read it. Only light is divided by reflectance."""
+    assert tuple(kinds.KINDS) == PART_KINDS
+    divided = [name for name, kind in kinds.KINDS.items() if kind.divided]
+    assert divided == ["light", "diffuse", "specular"]
 
 
 def test_own_filters_of_fog_see_no_surface(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:

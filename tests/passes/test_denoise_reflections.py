@@ -16,7 +16,7 @@ from postfx.integrate import pixel_positions, project
 from postfx.kernels.denoise.history import REFLECTIONS
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.history import NO_CAMERA, NO_FIT, Camera, Cameras
+from postfx.passes.denoise.reflections import NO_CAMERA, NO_FIT, Camera, Cameras
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.kernels import host_cuda
@@ -40,10 +40,10 @@ def resident(frame: Frame) -> ResidentFrame:
 
 def params_of(before: Frame, now: Frame) -> np.ndarray | str:
     """What the kernel is told of two frames, or why it is told nothing."""
-    cameras, why = Cameras(), []
-    cameras.step(resident(before), False, why.append)
-    params = cameras.step(resident(now), True, why.append)
-    return why[0] if why else params
+    cameras = Cameras()
+    cameras.step(resident(before), False)
+    params, why = cameras.step(resident(now), True)
+    return why or params
 
 
 def reflected(before: Frame, now: Frame, **changed: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 
 from postfx.frame import Frame, Role
 from postfx.kernels.denoise.output import DETAIL, JUDGE, SUMS
-from postfx.passes.denoise import DenoiseUpscale, planes
+from postfx.passes.denoise import DenoiseUpscale, output
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 
@@ -46,7 +46,7 @@ def run(frames: list[Frame], device: Device, **options) -> list[np.ndarray]:
 @pytest.fixture
 def network_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The result as it leaves the network."""
-    monkeypatch.setattr(planes.Restore, "encode",
+    monkeypatch.setattr(output.Restore, "encode",
                         lambda self, commands, frame, denoised, *_: denoised)
 
 
@@ -123,8 +123,8 @@ def test_the_next_frame_sees_what_the_network_made(device: Device,
                                                    monkeypatch: pytest.MonkeyPatch) -> None:
     frames = [frame(64, 1, number=1), frame(64, 2, number=2)]
     restored = run(frames, device)
-    encode, turns = planes.Restore.encode, iter([False, True])
-    monkeypatch.setattr(planes.Restore, "encode",
+    encode, turns = output.Restore.encode, iter([False, True])
+    monkeypatch.setattr(output.Restore, "encode",
                         lambda *given: encode(*given) if next(turns) else given[3])
     plain_first = run(frames, device)
     assert np.abs(restored[0] - plain_first[0]).max() > 1e-2

@@ -14,7 +14,7 @@ from postfx.frame import Frame, Role
 from postfx.integrate import jitter_sequence
 from postfx.passes import MOST_SIZES
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.frame import Frames
+from postfx.passes.denoise.assembly import Frames
 from postfx.passes.denoise.history import STATE_CHANNELS, Room
 from postfx.passes.denoise.tiling import Sizes
 from postfx.pipeline import Pipeline

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +14,8 @@ from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.masks import Threshold, strength_of_converged
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.frame import Frames
-from postfx.passes.denoise.planes import Restore
+from postfx.passes.denoise.assembly import Frames
+from postfx.passes.denoise.frame import ReadyNetwork
 from postfx.passes.denoise.tiling import (
     CELL,
     COARSE,
@@ -255,7 +256,7 @@ def test_masked_frames_of_the_render_size(
     """Files that do not say how many samples they have: detail is given back, by what is seen of
     tiles with strength, so that windows give what the whole frame gives with the same mask."""
     frames = [masked(replace(frame, jitter=(0.0, 0.0), samples=None), mask) for frame in room[:2]]
-    assert Restore.acts_on(None, frames[0])
+    assert ReadyNetwork.may_restore(SimpleNamespace(restore=True), frames[0])
     tiled = chain(device, scale=1, model="m.fp32")
     found = [tiled(frame)[Role.COLOUR] for frame in frames]
     monkeypatch.setattr(Frames, "layout", lambda *_: None)

@@ -10,7 +10,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,25 +30,6 @@ def program() -> str:
     if found is None:
         pytest.skip(f"none of {', '.join(NAMES)} is installed")
     return found
-
-
-def rendered(page: Path, script: str = "") -> str:
-    """The page's elements after its scripts ran, and `script` after them. Skips where there is no
-    Chromium."""
-    scripted = page.with_name(f"scripted_{page.name}")
-    text = page.read_text(encoding="utf-8")
-    scripted.write_text(text.replace("</body>", f"<script>{script}</script></body>"),
-                        encoding="utf-8")
-    done = subprocess.run(
-        [program(), *OPTIONS, f"--user-data-dir={page.parent / 'browser'}", "--dump-dom",
-         scripted.as_uri()],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-        env=os.environ | ENVIRONMENT,
-    )
-    return re.sub(r"<script.*?</script>", "", done.stdout, flags=re.DOTALL)
 
 
 class Tab:
@@ -81,6 +61,22 @@ class Tab:
         self._call("Page.navigate", url=page.as_uri())
         self.value("new Promise(done => document.readyState === 'complete' ? done() : "
                    "addEventListener('load', done))")
+
+    def leave(self) -> None:
+        """Leave the page, and forget its problems and requests."""
+        self._call("Page.navigate", url="about:blank")
+        self.problems.clear()
+        self.requests.clear()
+
+    def rendered(self, page: Path, script: str = "") -> str:
+        """A page's elements after its scripts ran, and `script` after them."""
+        scripted = page.with_name(f"scripted_{page.name}")
+        text = page.read_text(encoding="utf-8")
+        scripted.write_text(text.replace("</body>", f"<script>{script}</script></body>"),
+                            encoding="utf-8")
+        self.open(scripted)
+        found = self.value("document.documentElement.outerHTML")
+        return re.sub(r"<script.*?</script>", "", found, flags=re.DOTALL)
 
     def value(self, expression: str) -> Any:
         """What a JavaScript expression gives, awaited if it is a promise."""

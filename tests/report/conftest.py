@@ -1,8 +1,8 @@
-"""A small capture: a kernel, a barrier and a network."""
+"""A small capture: a kernel, a barrier and a network; and a browser for the pages."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +10,23 @@ import pytest
 
 from postfx.runtime import ArgumentTable, Capture, Device
 from tests import toys
+from tests.report.browser import Tab, chromium
 
 SHAPE = (1, 4, 5)
+
+
+@pytest.fixture(scope="session")
+def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
+    """One tab for all pages: a browser takes longer to start than a page to draw. Skips where there
+    is no Chromium."""
+    with chromium(tmp_path_factory.mktemp("chromium")) as tab:
+        yield tab
+
+
+@pytest.fixture(scope="session")
+def rendered(tab: Tab) -> Callable[..., str]:
+    """The elements of a page after its scripts and one more: `rendered(page, script)`."""
+    return tab.rendered
 
 
 @pytest.fixture

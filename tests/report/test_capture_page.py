@@ -14,7 +14,6 @@ from postfx.report.page import write_capture
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.capture import MISSING
 from tests import toys
-from tests.report.browser import rendered
 
 SVG = "http://www.w3.org/2000/svg"
 
@@ -121,7 +120,7 @@ def test_other_files_are_no_captures(tmp_path):
         read(tmp_path / "missing.json")
 
 
-def test_the_script_draws_commands_graph_and_details(make_capture, tmp_path):
+def test_the_script_draws_commands_graph_and_details(make_capture, tmp_path, rendered):
     found = rendered(write_capture(make_capture(), tmp_path / "out", "toy"),
                      "networks.get(1).show(1); choose(1);")
     rows = re.search(r'<table id="commands">(.*?)</table>', found, re.DOTALL)[1]
@@ -140,7 +139,7 @@ def test_the_script_draws_commands_graph_and_details(make_capture, tmp_path):
                                       re.DOTALL)[1]
 
 
-def test_a_click_shows_a_command_and_what_is_not_finite(make_capture, tmp_path):
+def test_a_click_shows_a_command_and_what_is_not_finite(make_capture, tmp_path, rendered):
     path = write_capture(make_capture(a=float("inf"), b=1.0), tmp_path / "out", "toy")
     click = ("""document.querySelector('g[data-command="0"] rect')"""
              """.dispatchEvent(new MouseEvent("click"));""")
@@ -150,7 +149,7 @@ def test_a_click_shows_a_command_and_what_is_not_finite(make_capture, tmp_path):
     assert found.count('<td class="bad">20 infinite</td>') == 2
 
 
-def test_names_cannot_become_elements(make_capture, tmp_path):
+def test_names_cannot_become_elements(make_capture, tmp_path, rendered):
     name = '</script><img src="x">{{data}}<b>&'
     path = write_capture(make_capture(name=name), tmp_path / "out", "<i>toy</i>")
     found = rendered(path, "choose(0);")

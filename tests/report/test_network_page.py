@@ -8,7 +8,6 @@ import pytest
 from postfx.report.page import write_capture
 from postfx.runtime import ArgumentTable, Device
 from tests.deep import capture_deep, make_deep, make_long
-from tests.report.browser import rendered
 
 
 @pytest.fixture
@@ -43,7 +42,7 @@ def details(found):
     return re.search(r'<aside id="details">(.*?)</aside>', found, re.DOTALL)[1]
 
 
-def test_rows_in_order_with_attributes_shapes_and_weights(page_of):
+def test_rows_in_order_with_attributes_shapes_and_weights(page_of, rendered):
     found = rendered(page_of(), OPEN)
     rows = drawn(found)
     assert ([(kind.split()[0], number) for kind, number, _ in rows] == [
@@ -57,14 +56,14 @@ def test_rows_in_order_with_attributes_shapes_and_weights(page_of):
     assert 'class="network"' in found and "Nodes one by one" not in found
 
 
-def test_lines_lead_from_writer_to_readers(page_of):
+def test_lines_lead_from_writer_to_readers(page_of, rendered):
     paths = dict(lines(rendered(page_of(), OPEN)))
     assert set(paths) == {"x", "conv", "relu", "above", "root", "y"}
     assert "H" not in paths["conv"]
     assert paths["relu"].count("M") == 3, "straight down to Sub, and through a lane to Add"
 
 
-def test_blocks_close_and_open(page_of):
+def test_blocks_close_and_open(page_of, rendered):
     closed = drawn(rendered(page_of(),
                             OPEN + "document.querySelector('[data-block=\"0\"]').click();"))
     assert [number for kind, number, _ in closed if kind.startswith("node")] == ["3", "4", "5"]
@@ -78,14 +77,14 @@ def test_blocks_close_and_open(page_of):
                                                                                 "5"]
 
 
-def test_constants_are_shown_on_request(page_of):
+def test_constants_are_shown_on_request(page_of, rendered):
     found = drawn(rendered(page_of(),
                            OPEN + "document.querySelector('.tools input[type=checkbox]').click();"))
     nodes = [(kind, number) for kind, number, _ in found if kind.startswith("node")]
     assert nodes[0] == ("node constant", "0") and len(nodes) == 6
 
 
-def test_search_finds_weights_and_attributes_and_opens_blocks(page_of):
+def test_search_finds_weights_and_attributes_and_opens_blocks(page_of, rendered):
     search = ("const s = document.querySelector('.tools input'); s.value = '%s'; "
               "s.dispatchEvent(new Event('input'));")
     close = "document.querySelectorAll('.tools button')[1].click();"
@@ -95,7 +94,7 @@ def test_search_finds_weights_and_attributes_and_opens_blocks(page_of):
     assert "nothing found" in rendered(page_of(), OPEN + search % "softmax")
 
 
-def test_a_node_shows_all_about_it(page_of):
+def test_a_node_shows_all_about_it(page_of, rendered):
     text = details(rendered(page_of(network=True), OPEN + "networks.get(0).node(1);"))
     assert "<th>kernel_shape</th><td>3, 3</td>" in text and "<h3>stem.weight_half</h3>" in text
     assert "(4, 2, 3, 3) float16, 144 B" in text and "1 to 1, mean 1" in text
@@ -104,7 +103,7 @@ def test_a_node_shows_all_about_it(page_of):
     assert "input of the network" in text
 
 
-def test_where_a_nan_begins_is_said_and_one_click_away(page_of):
+def test_where_a_nan_begins_is_said_and_one_click_away(page_of, rendered):
     found = rendered(page_of(x=0.0, network=True),
                      OPEN + "document.querySelector('button.first').click();")
     assert "Begins to be not finite: node 4 Sqrt, all NaN" in found and "4  Sqrt" in details(found)
@@ -114,7 +113,7 @@ def test_where_a_nan_begins_is_said_and_one_click_away(page_of):
     assert "not finite:" not in rendered(page_of(network=True), OPEN)
 
 
-def test_times_and_pictures_are_in_the_rows(page_of):
+def test_times_and_pictures_are_in_the_rows(page_of, rendered):
     found = rendered(page_of(network=True), OPEN)
     assert re.search(r'<span class="ms" style="--share: [\d.]+%;">\d+\.\d\d</span>', found)
     assert found.count('<span class="thumb"><img') >= 5
@@ -122,14 +121,14 @@ def test_times_and_pictures_are_in_the_rows(page_of):
                      r"results differ", found)
 
 
-def test_arrow_keys_go_from_node_to_node(page_of):
+def test_arrow_keys_go_from_node_to_node(page_of, rendered):
     key = ("document.querySelector('.port').dispatchEvent(new KeyboardEvent('keydown', {key: "
            "'Arrow%s'}));")
     found = rendered(page_of(), OPEN + "networks.get(0).node(2);" + 2 * (key % "Down") + key % "Up")
     assert ">3  Sub</h2>" in details(found)
 
 
-def test_a_network_that_ran_twice_shows_either_run(deep, tmp_path):
+def test_a_network_that_ran_twice_shows_either_run(deep, tmp_path, rendered):
     device = Device("cpu", threads=1)
     state = device.pipeline_state(deep, "deep", {"height": 4, "width": 5})
     x, y = device.heap.tensor("picture", (1, 2, 4, 5)), device.heap.tensor("y", (1, 4, 4, 5))
@@ -153,7 +152,7 @@ def test_a_network_that_ran_twice_shows_either_run(deep, tmp_path):
     assert "Begins to be not finite: node 4 Sqrt" in found and 'data-choice="1"' in found
 
 
-def test_names_cannot_become_elements(tmp_path):
+def test_names_cannot_become_elements(tmp_path, rendered):
     from onnx import helper
 
     from postfx.runtime import Library
@@ -167,7 +166,7 @@ def test_names_cannot_become_elements(tmp_path):
     assert "&lt;img src=" in details(found) and '<img src="x"' not in found
 
 
-def test_a_large_network_is_quick(tmp_path):
+def test_a_large_network_is_quick(tmp_path, rendered):
     """Ten thousand nodes: only what is in sight is in the page, and opening all takes no ten
     seconds, on a busy machine neither."""
     path = write_capture(captured(make_long(tmp_path / "models", 10_000), "long", 4),

@@ -17,7 +17,6 @@ from postfx import read_sequence  # noqa: E402
 from postfx.cli.main import main  # noqa: E402
 from postfx.frame import Role  # noqa: E402
 from postfx.report.pictures import encode_light  # noqa: E402
-from tests.report.browser import chromium  # noqa: E402
 
 ROOM = Path(__file__).resolve().parents[2] / "samples" / "room"
 SVG = "http://www.w3.org/2000/svg"
@@ -35,10 +34,11 @@ def page(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def tab(page):
-    with chromium(page.parent) as tab:
-        tab.open(page)
-        yield tab
+def tab(tab, page):
+    """The tab that opens this page, and knows of no other one."""
+    tab.leave()
+    tab.open(page)
+    return tab
 
 
 @pytest.fixture(autouse=True)

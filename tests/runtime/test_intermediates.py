@@ -55,6 +55,9 @@ if sys.argv[2] == "asked":
     sys.exit()
 x, y = (device.heap.tensor(name, (1, 1, 512, 512)) for name in "xy")
 x.fill(1.0), y.fill(0.0)
+first = device.command_buffer("first")  # the device's thread, whose stack is mapped, begins here
+first.commit()
+first.wait(60)
 peak, before = device.heap.peak, held()
 with device.capture(tensors="none") as capture:
     commands = device.command_buffer("one")

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from postfx.runtime import ArgumentTable, CommandError, EncodingError, HazardError, hazards
+from postfx.runtime import ArgumentTable, CommandError, Device, EncodingError, HazardError, hazards
 from postfx.runtime.encoders import Recordings
+from tests import toys
+from tests.runtime.conftest import Bench
 
 TO_KERNEL = {"after": "machine-learning", "before": "compute"}
 WAIT = r"it was committed, call wait\(\) first"
@@ -287,6 +289,32 @@ def test_commands_that_were_recorded_before_are_searched_once(bench, ones, monke
     table[list(table)[-1]] = bench.tensor("other total")
     run(record(frame, known))
     assert len(made) == 3
+
+
+def test_commands_behind_a_passage_are_known_again_with_it(library, ones, monkeypatch):
+    """As those of a pass behind the denoiser, whose commands are such a passage."""
+    bench = Bench(Device("cpu", threads=2), library)
+    frame, known, made, real = Frame(bench), Recordings(), [], hazards.Footprint
+    monkeypatch.setattr("postfx.runtime.commands.Footprint",
+                        lambda records: made.append(1) or real(records))
+
+    def again(*labels):
+        commands = bench.device.command_buffer("again", known=known)
+        commands.repeat(("doubled",), lambda: commands.run(bench.network, "double", x=frame.x,
+                                                           y=frame.doubled))
+        for label in labels:
+            commands.run(toys.ADD, label, a=frame.x, b=frame.doubled, total=frame.total)
+        return commands
+
+    run(again("add", "add again"))
+    searched = len(made)
+    for value in (1, 5, 7):
+        frame.x.upload(value * ones)
+        run(again("add", "add again"))
+        assert np.array_equal(frame.total.array, 3 * value * ones)
+    assert len(made) == searched
+    run(again("add"))
+    assert len(made) > searched
 
 
 def test_known_commands_are_still_searched_beside_others_in_flight(bench):

@@ -173,7 +173,9 @@ def test_the_room_s_amplifier_is_worth_more_than_the_stack(tmp_path: Path) -> No
     pytest.importorskip("flip_evaluator")
     make_sample.main(["views", str(tmp_path), "--width", "128", "--height", "72", "--views", "0",
                       "--held-out", "1", "--held-spp", "96", "--stack", "16"])
-    told = run_sample(str(tmp_path / "a.png"), "--views", str(tmp_path), "--runs", "1")
+    begin = [str(SAMPLES / f"room/{name}.000[1-2].exr") for name in ("noisy", "reference")]
+    told = run_sample(str(tmp_path / "a.png"), "--views", str(tmp_path), "--runs", "1", "--noisy",
+                      begin[0], "--reference", begin[1])
     assert float(re.search(r"equivalent samples: ([\d.]+)", told)[1]) > 16
 
 

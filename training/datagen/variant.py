@@ -13,7 +13,11 @@ def use_variant(name: str) -> None:
     with the fix."""
     import mitsuba as mi
 
-    mi.set_variant(name)
+    try:
+        mi.set_variant(name)
+    except ImportError as error:  # Dr.Jit found no libLLVM
+        raise SystemExit(f"error: {llvm_fault(None)}" if name.startswith("llvm")
+                         else f"error: Mitsuba's variant {name}: {error}") from error
     if name.startswith("llvm"):
         import drjit
 

@@ -26,9 +26,9 @@ import torch
 from torch import Tensor
 
 PREFIX, HALF = "trunk.", "_half"
-ADDED = ("correct", "enter", "join", "gate")
+ADDED = ("correct", "enter", "join", "gate", "detail")
 """Layers of a picture network that add to a published one: without them it is that network, but
-for a gate, which is nearly closed then."""
+for gates, which are nearly closed then."""
 
 
 def save(checkpoint: dict[str, Any], path: Path) -> None:

@@ -60,6 +60,12 @@ ACCUMULATED = FURTHER_INPUTS - 6  # where the codes of the accumulated colour be
 HISTORY = FURTHER_INPUTS - 3  # where the codes of the last output begin among them
 VALID = 21  # the feature that says where a pixel has a history
 JUDGE = 24  # channels of what compares the picture with the history
+DETAIL = 24  # channels of what compares the detail of the picture and of the albedo
+DETAIL_SIDE_PX = 5  # side of the windows whose means detail is relative to
+DETAIL_BEGINS = -4.0  # logit of the share of the albedo's detail: 2 %
+LEAST_ALBEDO = 0.02  # is added, so that ratios of black surfaces stay finite
+LEAST_LIGHT = 1e-3  # likewise, of exposed light
+MOST_DETAIL = 3.0  # logarithm of the largest factor
 LEVELS = 4
 BLEND_BEGINS = 1.5  # logit of the new picture's share beside the history
 DISTRUST_BEGINS = -2.0  # logit
@@ -101,6 +107,7 @@ class PictureConfig:
         large: two convolutions a level on the way down, too, as in Open Image Denoise's large
             networks.
         gated: the branch mixes the history into the colour that is read.
+        detailed: fine detail may come from the albedo instead of the picture.
     """
 
     picture: bool = True
@@ -110,6 +117,7 @@ class PictureConfig:
     beside: tuple[int, ...] = (32, 48, 64)
     large: bool = False
     gated: bool = False
+    detailed: bool = False
     trust: bool = False
     guides: bool = False
     mirrored: bool = True
@@ -198,8 +206,9 @@ class Layer(NamedTuple):
 
 
 LARGE = PictureConfig(down=(64, 96, 128, 192, 256), up=(64, 96, 128, 192), last=64, large=True,
-                      gated=True)
-"""The layout of Open Image Denoise's large networks, with a gate for the history."""
+                      gated=True, detailed=True)
+"""The layout of Open Image Denoise's large networks, with a gate for the history and one for
+detail."""
 BRANCH_LEVELS = {"branch.half_down": 1, "branch.half_up": 1, "branch.quarter_in": 2,
                  "branch.quarter_out": 2}
 """Levels of convolutions of the branch below the render size."""
@@ -233,10 +242,14 @@ class PictureNetwork(nn.Module):
         self.join = nn.Conv2d(known, up_one, 1)
         if self.config.gated:
             self.gate = conv(known, 2)
+        if self.config.detailed:
+            self.compare_detail = conv(known + 9, DETAIL)
+            self.detail = conv(DETAIL, 1)
         self.judge = nn.Sequential(conv(last + known + 6, JUDGE), nn.ReLU())
         self.controls = nn.Conv2d(JUDGE, CONTROLS, 1)
         self.error = nn.Conv2d(JUDGE, 1, 1)
-        gates = (self.gate,) if self.config.gated else ()
+        gates = (*((self.gate,) if self.config.gated else ()),
+                 *((self.detail,) if self.config.detailed else ()))
         for added in (self.correct, self.enter, self.join, *gates):
             nn.init.zeros_(added.weight)
         for added in (self.correct, self.join, *gates):
@@ -261,6 +274,8 @@ class PictureNetwork(nn.Module):
         # a step of bfloat16 in a code is 2 % of the light
         with torch.autocast(stream.device.type, enabled=False):
             codes = getattr(self, self.config.picture_layer)(stream.float()).clamp(0.0, 1.0)
+        if self.config.detailed:
+            codes = self.with_detail(codes, guided, known)
         history = further[:, HISTORY:]
         compared = torch.cat((codes, codes - history), 1)
         judged = F.relu(self.convolve(self.judge[0], stream, known, compared))
@@ -277,6 +292,25 @@ class PictureNetwork(nn.Module):
         accumulated = further[:, ACCUMULATED:HISTORY] - colour
         history = further[:, HISTORY:] - colour
         return shares[:, :1] * accumulated + shares[:, 1:] * history
+
+    def with_detail(self, codes: Tensor, guided: Tensor, known: Tensor) -> Tensor:
+        """The codes of the picture (N, 3, h, w), with a share of the detail of the albedo instead
+        of its own.
+
+        A texture of single pixels looks like noise, and a network takes it out of the picture. The
+        albedo still has it: a surface in even light is as bright as its albedo, times a factor that
+        changes little from pixel to pixel. Where the albedo itself is noisy, or says nothing of
+        the light, its share is small.
+        """
+        with torch.autocast(codes.device.type, enabled=False):
+            light = decode(codes)
+            change = (fine_detail(guided[:, 3:6].float().clamp(min=0.0) + LEAST_ALBEDO)
+                      - fine_detail(light + LEAST_LIGHT)).clamp(-MOST_DETAIL, MOST_DETAIL)
+        compared = torch.cat((codes, guided[:, :3] - codes, change), 1)
+        seen = F.relu(self.convolve(self.compare_detail, known, compared))
+        with torch.autocast(codes.device.type, enabled=False):
+            share = torch.sigmoid(self.detail(seen.float()) + DETAIL_BEGINS)
+            return encode((light * torch.exp(share * change)).clamp(0.0, MOST_LIGHT))
 
     def way_down(self, guided: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The streams at 1/2, 1/4, 1/8 and 1/16 of the size, each before its level's convolutions;
@@ -340,6 +374,12 @@ class Branch(nn.Module):
         quarter = F.relu(self.quarter_out(quarter))
         half = F.relu(self.half_up(beside(quarter, half)))
         return F.relu(self.known(beside(half, full)))
+
+
+def fine_detail(plane: Tensor) -> Tensor:
+    """Logarithm of a positive plane (N, C, h, w) over its mean around each pixel."""
+    mean = F.avg_pool2d(plane, DETAIL_SIDE_PX, 1, DETAIL_SIDE_PX // 2, count_include_pad=False)
+    return torch.log(plane / mean)
 
 
 def beside(coarser: Tensor, skip: Tensor) -> Tensor:

@@ -99,6 +99,9 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--clean-planes", type=float, default=0.0, metavar="WEIGHT",
                         help="with --picture: weight of the error of albedo and normal that the "
                         "network has cleaned (default: %(default)s)")
+    parser.add_argument("--only", nargs="+", metavar="LAYER",
+                        help="with --picture: learn these layers alone, by the first words of "
+                        "their names; the others stay as they are")
     parser.add_argument("--down", type=int, nargs="+", default=list(ResidualConfig.down),
                         metavar="N", help="with --residual: blocks of each level on the way down")
     parser.add_argument("--up", type=int, nargs="+", default=list(ResidualConfig.up), metavar="N",
@@ -215,11 +218,14 @@ def network_of(args: argparse.Namespace) -> DenoiseUpscale | PictureDenoiser:
     return DenoiseUpscale(trunk=trunk_of(args))
 
 
-def rate_groups(model: DenoiseUpscale | PictureDenoiser, published: float) -> list[dict[str, Any]]:
+def rate_groups(model: DenoiseUpscale | PictureDenoiser, published: float,
+                only: list[str] | None = None) -> list[dict[str, Any]]:
     """The weights that are learnt, by the share of the learning rate that they get; others are
-    frozen."""
+    frozen. Raises ValueError if ``only`` names a layer that the network lacks."""
     if not isinstance(model, PictureDenoiser):
         return [{"params": list(model.parameters()), "share": 1.0}]
+    if only:
+        return [{"params": choose_layers(model.trunk, only), "share": 1.0}]
     before = model.trunk.published()
     own = [weight for weight in model.parameters() if not any(weight is other for other in before)]
     if published:
@@ -227,6 +233,19 @@ def rate_groups(model: DenoiseUpscale | PictureDenoiser, published: float) -> li
     for weight in before:
         weight.requires_grad_(False)
     return [{"params": own, "share": 1.0}]
+
+
+def choose_layers(network: PictureNetwork, words: list[str]) -> list[nn.Parameter]:
+    """The weights of the layers whose names begin with one of some words; all others are frozen."""
+    chosen = []
+    for name, weight in network.named_parameters():
+        weight.requires_grad_(name.partition(".")[0] in words)
+        if weight.requires_grad:
+            chosen.append(weight)
+    known = {name.partition(".")[0] for name, _ in network.named_parameters()}
+    if unknown := sorted(set(words) - known):
+        raise ValueError(f"--only {unknown[0]}: the network has {', '.join(sorted(known))}")
+    return chosen
 
 
 def runs_both_ways(step: int, share: float) -> bool:
@@ -369,7 +388,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1,
     model = model.to(device, memory_format=torch.channels_last)
     if args.start:
         model.load_state_dict(widen(load_weights(args.start, args.trust), model.state_dict()))
-    groups = rate_groups(model, args.published_rate)
+    groups = rate_groups(model, args.published_rate, args.only)
     average = Average(model, DECAY)
     loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light), args.reflectance,
                     args.clean_planes)

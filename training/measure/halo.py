@@ -20,7 +20,7 @@ import numpy as np
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, Role, read_sequence
 from postfx.frame import GUIDE_ROLES
-from postfx.passes.denoise import frame as windows
+from postfx.passes.denoise import assembly as windows
 from postfx.passes.denoise.tiling import SIDE_MULTIPLE, STRENGTH_REACH_PX
 
 GAMMA = 1 / 2.2

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import BinaryIO, NamedTuple
+from functools import lru_cache
+from typing import Any, BinaryIO, NamedTuple
 
 from postfx.errors import ReadError
 from postfx.io.windows import Window
@@ -32,6 +33,8 @@ DEEP_TILES = "deeptile"
 PART_TYPES = (SCANLINE_IMAGE, TILED_IMAGE, DEEP_SCANLINES, DEEP_TILES)
 SAMPLE_BYTES = (4, 2, 4)
 """Bytes of a sample by the pixel type of its channel: uint, half, float."""
+SAMPLE_TYPES = ("<u4", "<f2", "<f4")
+"""The same as NumPy names them."""
 
 
 class Attribute(NamedTuple):
@@ -134,10 +137,8 @@ class Header:
 
     def has_long_names(self) -> bool:
         """Whether a name in it needs the flag for names of more than 31 bytes."""
-        names = [raw(name)
-                 for name in (*self.attributes, *(kind for kind, _ in self.attributes.values()))]
-        return any(len(name) > SHORT_NAME
-                   for name in names + [raw(channel.name) for channel in self.channels])
+        kinds = [kind for kind, _ in self.attributes.values()]
+        return _holds_long((*self.attributes, *kinds), self.attributes["channels"])
 
     def _value(self, name: str) -> bytes:
         if name not in self.attributes:
@@ -149,6 +150,13 @@ class Header:
         if len(value) != struct.calcsize(layout):
             raise ReadError(f"its header has a broken {name}")
         return struct.unpack(layout, value)
+
+
+@lru_cache(64)
+def _holds_long(names: tuple[str, ...], channels: Attribute) -> bool:
+    """Whether one of these names, or of those of channels, is long."""
+    listed = [channel.name for channel in Header({"channels": channels}).channels]
+    return any(len(raw(name)) > SHORT_NAME for name in (*names, *listed))
 
 
 _AS_TEXT = ("utf-8", "surrogateescape")
@@ -163,6 +171,22 @@ def text(stored: bytes) -> str:
 def raw(name: str) -> bytes:
     """Inverse of `text`."""
     return name.encode(*_AS_TEXT)
+
+
+_LETTERS = {"chromaticities": "f", "double": "d", "float": "f", "floatvector": "f", "int": "i",
+            "m33f": "f", "m44f": "f", "timecode": "I", "v2f": "f", "v2i": "i", "v3f": "f"}
+"""Types of attributes that are numbers, and how `struct` writes each number."""
+
+
+def pack_value(kind: str, value: Any) -> bytes | None:
+    """A text, a number or several as an attribute of a type stores them; None for other types."""
+    if kind == "string":
+        return raw(value) if isinstance(value, str) else None
+    numbers = value if isinstance(value, tuple) else (value,)
+    try:
+        return struct.pack(f"<{len(numbers)}{_LETTERS[kind]}", *numbers)
+    except (KeyError, struct.error, OverflowError):
+        return None
 
 
 def pack_channels(channels: list[ChannelInfo]) -> bytes:
@@ -180,17 +204,16 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
     early or are larger than `MAX_HEADERS`.
     """
     start = _Start(file)
-    magic, version = start.unpack("<iI")
+    magic, version = struct.unpack("<iI", start.take(8))
     if magic != EXR_MAGIC or version & 0xFF != EXR_VERSION:
         raise ReadError("it is not an OpenEXR file")
-    headers, several = [], bool(version & MULTI_PART)
-    while header := _header(start, several):
-        headers.append(header)
-        if not several:
-            break
+    several = bool(version & MULTI_PART)
+    headers = [Header(start.attributes())]
+    while several and (attributes := start.attributes()):  # an empty one ends the headers
+        headers.append(Header(attributes))
         if len(headers) > MAX_PARTS:
             raise ReadError(f"it has more than {MAX_PARTS} parts")
-    if not headers:
+    if several and not headers[0].attributes:
         raise ReadError("it holds no image")
     if not several:
         _correct_type(headers[0], version)
@@ -205,24 +228,13 @@ def _correct_type(header: Header, version: int) -> None:
         header.set_text("type", SCANLINE_IMAGE if wrong == TILED_IMAGE else TILED_IMAGE)
 
 
-def _header(start: _Start, may_end: bool) -> Header | None:
-    """The next header; None for the empty one that ends the headers of a multi-part file."""
-    attributes: dict[str, Attribute] = {}
-    while stored := start.attribute():
-        name, kind, value = stored
-        attributes[str(name, *_AS_TEXT)] = Attribute(str(kind, *_AS_TEXT), value)
-    if not attributes and may_end:
-        return None
-    return Header(attributes)
-
-
 class _Start:
     """The start of a file, read in blocks: `at` counts the bytes taken. Raises ReadError where the
     file ends."""
 
     def __init__(self, file: BinaryIO) -> None:
         self.at = 0
-        self._file, self._held = file, b""
+        self._file, self._held = file, file.read(_HEADER_BLOCK_BYTES)
 
     def take(self, count: int) -> bytes:
         """The next bytes."""
@@ -233,11 +245,7 @@ class _Start:
                 raise ReadError("its header ends early")
         return self._held[begin : self.at]
 
-    def unpack(self, layout: str) -> tuple[int, ...]:
-        """The next numbers."""
-        return struct.unpack(layout, self.take(struct.calcsize(layout)))
-
-    def name(self) -> bytes:
+    def _name(self) -> bytes:
         """The bytes before the next zero, which is taken too."""
         most = self.at + MAX_NAME + 1
         if len(self._held) < most:
@@ -249,31 +257,46 @@ class _Start:
         begin, self.at = self.at, end + 1
         return self._held[begin:end]
 
-    def attribute(self) -> tuple[bytes, bytes, bytes] | None:
-        """Name, type and value of the next attribute; None for the zero that ends a header.
+    def attributes(self) -> dict[str, Attribute]:
+        """The attributes of the next header by name; none where its end comes at once.
 
-        Where all of it is held, which is nearly always so, it is taken at once.
+        An attribute that is held whole, as nearly all are, is taken at once.
         """
-        held, begin = self._held, self.at
-        name_end = held.find(b"\0", begin, begin + MAX_NAME + 1)
-        kind_end = held.find(b"\0", name_end + 1, name_end + MAX_NAME + 2)
-        if begin < name_end < kind_end and kind_end + 5 <= len(held):
+        found: dict[str, Attribute] = {}
+        while True:
+            held, begin = self._held, self.at
+            name_end = held.find(b"\0", begin, begin + MAX_NAME + 1)
+            kind_end = held.find(b"\0", name_end + 1, name_end + MAX_NAME + 2)
             value_begin = kind_end + 5
-            (size,) = struct.unpack_from("<i", held, kind_end + 1)
-            if 0 <= size and value_begin + size <= min(len(held), MAX_HEADERS):
-                self.at = value_begin + size
-                return (held[begin:name_end], held[name_end + 1 : kind_end],
-                        held[value_begin : self.at])
-        name = self.name()
+            value_end = -1
+            if begin < name_end < kind_end and value_begin <= len(held):
+                (size,) = struct.unpack_from("<i", held, kind_end + 1)
+                value_end = value_begin + size
+            if name_end == begin:
+                name = b""
+                self.at += 1
+            elif value_begin <= value_end <= min(len(held), MAX_HEADERS):
+                name, kind = held[begin:name_end], held[name_end + 1 : kind_end]
+                value = held[value_begin:value_end]
+                self.at = value_end
+            else:
+                name, kind, value = self._attribute_in_pieces()
+            if not name:
+                return found
+            found[str(name, *_AS_TEXT)] = Attribute(str(kind, *_AS_TEXT), value)
+
+    def _attribute_in_pieces(self) -> tuple[bytes, bytes, bytes]:
+        """Name, type and value of the next attribute; no name where the zero comes that ends a
+        header."""
+        name = self._name()
         if not name:
-            return None
-        kind = self.name()
-        (size,) = self.unpack("<i")
+            return name, b"", b""
+        kind = self._name()
+        (size,) = struct.unpack("<i", self.take(4))
         if size < 0 or self.at + size > MAX_HEADERS:
             raise ReadError(f"its header claims {size} bytes for {ascii(text(name))}")
         return name, kind, self.take(size)
 
     def _hold(self, end: int) -> None:
         # twice as much each time
-        self._held += self._file.read(max(end - len(self._held), len(self._held),
-                                          _HEADER_BLOCK_BYTES))
+        self._held += self._file.read(max(end - len(self._held), len(self._held)))

@@ -10,10 +10,10 @@ from __future__ import annotations
 import os
 import struct
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from itertools import islice
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -33,12 +33,15 @@ from postfx.io.exr import (
     MULTI_PART,
     PART_TYPES,
     SAMPLE_BYTES,
+    SAMPLE_TYPES,
     SCANLINE_IMAGE,
     TILED,
     TILED_IMAGE,
+    Attribute,
     Header,
     read_headers,
 )
+from postfx.io.windows import Window
 
 MAX_SIDE = 1 << 24
 """Largest width and height that is taken for an image's."""
@@ -49,6 +52,7 @@ LINES = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256, 10:
 """Lines of a chunk by compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K
 of 256 and of 32, LJ2K, ZSTD."""
 
+
 class Chunk(NamedTuple):
     """One chunk in a file: where its coordinates and sizes begin, their bytes, and those of the
     data that follow."""
@@ -58,13 +62,82 @@ class Chunk(NamedTuple):
     size: int
 
 
-def head_layout(part_type: str) -> tuple[int, str]:
-    """Bytes of a chunk's coordinates, and the sizes that follow them."""
-    return {SCANLINE_IMAGE: (4, "<i"), TILED_IMAGE: (16, "<i"),
-            DEEP_SCANLINES: (4, "<3q")}.get(part_type, (16, "<3q"))
+STORAGE_ATTRIBUTES = ("type", "tiles", "compression", "channels", "dataWindow", "displayWindow")
+"""Of a header: those that say how the pixels of its part are stored."""
 
 
-def count_chunks(header: Header) -> int:
+@dataclass(frozen=True, eq=False)
+class Storage:
+    """How the pixels of a part are stored: found once for all headers that say the same.
+
+    Attributes:
+        count: chunks.
+        coordinates: bytes of a chunk's coordinates.
+        sizes: the numbers after them, as `struct` writes it.
+        least_bytes: of a file whose part has so many pixels.
+        window, display: data window and display window.
+        is_display_possible: whether the display window is of a size that files have.
+        lines: rows of a chunk of scanlines.
+        compression: OpenEXR's number of it.
+        line_bytes: of a row.
+        channels: of a part whose scanlines are as they are or compressed by ZIP, kind of each
+            channel and place of its first word of two bytes in a row; else none.
+    """
+
+    count: int
+    coordinates: int
+    sizes: str
+    least_bytes: int
+    window: Window
+    display: Window
+    is_display_possible: bool
+    lines: int
+    compression: int
+    line_bytes: int
+    channels: Mapping[str, tuple[int, int]]
+
+    def columns(self, names: Sequence[str]) -> np.ndarray | None:
+        """Kinds and places of channels, (channels, 2), for `read_rows`; None where it cannot read
+        them: it reads half floats and floats."""
+        found = [self.channels.get(name) for name in names]
+        if any(place is None or place[0] not in (HALF_KIND, FLOAT_KIND) for place in found):
+            return None
+        return np.array(found)
+
+
+def storage_of(header: Header) -> Storage:
+    """How a part with this header is stored. Raises ReadError where it claims something
+    impossible."""
+    return _find_storage(*map(header.attributes.get, STORAGE_ATTRIBUTES))
+
+
+@lru_cache(256)
+def _find_storage(*stored: Attribute | None) -> Storage:
+    named = zip(STORAGE_ATTRIBUTES, stored, strict=True)
+    header = Header({name: attribute for name, attribute in named if attribute is not None})
+    count = _count_chunks(header)
+    coordinates, sizes = _HEADS.get(header.part_type, (16, "<3q"))
+    data, display = header.data, header.display
+    return Storage(
+        count=count,
+        coordinates=coordinates,
+        sizes=sizes,
+        least_bytes=_find_least_bytes(header),
+        window=data,
+        display=display,
+        is_display_possible=_is_display_possible(display, data),
+        lines=LINES[header.compression],
+        compression=header.compression,
+        line_bytes=data.width * sum(SAMPLE_BYTES[channel.kind] for channel in header.channels),
+        channels=_find_plain_channels(header),
+    )
+
+
+_HEADS = {SCANLINE_IMAGE: (4, "<i"), TILED_IMAGE: (16, "<i"), DEEP_SCANLINES: (4, "<3q")}
+"""Bytes of a chunk's coordinates, and the sizes that follow them, by the type of the part."""
+
+
+def _count_chunks(header: Header) -> int:
     """Chunks of a part, by its size and tiles."""
     data = header.data
     if header.part_type not in PART_TYPES:
@@ -76,6 +149,36 @@ def count_chunks(header: Header) -> int:
     if header.part_type in (SCANLINE_IMAGE, DEEP_SCANLINES):
         return -(-data.height // LINES[header.compression])
     return _tile_count(header)
+
+
+def _find_least_bytes(header: Header) -> int:
+    """Bytes that a file must have for a picture of this size to come out of it."""
+    if header.part_type not in (SCANLINE_IMAGE, TILED_IMAGE):
+        return 0
+    pixel = sum(SAMPLE_BYTES[channel.kind] for channel in header.channels)
+    most = _BOUNDED.get(header.compression, _UNBOUNDED)
+    return -(-(header.data.width * header.data.height * pixel - _FREE_BYTES) // most)
+
+
+def _is_display_possible(display: Window, data: Window) -> bool:
+    """Whether a display window is of a size that files have, for all that it holds of data."""
+    return (1 <= display.width <= MAX_SIDE and 1 <= display.height <= MAX_SIDE
+            and display.width * display.height <= MAX_EMPTY + 16 * data.width * data.height)
+
+
+def _find_plain_channels(header: Header) -> dict[str, tuple[int, int]]:
+    """Kind of each channel and place of its first word in a row; none where the part is stored in
+    another way than as scanlines that are as they are or compressed by ZIP."""
+    is_plain = header.part_type == SCANLINE_IMAGE and header.compression in OWN_COMPRESSIONS
+    channels = header.channels if is_plain else []
+    if any((channel.x_sampling, channel.y_sampling) != (1, 1) for channel in channels):
+        return {}
+    found: dict[str, tuple[int, int]] = {}
+    words = 0
+    for channel in channels:
+        found[channel.name] = channel.kind, words
+        words += header.data.width * SAMPLE_BYTES[channel.kind] // 2
+    return found
 
 
 def _tile_count(header: Header) -> int:
@@ -123,13 +226,13 @@ def walk_chunks(
             (part,) = struct.unpack("<i", file.read(4).ljust(4, b"\xff"))
             if not 0 <= part < len(headers):
                 return
-        coordinates, sizes = head_layout(headers[part].part_type)
-        head = file.read(coordinates + struct.calcsize(sizes))
-        if len(head) < coordinates + struct.calcsize(sizes):
+        storage = storage_of(headers[part])
+        head = file.read(storage.coordinates + struct.calcsize(storage.sizes))
+        if len(head) < storage.coordinates + struct.calcsize(storage.sizes):
             return
         place = _place(headers[part], levels[part],
-                       struct.unpack(f"<{coordinates // 4}i", head[:coordinates]))
-        found = struct.unpack(sizes, head[coordinates:])
+                       struct.unpack(f"<{storage.coordinates // 4}i", head[:storage.coordinates]))
+        found = struct.unpack(storage.sizes, head[storage.coordinates:])
         end = offset + 4 * several + len(head) + sum(found[:2])
         if place is None or min(found) < 0 or end > size:
             return
@@ -143,7 +246,7 @@ def _place(
     """Place in the table of the chunk with these coordinates; None if there is no such chunk."""
     if not levels:
         place, beyond = divmod(coordinates[0] - header.data.y0, LINES[header.compression])
-        return place if not beyond and 0 <= place < count_chunks(header) else None
+        return place if not beyond and 0 <= place < storage_of(header).count else None
     x, y, *level = coordinates
     before = 0
     for own, (across, down) in levels.items():
@@ -154,52 +257,49 @@ def _place(
 
 
 _BOUNDED = {0: 1, 1: 128, 2: 1100, 3: 1100, 5: 1100, 6: 8, 7: 32}
+"""Compressions -> how many times a chunk may grow: RLE 127 bytes out of 2, DEFLATE 1032:1, a flat
+block of B44A 32 bytes out of 3."""
 _UNBOUNDED = 1 << 20
-# Compressions -> how many times a chunk may grow: RLE 127 bytes out of 2, DEFLATE 1032:1, a flat
-# block of B44A 32 bytes out of 3. One run of a Huffman code may stand for much more.
+"""The same of others: one run of a Huffman code may stand for much."""
+_FREE_BYTES = 1 << 20
+"""Of pixels that may come out of a file of any size."""
 MAX_EMPTY = 1 << 28
 """Pixels that a display window may have with hardly any data in it: 16384x16384."""
-class ExrContainer:
+
+
+class ExrContainer(ExitStack):
     """An open OpenEXR file, its headers, and its chunks without decoding them. Use as a context
     manager.
 
-    Raises ReadError, naming the file, when it is not OpenEXR, or when its headers claim something
-    impossible.
+    `file` is the open file at its beginning, if the caller has it. Raises ReadError, naming the
+    file, when it is not OpenEXR, or when its headers claim something impossible.
+
+    Attributes:
+        headers: of all parts.
+        storages: how each part is stored.
+        counts: chunks of each part.
+        several: whether the file is of several parts by its version, so that chunks tell theirs.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, file: BinaryIO | None = None) -> None:
+        super().__init__()
         self.path = path
-        self._file: BinaryIO = path.open("rb")
+        self._file = self.enter_context(file or path.open("rb"))
         self._lock = threading.Lock()  # of the place in the file
         try:
             self.size = os.fstat(self._file.fileno()).st_size
             self.version, self.headers = read_headers(self._file)
-            self._table = self._file.tell()
-            self.counts = [count_chunks(header) for header in self.headers]
-            self._check_sizes()
-            self._check_table()
+            self.several = bool(self.version & MULTI_PART)
+            self.storages = [storage_of(header) for header in self.headers]
+            self.counts = [storage.count for storage in self.storages]
+            self._offsets = self._read_table()
         except ReadError as error:
-            self._file.close()
+            self.close()
             raise ReadError(f"{path}: broken file: {error}; render or copy this frame "
                             "again") from None
         except BaseException:
-            self._file.close()
+            self.close()
             raise
-
-    def __enter__(self) -> ExrContainer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    @property
-    def several(self) -> bool:
-        """Whether the file is of several parts by its version, so that chunks tell theirs."""
-        return bool(self.version & MULTI_PART)
 
     def chunks(self, part: int) -> list[Chunk]:
         """Chunks of a part in the order of its table. ReadError when one is missing or beyond the
@@ -248,58 +348,50 @@ class ExrContainer:
     def chunk(self, part: int, place: int) -> Chunk:
         """The chunk at a place of a part's table; ReadError as for `chunks`."""
         at = int(self._offsets[part][place]) + 4 * self.several
-        coordinates, sizes = head_layout(self.headers[part].part_type)
-        head = coordinates + struct.calcsize(sizes)
+        storage = self.storages[part]
+        head = storage.coordinates + struct.calcsize(storage.sizes)
         if at + head > self.size:
             raise self._broken_error("it ends early")
-        self._file.seek(at + coordinates)
-        found = struct.unpack(sizes, self._file.read(head - coordinates))
+        self._file.seek(at + storage.coordinates)
+        found = struct.unpack(storage.sizes, self._file.read(head - storage.coordinates))
         size = sum(found[:2])  # the third is the size of unpacked samples
         if min(found) < 0 or at + head + size > self.size:
             raise self._broken_error("it ends early")
         return Chunk(at, head, size)
 
-    def _check_sizes(self) -> None:
-        if 8 * sum(self.counts) > self.size - self._table:
-            raise ReadError(f"its header claims {sum(self.counts)} chunks in {self.size} bytes")
-        for header in self.headers:
-            check_claims(header, self.size)
+    def _read_table(self) -> list[np.ndarray]:
+        """Offsets of the chunks of each part. If the table was never written, walk the chunks to
+        find them.
 
-    def _check_table(self) -> None:
-        """Read the chunks' offsets. If the table was never written, walk the chunks to find them.
-
-        ReadError where a chunk is missing, as in the file of a render that was killed, or beyond
-        the end.
+        ReadError where headers claim more than the file can hold, where a chunk is missing, as in
+        the file of a render that was killed, or beyond the end.
         """
-        offsets = np.frombuffer(self._file.read(8 * sum(self.counts)), "<u8").astype(np.int64)
-        if offsets.min() < self._table:
-            firsts = np.cumsum([0, *self.counts])
-            begin = self._table + 8 * len(offsets)
-            chunks = walk_chunks(self._file, begin, self.size, self.headers, self.several)
-            for part, place, offset in islice(chunks, len(offsets)):
+        begin, count = self._file.tell(), sum(self.counts)
+        if 8 * count > self.size - begin:
+            raise ReadError(f"its header claims {count} chunks in {self.size} bytes")
+        for storage in self.storages:
+            window, display = storage.window, storage.display
+            if not storage.is_display_possible:
+                raise ReadError("its header claims a display window of "
+                                f"{display.width}x{display.height}")
+            if self.size < storage.least_bytes:
+                raise ReadError(f"its header claims {window.width}x{window.height} pixels in "
+                                f"{self.size} bytes")
+        offsets = np.frombuffer(self._file.read(8 * count), "<u8").astype(np.int64)
+        firsts = np.cumsum([0, *self.counts])
+        if offsets.min() < begin:
+            chunks = walk_chunks(self._file, begin + 8 * count, self.size, self.headers,
+                                 self.several)
+            for part, place, offset in islice(chunks, count):
                 offsets[firsts[part] + place] = offset
-        if offsets.min() < self._table:
+        if offsets.min() < begin:
             raise ReadError("some of its pixels are missing")
         if offsets.max() >= self.size:
             raise ReadError("it ends early")
-        self._offsets = np.split(offsets, np.cumsum(self.counts)[:-1])
+        return np.split(offsets, firsts[1:-1])
 
     def _broken_error(self, reason: str) -> ReadError:
         return ReadError(f"{self.path}: broken file: {reason}; render or copy this frame again")
-
-
-def check_claims(header: Header, file_size: int) -> None:
-    """ReadError for a picture that cannot come out of so small a file."""
-    data, display = header.data, header.display
-    if not (1 <= display.width <= MAX_SIDE and 1 <= display.height <= MAX_SIDE) or \
-            display.width * display.height > MAX_EMPTY + 16 * data.width * data.height:
-        raise ReadError(f"its header claims a display window of {display.width}x{display.height}")
-    if header.part_type not in (SCANLINE_IMAGE, TILED_IMAGE):
-        return
-    pixel = sum(SAMPLE_BYTES[channel.kind] for channel in header.channels)
-    most = _BOUNDED.get(header.compression, _UNBOUNDED)
-    if data.width * data.height * pixel > most * file_size + (1 << 20):
-        raise ReadError(f"its header claims {data.width}x{data.height} pixels in {file_size} bytes")
 
 
 @dataclass
@@ -356,73 +448,79 @@ def _flags(headers: list[Header]) -> int:
     return flags | LONG_NAMES * any(header.has_long_names() for header in headers)
 
 
-NamedPlanes = Sequence[tuple[Sequence[str], np.ndarray]]
-"""Names of channels, and the planes (rows, width, channels) float32 that they are read into."""
+ChannelPlanes = Sequence[tuple[np.ndarray, np.ndarray]]
+"""Columns of channels, as `Storage.columns` gives them, and the planes (rows, width, channels)
+float32 that they are read into."""
 
 
-class PlainReader:
-    """Reads pixels of a part whose scanlines are as they are or compressed by ZIP, in half of
-    OpenImageIO's time.
+def read_rows(file: ExrContainer, part: int, planes: ChannelPlanes, first: int, last: int) -> bool:
+    """Read rows of a part whose scanlines are as they are or compressed by ZIP, in half of
+    OpenImageIO's time: those of the data window from `first` to `last`, not included, both counted
+    from its top. False where the file is broken. Several threads may read at once."""
+    from postfx.io.pixel_formats import widen_rows  # headers must not wait
 
-    `channels` are those that it reads: of half floats and floats; none where the part is stored in
-    another way. `top` is the number of the data window's first row.
-    """
-
-    def __init__(self, file: ExrContainer, part: int) -> None:
-        self._file, self._part, header = file, part, file.headers[part]
-        self._height, self.top, width = header.data.height, header.data.y0, header.data.width
-        self._lines, self._words = LINES.get(header.compression, 1), 0
-        # kind, and place of the first word of two bytes in a line
-        self.channels: dict[str, tuple[int, int]] = {}
-        is_plain = header.part_type == SCANLINE_IMAGE and header.compression in OWN_COMPRESSIONS
-        channels = header.channels if is_plain else []
-        if all((channel.x_sampling, channel.y_sampling) == (1, 1) for channel in channels):
-            for channel in channels:
-                self.channels |= ({channel.name: (channel.kind, self._words)}
-                                  if channel.kind in (HALF_KIND, FLOAT_KIND) else {})
-                self._words += width * SAMPLE_BYTES[channel.kind] // 2
-
-    def read(self, planes: NamedPlanes, first: int, last: int) -> bool:
-        """Read the data window's rows from `first` to `last`, not included, both counted from its
-        top. False where the file is broken. Several threads may read at once."""
-        begin, end = first // self._lines, -(-last // self._lines)
-        if not 0 <= first < last <= self._height or end > self._file.counts[self._part]:
+    storage = file.storages[part]
+    begin, end = first // storage.lines, -(-last // storage.lines)
+    if not 0 <= first < last <= storage.window.height or end > file.counts[part]:
+        return False
+    stored = file.read_chunks(part, begin, end)
+    step = max(1, ZIP_LINES // storage.lines)
+    for place in range(0, len(stored), step):
+        top = (begin + place) * storage.lines
+        words = _unpack(storage, stored[place : place + step], top)
+        if words is None:
             return False
-        targets = [(np.array([self.channels[name] for name in names]), plane.view(np.uint32))
-                   for names, plane in planes]
-        stored, step = (self._file.read_chunks(self._part, begin, end),
-                        max(1, ZIP_LINES // self._lines))
-        return all(self._unpack(targets, first, (begin + place) * self._lines,
-                                stored[place : place + step])
-                   for place in range(0, len(stored), step))
-
-    def read_by_threads(self, planes: NamedPlanes, first: int, last: int) -> bool:
-        """The same by as many threads as OpenImageIO has, of which the caller is none."""
-        count = oiio.get_int_attribute("threads")
-        step = rows_of_task(count)
-        tasks = [partial(self.read, [(names, plane[row - first : row - first + step])
-                                     for names, plane in planes],
-                         row, min(last, row + step)) for row in range(first, last, step)]
-        return all(run_in_order(file_threads(count), tasks, 2 * count))
-
-    def _unpack(self, targets: list[tuple[np.ndarray, np.ndarray]], first: int, top: int,
-                stored: list[memoryview]) -> bool:
-        """Put chunks, whose rows begin with `top`, into planes whose rows begin with `first`; False
-        where one is broken."""
-        from postfx.io.pixel_formats import decompress_rows, widen_rows  # headers must not wait
-
-        words = np.empty((min(len(stored) * self._lines, self._height - top), self._words),
-                         np.uint16)
-        for i, chunk in enumerate(stored):
-            row = i * self._lines
-            found = decompress_rows(chunk[8:], words[row : row + self._lines].reshape(-1))
-            if not found or struct.unpack_from("<i", chunk)[0] != self.top + top + row:
-                return False
         wanted = words[max(first - top, 0):]
-        for channels, bits in targets:
-            target = bits[max(top - first, 0):][:len(wanted)]
-            widen_rows(wanted[:len(target)], channels, target)
-        return True
+        for columns, plane in planes:
+            target = plane[max(top - first, 0):][:len(wanted)]
+            widen_rows(wanted[:len(target)], columns, target)
+    return True
+
+
+def read_stored(file: ExrContainer, part: int, names: Sequence[str], first: int,
+                last: int) -> list[np.ndarray] | None:
+    """The same rows as they are stored, bit for bit: of each channel uint32, float16 or float32
+    (rows, width); None where the file is broken or the part is stored in another way."""
+    storage = file.storages[part]
+    if not {*names} <= storage.channels.keys():
+        return None
+    begin, end = first // storage.lines, -(-last // storage.lines)
+    words = _unpack(storage, file.read_chunks(part, begin, end), begin * storage.lines)
+    if words is None:
+        return None
+    rows, found = words[first - begin * storage.lines:][:last - first], []
+    for name in names:
+        kind, column = storage.channels[name]
+        width = storage.window.width * SAMPLE_BYTES[kind] // 2
+        found.append(rows[:, column : column + width].view(SAMPLE_TYPES[kind]))
+    return found
+
+
+def read_rows_by_threads(file: ExrContainer, part: int, planes: ChannelPlanes, first: int,
+                         last: int) -> bool:
+    """The same by as many threads as OpenImageIO has, of which the caller is none."""
+    count = oiio.get_int_attribute("threads")
+    step = rows_of_task(count)
+    tasks = [partial(read_rows, file, part, [(columns, plane[row - first : row - first + step])
+                                             for columns, plane in planes],
+                     row, min(last, row + step)) for row in range(first, last, step)]
+    return all(run_in_order(file_threads(count), tasks, 2 * count))
+
+
+def _unpack(storage: Storage, stored: list[memoryview], top: int) -> np.ndarray | None:
+    """Rows (rows, words) uint16 of chunks that begin with the row `top`; None where one is
+    broken."""
+    from postfx.io.pixel_formats import decompress_rows  # headers must not wait
+
+    lines, window = storage.lines, storage.window
+    words = np.empty((min(len(stored) * lines, window.height - top), storage.line_bytes // 2),
+                     np.uint16)
+    for place, chunk in enumerate(stored):
+        row = place * lines
+        is_whole = decompress_rows(chunk[8:], words[row : row + lines].reshape(-1))
+        if not is_whole or struct.unpack_from("<i", chunk)[0] != window.y0 + top + row:
+            return None
+    return words
 
 
 COMPRESSIONS = {0: "none", 1: "rle", 2: "zips", 3: "zip", 4: "piz", 5: "pxr24", 6: "b44", 7: "b44a",
@@ -494,9 +592,10 @@ def picture_part(header: Header, read: Rows, apart: bool = False) -> NewPart:
     reads and writes with, which does all others: there the channels must be of one type. `apart`:
     these threads may call `read`, too.
     """
-    chunks = (_plain_chunks(header, read, apart) if header.compression in OWN_COMPRESSIONS
+    storage = storage_of(header)
+    chunks = (_plain_chunks(storage, read, apart) if storage.compression in OWN_COMPRESSIONS
               else _library_chunks(header, read))
-    return NewPart(header, count_chunks(header), chunks)
+    return NewPart(header, storage.count, chunks)
 
 
 @cache
@@ -544,11 +643,10 @@ def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
             yield from made.copy_chunks(0)
 
 
-def _plain_chunks(header: Header, read: Rows, apart: bool) -> Iterator[tuple[int, bytes]]:
+def _plain_chunks(storage: Storage, read: Rows, apart: bool) -> Iterator[tuple[int, bytes]]:
     """The same from the top, packed here."""
-    data, line_bytes = header.data, header.data.width * sum(SAMPLE_BYTES[channel.kind]
-                                                            for channel in header.channels)
-    count, lines = oiio.get_int_attribute("threads"), LINES[header.compression]
+    data, line_bytes = storage.window, storage.line_bytes
+    count = oiio.get_int_attribute("threads")
     rows = rows_of_task(count)
     step = rows if apart else max(1, _PIECE_BYTES // (line_bytes * rows)) * rows
 
@@ -560,27 +658,28 @@ def _plain_chunks(header: Header, read: Rows, apart: bool) -> Iterator[tuple[int
                 some = slice(top - first, top - first + rows)
                 get = (partial(read, first, last) if apart
                        else partial(list, [channel[some] for channel in channels]))
-                yield partial(_pack, get, line_bytes, lines, data.y0 + top, header.compression)
+                yield partial(_pack, get, storage, data.y0 + top)
 
     packed = (chunk for chunks in run_in_order(file_threads(count), tasks(), 2 * count)
               for chunk in chunks)
     yield from enumerate(packed)
 
 
-def _pack(get: Callable[[], Sequence[np.ndarray]], line_bytes: int, lines: int, top: int,
-          compression: int) -> list[bytes]:
+def _pack(get: Callable[[], Sequence[np.ndarray]], storage: Storage, top: int) -> list[bytes]:
     """Chunks of the channels (rows, width) that `get` gives; the number of their first row is
     `top`."""
     from postfx.io.pixel_formats import compress_rows  # reading must not wait
 
     channels, at = get(), 0
-    stored = np.empty((len(channels[0]), line_bytes), np.uint8)
+    stored = np.empty((len(channels[0]), storage.line_bytes), np.uint8)
     for channel in channels:
         end = at + channel.shape[1] * channel.itemsize
         stored[:, at:end].view(channel.dtype)[:] = channel
         at = end
-    chunks = [stored[first : first + lines] for first in range(0, len(stored), lines)]
-    packed = [compress_rows(chunk) if compression != NO_COMPRESSION else chunk.tobytes()
-              for chunk in chunks]
-    return [struct.pack("<2i", top + place * lines, len(chunk)) + chunk
-            for place, chunk in enumerate(packed)]
+    found = []
+    for first in range(0, len(stored), storage.lines):
+        lines = stored[first : first + storage.lines]
+        chunk = (lines.tobytes() if storage.compression == NO_COMPRESSION
+                 else compress_rows(lines))
+        found.append(struct.pack("<2i", top + first, len(chunk)) + chunk)
+    return found

@@ -23,25 +23,20 @@ with other channels.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import OpenImageIO as oiio
 
 from postfx.errors import WriteError
 from postfx.frame import ColourSource, Frame
 from postfx.io.exr import SCANLINE_IMAGE, TILED_IMAGE, ChannelInfo, Header, pack_channels, raw
-from postfx.io.exr.container import COMPRESSIONS, ZIP, ExrContainer, NewPart, Rows, picture_part
+from postfx.io.exr.container import COMPRESSIONS, ZIP, ExrContainer, Rows
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import ALPHA_OF_RED
 from postfx.io.windows import (
     AREA,
-    EXR_NAMES,
     PICTURE_ATTRIBUTE,
     Part,
     Window,
@@ -138,11 +133,6 @@ _DROPPED = (
     "wrapmodes",
 )
 _SCENE_REFERRED = ("chromaticities", "colorinteropid", "postfx:exposure", "postfx:exposureev")
-_NAMED_TYPES = {"timeCode": "timecode", "keyCode": "keycode", "framesPerSecond": "rational"}
-_STORED_NAMES = {name: stored for stored, name in EXR_NAMES.items()}
-_TUPLE_TYPES = {(float, 9): "matrix33", (float, 16): "matrix", (float, 3): "vector",
-                (int, 2): "vector2i"}
-_TYPE_WORDS = {float: "float", int: "int", str: "string"}
 
 
 def select_attributes(frame: Frame) -> dict[str, Any]:
@@ -163,37 +153,15 @@ def is_outdated(name: str, frame: Frame) -> bool:
     return name.lower().startswith(outdated)
 
 
-def set_attributes(spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> None:
-    """Put attributes into an image's spec with the EXR types they had; values of other types are
-    left out."""
-    for name, value in attributes.items():
-        kind = _NAMED_TYPES.get(name) or _type_of(value)
-        # another type than its name promises, or broken text
-        with suppress(TypeError, ValueError, RuntimeError):
-            if kind == "rational":
-                value = Fraction(value).limit_denominator(1001).as_integer_ratio()
-            if kind:
-                spec.attribute(_STORED_NAMES.get(name, name), oiio.TypeDesc(kind), value)
-
-
-def _type_of(value: Any) -> str:
-    if isinstance(value, tuple):
-        kinds = {type(item) for item in value}
-        if len(kinds) != 1:
-            return ""
-        kind = kinds.pop()
-        return _TUPLE_TYPES.get((kind, len(value)),
-                                f"{_TYPE_WORDS[kind]}[{len(value)}]" if kind in _TYPE_WORDS else "")
-    return _TYPE_WORDS.get(type(value), "")
-
-
 RENDER = "render:"
 """Before the name of an attribute of the render that the picture's file cannot have, or that is not
 true of it."""
-_SHARED = ("displayWindow", "pixelAspectRatio", "timeCode", "chromaticities")
+SHARED_ATTRIBUTES = ("displayWindow", "pixelAspectRatio", "timeCode", "chromaticities")
+"""Of a header: those that are the same in all parts of a file."""
 _STRUCTURE = ("channels", "compression", "dataWindow", "displayWindow", "lineOrder", "type", "name",
               "tiles", "version", "chunkCount", "maxSamplesPerPixel", "dwaCompressionLevel")
-_INVENTED = "capDate"  # OpenImageIO writes today's if there is none
+INVENTED = "capDate"
+"""The date, for which OpenImageIO writes today if there is none."""
 _RGBA_PART = "rgba"
 _RENDER_NAME = "render"
 RGB_LETTERS = ("R", "G", "B")
@@ -204,67 +172,80 @@ _NOISY = "Noisy Image"
 _SHOWN = "Combined"
 
 
-def merge_source(own: Header, rows: Rows, frame: Frame, stack: ExitStack) -> list[NewPart]:
-    """Parts of a file that holds a picture and everything else that its frame's source holds.
+class Recipe(NamedTuple):
+    """How a part of the output is made.
 
-    Args:
-        own: header that the writer gave the picture.
-        rows: reads the picture's channels, in the order of that header.
-        frame: of the picture. A source that is not an OpenEXR file has nothing to keep.
-        stack: closes the source's files, from which the parts read while they are written.
-
-    Raises ReadError when the source is broken, OSError when it was removed.
+    Attributes:
+        header: of the part.
+        part: of the source, whose chunks are copied where there is no order, or that holds the
+            channels that are kept.
+        fresh: places of the picture's channels that go into it.
+        kept: names of the source's channels that do.
+        order: of the header's channels, each one's place among the fresh ones and the kept ones.
+        is_enlarged: whether the kept channels are brought to the picture's size.
     """
-    if frame.source is None or Path(frame.source).suffix.lower() != ".exr":
-        return [picture_part(own, rows, apart=True)]
-    source = stack.enter_context(ExrContainer(Path(frame.source)))
-    return Merge(own, rows, source, frame, stack).parts()
+
+    header: Header
+    part: int = 0
+    fresh: tuple[int, ...] = ()
+    kept: tuple[str, ...] = ()
+    order: tuple[int, ...] = ()
+    is_enlarged: bool = False
 
 
 class Merge:
-    """A picture and the file that its render was read from."""
+    """A picture and the file that its render was read from: which parts the output has.
 
-    def __init__(self, own: Header, rows: Rows, source: ExrContainer, frame: Frame,
-                 stack: ExitStack) -> None:
-        self._own, self._rows, self._source, self._frame, self._stack = (own, rows, source, frame,
-                                                                         stack)
-        self._stored = frame.colour_source or ColourSource(0, (), {})
-        self._enlargement = enlargement_of(frame)
+    Args:
+        own: header that the writer gave the picture.
+        source: the open file.
+        frame: of the picture.
+    """
 
-    def parts(self) -> list[NewPart]:
+    def __init__(self, own: Header, source: ExrContainer, frame: Frame) -> None:
+        self._own, self._source, self._frame = own, source, frame
+        self._held = [channel.name for channel in own.channels]
+        self.stored = frame.colour_source or ColourSource(0, (), {})
+        self.enlargement = enlargement_of(frame)
+
+    def recipes(self) -> list[Recipe]:
         """All parts of the output."""
-        headers = self._source.headers
-        if self._enlargement:
-            return _with_names(self._enlarge_parts(self._enlargement))
-        index, colour = self._shown()
+        if self.enlargement:
+            return _with_names(self._enlarge_parts(self.enlargement))
+        headers, (index, colour) = self._source.headers, self._shown()
         if not (self._takes(index) and len({*colour}) == len(RGB_LETTERS)):
-            header = self.header(headers[self._stored.part], in_place=False)
-            return _with_names([picture_part(header, self._rows, apart=True),
-                                *(self.as_stored(part, header) for part in range(len(headers)))])
+            header = self.header(headers[self.stored.part], in_place=False)
+            return _with_names([self._alone(header),
+                                *(Recipe(self.header_of(part, header), part)
+                                  for part in range(len(headers)))])
         names = dict(zip(RGB_LETTERS, colour, strict=True)) | {"A": alpha_of(colour)}
-        held = [channel.name for channel in self._own.channels]
         header = self.header(headers[index], in_place=True,
-                             names=[names.get(name, name) for name in held])
+                             names=[names.get(name, name) for name in self._held])
         fresh: dict[int, dict[str, str]] = {}
-        for name in held:
+        for name in self._held:
             fresh.setdefault(index if name in names else self._home(name, index),
                              {})[names.get(name, name)] = name
-        parts: list[NewPart] = []
+        parts: list[Recipe] = []
         for part in range(len(headers)):
             own = header if part == index else self.header_of(part, header)
             parts += (self._merge_part(part, own, fresh[part]) if part in fresh
-                      else [self.as_stored(part, header)])
+                      else [Recipe(own, part)])
         return _with_names(parts)
+
+    def _alone(self, header: Header) -> Recipe:
+        """The picture as a part of its own."""
+        places = tuple(range(len(self._held)))
+        return Recipe(header, fresh=places, order=places)
 
     def _shown(self) -> tuple[int, tuple[str, ...]]:
         """Part and names of the colour that programs show: the render's, or what Blender's own
         denoiser made of it."""
-        if not self._stored.channels:  # colour of parts that each hold a channel
-            return self._stored.part, ()
-        names = tuple(name.replace(_NOISY, _SHOWN) for name in self._stored.channels)
-        found = next((part for part, name in sorted(self._stored.renders) if name == names[0]),
-                     self._stored.part)
-        return found, names if (found, names[0]) in self._stored.renders else self._stored.channels
+        if not self.stored.channels:  # colour of parts that each hold a channel
+            return self.stored.part, ()
+        names = tuple(name.replace(_NOISY, _SHOWN) for name in self.stored.channels)
+        found = next((part for part, name in sorted(self.stored.renders) if name == names[0]),
+                     self.stored.part)
+        return found, names if (found, names[0]) in self.stored.renders else self.stored.channels
 
     def _home(self, name: str, picture: int) -> int:
         """The part that a channel beside the picture's goes into: the one that holds it in the
@@ -281,16 +262,11 @@ class Merge:
         plain = all(channel.x_sampling == channel.y_sampling == 1 for channel in render.channels)
         return same and plain and render.part_type in (SCANLINE_IMAGE, TILED_IMAGE)
 
-    def as_stored(self, part: int, picture: Header) -> NewPart:
-        """A part of the source with its pixels as they are."""
-        header = self.header_of(part, picture)
-        return NewPart(header, self._source.counts[part], self._source.copy_chunks(part))
-
     def header_of(self, part: int, picture: Header) -> Header:
         """Header of a part of the source; attributes that the whole file shares are the
         picture's."""
         header = Header(dict(self._source.headers[part].attributes))
-        for name in _SHARED:
+        for name in SHARED_ATTRIBUTES:
             own, shared = header.attributes.get(name), picture.attributes.get(name)
             if own is not None and own != shared:
                 header.attributes[RENDER + name] = header.attributes.pop(name)
@@ -299,44 +275,39 @@ class Merge:
             header.attributes[RENDER + PICTURE_ATTRIBUTE] = header.attributes.pop(PICTURE_ATTRIBUTE)
         return header
 
-    def _enlarge_parts(self, enlargement: Enlargement) -> list[NewPart]:
+    def _enlarge_parts(self, enlargement: Enlargement) -> list[Recipe]:
         """The picture, and the source's flat parts at its size, without the render's colour."""
-        file = self._stack.enter_context(ImageFile(self._source.path, checked=True))
-        index, fresh = self._stored.part, {channel.name for channel in self._own.channels}
-        picture, parts = self.header(self._source.headers[index], in_place=False), []
-        joined, sorted_names = NewPart(picture, 0, ()), [channel.name
-                                                         for channel in self._own.channels]
-        display = next(part.display for part in file.parts if part.index == index)
-        for part in file.parts:
-            replaced = self._stored.renders | ({(index, name) for name in fresh}
-                                               if part.index == index else set())
+        index = self.stored.part
+        picture, beside = self._alone(self.header(self._source.headers[index], in_place=False)), []
+        with ImageFile(self._source.path, checked=True) as file:
+            parts = file.parts
+        display = next(part.display for part in parts if part.index == index)
+        for part in parts:
+            replaced = self.stored.renders | ({(index, name) for name in self._held}
+                                              if part.index == index else set())
             kept = sorted((channel for channel in self._source.headers[part.index].channels
                            if (part.index, channel.name) not in replaced),
                           key=lambda channel: raw(channel.name))
             names = [channel.name for channel in kept]
-            pixels = {name: axis
-                      for (own, name), axis in self._stored.pixels.items() if own == part.index}
             larger = enlargement.window(part.data)
             # of a file of two sizes, as where guides have the output's
-            if (kept and part.display != display):
-                parts += ([self.as_stored(part.index, picture)] if part.data == self._own.data
-                          else [])
+            if kept and part.display != display and part.data == self._own.data:
+                beside.append(Recipe(self.header_of(part.index, picture.header), part.index))
             if not kept or part.display != display:
                 continue
-            rows = enlarge_rows(file, part, names, enlargement, pixels)
             if (part.index == index and larger == self._own.data
-                and self._stored.channels == ("R", "G", "B")):
-                picture = self.header(self._source.headers[index], in_place=True)
-                self.check_zip(picture)
-                picture.set("channels", "chlist", pack_channels(self._own.channels + kept))
-                joined = picture_part(picture,
-                                      _join(picture, sorted_names, self._rows, names, rows))
+                and self.stored.channels == RGB_LETTERS):
+                header = self.header(self._source.headers[index], in_place=True)
+                self.check_zip(header)
+                header.set("channels", "chlist", pack_channels(self._own.channels + kept))
+                fresh = {name: place for place, name in enumerate(self._held)}
+                picture = _join(header, index, fresh, names, is_enlarged=True)
             else:
-                parts.append(picture_part(resize_header(self.header_of(part.index, picture), larger,
-                                                        kept), rows))
-        return [joined if joined.count else picture_part(picture, self._rows, apart=True), *parts]
+                header = resize_header(self.header_of(part.index, picture.header), larger, kept)
+                beside.append(_join(header, part.index, {}, names, is_enlarged=True))
+        return [picture, *beside]
 
-    def _merge_part(self, part: int, header: Header, fresh: Mapping[str, str]) -> list[NewPart]:
+    def _merge_part(self, part: int, header: Header, fresh: Mapping[str, str]) -> list[Recipe]:
         """A part of the source with channels of the picture in the place of its own, and one for
         the others if the picture's compression is not for them. fresh: their names -> those that
         the writer gave them."""
@@ -353,22 +324,13 @@ class Merge:
                               bool(rest) and header.compression != ZIP)
         resize_header(header, header.data, channels + ([] if apart else rest))
         header.attributes["compression"] = compression
-        if not rest:
-            return [picture_part(header, _select(self._own, self._rows, header, fresh), apart=True)]
-        source = self._stack.enter_context(ImageFile(self._source.path, checked=True))
-        (render,) = (one for one in source.parts if one.index == part)
+        places = {name: self._held.index(given) for name, given in fresh.items()}
         old = [channel.name for channel in rest]
-
-        def others(first: int, last: int) -> list[np.ndarray]:
-            return source.read_stored(render, old, first, last)
-
-        if apart:
-            beside.set_text("name", f"{header.name or _RENDER_NAME}.other")
-            beside.attributes.pop(PICTURE_ATTRIBUTE, None)
-            alone = picture_part(header, _select(self._own, self._rows, header, fresh), apart=True)
-            return [alone, picture_part(beside, others)]
-        rows = _select(self._own, self._rows, None, fresh)
-        return [picture_part(header, _join(header, list(fresh), rows, old, others))]
+        if not apart:
+            return [_join(header, part, places, old)]
+        beside.set_text("name", f"{header.name or _RENDER_NAME}.other")
+        beside.attributes.pop(PICTURE_ATTRIBUTE, None)
+        return [_join(header, part, places, []), _join(beside, part, {}, old)]
 
     def check_zip(self, header: Header) -> None:
         """WriteError unless a part that holds the picture and other channels is compressed by
@@ -389,19 +351,18 @@ class Merge:
                 found[name] = attribute
             elif in_place and name not in _STRUCTURE:
                 found[RENDER + name] = attribute
-        read = {name.lower() for name in self._stored.attributes}
+        read = {name.lower() for name in self.stored.attributes}
         found |= {name: attribute for name, attribute in own.items() if name not in found
-                  and name != _INVENTED and (name.lower() not in read or self._is_new(name))}
+                  and name != INVENTED and (name.lower() not in read or self._is_new(name))}
         if in_place and "name" in render.attributes:
             found["name"] = render.attributes["name"]
         header = Header(found)
-        header.set_text(PICTURE_ATTRIBUTE,
-                        ",".join(names or (channel.name for channel in self._own.channels)))
+        header.set_text(PICTURE_ATTRIBUTE, ",".join(names or self._held))
         return header
 
     def _is_new(self, name: str) -> bool:
         """Whether the picture does not have an attribute as the render has it."""
-        read, now = self._stored.attributes, self._frame.metadata
+        read, now = self.stored.attributes, self._frame.metadata
         same = name not in read or np.array_equal(read[name], now.get(name, read[name]))
         return is_outdated(name, self._frame) or not same
 
@@ -412,32 +373,13 @@ def alpha_of(colour: tuple[str, ...]) -> str:
     return ".".join(filter(None, (layer, ALPHA_OF_RED.get(red, "A"))))
 
 
-def _select(own: Header, rows: Rows, header: Header | None, names: Mapping[str, str]) -> Rows:
-    """Reads some of the picture's channels, in the order of a header, or else of `names`: there ->
-    as it has them."""
-    given = [channel.name for channel in own.channels]
-    order = [given.index(names[name])
-             for name in ([one.name for one in header.channels] if header else names)]
-
-    def read_some(first: int, last: int) -> list[np.ndarray]:
-        found = rows(first, last)
-        return [found[index] for index in order]
-
-    return read_some
-
-
-def _join(header: Header, fresh: list[str], rows: Rows, names: list[str], others: Rows) -> Rows:
-    """Reads the picture's channels, which come as `fresh`, and others beside them, in the order of
-    the header of both.
-    """
-    order = [channel.name for channel in header.channels]
-
-    def read_joined(first: int, last: int) -> list[np.ndarray]:
-        found = dict(zip(fresh, rows(first, last), strict=True))
-        found |= zip(names, others(first, last), strict=True)
-        return [found[name] for name in order]
-
-    return read_joined
+def _join(header: Header, part: int, fresh: Mapping[str, int], kept: Sequence[str],
+          is_enlarged: bool = False) -> Recipe:
+    """A part of the picture's channels, by name and place, and of some that the source's part
+    holds, in the order of its header."""
+    among = {name: place for place, name in enumerate((*fresh, *kept))}
+    order = tuple(among[channel.name] for channel in header.channels)
+    return Recipe(header, part, tuple(fresh.values()), tuple(kept), order, is_enlarged)
 
 
 def resize_header(header: Header, data: Window, channels: list[ChannelInfo]) -> Header:
@@ -452,7 +394,7 @@ def resize_header(header: Header, data: Window, channels: list[ChannelInfo]) -> 
     return header
 
 
-def _with_names(parts: list[NewPart]) -> list[NewPart]:
+def _with_names(parts: list[Recipe]) -> list[Recipe]:
     """The parts, each with a name of its own, which files of several parts need; those that have
     one keep it."""
     if len(parts) == 1:

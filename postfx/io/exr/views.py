@@ -66,7 +66,8 @@ class _ViewMerge:
         self._views, self._colours, self._keep = views, colours, keep
         container = stack.enter_context(ExrContainer(source))
         self._headers = container.headers
-        self._merges = [Merge(view.own, view.rows, container, view.frame, stack) for view in views]
+        self._container = container
+        self._merges = [Merge(view.own, container, view.frame) for view in views]
         self._file = stack.enter_context(ImageFile(source, checked=True))
         self._flat = {part.index: part for part in self._file.parts}
         self._enlargement = enlargement_of(views[0].frame)
@@ -146,7 +147,9 @@ class _ViewMerge:
         # guides have the output's
         has_own_size = (part is not None and part.display != colour.display)
         if not self._enlargement or (has_own_size and part and part.data == picture.data):
-            return [self._merges[0].as_stored(index, picture)]
+            header = self._merges[0].header_of(index, picture)
+            return [NewPart(header, self._container.counts[index],
+                            self._container.copy_chunks(index))]
         kept = self._kept_channels(index, set())
         if not kept or has_own_size:
             return []

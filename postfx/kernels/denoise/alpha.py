@@ -19,7 +19,9 @@ of render pixels that are worked on, 1 in those around them, which these read, a
 
 import numpy as np
 
-from postfx.kernels.denoise import kernel
+from postfx.kernels.denoise import NEAR_CELL, kernel
+from postfx.kernels.statistics import bounds_of_cells
+from postfx.sampling import three_by_three
 
 KEEP, VARIANCE, DRIFT, LEAST = range(4)
 """Of ``rates``: whether there is a past; then variances in units of alpha (1 - alpha): of a frame's
@@ -58,3 +60,22 @@ CORRECT = kernel("correct", ("enlarged", "picture", "fit", "next_samples", "next
                  picture=("height", "width", 3), fit=(4, "h", "w"), next_samples=QUARTERS,
                  next_doubt=("h", "w", 1),
                  moved=("h", "w", 2), near=NEAR, gain=(4,), corrected=("height", "width", 1))
+
+
+def near_cells(alpha: np.ndarray) -> np.ndarray:
+    """Cells of alpha (h, w): 2 where 3x3 of them are not all alike, 1 beside those, else 0."""
+    low, high = bounds_of_cells(alpha, NEAR_CELL)
+    differ = three_by_three(low, 1, np.minimum) != three_by_three(high, 1, np.maximum)
+    found: np.ndarray = differ + three_by_three(differ, 1, np.maximum).astype(np.float32)
+    return found
+
+
+def near_rows(y0: int, y1: int, alpha: np.ndarray, near: np.ndarray) -> None:
+    """What the kernel below computes. No device runs it: elsewhere the host looks at alpha, which
+    is its own."""
+    near[y0:y1] = near_cells(alpha[..., 0])[y0:y1]
+
+
+NEAR_ALPHA = kernel("near", ("alpha",), ("near",), near_rows, ("near", 0), alpha=("h", "w", 1),
+                    near=("alpha_h", "alpha_w"))
+"""Cells where alpha is worked on, on a GPU."""

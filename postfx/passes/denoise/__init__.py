@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from statistics import median
 from typing import ClassVar, Never
 
 import numpy as np
@@ -18,16 +16,16 @@ import numpy as np
 from postfx.caching import LRUCache
 from postfx.errors import DeviceError, FrameError, PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
-from postfx.kernels.denoise import GAIN
 from postfx.passes import MOST_SIZES, Pass, Reflection, ResidentFrame
-from postfx.passes.denoise.frame import ReadyNetwork, ReadyPlain, widen_history
-from postfx.passes.denoise.history import Cameras, History, PartHistory, can_follow
+from postfx.passes.denoise.frame import Ready, ReadyNetwork, Wishes
+from postfx.passes.denoise.history import History, PartHistory
 from postfx.passes.denoise.models import (
     CLASSIC,
     GUIDED,
     UNSCALED,
     Ladder,
     cost,
+    enlarging_remarks,
     family,
     filter_remarks,
     gives_picture,
@@ -48,9 +46,20 @@ from postfx.passes.denoise.options import (
     validate_scale,
     validate_size,
 )
-from postfx.passes.denoise.parts import checked_parts, has_noisy_alpha
+from postfx.passes.denoise.parts import Layers, checked_parts, has_noisy_alpha
 from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES, passthrough_roles
+from postfx.passes.denoise.primaries import widen_history
+from postfx.passes.denoise.reflections import Cameras, can_follow
+from postfx.passes.denoise.savings import (
+    NO_HISTORY,
+    NOTHING_MOVES,
+    REPEATED_NOISE,
+    UNFOLLOWED_REFLECTIONS,
+    Amount,
+    Savings,
+)
 from postfx.passes.denoise.tiling import Sizes, active_cells, whole_tiles
+from postfx.passes.denoise.window import Work
 from postfx.repeats import ONE_SEED, Alike, FrameMemory, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 
@@ -65,7 +74,7 @@ PART_FILTERS = "picture", "own"
 """Values of the option `part_filters`: whose filters parts get."""
 NETWORK_PREFIX = "network "
 """In a history, the name of the network's entry ends in the network's tag."""
-LARGEST_TAG = "l"
+LARGEST_TAG = "xl"
 """Tag of the largest network that comes with postfx."""
 WIDER = "wider primaries"
 """In a history, whether its light is in wider primaries than the frames'."""
@@ -83,11 +92,11 @@ class DenoiseUpscale(Pass):
             without guides.
         size: width and height of the output, in place of a scale; frames may change their size, and
             the history goes on.
-        model: tag of the network, 's', 'm' or 'l', which runs in the device's fast precision, or
-            with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own
+        model: tag of the network, 's', 'm', 'l' or 'xl', which runs in the device's fast precision,
+            or with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own
             network, 'nets/mine.onnx', with its card beside it, and mine.guides.onnx and
             mine.1x.onnx if they exist; or 'classic', a filter without a network, on a CPU and for
-            frames without parts.
+            frames without parts. 'xl' is for the render size; 'l' enlarges in its place.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit. Where `model`
@@ -212,6 +221,8 @@ class DenoiseUpscale(Pass):
         if self._is_render_size(spec):
             found += unscaled_remarks(self._tag)
             found += filter_remarks(self._tag) if self._parts else []
+        else:
+            found += enlarging_remarks(self._tag)
         return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
 
     def accumulates(self, spec: FrameSpec) -> bool:
@@ -241,7 +252,7 @@ class DenoiseUpscale(Pass):
             self._history = History(device, sizes, reactive)
             own = {name: History(device, sizes, reactive) for name in self._own}
             self._part_history = PartHistory(device, size, self._parts, own)
-        self._sizes: LRUCache[FrameSpec, ReadyNetwork | ReadyPlain] = LRUCache(MOST_SIZES)
+        self._sizes: LRUCache[FrameSpec, Ready] = LRUCache(MOST_SIZES)
         self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
         super().compile(device, spec)
 
@@ -263,14 +274,18 @@ class DenoiseUpscale(Pass):
                                    spec)
         return True
 
-    def _made_ready(self, spec: FrameSpec) -> ReadyNetwork | ReadyPlain:
+    def _made_ready(self, spec: FrameSpec) -> Ready:
         size = self._output_size(spec)
         if not self.strength:
-            return ReadyPlain(self._device, spec, size, self._parts)
+            none = PartHistory(self._device, size, ())
+            layers = (Layers(self._device, spec, size, self._parts, False, none) if self._parts
+                      else None)
+            return Ready(self._device, spec, size, layers)
         models, guided = self._models(spec), self._is_guided(spec)
         models |= self._alpha_models(spec, models)
-        return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength,
-                            self._mask, self._parts, self._alpha, self._part_history, self._error)
+        wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, self._error)
+        return ReadyNetwork(self._device, spec, size, models, guided, wishes, self._history,
+                            self._part_history)
 
     def _tags_for(self, spec: FrameSpec, has_classic: bool = True) -> tuple[str, ...]:
         """Tags to choose from for frames of a spec, fastest first; one without a budget."""
@@ -354,16 +369,13 @@ class DenoiseUpscale(Pass):
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         ready = self._ready
-        if isinstance(ready, ReadyNetwork):
-            colour = self._encode_network(commands, frame, ready)
-        else:
-            colour = ready.plain.encode(commands, frame)
-            if ready.layers:
-                ready.layers.resample(commands, frame, colour)
+        colour = (self._denoise(commands, frame, ready) if isinstance(ready, ReadyNetwork)
+                  else ready.encode_input(commands, frame))
         frame.set(Role.COLOUR, colour)
-        if isinstance(ready, ReadyNetwork) and ready.error:
+        if ready.error:
             frame.set(Role.ERROR, ready.error.encode(commands, frame))
-        ready.passthrough.encode(commands, frame)
+        if ready.passthrough:
+            ready.passthrough.encode(commands, frame)
         for role in (*READ_PLANES, *MIRRORED_ROLES, Role.STRENGTH, Role.REACTIVE,
                      Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
             if not self._output.has(role):
@@ -371,83 +383,69 @@ class DenoiseUpscale(Pass):
         frame.guides.clear()
         frame.spec, frame.jitter = self._output, (0.0, 0.0)
 
-    def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame,
-                        ready: ReadyNetwork) -> Tensor:
-        """The denoised colour, blended by strength; the history stays fully denoised."""
-        cells = self._active(frame, ready)
-        savings = self._savings if not frame.history_only else Savings()
+    def _denoise(self, commands: CommandBuffer, frame: ResidentFrame,
+                 ready: ReadyNetwork) -> Tensor:
+        """The denoised colour, by as much work as the frame needs."""
+        cells = self._active(frame, ready) if Role.STRENGTH in frame.host_planes else None
         if ready.error and cells is not None:
             ready.error.forget()
-        if ready.strength and cells is not None and not cells.any():
-            savings.begin(0.0, False, False)
+        savings = Savings() if frame.history_only else self._savings
+        if cells is not None and not cells.any():
+            savings.note_frame(Amount.NOTHING, 0.0)
             self._fresh = False
-            plain = ready.strength.plain.encode(commands, frame)
-            if ready.layers:
-                ready.layers.resample(commands, frame, plain)
-            return plain
+            return ready.encode_input(commands, frame)
         repeats = self._is_repeated(frame)
         keep = self._fresh and not (frame.reset or repeats) and Role.MOTION in frame
         if not keep and ready.is_empty(frame):
-            savings.begin_empty()
+            savings.note_frame(Amount.EMPTY, 0.0)
             self._fresh = False
             return ready.encode_empty(frame)
+        reasons = [REPEATED_NOISE] if repeats else [] if keep else [NO_HISTORY]
         alike = self._likeness(frame, ready, keep)
         if alike is Alike.SAME and self._fresh and self._result:
-            savings.begin_same()
-            savings.note_repeats(repeats)
+            savings.note_frame(Amount.SAME, 0.0, [REPEATED_NOISE] if repeats else [])
             return self._result
-        active = ready.lit_cells(frame) if cells is None else cells
+
+        lit = ready.lit_cells(frame) if cells is None and Role.MOTION not in frame else None
+        active = cells if lit is None else lit
         band = None if active is None else ready.frames.layout(active)
-        if band and cells is None:
+        if band and lit is not None:
             band = band.over(frame.spec.height)  # what is not lit is written, too
         gain = frame.exposure_factor / self._exposure if keep else 1.0
-        self._widen(commands, frame, ready, keep)
-        params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
-        self._used = self._tags[self._ladder.rung if self._ladder else 0]
-        model = ready.models[self._used]
-        if ready.alpha_tag and model in ready.pictures and has_noisy_alpha(frame):
-            self._used = ready.alpha_tag
-            model = ready.models[self._used]
-            self._tell_of_alpha()
-        ready.frames.use(model)
-        still = keep and gain == 1 and self._is_still(frame)
-        savings.begin(1.0 if band is None else band.share, keep or repeats, still, cells is None)
-        savings.note_repeats(repeats)
-        blanks = model in ready.blanking
-        planes: Mapping[str, Tensor] = ready.planes.encode(commands, frame, blanks)
-        savings.note_planes(ready.planes.hazy)
-        planes = {**planes, **ready.reactive.encode(commands, frame)}
+        if not self._wider and ready.is_outside(frame):
+            self._widen(keep)
+        self._used = self._choose(frame, ready)
+        still = keep and gain == 1 and frame.is_blank(Role.MOTION)
+        camera = None
         if ready.reflections:
-            change = self._cameras.step(frame, keep and not still, savings.note_unfollowed)
-            planes = ready.reflections.encode(commands, frame, change, planes)
-        filtered = ready.layers if self._used != CLASSIC and model not in ready.pictures else None
-        if ready.layers and not filtered:  # alpha is only resampled
-            ready.layers.skip()
-        layers, written = (filtered.begin(commands, frame, planes, params, keep) if filtered
-                           else ([], {}))
-        rows = ready.frames.rows(band, cells)
-        if ready.strength and not (filtered or ready.restore):
-            written = ready.strength.begin(frame, rows)
-        written |= ready.error.written if ready.error else {}
-        colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers,
-                                                written)
-        own_runs = filtered.own_runs(frame, planes, params, keep) if filtered else ()
-        for name, seen, own_params, output in own_runs:
-            ready.own[name].use(model)
-            own_still = still and own_params[GAIN] == params[GAIN]
-            ready.own[name].encode(commands, seen, own_params, keep, own_still, band, (),
-                                   {"output": output})
+            camera, why = self._cameras.step(frame, keep and not still)
+            reasons += [(UNFOLLOWED_REFLECTIONS, why)] if why else []
+        params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
+        work = Work(ready.models[self._used], params, keep, still, cells, band, self._wider, camera)
+        colour = ready.encode(commands, frame, work, reasons)
         self._fresh, self._exposure = not frame.unusable, frame.exposure_factor
-        colour = (ready.restore.encode(commands, frame, colour, rows, cells) if ready.restore
-                  else colour)
-        if ready.strength:
-            colour = ready.strength.encode(commands, frame, colour, rows, savings.note_unblended)
-        if filtered:
-            filtered.finish(commands, frame, denoised, colour, ready.restore, ready.strength, rows)
-        colour = ready.wider.narrow(commands, frame, colour) if self._wider else colour
         if alike is not Alike.OTHER:
             self._keep_result(commands, colour)
+
+        share = 1.0 if band is None else band.share
+        some = Amount.TILES if lit is None else Amount.LIT
+        if still and share == 1:
+            reasons.append(NOTHING_MOVES)
+        savings.note_frame(Amount.WHOLE if share == 1 else some, share, reasons)
         return colour
+
+    def _choose(self, frame: ResidentFrame, ready: ReadyNetwork) -> str:
+        """The tag of a frame's network: by the budget; another one for noisy alpha."""
+        tag = self._tags[self._ladder.rung if self._ladder else 0]
+        if not (ready.alpha_tag and ready.models[tag] in ready.pictures and has_noisy_alpha(frame)):
+            return tag
+        if not self._has_told_of_alpha:
+            asked = short_tag(self._tag)
+            self._notice = (f"its alpha is noisy, so model '{ready.alpha_tag}' runs: '{asked}' "
+                            "filters the picture alone; fix: --no-alpha-denoise keeps alpha as it "
+                            "is")
+            self._has_told_of_alpha = True
+        return ready.alpha_tag
 
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
         """What a frame is beside the one before. Only what is denoised alone, from planes of the
@@ -473,33 +471,17 @@ class DenoiseUpscale(Pass):
                         partial(commands.run, self._copier, "keep", colour=colour,
                                 output=self._result))
 
-    def _tell_of_alpha(self) -> None:
-        """Say once that noisy alpha takes another network."""
-        if not self._has_told_of_alpha:
-            asked = short_tag(self._tag)
-            self._notice = (f"its alpha is noisy, so model '{self._used}' runs: '{asked}' filters "
-                            "the picture alone; fix: --no-alpha-denoise keeps alpha as it is")
-            self._has_told_of_alpha = True
+    def _widen(self, keep: bool) -> None:
+        """Go on in wider primaries to the end of the shot, with the history that is kept."""
+        if keep:
+            self.recall(widen_history(self.history(), self._parts))
+        self._wider = True
 
-    def _widen(self, commands: CommandBuffer, frame: ResidentFrame, ready: ReadyNetwork,
-               keep: bool) -> None:
-        """Go on in wider primaries to the end of the shot where a frame's light needs them, the
-        history too."""
-        if not self._wider and ready.wider.help(frame):
-            if keep:
-                self.recall(widen_history(self.history(), self._parts))
-            self._wider = True
-        if self._wider:
-            ready.wider.widen(commands, frame)
-
-    def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray | None:
+    def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray:
         """Where the frame's strength is not 0, as squares of 4 pixels, or as tiles if these are
-        judged; None if that is unknown."""
-        if Role.STRENGTH not in frame.host_planes:
-            return None
+        judged."""
         cells = active_cells(frame.host_planes[Role.STRENGTH])
-        judges = ready.restore and ready.restore.acts_on(frame)
-        return whole_tiles(cells) if judges else cells
+        return whole_tiles(cells) if ready.may_restore(frame) else cells
 
     def _is_repeated(self, frame: ResidentFrame) -> bool:
         """Whether a frame's noise is that of the frame before. Not looked for where frames come on
@@ -516,9 +498,6 @@ class DenoiseUpscale(Pass):
                             f"likely: {cause}; fix: {fix}")
             self._has_told = True
         return repeats
-
-    def _is_still(self, frame: ResidentFrame) -> bool:
-        return frame.is_blank(Role.MOTION)
 
     def _check_error(self, spec: FrameSpec) -> None:
         """PassOptionError where the error is asked for and a network of frames of this spec does
@@ -607,129 +586,3 @@ class DenoiseUpscale(Pass):
         rough = [str(role)
                  for role in GUIDE_ROLES if spec.has(role) and role not in spec.guide_roles]
         return [f"edges are less exact without the guides {', '.join(rough)}"] if rough else []
-
-
-WARM_UP = 1
-"""First frames of a kind, whose time does not count: they prepare things for later ones."""
-
-
-@dataclass
-class Kind:
-    """Frames of one kind: how many, the share of pixels that the network processed, and
-    milliseconds of later ones."""
-
-    frames: int = 0
-    share: float = 0.0
-    times: list[float] = field(default_factory=list)
-
-
-class Savings:
-    """Counts frames by how much work they needed. For each frame, call `begin`, then
-    `note_time`."""
-
-    def __init__(self) -> None:
-        self._kinds = {name: Kind()
-                       for name in ("whole", "tiles", "lit", "nothing", "empty", "same")}
-        self._alone = self._still = self._resized = self._known = 0
-        self._full = self._hazy = self._repeats = 0
-        self._now = "whole"
-        self._unfollowed: Counter[str] = Counter()
-
-    def begin(self, share: float, has_history: bool, is_still: bool, lit: bool = False) -> None:
-        """Begin a frame; the network processes this share of it: `lit`: of what is not black, else
-        of what has strength."""
-        self._now = "whole" if share == 1 else "nothing" if not share else "lit" if lit else "tiles"
-        kind = self._kinds[self._now]
-        kind.frames += 1
-        kind.share += share
-        self._alone += share > 0 and not has_history
-        self._still += is_still and share == 1
-
-    def begin_empty(self) -> None:
-        """Begin a frame without any light, of which the network sees nothing."""
-        self._now = "empty"
-        self._kinds["empty"].frames += 1
-
-    def begin_same(self) -> None:
-        """Begin a frame that is the one before, of which the network sees nothing."""
-        self._now = "same"
-        self._kinds["same"].frames += 1
-
-    def note_unblended(self) -> None:
-        """This frame is denoised fully although it has a strength plane."""
-        self._full += 1
-
-    def note_planes(self, hazy: bool) -> None:
-        """`hazy`: this frame's depth and albedo are left out."""
-        self._hazy += hazy
-
-    def note_repeats(self, repeats: bool) -> None:
-        """`repeats`: this frame's history is left out, as its noise is the same."""
-        self._repeats += repeats
-
-    def note_resize(self, known: bool) -> None:
-        """The next frame has another size; `known`: whether it is already prepared."""
-        self._resized += 1
-        self._known += known
-
-    def note_unfollowed(self, why: str) -> None:
-        """This frame's reflections move with their surfaces."""
-        self._unfollowed[why] += 1
-
-    def note_time(self, milliseconds: float) -> None:
-        """The frame's time on the device."""
-        kind = self._kinds[self._now]
-        if kind.frames > WARM_UP:
-            kind.times = [*kind.times[-63:], milliseconds]
-
-    def lines(self) -> tuple[tuple[str, str], ...]:
-        """Work left out, each with the reason and the time saved."""
-        found = []
-        nothing, empty, same = (self._kinds[name] for name in ("nothing", "empty", "same"))
-        for kind, why in ((self._kinds["tiles"], "strength is 0 there"),
-                          (self._kinds["lit"], "all is black there")):
-            if kind.frames:
-                part = 100 * kind.share / kind.frames
-                found.append((f"network outside of {part:.0f} % of {_count(kind.frames)}",
-                              f"{why}; {self._saved(kind)}"))
-        if nothing.frames:
-            found.append((f"network for {_count(nothing.frames)}",
-                          f"strength is 0 everywhere; {self._saved(nothing)}"))
-        if empty.frames:
-            found.append((f"network for {_count(empty.frames)}",
-                          f"all is black; {self._saved(empty)}"))
-        if same.frames:
-            found.append((f"network for {_count(same.frames)}",
-                          f"all is as in the frame before; {self._saved(same)}"))
-        if self._full:
-            found.append((f"blend with the input for {_count(self._full)}",
-                          "strength is 1 everywhere"))
-        if self._alone:
-            found.append((f"history for {_count(self._alone)}",
-                          "first frame, cut, or no motion vectors"))
-        if self._repeats:
-            found.append((f"history for {_count(self._repeats)}",
-                          "noise is that of the frame before"))
-        if self._still:
-            found.append((f"reprojection of the last output for {_count(self._still)}",
-                          "nothing moves"))
-        if self._hazy:
-            found.append((f"depth and albedo of {_count(self._hazy)}", "depth is noise, as in fog"))
-        found += [(f"motion of reflections for {_count(frames)}", why)
-                  for why, frames in self._unfollowed.items()]
-        if self._resized:
-            found.append((f"preparation at {self._known} of {_count(self._resized, 'change')} of "
-                          "size", "frames of these sizes were there before"))
-        return tuple(found)
-
-    def _saved(self, kind: Kind) -> str:
-        whole = self._kinds["whole"].times
-        if not kind.times:
-            return "time not measured yet"
-        if not whole:
-            return f"{median(kind.times):.0f} ms a frame; no whole frame was run to compare with"
-        return f"{median(kind.times):.0f} ms a frame instead of {median(whole):.0f} ms"
-
-
-def _count(number: int, what: str = "frame") -> str:
-    return f"{number} {what}{'s' * (number > 1)}"

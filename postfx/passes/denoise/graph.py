@@ -1,14 +1,29 @@
 """The denoiser's frame as tables, to be read from top to bottom: which kernels run, when, on what.
 
-    planes.py      brings planes and guides to the sizes that are read, makes the reactive mask;
-                   history.py finds the motion of reflections
-    FRAME_NEEDS    runs once a frame
-    WINDOW_STEPS   take the picture of a window through a network; CLASSIC_STEPS do so without one
+    WIDENED        colours go to wider primaries, where the frame's own do not hold its light, and
+                   come back at last (primaries.py)
+    RESAMPLED      planes and guides come to the sizes at which they are read (planes.py)
+    MASKED         the mask of where the history is not used, from the difference of two colours
+    REFLECTED      the motion of what smooth surfaces reflect (reflections.py)
+    GATHERED       the frame's own alpha joins the mean of its samples (alpha.py)
+    RESIZED        what the frame before left comes to this frame's size (history.py)
+    FRAME_NEEDS    what windows need of the whole frame (assembly.py)
+    WINDOW_STEPS   take the picture of a window through a network (window.py, network.py);
+                   CLASSIC_STEPS do so without one
     LAYER_STEPS    filter what lies beside the picture in the same window, and so does ALPHA
-    frame.py       puts windows together
-    planes.py      gives detail back, blends with the input by strength, corrects alpha, resamples
-                   what passes through
-    parts.py       makes light add up to the picture
+    ASSEMBLED      windows are put together
+    RESTORED       the picture gets detail back; so do its parts (output.py)
+    BLENDED        the picture is blended with the input by strength; so are its parts
+    BALANCED       light adds up to the picture (parts.py)
+    CORRECTED      alpha comes nearer to its mean and to the picture's colours
+    DECODED        what was filtered in the place of light gets its own values back
+    PASSED_ON      planes beside colour come to the output's size
+
+`ReadyNetwork.encode` in frame.py records them in this order; the files named here hold their
+buffers.
+
+Parts with light below 0 come to the page as two layers, and leave it as their difference:
+`postfx/passes/signed_light.py` takes them apart and joins them, here and where frames are mixed.
 
 A step runs where all of its words hold, and none of those behind `unless`:
 
@@ -26,31 +41,80 @@ A step runs where all of its words hold, and none of those behind `unless`:
     plain, guides, unscaled, given
                what ends the window: colour is enlarged with its reflectance, or gets that of
                guides, or stays at the render size, or the network gives the picture itself
-    filtered   a layer has light of its own to filter, unlike the whole picture beside parts
-    divided    a layer is divided by its own reflectance
+    filtered   layers have light of their own to filter, unlike the whole picture beside parts
+    state      what is resized has a state, unlike a layer's history
+    part       not the picture, but a part of it, after the picture
+    single     the plane has one channel, and was filtered as three
+
+A step that runs over several things runs on each of them by itself, where its own words hold, too:
+
+    planes     that are resampled
+    layers     that are filtered at once
+      divided  by their own reflectance
+    inputs     of the network, which kernels make in the form of its file
+      halves   channels last, in half precision
+      codes    channels last, in 8 bits
+      ringed   with a border
+    outputs    of the network, which kernels open
+      fine     the fine head, not that of a level
+      raw      channels last, in half precision
+      phased   before activations, with its phases in a row
+      logits   before activations
+      sums     of integer products
+      behind   behind the head in one memory, so that some take the place of those before
+      codes    8-bit factors, whose products are summed here
+    rows       of the output
+      mixed    of the input and the result, unlike rows of the input alone
+      in_place whose result lies where the mixture goes
+      varied   by a strength of each pixel
+    error, motion, alpha, overlay, partner, strength
+               the plane of this name, where it is brought to the output's size
 """
 
 from __future__ import annotations
 
-import math
-from collections import ChainMap
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache, cached_property
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-import numpy as np
-
-from postfx.caching import LRUCache
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import FINE, IN_HALF, MIX, TRUST_CELL
+from postfx.kernels.colour import CONVERT_PRIMARIES
+from postfx.kernels.denoise import IN_HALF, alpha
 from postfx.kernels.denoise.classic import ATROUS, GATHER, RESOLVE, STEPS
 from postfx.kernels.denoise.features import FEATURE, GUIDE, MIRROR, STORED_FEATURE, TRUST
-from postfx.kernels.denoise.history import HISTORY, KEEP, SPREAD_MASK
-from postfx.kernels.denoise.network_io import OPEN_ERROR, SOME
-from postfx.kernels.denoise.parts import ACCUMULATE_PART, REFLECT, UPSAMPLE_LIGHT
-from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE, means_size
+from postfx.kernels.denoise.history import (
+    HISTORY,
+    KEEP,
+    REACTIVE,
+    REFLECTIONS,
+    RESIZE,
+    SPREAD_MASK,
+)
+from postfx.kernels.denoise.network_io import (
+    OPEN,
+    OPEN_CODES,
+    OPEN_ERROR,
+    OPEN_FINE,
+    OPEN_FINE_CODES,
+    OPEN_FINE_PRODUCTS,
+    OPEN_LOGITS,
+    OPEN_PHASED,
+    OPEN_PRODUCTS,
+    OPEN_SOME_PRODUCTS,
+    PACK,
+    STORE,
+    STORE_RINGED,
+)
+from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRENGTH
+from postfx.kernels.denoise.parts import (
+    ACCUMULATE_PART,
+    BALANCE,
+    DECODE,
+    DECODE_ONE,
+    REFLECT,
+    UPSAMPLE_LIGHT,
+)
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE
 from postfx.kernels.denoise.pyramid import (
     ENLARGE_ALPHA,
     FILTER,
@@ -73,56 +137,61 @@ from postfx.kernels.denoise.upsample import (
     UPSAMPLE_GUIDED,
     UPSAMPLE_UNSCALED,
 )
-from postfx.passes.denoise.history import ALPHA_LAYER, alone, one_of, some_of
-from postfx.passes.denoise.models import CLASSIC as CLASSIC_MODEL
-from postfx.passes.denoise.models import doubts_planes, load_network
-from postfx.passes.denoise.network import (
-    CONTROLS_NAME,
-    ERROR,
-    PICTURE,
-    PRODUCTS,
-    Network,
-    alike_heads,
-    check_bindings,
-    free_dimensions,
-    heads_of,
-    is_half,
-    seen_by,
-    upload,
-)
-from postfx.passes.denoise.tiling import PYRAMID_LEVELS, Window
-from postfx.runtime import CommandBuffer, Device, PipelineState, Tensor
-
-PLAIN, GUIDES_KIND, UNSCALED_KIND, GIVEN = "plain", "guides", "unscaled", "given"
+from postfx.kernels.image import ENLARGE_OVERLAY, RESAMPLE
+from postfx.kernels.partner import ENLARGE_MOTION
+from postfx.passes.denoise.tiling import PYRAMID_LEVELS
+from postfx.runtime import CommandBuffer, PipelineState, Tensor
+from postfx.runtime.states import parse
 
 
 class Step(NamedTuple):
     """A kernel, and where it runs.
 
     Attributes:
+        kernel: None for the network that the step runs over.
         when, unless: words of this module's description that must hold, and must not.
-        each: whether it runs on each layer by itself.
+        over: what it runs over, each by itself; empty for one run.
+        level: of the pyramid, whose size its buffers have.
         buffers: names of the buffers of those bindings whose buffers have other names.
     """
 
-    kernel: Kernel
+    kernel: Kernel | None
     when: frozenset[str]
     unless: frozenset[str]
-    each: bool
+    over: str
+    level: int
     buffers: Mapping[str, str]
 
 
 Steps = tuple[Step, ...]
+Table = Mapping[str, Steps]
+"""Steps by the label of their encoder."""
 
 
-def step(kernel: Kernel, when: str = "", unless: str = "", **buffers: str) -> Step:
+def step(kernel: Kernel | None, when: str = "", unless: str = "", over: str = "",
+         **buffers: str) -> Step:
     """A step, with its words in one text."""
-    return Step(kernel, frozenset(when.split()), frozenset(unless.split()), False, buffers)
+    return Step(kernel, frozenset(when.split()), frozenset(unless.split()), over, 0, buffers)
 
 
-def each(kernel: Kernel, when: str, **buffers: str) -> Step:
-    """A step that runs on each layer by itself."""
-    return step(kernel, when, **buffers)._replace(each=True)
+# Before the windows: planes and history as these read them.
+
+WIDENED: Table = {"primaries": (step(CONVERT_PRIMARIES),)}
+RESAMPLED: Table = {"resample": (step(RESAMPLE, over="planes"),)}
+MASKED: Table = {"reactive": (step(REACTIVE),)}
+REFLECTED: Table = {"reflections": (step(REFLECTIONS),)}
+GATHERED: Table = {"gather alpha": (
+    step(DILATE),
+    step(alpha.NEAR_ALPHA, "gpu"),
+    step(alpha.GATHER))}
+RESIZED: Table = {"resize": (
+    step(RESIZE, "state"),
+    step(RESAMPLE, over="planes", rows="at_rows", columns="at_columns"))}
+FRAME_NEEDS: Table = {"scale": (
+    step(SCALE),
+    step(SPREAD_MASK, "reactive"))}
+
+# The picture of a window.
 
 
 def _pool(i: int) -> Step:
@@ -138,7 +207,7 @@ def _filtering(i: int) -> Steps:
     head, area = f"head level{i}" if i else "head fine", f"area {i}"
     buffers = {"heads": head, "area": area, "filtered": f"filtered {i}"}
     if i == PYRAMID_LEVELS:
-        return (step(FILTER, unless="given", mixed=f"pool {i}", **buffers),)
+        return (step(FILTER, "", "given", mixed=f"pool {i}", **buffers),)
     buffers |= {"mixed": f"mixed {i}", "level": f"pool {i}", "coarse": f"filtered {i + 1}",
                 "coarse_rows": f"coarse_rows {i}", "coarse_columns": f"coarse_columns {i}"}
     if i > 0:
@@ -151,15 +220,17 @@ def _filtering(i: int) -> Steps:
         step(FILTER, "", "gpu given coded", **buffers),
         step(FILTER_CODES, "coded", "given", **buffers),
         step(FILTER_MIXED, "gpu", "given shaded", **buffers),
-        step(FILTER_SHADED, "gpu shaded", radiance="radiance plain", **buffers))
+        step(FILTER_SHADED, "gpu shaded", **buffers))
 
 
 _POOLS = step(POOLS, "gpu", "given", finer="pool 0", finer_importance="importance 0",
               level1="pool 1", level2="pool 2", level3="pool 3", level4="pool 4",
               importance1="importance 1", importance2="importance 2",
               importance3="importance 3", importance4="importance 4")
-PYRAMID: Steps = (_POOLS, *map(_pool, range(1, PYRAMID_LEVELS + 1)),
-                  *(one for i in range(PYRAMID_LEVELS, -1, -1) for one in _filtering(i)))
+PYRAMID: Steps = (
+    _POOLS,
+    *(_pool(i)._replace(level=i) for i in range(1, PYRAMID_LEVELS + 1)),
+    *(one._replace(level=i) for i in range(PYRAMID_LEVELS, -1, -1) for one in _filtering(i)))
 """Filters 'pool 0' into 'filtered 0'."""
 
 PREPARE: Steps = (
@@ -172,364 +243,160 @@ PREPARE: Steps = (
     step(GUIDE, "guided"),
     step(TRUST, "guided"),
     step(MIRROR, "mirrored"))
+PACK_STEPS: Steps = (
+    step(PACK, "halves", over="inputs", packed="closed"),
+    step(STORE, "codes", "ringed", over="inputs", stored="closed"),
+    step(STORE_RINGED, "codes ringed", over="inputs", stored="closed"))
+OPEN_STEPS: Steps = (
+    step(OPEN_PHASED, "phased", over="outputs", phased_fine="closed", fine="head"),
+    step(OPEN_LOGITS, "logits", over="outputs", fine_logits="closed", fine="head"),
+    step(OPEN_FINE, "raw fine", over="outputs", raw_fine="closed", fine="head"),
+    step(OPEN, "raw", "fine", over="outputs", raw="closed", heads="head"),
+    step(OPEN_SOME_PRODUCTS, "sums behind", over="outputs", products="closed", fine="head"),
+    step(OPEN_FINE_PRODUCTS, "sums fine", "behind", "outputs", products="closed", fine="head"),
+    step(OPEN_PRODUCTS, "sums", "fine", over="outputs", products="closed", heads="head"),
+    step(OPEN_FINE_CODES, "codes fine", over="outputs", codes="closed", fine="head"),
+    step(OPEN_CODES, "codes", "fine", over="outputs", codes="closed", heads="head"))
 ACCUMULATE_AND_FILTER: Steps = (
     step(ACCUMULATE, level="level 0"),
     *PYRAMID,
-    step(REMODULATE, "plain", "shaded", filtered="filtered 0", radiance="radiance plain"),
-    step(REMODULATE_BOTH, "guides", filtered="filtered 0", radiance="radiance guides"),
-    step(REMODULATE_BOTH, "unscaled", filtered="filtered 0", radiance="radiance unscaled"))
+    step(REMODULATE, "plain", "shaded", filtered="filtered 0"),
+    step(REMODULATE_BOTH, "guides", filtered="filtered 0"),
+    step(REMODULATE_BOTH, "unscaled", filtered="filtered 0"))
 ENLARGE: Steps = (
-    step(UPSAMPLE, "plain", "coded", radiance="radiance plain"),
-    step(CODES_PLAIN, "plain coded", radiance="radiance plain"),
-    step(UPSAMPLE_GUIDED, "guides", "coded", radiance="radiance guides"),
-    step(CODES_GUIDED, "guides coded", radiance="radiance guides"),
-    step(UPSAMPLE_UNSCALED, "unscaled", "coded", radiance="radiance unscaled"),
-    step(CODES_UNSCALED, "unscaled coded", radiance="radiance unscaled"),
-    step(BLEND_PICTURE, "given", picture=f"head {PICTURE}", controls=f"head {CONTROLS_NAME}"),
-    step(OPEN_ERROR, "error", log_error=f"head {ERROR}"))
-FRAME_NEEDS: dict[str, Steps] = {"scale": (step(SCALE), step(SPREAD_MASK, "reactive"))}
-"""What windows need of the whole frame, by the labels of encoders."""
-NETWORK_LABEL = "network"
-SOMETIMES = frozenset({"moves", "masked", ERROR})
-"""Words that hold in some frames of a window and not in others."""
-WINDOW_STEPS: dict[str, Steps] = {
+    step(UPSAMPLE, "plain", "coded"),
+    step(CODES_PLAIN, "plain coded"),
+    step(UPSAMPLE_GUIDED, "guides", "coded"),
+    step(CODES_GUIDED, "guides coded"),
+    step(UPSAMPLE_UNSCALED, "unscaled", "coded"),
+    step(CODES_UNSCALED, "unscaled coded"),
+    step(BLEND_PICTURE, "given", picture="head picture", controls="head controls"),
+    step(OPEN_ERROR, "error", log_error="head error"))
+WINDOW_STEPS: Table = {
     "prepare": PREPARE,
-    NETWORK_LABEL: (),
+    "pack": PACK_STEPS,
+    "network": (step(None, over="network"),),
+    "open": OPEN_STEPS,
     "filter": ACCUMULATE_AND_FILTER,
     "upsample": ENLARGE}
-"""The picture of a window, by the labels of encoders. In between its network runs, with what packs
-and opens."""
-LAYER_STEPS: dict[str, Steps] = {"parts": (
-    each(REFLECT, "filtered divided"),
-    each(ACCUMULATE_PART, "filtered"),
-    *(one._replace(when=one.when | {"filtered"}) for one in PYRAMID),
-    each(REMODULATE, "filtered", filtered="filtered 0"),
-    step(UPSAMPLE_LIGHT))}
-"""Layers of one stack, by the picture's filters."""
-ALPHA: dict[str, Steps] = {"alpha": (
-    step(LEVEL, level="pool 0"),
-    *PYRAMID,
-    step(ENLARGE_ALPHA, filtered="filtered 0"))}
-CLASSIC_STEPS: dict[str, Steps] = {
+CLASSIC_STEPS: Table = {
     "prepare": (step(DILATE), step(KEEP, "masked"), step(GATHER, light="smooth 0")),
     "filter": tuple(
         step(ATROUS, light=f"smooth {k % 2}", smooth=f"smooth {1 - k % 2}", step=f"step {far}")
         for k, far in enumerate(STEPS)),
     "upsample": (step(RESOLVE, light=f"smooth {len(STEPS) % 2}"),)}
 
-Buffers = Mapping[str, Tensor]
-WHOLE_FORM, HALF_FORM, CODED_FORM = range(3)
-"""Forms of the fine head: in float32, in half precision beside such a network on a GPU, and made
-row by row in the kernels that read it, which leaves its last channels alone in memory."""
-MOST_PLACES = 64
-"""Windows of one size whose positions stay on the device."""
-TOGETHER = 3
-"""Layers that are filtered at once: of each further one the weights are not read from memory again,
-but its intermediate results take memory."""
+# What is filtered beside the picture: layers of one stack, and alpha.
+
+LAYER_STEPS: Table = {"parts": (
+    step(REFLECT, "filtered divided", over="layers"),
+    step(ACCUMULATE_PART, "filtered", over="layers"),
+    *(one._replace(when=one.when | {"filtered"}) for one in PYRAMID),
+    step(REMODULATE, "filtered", over="layers", filtered="filtered 0"),
+    step(UPSAMPLE_LIGHT))}
+ALPHA: Table = {"alpha": (
+    step(LEVEL, level="pool 0"),
+    *PYRAMID,
+    step(ENLARGE_ALPHA, filtered="filtered 0"))}
+
+# After the windows: pictures of the output's size.
+
+ASSEMBLED: Table = {"assemble": (step(ASSEMBLE),)}
+RESTORED: Table = {"restore": (
+    step(JUDGE, unless="part"),
+    step(DETAIL, unless="part"),
+    step(RESTORE))}
+BLENDED: Table = {
+    "plain": (step(RESAMPLE, over="rows", image="colour", rows="plain_rows",
+                   columns="plain_columns", output="plain"),),
+    "strength": (
+        step(RESAMPLE, "mixed varied", over="rows", image="strength_plane", rows="strength_rows",
+             columns="strength_columns", output="strength"),
+        step(STRENGTH, "mixed in_place", over="rows", plain="result", denoised="result",
+             output="denoised"),
+        step(STRENGTH, "mixed", over="rows"))}
+BALANCED: Table = {"balance": (step(BALANCE),)}
+CORRECTED: Table = {"correct alpha": (
+    step(alpha.FIT),
+    step(alpha.CORRECT))}
+DECODED: Table = {"decode": (
+    step(DECODE, unless="single"),
+    step(DECODE_ONE, "single"))}
+PASSED_ON: Table = {
+    "error": (step(RESAMPLE, over="error"),),
+    "motion": (step(ENLARGE_MOTION, over="motion"),),
+    "alpha": (step(RESAMPLE, over="alpha"),),
+    "overlay": (step(ENLARGE_OVERLAY, over="overlay"),),
+    "partner": (step(RESAMPLE, over="partner"),),
+    "strength": (step(RESAMPLE, over="strength"),)}
 
 
 class Each(NamedTuple):
-    """One layer among those that are filtered at once: its own words and buffers."""
+    """One of several things that a step runs over: its own words and buffers, and the network that
+    it is."""
 
     words: frozenset[str] = frozenset()
-    buffers: Buffers = MappingProxyType({})
+    buffers: Mapping[str, Tensor] = MappingProxyType({})
+    network: PipelineState | None = None
 
 
-ONCE = (Each(),)
+Over = Mapping[str, Sequence[Each]]
+"""What steps run over, by name."""
+ONE: Sequence[Each] = (Each(),)
+OVER_NOTHING: Over = MappingProxyType({})
+NO_WORDS = frozenset[str]()
+SOMETIMES = frozenset({"moves", "masked", "error"})
+"""Words that hold in some frames of a window and not in others."""
 
 
-def run_steps(commands: CommandBuffer, table: Mapping[str, Steps], words: frozenset[str],
-              buffers: Buffers, half: bool = False, each: Sequence[Each] = ONCE) -> None:
+def run_steps(commands: CommandBuffer, table: Table, buffers: Mapping[str, Tensor],
+              words: frozenset[str] = NO_WORDS, over: Over = OVER_NOTHING,
+              half: bool = False) -> None:
     """Record the steps of a table that run where these words hold, on these buffers; in `half`
-    precision where a kernel has that form."""
-    for label, steps in table.items():
-        for one in steps:
-            kernel = IN_HALF.get(one.kernel, one.kernel) if half else one.kernel
-            for layer in each if one.each else ONCE:
-                held = words | layer.words
-                if one.when <= held and not one.unless & held:
-                    names = {binding: one.buffers.get(binding, binding)
-                             for binding in kernel.reads + kernel.writes}
-                    commands.run(kernel, label, **{
-                        binding: layer.buffers[name] if name in layer.buffers else buffers[name]
-                        for binding, name in names.items()})
+    precision where a kernel has that form. Buffers of what a step runs over come before others."""
+    for label, one, each in _steps_of(table, words, over):
+        if one.kernel is None:
+            assert each.network  # which such a step runs over
+            commands.run(each.network, label, **each.buffers)
+            continue
+        kernel = IN_HALF.get(one.kernel, one.kernel) if half else one.kernel
+        tensors = {}
+        for binding in kernel.reads + kernel.writes:
+            name = one.buffers.get(binding, binding)
+            tensors[binding] = each.buffers[name] if name in each.buffers else buffers[name]
+        commands.run(kernel, label, **tensors)
 
 
-def kernels_of(table: Mapping[str, Steps], words: frozenset[str],
+def shapes_of(table: Table, sizes: Callable[[int], Mapping[str, int]],
+              words: frozenset[str] = NO_WORDS) -> dict[str, tuple[int, ...]]:
+    """Shapes of the buffers that steps may write where no more than these words hold, but for those
+    of what they run over; `sizes` of symbols at a level. What has other symbols is left out."""
+    found = dict[str, tuple[int, ...]]()
+    for _, one, _ in _steps_of(table, words, OVER_NOTHING, SOMETIMES):
+        assert one.kernel  # as it runs over nothing
+        known = sizes(one.level)
+        for binding in one.kernel.writes:
+            sides = [parse(side) for side in one.kernel.shapes[binding]]
+            if all(side.symbol is None or side.symbol in known for side in sides):
+                found[one.buffers.get(binding, binding)] = tuple(
+                    side.factor * known.get(side.symbol or "", 1) for side in sides)
+    return found
+
+
+def kernels_of(table: Table, words: frozenset[str] = NO_WORDS, over: Over = OVER_NOTHING,
                half: bool = False) -> list[Kernel]:
     """The kernels that may run where no more than these words hold."""
-    found = [one.kernel for steps in table.values() for one in steps
-             if one.when <= words and not one.unless & words - SOMETIMES]
+    found = [one.kernel for _, one, _ in _steps_of(table, words, over, SOMETIMES) if one.kernel]
     return [IN_HALF.get(kernel, kernel) if half else kernel for kernel in found]
 
 
-@dataclass
-class Layer:
-    """A layer beside the picture that a window's filters run on.
-
-    Attributes:
-        name: the filters write 'light NAME', and 'next_part NAME' unless the layer is the picture
-            itself.
-        tensors: what the filters read of this frame, by binding. Without a 'part' the picture's
-            radiance is enlarged once more; without albedos the part has the picture's reflectance.
-        alone: whether it has no history in this frame, though the picture may have one.
-        last: the stack (n, height, width, 3) that holds its last output.
-        stack: the stack that its output goes to, where a window is the whole frame.
-        place: its place in both.
-    """
-
-    name: str
-    tensors: dict[str, Tensor]
-    alone: bool
-    last: Tensor
-    stack: Tensor
-    place: int
-
-    def follows(self, other: Layer) -> bool:
-        """Whether it can be filtered together with another one, behind it."""
-        alike = self.alone == other.alone and "part" in self.tensors and "part" in other.tensors
-        return alike and self.stack is other.stack and self.place == other.place + 1
-
-
-class WindowGraph:
-    """The networks, and the buffers of the tables' steps, for windows of one size.
-
-    A guided one's models also read guides. A reactive one can use masks of how much history counts.
-    Models that doubt planes also read their mean. Where layers are filtered, too, the `whole` fine
-    head is kept for them.
-    """
-
-    def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
-                 reactive: bool = False, whole: bool = False) -> None:
-        self._device, self._window, self._guided = device, window, guided
-        dims = free_dimensions(window.padded_size)
-        states = {model: load_network(device, model, dims) for model in models
-                  if model != CLASSIC_MODEL}
-        for state in states.values():
-            check_bindings(state)
-        self._forms = {
-            model: HALF_FORM if is_half(state) else CODED_FORM
-            if state.products and not whole else WHOLE_FORM for model, state in states.items()}
-        self._places: LRUCache[Window, dict[str, Tensor]] = LRUCache(MOST_PLACES)
-        between = cache(self._new)  # of several networks only one runs in a frame
-        self._heads = {model: self._heads_of(state, self._forms[model], between)
-                       for model, state in states.items()}
-        self._doubting = {model for model in states if doubts_planes(model)}
-        self._ends = {model: self._end_of(model) for model in states}
-        self._made = self._classic_buffers() if CLASSIC_MODEL in models else {}
-        self._made |= self._common_buffers(reactive)
-        seen = {name: shape for state in states.values() for name, shape in seen_by(state).items()}
-        read = {name: self._new(name, shape) for name, shape in seen.items()}
-        read |= {name: between(name, state.shapes[name], "float16")
-                 for model, state in states.items() if self._forms[model] == HALF_FORM
-                 for name in IN_HALF[FEATURE].writes if name in state.shapes}
-        if states:
-            self._made |= read | self._pyramid_buffers(self._new("level 0", (4, *window.level(0))))
-        self._networks = {model: Network(state, read, self._heads[model], between)
-                          for model, state in states.items()}
-        self._words = {model: self._words_of(model, state) for model, state in states.items()}
-        may = SOMETIMES - (frozenset() if reactive else {"masked"})
-        for model, words in self._words.items():
-            some = may if ERROR in self._heads[model] else may - {ERROR}
-            device.make_ready(*kernels_of(WINDOW_STEPS, words | some,
-                                          self._forms[model] == HALF_FORM))
-        if CLASSIC_MODEL in models:
-            device.make_ready(*kernels_of(CLASSIC_STEPS, may))
-        self._layer_buffers: dict[int, dict[str, Tensor]] = {}
-
-    def encode(self, commands: CommandBuffer, window: Window, model: str, tensors: Buffers,
-               moves: bool, masked: bool, layers: Sequence[Layer] = ()) -> None:
-        """Record the work on a window of this graph's size.
-
-        Args:
-            tensors: the frame's planes, its history, whatever exists once a frame, and the outputs,
-                by the kernels' names.
-            moves: whether the last output has to be warped to this frame. If not, it is read as it
-                is, in a window of the whole frame, because it is in place already or does not
-                matter.
-            masked: whether the reactive masks of this frame and the last say how much of the
-                history each pixel keeps. If not, one number says it for all.
-            layers: what is filtered beside the picture.
-
-        The expected error is written where `tensors` has a place for it.
-        """
-        now = {"moves": moves, "masked": masked, ERROR: ERROR in tensors}
-        words = frozenset(word for word, holds in now.items() if holds)
-        own = {"keep": self._made["keep"] if masked else tensors["keep"]}
-        if model == CLASSIC_MODEL:
-            buffers = ChainMap(own, self._place(window), dict(tensors), self._made)
-            run_steps(commands, CLASSIC_STEPS, words, buffers)
-            return
-        network, heads = self._networks[model], self._heads[model]
-        own |= {"warped": self._made["warped"] if moves else tensors["history"],
-                "means": self._made["means" if model in self._doubting else "no means"],
-                "fine": heads["fine"], **{f"head {name}": head for name, head in heads.items()},
-                **network.coded, **network.stored}
-        buffers = ChainMap(own, self._place(window), dict(tensors), self._made)
-        words, half = words | self._words[model], self._forms[model] == HALF_FORM
-        for label, steps in WINDOW_STEPS.items():
-            if label == NETWORK_LABEL:
-                network.encode(commands)
-            run_steps(commands, {label: steps}, words, buffers, half)
-        at_once = window == Window.whole(window.frame) and not self._device.scratch
-        for some in _together(layers, TOGETHER if at_once else 1):
-            self._encode_layers(commands, some, model, buffers, half)
-
-    def _encode_layers(self, commands: CommandBuffer, layers: Sequence[Layer], model: str,
-                       buffers: ChainMap[str, Tensor], half: bool) -> None:
-        """Record the work on layers that are filtered at once, after the picture's."""
-        first, words = layers[0], self._words[model] & {"gpu"}
-        seen = buffers.new_child({**(self._nothing if first.alone else {}), **first.tensors})
-        if first.name == ALPHA_LAYER:
-            own = self._layers_of(1, 1) | {"enlarged": buffers[f"light {first.name}"]}
-            run_steps(commands, ALPHA, words, seen.new_child(own), half)
-            return
-        own = dict(self._layers_of(len(layers), 3))
-        filtered, light = "part" in first.tensors, buffers[f"light {first.name}"]
-        shares = [self._share(layer, i, own, buffers) for i, layer in enumerate(layers) if filtered]
-        own["last"] = some_of(first.last, first.place, len(layers))
-        own["light"] = alone(light)
-        if len(layers) > 1:
-            own["light"] = some_of(first.stack, first.place, len(layers))
-        if filtered:
-            words |= {"filtered"}
-        else:
-            own["radiance"] = self._shaded(model)
-        run_steps(commands, LAYER_STEPS, words, seen.new_child(own), half, shares)
-
-    def _share(self, layer: Layer, i: int, stacks: Buffers, buffers: Buffers) -> Each:
-        """What kernels of one layer read and write, the `i`-th of some."""
-        divided = "diffuse_albedo" in layer.tensors
-        own = {**layer.tensors, "part_level": some_of(stacks["pool 0"], 3 * i, 3),
-               "next_part": buffers[f"next_part {layer.name}"],
-               **{name: some_of(stacks[name], 3 * i, 3) for name in ("filtered 0", "radiance")},
-               "factor": one_of(stacks["factor"], i) if divided else self._made["factor"]}
-        return Each(frozenset({"divided"} if divided else ()), own)
-
-    def _words_of(self, model: str, state: PipelineState) -> frozenset[str]:
-        """The words that hold for a model in every frame."""
-        end, network = self._ends[model], self._networks[model]
-        holding = {end: True, "guided": self._guided, "mirrored": "mirrored" in seen_by(state),
-                   "doubts": model in self._doubting, "stored": bool(network.stored),
-                   "coded": self._forms[model] == CODED_FORM, "gpu": bool(self._device.gpu),
-                   "shaded": bool(self._device.gpu) and end == PLAIN}
-        return frozenset(word for word, holds in holding.items() if holds)
-
-    def _end_of(self, model: str) -> str:
-        frame = self._window.frame
-        unscaled = (frame.h, frame.w) == (frame.height, frame.width)
-        if PICTURE in self._heads[model]:
-            return GIVEN
-        return (GUIDES_KIND if self._guided else UNSCALED_KIND
-                if unscaled and model in self._doubting else PLAIN)
-
-    def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
-        return self._device.heap.transient(name, shape, dtype)
-
-    def _heads_of(self, network: PipelineState, form: int,
-                  between: Callable[..., Tensor]) -> dict[str, Tensor]:
-        """The heads that the filters read, by name; for levels that the network does not compute,
-        their constants."""
-        shapes, products = heads_of(network), f"{PRODUCTS}fine"
-        dtype = "float16" if form == HALF_FORM else "float32"
-        if form == CODED_FORM:
-            shapes["fine"] = (1, FINE - MIX, *shapes["fine"][2:])
-        heads = {name: between(name, shape, dtype) for name, shape in shapes.items()}
-        if products in network.shapes and self._device.runs_rows:
-            behind = SOME * math.prod(shapes["fine"][2:])
-            both = between("fine and its products", (behind + math.prod(shapes["fine"]),))
-            heads |= {"fine": both.view("fine", shapes["fine"]),
-                      products: both.view(products, network.shapes[products], behind, "int32")}
-        if PICTURE in heads:
-            heads["fine"] = heads[CONTROLS_NAME]
-        for name, values in alike_heads(network).items():
-            size = (1, values.shape[1], *self._window.level(int(name[-1])))
-            heads[name] = upload(self._device.heap, name,
-                                 np.broadcast_to(values, size).astype(dtype), dtype)
-        return heads
-
-    def _common_buffers(self, reactive: bool) -> dict[str, Tensor]:
-        """Buffers that the steps before the network write, and constants in their place."""
-        rows, columns, out = self._window.rows, self._window.columns, self._window.out
-        cells = (-(-side // TRUST_CELL) for side in (rows, columns))
-        shapes: dict[str, tuple[int, ...]] = {
-            "moved": (rows, columns, 2), "past": (rows, columns, 4),
-            "warped": (out.rows, out.columns, 3), "factor": (rows, columns, 3)}
-        shapes |= {"means": (*means_size(rows, columns), 3)} if self._doubting else {}
-        shapes |= {"trust": (*cells, 1)} if self._guided else {}
-        shapes |= {"keep": (rows, columns, 1)} if reactive else {}
-        made = {name: self._new(name, shape) for name, shape in shapes.items()}
-        return made | {"no means": upload(self._device.heap, "no means",
-                                          np.zeros((1, 1, 3), np.float32))}
-
-    def _pyramid_buffers(self, accumulated: Tensor) -> dict[str, Tensor]:
-        """Buffers of the steps behind the network."""
-        level, size = self._window.level, (self._window.rows + 2, self._window.columns + 2)
-        made = {"level 0": accumulated, "pool 0": accumulated.view("light 0", (3, *level(0))),
-                "importance 0": accumulated.view("importance 0", (1, *level(0)),
-                                                 3 * math.prod(level(0)))}
-        made |= {f"importance {i}": self._new(f"importance {i}", (1, *level(i)))
-                 for i in range(1, PYRAMID_LEVELS + 1)}
-        made |= {f"radiance {end}": self._new(f"radiance {end}", (3 if end == PLAIN else 6, *size))
-                 for end in set(self._ends.values()) - {GIVEN}}
-        return made | self._levels(3)
-
-    def _levels(self, channels: int) -> dict[str, Tensor]:
-        """Levels of the pyramid above the first, mixed and filtered ones."""
-        counts = {"pool": range(1, PYRAMID_LEVELS + 1), "mixed": range(PYRAMID_LEVELS),
-                  "filtered": range(PYRAMID_LEVELS + 1)}
-        return {f"{name} {i}": self._new(f"{name} {i}", (channels, *self._window.level(i)))
-                for name, levels in counts.items() for i in levels}
-
-    def _layers_of(self, count: int, channels: int) -> dict[str, Tensor]:
-        """Buffers for as many layers, made when as many are first filtered at once: of alpha, with
-        one channel, or of light."""
-        if count * channels not in self._layer_buffers:
-            rows, columns = self._window.rows, self._window.columns
-            made = self._layer_buffers[count * channels] = {
-                "pool 0": self._new("level of layers", (count * channels, *self._window.level(0))),
-                **self._levels(count * channels)}
-            if channels == 3:
-                made["radiance"] = self._new("radiance of parts",
-                                             (3 * count, rows + 2, columns + 2))
-                made["factor"] = self._new("factors of parts", (count, rows, columns, 3))
-        return self._layer_buffers[count * channels]
-
-    def _classic_buffers(self) -> dict[str, Tensor]:
-        rows, columns = self._window.rows, self._window.columns
-        distances = {f"step {far}": upload(self._device.heap, "step", np.full(1, far, np.float32))
-                     for far in STEPS}
-        return {"surface": self._new("surface", (6, rows, columns)), **distances,
-                **{f"smooth {k}": self._new(f"light {k}", (4, rows, columns)) for k in range(2)}}
-
-    @cached_property
-    def _nothing(self) -> dict[str, Tensor]:
-        """In place of a history, for layers without one."""
-        arrays = {"past": np.zeros(self._made["past"].shape, np.float32),
-                  "keep": np.zeros((1, 1, 1), np.float32)}
-        return {name: upload(self._device.heap, f"no {name}", array)
-                for name, array in arrays.items()}
-
-    def _shaded(self, model: str) -> Tensor:
-        """The picture's radiance with the reflectance of the render size."""
-        end = self._ends[model]
-        radiance = self._made[f"radiance {end}"]
-        size = (3, *radiance.shape[1:])
-        return radiance if end == PLAIN else radiance.view("radiance", size, math.prod(size))
-
-    def _place(self, window: Window) -> dict[str, Tensor]:
-        """Tensors that describe a window to the kernels, by buffer: see `Window.places`."""
-        return self._places.get_or_make(window, lambda: {
-            name: upload(self._device.heap, name, array)
-            for name, array in window.places().items()})
-
-
-def _together(layers: Sequence[Layer], most: int) -> list[list[Layer]]:
-    """Layers that are filtered at once, neighbours in a stack."""
-    found: list[list[Layer]] = []
-    for layer in layers:
-        if found and len(found[-1]) < most and layer.follows(found[-1][-1]):
-            found[-1].append(layer)
-        else:
-            found.append([layer])
-    return found
+def _steps_of(table: Table, words: frozenset[str], over: Over,
+              maybe: frozenset[str] = NO_WORDS) -> Iterator[tuple[str, Step, Each]]:
+    """The steps that run, with their labels, once for each thing that they run over. Of the words,
+    `maybe` some do not hold."""
+    for label, steps in table.items():
+        for one in steps:
+            for each in over.get(one.over, ()) if one.over else ONE:
+                held = words | each.words
+                if one.when <= held and not one.unless & held - maybe:
+                    yield label, one, each

@@ -1,9 +1,9 @@
-"""What a frame and its parts leave to the next, and where reflections were in the frame before."""
+"""What a frame and its parts leave to the next."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
@@ -11,11 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.caching import LRUCache
-from postfx.frame import DEPTH_MISS, FrameSpec, Part, Role, pixel_aspect
+from postfx.frame import Part
 from postfx.kernels.denoise import HIDDEN
-from postfx.kernels.denoise.history import CAMERA, REFLECTIONS, RESIZE
-from postfx.kernels.image import RESAMPLE, positions
-from postfx.passes import MOST_SIZES, ResidentFrame
+from postfx.kernels.image import positions
+from postfx.passes import MOST_SIZES
+from postfx.passes.denoise.graph import RESIZED, Each, run_steps
+from postfx.passes.denoise.kinds import KINDS
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.tiling import Rows, Shape, Sizes
 from postfx.runtime import CommandBuffer, Device, Tensor
@@ -46,12 +47,29 @@ class Room:
                 for name, memory in self._memory.items()}
 
 
+class Turn(NamedTuple):
+    """What a frame finds, and what it leaves.
+
+    Attributes:
+        last: the tensors that the frame before left, by the kernels' names.
+        next: those that this frame writes for the next one.
+        rows: of these to write: also those in which an earlier frame left something.
+    """
+
+    last: dict[str, Tensor]
+    next: dict[str, Tensor]
+    rows: Rows
+
+
 class History:
     """The last output, accumulated state, depth and reactive mask: one set, which each frame
     replaces, until a frame needs the last one to its end; from then on two sets that alternate.
 
     The output keeps its size. The rest has its frame's render size, and is resampled when the next
     frame has another.
+
+    Attributes:
+        model: what worked on the last frame; None before the first.
     """
 
     def __init__(self, device: Device, sizes: Sizes, reactive: bool) -> None:
@@ -61,24 +79,20 @@ class History:
         self._outputs = [self._make_output()]
         self._rooms = self._make_rooms()
         self._held = self._anywhere()
-        self._model: str | None = None
-
-    @property
-    def is_replaced(self) -> bool:
-        """Whether what this frame leaves lies where what it finds does."""
-        return len(self._outputs) == 1
+        self.model: str | None = None
 
     def use(self, model: str) -> None:
         """Between two frames: `model` works on the next one."""
-        if self._model not in (None, model):
+        if self.model not in (None, model):
             self._forget_hidden()
-        self._model = model
+        self.model = model
 
-    def turn(self, commands: CommandBuffer, size: Shape, keep: bool, apart: bool) -> None:
-        """Begin a frame of this render size: the tensors written last become the history. Their
-        content is only defined if the history is not kept. `apart`: the frame needs them to its
-        end."""
-        if self.is_replaced and (apart or size != self._size):
+    def turn(self, commands: CommandBuffer, size: Shape, keep: bool, apart: bool,
+             rows: Rows) -> Turn:
+        """Begin a frame of this render size, which leaves something in some `rows` only: the
+        tensors written last become the history. Their content is only defined if the history is not
+        kept. `apart`: the frame needs them to its end."""
+        if len(self._outputs) == 1 and (apart or size != self._size):
             self._rooms = [*self._make_rooms(), *self._rooms]
             self._held *= 2
             self._outputs.insert(0, self._make_output())
@@ -88,37 +102,22 @@ class History:
         old, self._size = self._size, size
         if not keep or size != old:  # nor after a frame that failed
             self._held = self._anywhere()
-        if size == old:
-            return
-        before = self._rooms[0].of(old)
-        if size[0] * size[1] > self._rooms[0].pixels:
-            self._rooms = self._make_rooms()
-        else:
-            self._rooms.reverse()
-        if keep:
-            self._resize(commands, before)
-
-    def cover(self, rows: Rows) -> Rows:
-        """Call once a frame, which leaves something in these rows only. Returns the rows to write:
-        also those in which an earlier frame left something."""
+        if size != old:
+            self._change_size(commands, old, keep)
         before, self._held[-1] = self._held[-1], rows
-        return min(rows[0], before[0]), max(rows[1], before[1])
-
-    @property
-    def last(self) -> dict[str, Tensor]:
-        """The tensors that the frame before left, by the kernels' names."""
-        return {"history": self._outputs[0], **self._rooms[0].of(self._size)}
+        last = {"history": self._outputs[0], **self._rooms[0].of(size)}
+        return Turn(last, self.next, (min(rows[0], before[0]), max(rows[1], before[1])))
 
     @property
     def next(self) -> dict[str, Tensor]:
-        """The tensors that this frame writes for the next, by the kernels' names."""
+        """The tensors that this frame writes for the next one; between two frames, the history."""
         tensors = {"history": self._outputs[-1], **self._rooms[-1].of(self._size)}
         return {NEXT[name]: tensor for name, tensor in tensors.items()}
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Between two frames: the history by the kernels' names, and its render size."""
-        return {"size": np.array(self._size, np.int64)} | {name: tensor.content()
-                                                           for name, tensor in self.next.items()}
+        left = {name: tensor.content() for name, tensor in self.next.items()}
+        return {"size": np.array(self._size, np.int64)} | left
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
         """Between two frames: replace the history by `kept`."""
@@ -141,17 +140,26 @@ class History:
         """The rows in which each set may hold something: all."""
         return [(0, self._size[0])] * len(self._outputs)
 
+    def _change_size(self, commands: CommandBuffer, old: Shape, keep: bool) -> None:
+        """Make room for another size, and record the work that resizes a history that is kept."""
+        before = self._rooms[0].of(old)
+        if self._size[0] * self._size[1] > self._rooms[0].pixels:
+            self._rooms = self._make_rooms()
+        else:
+            self._rooms.reverse()
+        if keep:
+            self._resize(commands, before)
+
     def _resize(self, commands: CommandBuffer, before: dict[str, Tensor]) -> None:
-        """Record the work that resizes the history to this frame's size."""
         after, (height, width) = self._rooms[0].of(self._size), before["last_depth"].shape[:2]
         rows, columns = (self._device.wrap(name, positions(old, new)) for name, old, new in
                          (("at_rows", height, self._size[0]), ("at_columns", width, self._size[1])))
-        commands.run(RESIZE, "resize", state=before["state"], last_depth=before["last_depth"],
-                     at_rows=rows,
-                     at_columns=columns, resized=after["state"], resized_depth=after["last_depth"])
-        if "last_reactive" in before:
-            commands.run(RESAMPLE, "resize", image=before["last_reactive"], rows=rows,
-                         columns=columns, output=after["last_reactive"])
+        masks = [Each(buffers={"image": before[name], "output": after[name]})
+                 for name in ("last_reactive",) if name in before]
+        run_steps(commands, RESIZED, {
+            "state": before["state"], "last_depth": before["last_depth"], "at_rows": rows,
+            "at_columns": columns, "resized": after["state"],
+            "resized_depth": after["last_depth"]}, frozenset({"state"}), {"planes": masks})
 
     def _forget_hidden(self) -> None:
         """Another network cannot read the hidden state. Zeros in its place are what every network
@@ -175,8 +183,6 @@ ALPHA_LAYER = "alpha of the picture"
 """Name of the layer of alpha, beside those of parts."""
 ALPHA_CHANNELS = {"samples": 4, "doubt": 1}
 """What alpha leaves beside: means of its samples by quarter-pixels, and their variance."""
-FACTOR = "factor"
-"""Kind of a plane that is only brought to the output's size."""
 
 
 class LayerHistory:
@@ -265,15 +271,17 @@ class LayerHistory:
     def _resize(self, commands: CommandBuffer, before: Tensor) -> None:
         rows, columns = (self._device.wrap(name, positions(old, new)) for name, old, new in
                          zip(("at_rows", "at_columns"), before.shape, self._size, strict=False))
-        commands.run(RESAMPLE, "resize", image=before, rows=rows, columns=columns,
-                     output=self.last["last_part"])
+        values = Each(buffers={"image": before, "output": self.last["last_part"]})
+        run_steps(commands, RESIZED, {"at_rows": rows, "at_columns": columns},
+                  over={"planes": [values]})
 
 
 def places_of(parts: Sequence[Part]) -> dict[str, int]:
     """Places of layers in a stack: the whole picture if there are lights, these group by group,
     then other planes."""
     lights = [part.name for part in parts if part.is_light]
-    planes = [part.name for part in parts if not part.is_light and part.kind != FACTOR]
+    planes = [part.name
+              for part in parts if not part.is_light and KINDS[part.kind].is_filtered]
     return {name: i for i, name in enumerate([WHOLE, *lights, *planes] if lights else planes)}
 
 
@@ -358,149 +366,3 @@ def one_of(stack: Tensor, i: int) -> Tensor:
 def alone(picture: Tensor) -> Tensor:
     """A stack of one picture; no copy."""
     return picture.view(picture.name, (1, *picture.shape))
-
-
-NEEDS = (Role.MOTION, Role.DEPTH, Role.NORMAL, Role.ROUGHNESS, Role.DIFFUSE_ALBEDO,
-         Role.SPECULAR_ALBEDO)
-"""Without one of these the hit distance is of no use."""
-
-AXES = ((-1, -1, 1), (1, -1, -1), (1, -1, 1))
-"""Signs that turn x, y and z of cameras into the picture's (x right, y down, z forward): for
-Mitsuba, OpenGL, pbrt."""
-
-SAMPLES = 24
-"""Pixels along a side whose motion tells which axes a camera has."""
-MOST_OFF, PART_OFF = 0.25, 0.05
-"""Pixels, and share of the motion, by which half of those pixels may be off."""
-
-NO_CAMERA = "no worldToCamera and field of view (postfx:fovX) in the headers"
-NO_FIT = "worldToCamera, field of view and depth do not give the motion that the frame has"
-
-
-class Camera(NamedTuple):
-    """A frame's camera: world to camera (4, 4), row vectors; horizontal field of view in
-    degrees."""
-
-    matrix: np.ndarray
-    fov_x: float
-
-    @classmethod
-    def of(cls, frame: ResidentFrame) -> Camera | None:
-        """None where the frame does not know it."""
-        if (frame.world_to_camera is None or not frame.fov_x
-            or abs(np.linalg.det(frame.world_to_camera)) < 1e-12):
-            return None
-        return cls(frame.world_to_camera, frame.fov_x)
-
-
-def can_follow(spec: FrameSpec) -> bool:
-    """Whether frames of a spec have the planes for the motion of reflections, some possibly as
-    guides."""
-    return spec.has(Role.SPECULAR_HIT_DISTANCE) and all(spec.has(role) for role in NEEDS)
-
-
-class Reflections:
-    """Replaces the motion of smooth surfaces with a hit distance by the motion of their virtual
-    image."""
-
-    def __init__(self, device: Device, spec: FrameSpec) -> None:
-        self._camera = device.heap.tensor("camera", (CAMERA,))
-        self._output = device.heap.transient("motion of reflections", (spec.height, spec.width, 2))
-        device.make_ready(REFLECTIONS)
-
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame, params: np.ndarray | None,
-               planes: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        """Record the work, unless `params` are None; returns the planes, with this motion for the
-        frame's own."""
-        if params is None:
-            return planes
-        self._camera.upload(params)
-        commands.run(REFLECTIONS, "reflections", camera=self._camera,
-                     hit_distance=frame[Role.SPECULAR_HIT_DISTANCE],
-                     reflected=self._output, **{str(role): planes[role] for role in NEEDS})
-        return {**planes, "motion": self._output}
-
-
-class Cameras:
-    """Follows the camera from frame to frame."""
-
-    def __init__(self) -> None:
-        self._last: Camera | None = None
-
-    def reset(self) -> None:
-        """Forget the frame before."""
-        self._last = None
-
-    def snapshot(self) -> dict[str, np.ndarray]:
-        """Between two frames: the last camera and its facts."""
-        return ({"camera": self._last.matrix, "fov_x": np.array(self._last.fov_x, np.float64)}
-                if self._last else {})
-
-    def recall(self, kept: Mapping[str, np.ndarray]) -> None:
-        """Between two frames: replace these facts by `kept`."""
-        self._last = Camera(kept["camera"], float(kept["fov_x"])) if "camera" in kept else None
-
-    def step(self, frame: ResidentFrame, moves: bool,
-             tell: Callable[[str], None]) -> np.ndarray | None:
-        """The kernel's parameters for a frame, float32 (27,); None if it has nothing to do.
-
-        Args:
-            moves: whether the frame has a history, and something moves.
-            tell: called with the reason if reflections cannot be followed.
-        """
-        then, self._last = self._last, Camera.of(frame)
-        if not moves or {Role.MOTION, Role.DEPTH} - frame.host_planes.keys():
-            return None
-        if not (then and self._last):
-            tell(NO_CAMERA)
-            return None
-        if not _is_moving(self._last, then):
-            return None
-        params = _best_params(frame, self._last, then)
-        if params is None:
-            tell(NO_FIT)
-        return params
-
-
-def _is_moving(now: Camera, then: Camera) -> bool:
-    """Whether a camera differs from the last one; if not, everything at rest is where it was."""
-    return not (np.allclose(now.matrix, then.matrix, rtol=0, atol=1e-9) and now.fov_x == then.fov_x)
-
-
-def _best_params(frame: ResidentFrame, now: Camera, then: Camera) -> np.ndarray | None:
-    """None if no camera axes explain the frame's motion."""
-    tried = [_params(frame, now, then, axes) for axes in AXES]
-    errors = [_misfit(frame, params) for params in tried]
-    best = int(np.argmin(errors))
-    return tried[best].astype(np.float32) if errors[best] <= 1 else None
-
-
-def _params(frame: ResidentFrame, now: Camera, then: Camera,
-            axes: tuple[int, int, int]) -> np.ndarray:
-    signs, change = np.diag(axes).astype(float), np.linalg.inv(now.matrix) @ then.matrix
-    aspect = pixel_aspect(frame.metadata)
-    focal = [side / 2 / math.tan(math.radians(camera.fov_x) / 2) for camera in (now, then)
-             for side in (frame.spec.width, frame.spec.width * aspect)]
-    turn, shift = signs @ change[:3, :3] @ signs, change[3, :3] @ signs
-    return np.concatenate([focal, frame.jitter, turn.ravel(), shift,
-                           (now.matrix[:3, :3] @ signs).ravel()])
-
-
-def _misfit(frame: ResidentFrame, params: np.ndarray) -> float:
-    """Median over some pixels of the difference from the motion of surfaces at rest, in units of
-    the tolerance."""
-    depth, motion = frame.host_planes[Role.DEPTH], frame.host_planes[Role.MOTION]
-    height, width = depth.shape[:2]
-    rows = np.linspace(0, height - 1, min(height, SAMPLES)).astype(int)[:, None]
-    columns = np.linspace(0, width - 1, min(width, SAMPLES)).astype(int)[None]
-    z, moved = depth[rows, columns, 0].astype(float), motion[rows, columns].astype(float)
-    hit = (z > 0) & (z < DEPTH_MISS) & np.isfinite(moved).all(-1)
-    if not hit.any():
-        return math.inf
-    at = np.stack(np.broadcast_arrays(columns, rows), -1) + 0.5 + params[4:6] - (width / 2,
-                                                                                 height / 2)
-    ray = np.concatenate([at / params[:2], np.ones((*z.shape, 1))], -1)[hit]
-    place = ray @ params[6:15].reshape(3, 3) + params[15:18] / z[hit][:, None]
-    error = np.abs(place[:, :2] / np.maximum(place[:, 2:], 1e-6) * params[2:4] - at[hit]
-                   - moved[hit]).max(-1)
-    return float(np.median(error / (MOST_OFF + PART_OFF * np.abs(moved[hit]).max(-1))))

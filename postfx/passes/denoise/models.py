@@ -27,9 +27,11 @@ SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has th
 """Endings of the names of networks that are chosen automatically, and when."""
 CLASSIC = "classic"
 """Tag, and name in place of a model, of the classical filter, which runs without a network."""
-STAND_INS = {"l": "m"}
-"""Networks without a variant for the render size, and the network whose variant is taken there, as
-it is better."""
+STAND_INS = {"l": "m", "xl": "m"}
+"""Networks without a variant for the render size, or with one that filters no parts, and the
+network whose variant is taken there."""
+ENLARGING_STAND_INS = {"xl": "l"}
+"""Networks for the render size alone, and the network that is taken for enlarging."""
 
 
 def exact(tag: str) -> str:
@@ -99,21 +101,28 @@ def model_of(tag: str, ending: str = "", device: Device | None = None,
     GPU), else float32. Without a device it means the float32 model, which every such tag has. If a
     tag has no network for the render size, its stand-in's runs, or else the plain one. So it does
     where the network must predict ``filters``, which other pictures need, too, and gives the
-    picture alone.
+    picture alone. If a tag has a network for the render size alone, another one enlarges.
     """
+    enlarging = _stand_in(tag, ENLARGING_STAND_INS)
     if ending != UNSCALED:
-        return _named(tag, ending, device)
-    found = [_named(one, UNSCALED, device) for one in (tag, _stand_in(tag))]
+        return _named(enlarging, ending, device)
+    found = [_named(one, UNSCALED, device) for one in (tag, _stand_in(tag, STAND_INS))]
     fitting = (one for one in found if has_model(one) and not (filters and gives_picture(one)))
-    return next(fitting, _named(tag, "", device))
+    return next(fitting, _named(enlarging, "", device))
 
 
 def unscaled_remarks(tag: str) -> list[str]:
     """What a plan says about a network when another one stands in for it at the render size."""
-    other = _stand_in(tag)
+    other = _stand_in(tag, STAND_INS)
     if other == tag or model_of(tag, UNSCALED) != _named(other, UNSCALED, None):
         return []
     return [f"model '{tag}' has no network for 1x: '{other}' stands in, which is better there"]
+
+
+def enlarging_remarks(tag: str) -> list[str]:
+    """What a plan says about a network for the render size alone where a frame is enlarged."""
+    other = _stand_in(tag, ENLARGING_STAND_INS)
+    return [] if other == tag else [f"model '{tag}' does not enlarge: '{other}' stands in"]
 
 
 def filter_remarks(tag: str) -> list[str]:
@@ -125,10 +134,10 @@ def filter_remarks(tag: str) -> list[str]:
             "its parts, too"]
 
 
-def _stand_in(tag: str) -> str:
-    """The stand-in at 1x, 'l.int8' -> 'm.int8'; a tag without one is its own."""
+def _stand_in(tag: str, stand_ins: Mapping[str, str]) -> str:
+    """The stand-in of a tag, 'l.int8' -> 'm.int8'; a tag without one is its own."""
     size, dot, precision = tag.partition(".")
-    return f"{STAND_INS.get(size, size)}{dot}{precision}"
+    return f"{stand_ins.get(size, size)}{dot}{precision}"
 
 
 def _named(tag: str, ending: str, device: Device | None) -> str:
@@ -192,7 +201,7 @@ def blanks_volumes(model: str) -> bool:
     return bool(_card(model).get("blanks_volumes", True))
 
 
-HALOS, GUIDED_HALO = {CLASSIC: 40, "s": 56, "m": 44, "l": 48}, 96
+HALOS, GUIDED_HALO = {CLASSIC: 40, "s": 56, "m": 44, "l": 48, "xl": 96}, 96
 """Render pixels that a network must see around active ones so that the result differs by less than
 1e-3 from that of the whole frame: by model size, the largest for other models, and for models that
 read guides. docs/lab/denoiser.md lists the differences. A card's own "halo" comes before them."""
@@ -267,11 +276,11 @@ def name_models(device: Device, models: Iterable[str]) -> None:
         device.name_model(*find_model(model))
 
 
-FAMILY = {CLASSIC: 0.5, "s": 1.0, "m": 3.5, "l": 5.0}
+FAMILY = {CLASSIC: 0.5, "s": 1.0, "m": 3.5, "l": 5.0, "xl": 18.0}
 """The classical filter and networks by size, fastest first, and about how many times as long as 's'
 each takes in float32."""
 
-FAST = {CLASSIC: 0.5, "s": 1.0, "m": 2.1, "l": 2.8}
+FAST = {CLASSIC: 0.5, "s": 1.0, "m": 2.1, "l": 2.8, "xl": 18.0}
 """The same in integers or half precision."""
 
 ROOM = 0.85

@@ -1,34 +1,17 @@
-"""A network of the denoiser, with the kernels that pack its inputs and open its outputs."""
+"""A network of the denoiser: what its file calls its inputs and outputs, and how it stores them."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Callable, Mapping
-from itertools import zip_longest
 
 import numpy as np
 
-from postfx.kernels import Kernel
-from postfx.kernels.denoise import FEATURES, FINE, GUIDES, IN_HALF, MIRRORED
-from postfx.kernels.denoise.network_io import (
-    FOURS,
-    OPEN,
-    OPEN_CODES,
-    OPEN_FINE,
-    OPEN_FINE_CODES,
-    OPEN_FINE_PRODUCTS,
-    OPEN_LOGITS,
-    OPEN_PHASED,
-    OPEN_PRODUCTS,
-    OPEN_SOME_PRODUCTS,
-    PACK,
-    SOME,
-    STORE,
-    STORE_RINGED,
-    opened_shape,
-)
-from postfx.runtime import CommandBuffer, ModelError, PipelineState, Tensor
+from postfx.kernels.denoise import FEATURES, FINE, GUIDES, MIRRORED
+from postfx.kernels.denoise.network_io import FOURS, SOME, opened_shape
+from postfx.passes.denoise.graph import Each
+from postfx.runtime import ModelError, PipelineState, Tensor
 from postfx.runtime.tensor import TensorHeap
 
 PACKED, RAW = "packed_", "raw_"
@@ -54,15 +37,13 @@ CODES_NAME = "codes_"
 RING = 1
 """Border in pixels around 8-bit inputs, for networks whose first convolution reads beyond the
 picture."""
+OUTPUT_WORDS = {PHASED_FINE: "phased", FINE_LOGITS: "logits", RAW: "raw", PRODUCTS: "sums"}
+"""Words for outputs that kernels open, by how their names begin: see `graph`."""
 MADE = (PACKED, RAW, PHASED_FINE, FINE_LOGITS, STORED, PRODUCTS, CODES_NAME)
 CHANNELS = {"features": FEATURES, "guides": GUIDES, "mirrored": MIRRORED}
 FEATURE_PARTS = {"first_features": 32, "last_features": FEATURES - 32}
 """Feature channels that float32 networks read as inputs of their own: a CPU is fastest with few, or
 multiples of 16."""
-
-
-Run = tuple[Kernel, dict[str, Tensor]]
-"""A kernel, and its tensors by binding."""
 
 
 def free_dimensions(size: tuple[int, int]) -> dict[str, int]:
@@ -154,6 +135,7 @@ class Network:
             networks.
         coded: what other kernels make the fine head of, by their bindings, if the network leaves it
             to them.
+        over: its inputs, itself and its outputs, for the steps of a window that run over these.
     """
 
     def __init__(self, state: PipelineState, seen: Mapping[str, Tensor],
@@ -171,45 +153,71 @@ class Network:
                      for name, array in state.constants.items()
                      if name.startswith((CODING, SCALING))}
         known = {**parts_of(seen["features"]), **seen, **heads, **made}
-        self._state, self._tensors = state, {binding.name: known[binding.name]
-                                             for binding in state.bindings}
         packed = [name for name in made if name.startswith((PACKED, STORED)) and name not in seen]
         self.stored = dict[str, Tensor]()
         if codes_features(state):
             packed.remove(name := f"{STORED}features")
             self.stored = {"coding": constants[f"{CODING}features"], "stored": made[name]}
-        closed = [name
-                  for name in made if name.startswith((RAW, PHASED_FINE, FINE_LOGITS, PRODUCTS))]
-        self._before = [_packer(state, made[name], constants, seen) for name in packed]
-        openers = [_openers(state, made[name], constants, heads) for name in closed]
+        outputs = [one for name, closed in made.items() if name.startswith((*OUTPUT_WORDS,))
+                   for one in _outputs(closed, constants, heads)]
         self.coded: dict[str, Tensor] = {}
         for output, product in state.products.items():
-            name, factors = output.removeprefix(PRODUCTS), product.factors
-            whole = np.pad(factors, ((0, -len(factors) % FOURS), (0, 0)))
+            name, whole = output.removeprefix(PRODUCTS), product.factors
+            whole = np.pad(whole, ((0, -len(whole) % FOURS), (0, 0)))
             coded = {"codes": made[product.codes], "scaling": constants[f"{SCALING}{name}"],
                      "factors": upload(state.device.heap, f"factors {name}", whole, "int8")}
-            openers.append([_code_opener(state, heads[name], coded, name == "fine")])
+            outputs.append(_coded_output(name, coded, heads[name]))
             self.coded = coded if name == "fine" else self.coded
-        self._after = [run for step in zip_longest(*openers) for run in step if run]
-        state.device.make_ready(*(kernel for kernel, _ in (*self._before, *self._after)))
-
-    def encode(self, commands: CommandBuffer) -> None:
-        """Record the network's run, which waits for the kernels before it."""
-        for kernel, tensors in self._before:
-            commands.run(kernel, "pack", **tensors)
-        commands.run(self._state, "network", **self._tensors)
-        for kernel, tensors in self._after:
-            commands.run(kernel, "open", **tensors)
+        itself = Each(buffers={binding.name: known[binding.name] for binding in state.bindings},
+                      network=state)
+        self.over = {"inputs": [_input(made[name], constants, seen) for name in packed],
+                     "network": [itself], "outputs": outputs}
 
 
-def _packer(state: PipelineState, packed: Tensor, constants: Mapping[str, Tensor],
-            seen: Mapping[str, Tensor]) -> Run:
-    if packed.name.startswith(PACKED):
-        return _run(state, PACK, planes=seen[packed.name.removeprefix(PACKED)], packed=packed)
-    name = packed.name.removeprefix(STORED)
-    kernel = STORE if packed.shape[1] == seen[name].shape[2] else STORE_RINGED
-    return _run(state, kernel, planes=seen[name], coding=constants[f"{CODING}{name}"],
-                stored=packed)
+def _input(closed: Tensor, constants: Mapping[str, Tensor], seen: Mapping[str, Tensor]) -> Each:
+    """An input that a kernel makes of what is `seen`."""
+    if closed.name.startswith(PACKED):
+        planes = seen[closed.name.removeprefix(PACKED)]
+        return Each(frozenset({"halves"}), {"planes": planes, "closed": closed})
+    name = closed.name.removeprefix(STORED)
+    words = {"codes"} if closed.shape[1] == seen[name].shape[2] else {"codes", "ringed"}
+    return Each(frozenset(words), {"planes": seen[name], "coding": constants[f"{CODING}{name}"],
+                                   "closed": closed})
+
+
+def _outputs(closed: Tensor, constants: Mapping[str, Tensor],
+             heads: Mapping[str, Tensor]) -> list[Each]:
+    """An output that a kernel opens, perhaps in several runs."""
+    begin = next(begin for begin in OUTPUT_WORDS if closed.name.startswith(begin))
+    name = closed.name.removeprefix(begin) or "fine"
+    words, head = frozenset({OUTPUT_WORDS[begin]} | {"fine"} & {name}), heads[name]
+    if begin != PRODUCTS:
+        return [Each(words, {"closed": closed, "head": head})]
+    scaling = constants[f"{SCALING}{name}"]
+    if name != "fine":
+        products = closed.view(closed.name, head.shape)
+        return [Each(words, {"closed": products, "head": head, "scaling": scaling})]
+    _, count, rows, columns = head.shape
+    if closed.name not in heads:
+        products = closed.view(closed.name, (1, closed.shape[0], rows // 2, columns // 2))
+        return [Each(words, {"closed": products, "head": head, "scaling": scaling})]
+    runs = []
+    for channel in range(0, count, SOME):
+        some, at = min(SOME, count - channel), channel * rows * columns
+        first = upload(closed.device.heap, "first", np.full(1, channel, np.float32))
+        products = closed.view(closed.name, (1, 4 * some, rows // 2, columns // 2), at)
+        opened = head.view("fine", (1, some, rows, columns), at)
+        runs.append(Each(words | {"behind"}, {"closed": products, "head": opened, "first": first,
+                                              "scaling": scaling}))
+    return runs
+
+
+def _coded_output(name: str, coded: Mapping[str, Tensor], head: Tensor) -> Each:
+    """A head that a kernel makes of codes."""
+    _, count, rows, columns = head.shape
+    opened = (head.view("fine", (1, count, rows // 2, 2, columns)) if name == "fine" else head)
+    return Each(frozenset({"codes"} | {"fine"} & {name}),
+                {**coded, "closed": coded["codes"], "head": opened})
 
 
 def upload(heap: TensorHeap, name: str, array: np.ndarray, dtype: str = "float32") -> Tensor:
@@ -217,56 +225,6 @@ def upload(heap: TensorHeap, name: str, array: np.ndarray, dtype: str = "float32
     tensor = heap.tensor(name, array.shape, dtype)
     tensor.upload(array)
     return tensor
-
-
-def _openers(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor],
-             heads: Mapping[str, Tensor]) -> list[Run]:
-    """Kernels to run in turn. Of products behind the fine head in one memory, some take the place
-    of those before."""
-    if closed.name not in heads:
-        return [_opener(state, closed, constants, heads)]
-    fine, (_, count, rows, columns), runs = heads["fine"], heads["fine"].shape, []
-    for channel in range(0, count, SOME):
-        some, at = min(SOME, count - channel), channel * rows * columns
-        runs.append(_run(
-            state, OPEN_SOME_PRODUCTS, scaling=constants[f"{SCALING}fine"],
-            first=upload(state.device.heap, "first", np.full(1, channel, np.float32)),
-            products=closed.view(closed.name, (1, 4 * some, rows // 2, columns // 2), at),
-            fine=fine.view("fine", (1, some, rows, columns), at)))
-    return runs
-
-
-def _code_opener(state: PipelineState, head: Tensor, coded: Mapping[str, Tensor],
-                 fine: bool) -> Run:
-    if not fine:
-        return _run(state, OPEN_CODES, **coded, heads=head)
-    _, count, rows, columns = head.shape
-    return _run(state, OPEN_FINE_CODES, **coded,
-                fine=head.view("fine", (1, count, rows // 2, 2, columns)))
-
-
-def _opener(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor],
-            heads: Mapping[str, Tensor]) -> Run:
-    if closed.name == PHASED_FINE:
-        return _run(state, OPEN_PHASED, phased_fine=closed, fine=heads["fine"])
-    if closed.name == FINE_LOGITS:
-        return _run(state, OPEN_LOGITS, fine_logits=closed, fine=heads["fine"])
-    if closed.name == f"{RAW}fine":
-        return _run(state, OPEN_FINE, raw_fine=closed, fine=heads["fine"])
-    if closed.name.startswith(RAW):
-        return _run(state, OPEN, raw=closed, heads=heads[closed.name.removeprefix(RAW)])
-    name = closed.name.removeprefix(PRODUCTS)
-    head, scaling, (rows,
-                    columns) = heads[name], constants[f"{SCALING}{name}"], heads[name].shape[2:]
-    if name != "fine":
-        products = closed.view(closed.name, head.shape)
-        return _run(state, OPEN_PRODUCTS, products=products, scaling=scaling, heads=head)
-    products = closed.view(closed.name, (1, closed.shape[0], rows // 2, columns // 2))
-    return _run(state, OPEN_FINE_PRODUCTS, products=products, scaling=scaling, fine=head)
-
-
-def _run(state: PipelineState, kernel: Kernel, **tensors: Tensor) -> Run:
-    return IN_HALF.get(kernel, kernel) if is_half(state) else kernel, tensors
 
 
 def is_half(state: PipelineState) -> bool:

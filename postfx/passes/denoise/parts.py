@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from postfx.errors import FrameError
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
-from postfx.kernels.denoise.parts import BALANCE, DECODE, DECODE_ONE
 from postfx.passes import ResidentFrame
-from postfx.passes.denoise.graph import Layer
+from postfx.passes.denoise.alpha import Alpha
+from postfx.passes.denoise.graph import BALANCED, DECODED, run_steps
 from postfx.passes.denoise.history import (
     ALPHA_LAYER,
-    FACTOR,
     WHOLE,
+    LayerHistory,
     PartHistory,
     alone,
     make_zeros,
@@ -24,10 +25,14 @@ from postfx.passes.denoise.history import (
     places_of,
     some_of,
 )
+from postfx.passes.denoise.kinds import KINDS, LIGHT_KIND, REFLECTANCE_ROLES, Kind
 from postfx.passes.denoise.options import Size
-from postfx.passes.denoise.planes import ABSENT, Alpha, Resampler, Restore, Strength, absent_plane
+from postfx.passes.denoise.output import Restore, Strength
+from postfx.passes.denoise.planes import ABSENT, Resampler, absent_plane
 from postfx.passes.denoise.tiling import Rows
-from postfx.passes.signed_light import LARGEST_FLOAT, SignedLight, below, lies_below
+from postfx.passes.denoise.window import THE_PICTURE, Layer, Work
+from postfx.passes.signed_light import SignedLight, below, lies_below
+from postfx.planes import LARGEST_FLOAT
 from postfx.runtime import CommandBuffer, Device, Tensor
 from postfx.sampling import three_by_three
 
@@ -41,28 +46,10 @@ SAMPLED_ROW_STEP = 8
 DENSE, DENSER = 0.6, 0.8
 """Shares of lit pixels around lit ones from which a part counts as a surface's and not as sparse
 light."""
-BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST_FLOAT, LARGEST_FLOAT), "mist": (0.0, 1.0)}
-"""Bounds of the values of planes by kind; other kinds begin at 0 and have no upper bound."""
-DEPTH = "depth"
-"""Kind of a plane of distances: their reciprocals are filtered, and separately which pixels have a
-distance."""
 FARTHEST_DISTANCE = 1e9
 """Distances from here on stand for none."""
-EMISSION = "emission"
-"""Kind of light that is seen as it is, with no noise but that of edges."""
-SIGNED = ("normal", "position", DEPTH)
-"""Kinds of planes whose detail is not like light's."""
-MOVING = ("position", DEPTH)
-"""Kinds whose values change when the camera moves, so they have no history."""
-REFLECTANCE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 SURFACE = tuple(role for role in ABSENT if role is not Role.MOTION)
 """Planes that tell of the surface that is seen."""
-FOG = "scatter"
-"""Kind of light without reflectance: of fog, unless a file divides it by a colour, as that of
-glass."""
-SURFACES = dict(zip(("diffuse", "specular"), REFLECTANCE_ROLES, strict=True))
-"""Reflectance that light is divided by while it is filtered, by kind: the picture's for 'light',
-nothing for others."""
 
 
 def checked_parts(parts: Sequence[Part | str]) -> tuple[Part, ...]:
@@ -82,6 +69,15 @@ class Group:
 
     first: int
     names: list[str] = field(default_factory=list)
+
+
+class OwnRun(NamedTuple):
+    """What the network itself runs on: a part's planes and params, and where the output goes."""
+
+    name: str
+    planes: dict[str, Tensor]
+    params: np.ndarray
+    output: Tensor
 
 
 class Layers:
@@ -130,18 +126,19 @@ class Layers:
         self._alpha = Alpha(device, spec, output) if alpha else None
 
     def begin(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
-              params: np.ndarray, keep: bool) -> tuple[list[Layer], dict[str, Tensor]]:
-        """The tensors that the kernels read and write, by 'light NAME' and the like, with the
-        picture's output if there is light."""
+              work: Work) -> tuple[list[Layer], dict[str, dict[str, Tensor]]]:
+        """The layers of a frame, and the targets that windows write, with the picture's output if
+        there is light."""
         for plain in (self._plain, self._plain_alpha):
             plain.aim(frame.jitter)
-        self._exposure = float(params[EXPOSURE])
-        self._params.upload([1.0, *params[JITTER_X:GAIN], 1.0])
-        self._exposed.upload([*params[:GAIN], 1.0])
+        self._exposure = float(work.params[EXPOSURE])
+        self._params.upload([1.0, *work.params[JITTER_X:GAIN], 1.0])
+        self._exposed.upload([*work.params[:GAIN], 1.0])
         self._history.turn()
         self._by_sign = self._take_apart(commands, frame)
         self._runs = self._needed(frame)
-        runs, targets = [], {}
+        runs = []
+        targets: dict[str, dict[str, Tensor]] = {}
         for name in self._history.layers.keys() - {*self._runs}:
             self._history.layers[name].skip(shared=name in self._places)
         for name in self._runs:
@@ -149,34 +146,35 @@ class Layers:
             if name in self._history.own:
                 history.follow()
                 continue
-            fresh = history.turn(commands, self._render, keep)
+            fresh = history.turn(commands, self._render, work.keep)
             if name == ALPHA_LAYER and self._alpha:
-                tensors = {"params": self._params,
-                           **self._alpha.gather(commands, frame, planes, history, fresh)}
-                targets[f"light {name}"] = self._alpha.enlarged
-                runs.append(Layer(name, tensors, True, self._alpha.enlarged, self._alpha.enlarged,
-                                  0))
+                tensors = self._alpha.gather(commands, frame, planes, history, fresh)
+                enlarged = self._alpha.enlarged
+                targets[name] = {"light": enlarged}
+                runs.append(Layer(name, {"params": self._params, **tensors}, True, enlarged,
+                                  enlarged, 0))
                 continue
-            output, part = history.output, history.next["last_part"]
-            tensors = {"params": self._exposed if name == WHOLE else self._params}
+            last, stack, place = self._stacks_of(name, history)
+            targets[name] = {"light": one_of(stack, place)}
+            tensors = {"params": self._exposed}
             if name != WHOLE:
-                tensors |= {"last_part": history.last["last_part"],
-                            **self._inputs(name, frame, planes)}
-                targets[f"next_part {name}"] = part
-            last, stack, place = (alone(history.last["history"]), alone(output),
-                                  self._places.get(name, 0))
-            if name in self._places:
-                last, stack = self._history.stacks
-            if self._is_light(name):
-                stack = self._stack("blended")
-            targets[f"light {name}"] = one_of(stack, place)
-            runs.append(Layer(name, tensors, not fresh or self._kind(name) in MOVING, last, stack,
-                              place))
+                targets[name]["next_part"] = history.next["last_part"]
+                tensors = {"params": self._params, "last_part": history.last["last_part"],
+                           **self._inputs(name, frame, planes)}
+            is_first = not (fresh and self._kind(name).stays)
+            runs.append(Layer(name, tensors, is_first, last, stack, place))
         if self._groups:
-            targets["output"] = one_of(self._history.stacks[1], 0)
+            targets[THE_PICTURE] = {"output": one_of(self._history.stacks[1], 0)}
             whole = self._history.layers[WHOLE]
             whole.frames = max(whole.frames, 1)  # the picture is its history where it does not run
         return runs, targets
+
+    def _stacks_of(self, name: str, history: LayerHistory) -> tuple[Tensor, Tensor, int]:
+        """The stacks that hold a layer's last output and its new one, and its place in both."""
+        if name not in self._places:
+            return alone(history.last["history"]), alone(history.output), 0
+        last, stack = self._history.stacks
+        return last, self._stack("blended") if self._is_light(name) else stack, self._places[name]
 
     def skip(self) -> None:
         """Begin a frame in which no layer runs."""
@@ -184,62 +182,61 @@ class Layers:
         for name, layer in self._history.layers.items():
             layer.skip(shared=name in self._places)
 
-    def own_runs(self, frame: ResidentFrame, planes: Mapping[str, Tensor], params: np.ndarray,
-                 keep: bool) -> Iterator[tuple[str, dict[str, Tensor], np.ndarray, Tensor]]:
-        """What the network itself runs on in this frame: name, planes, params, and where the output
-        goes."""
+    def own_runs(self, frame: ResidentFrame, planes: Mapping[str, Tensor],
+                 work: Work) -> Iterator[OwnRun]:
+        """What the network itself runs on in this frame."""
         self._history.ran = tuple(name for name in self._history.own if name in self._runs)
         for name in self._history.ran:
             part = self._raw[name] = self._input(name, frame)
             before, stops = self._history.stops[name], self._history.stops
             stops[name] = _stops_above(frame, name, before)
-            own = params.copy()
+            own = work.params.copy()
             own[EXPOSURE] *= 2.0 ** stops[name]
-            own[GAIN] *= 2.0 ** (stops[name] - before) if keep else 1.0
-            yield (name, {**planes, str(Role.COLOUR): part, **self._own_reflectance(name, planes)},
-                   own, one_of(self._stack("blended"), self._places[name]))
+            own[GAIN] *= 2.0 ** (stops[name] - before) if work.keep else 1.0
+            seen = {**planes, str(Role.COLOUR): part, **self._own_reflectance(name, planes)}
+            yield OwnRun(name, seen, own, one_of(self._stack("blended"), self._places[name]))
 
-    def finish(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor,
-               picture: Tensor,
-               restore: Restore | None, strength: Strength | None, rows: Rows) -> None:
+    def finish(self, commands: CommandBuffer, frame: ResidentFrame, pictures: tuple[Tensor, Tensor],
+               rows: Rows, restore: Restore | None, strength: Strength | None) -> None:
         """Record the work that makes the frame's parts and alpha from the kernels' outputs.
 
         Args:
-            denoised: the picture as the network made it.
-            picture: as it leaves the pass, with detail given back and blended with the input in
-                `rows`.
+            pictures: the picture as the network made it, and as it leaves the pass, with detail
+                given back and blended with the input in `rows`.
+            restore, strength: what did that; None where nothing was to be done.
         """
+        denoised, picture = pictures
         for group in self._groups:
             whole = one_of(self._stack("blended"), 0) if WHOLE in self._runs else denoised
             under = self._under(group, {name: self._history.layer(name).output
                                         for name in self._below if name in self._runs})
             self._balance(commands, group, "blended", (whole, denoised), self._history.stacks[1],
                           under)
-        restoring = restore is not None and restore.acts_on(frame)
-        blending = strength is not None and not strength.is_full(frame)
-        values = {}
-        for name in self._runs:
-            if name == WHOLE:
-                continue
-            is_alpha = name == ALPHA_LAYER
-            value = self._history.layer(name).output
-            if self._alpha and is_alpha:
-                value = self._alpha.correct(commands, denoised)
-            elif name in self._decodings and self._kind(name) != DEPTH:
-                value = self._decoded(commands, name, value)
-            raw = frame[Role.ALPHA] if is_alpha else self._raw[name]
-            if restore and restoring and self._kind(name) not in SIGNED:
-                place = (self._between(f"restored {name}", value.shape[2]) if blending
-                         else self._finished(name))
-                value = restore.encode_part(commands, raw, value, place)
-            if strength and blending:
-                plain = self._plain_alpha if is_alpha else self._plain
-                value = strength.encode_part(commands, raw, value, rows, plain,
-                                             self._finished(name))
-            values[name] = value
+        values = {name: self._finish_layer(commands, frame, name, denoised, rows, restore, strength)
+                  for name in self._runs if name != WHOLE}
         values |= {name: self._resampled(commands, frame, name)
-                   for name in self._parts if self._kind(name) == FACTOR}
-        self._leave_all(commands, frame, values, picture, restoring or blending)
+                   for name in self._parts if not self._kind(name).is_filtered}
+        self._leave_all(commands, frame, values, picture, bool(restore or strength))
+
+    def _finish_layer(self, commands: CommandBuffer, frame: ResidentFrame, name: str,
+                      denoised: Tensor, rows: Rows, restore: Restore | None,
+                      strength: Strength | None) -> Tensor:
+        """Record what becomes of one layer behind the windows, as of the picture; returns it."""
+        kind, value, raw, plain = (self._kind(name), self._history.layer(name).output,
+                                   self._raw.get(name), self._plain)
+        if name == ALPHA_LAYER and self._alpha:
+            raw, plain = frame[Role.ALPHA], self._plain_alpha
+            value = self._alpha.correct(commands, denoised)
+        elif name in self._decodings and not kind.are_distances:
+            value = self._decoded(commands, name, value)
+        assert raw is not None  # as the layer ran
+        if restore and kind.is_detailed:
+            place = (self._between(f"restored {name}", value.shape[2]) if strength
+                     else self._finished(name))
+            value = restore.encode_part(commands, raw, value, place)
+        if strength:
+            value = strength.encode_part(commands, raw, value, rows, plain, self._finished(name))
+        return value
 
     def resample(self, commands: CommandBuffer, frame: ResidentFrame, picture: Tensor) -> None:
         """Record the work that only resamples the parts to output size, as for a picture that is
@@ -255,10 +252,7 @@ class Layers:
         self._leave_all(commands, frame, values, picture, True)
 
     def _resampled(self, commands: CommandBuffer, frame: ResidentFrame, name: str) -> Tensor:
-        output = self._finished(name)
-        self._plain.run(commands, "plain", self._input(name, frame),
-                        [(output, (0, self._output.height))])
-        return output
+        return self._plain.resample(commands, self._input(name, frame), self._finished(name))
 
     def _leave_all(self, commands: CommandBuffer, frame: ResidentFrame,
                    values: Mapping[str, Tensor], picture: Tensor, changed: bool) -> None:
@@ -299,8 +293,8 @@ class Layers:
             self._complete[group.first].upload([complete])
             found += [] if complete > 0 or WHOLE in found else [WHOLE]
             self._note_reach(frame, group)
-        found += [name
-                  for name in self._parts if name != ALPHA_LAYER and self._kind(name) != FACTOR]
+        found += [name for name in self._parts
+                  if name != ALPHA_LAYER and self._kind(name).is_filtered]
         found += [layer for layer in self._below if layer in self._by_sign]
         return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and has_noisy_alpha(frame)
                         else [])
@@ -309,8 +303,7 @@ class Layers:
         """Where the parts of a group have light in this frame: what is seen by a colour, lamps, and
         reflections."""
         self._reached[group.first] = self._everywhere[group.first]
-        planes = [self._parts[name].factor
-                  or (name if self._kind(name) in (EMISSION, *SURFACES) else "")
+        planes = [self._parts[name].factor or (name if self._kind(name).is_seen else "")
                   for name in group.names]
         if not any(planes):
             return
@@ -321,36 +314,34 @@ class Layers:
         for i, plane in enumerate(planes):
             if plane in frame.host_parts:
                 reached[i] = coverage(frame.host_parts[plane].max(axis=2) > 0,
-                                      self._kind(plane) in SURFACES)
+                                      self._kind(plane).is_sparse)
         self._copies[name].upload(reached)
         self._reached[group.first] = self._copies[name]
 
     def _inputs(self, name: str, frame: ResidentFrame,
                 planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        self._raw[name] = self._input(name, frame)
-        low, high = self._range(name, frame)
+        self._raw[name], kind = self._input(name, frame), self._kind(name)
+        low, high = kind.span or _range_of(frame.host_parts[name])
         scale = 1.0 if (low, high) == (0.0, 1.0) else 1 / max(high - low, 1e-30)
-        most = LARGEST_FLOAT if self._kind(name) == DEPTH else MAX_COLOUR / self._exposure
+        most = LARGEST_FLOAT if kind.are_distances else MAX_COLOUR / self._exposure
         self._codings[name].upload([low, scale, most])
-        bounds = BOUNDS.get(self._kind(name), (0.0, LARGEST_FLOAT))
-        if name in self._decodings and self._kind(name) != DEPTH:
-            self._decodings[name].upload([1 / scale, low, *bounds,
-                                          float(self._kind(name) == "normal")])
+        if name in self._decodings and not kind.are_distances:
+            decoding = [1 / scale, low, *kind.bounds, float(kind.are_vectors)]
+            self._decodings[name].upload(decoding)
         found = {"part": self._raw[name], "coding": self._codings[name]}
-        if self._kind(name) == "light":
+        if kind.is_like_picture:
             return found
-        own = SURFACES.get(self._kind(name))
-        return found | {str(role): planes[str(role)] if role is own else self._nothing
+        return found | {str(role): planes[str(role)] if role in kind.divided else self._nothing
                         for role in REFLECTANCE_ROLES}
 
     def _own_reflectance(self, name: str, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Planes, at both sizes, in place of those that a part has nothing to do with: reflectance
-        that it is not divided by, and for fog, which has no surface, all of them."""
+        that it is not divided by, and for fog, which has no surface, all of them. Light through
+        glass, which files divide by a colour, has one."""
         kind = self._kind(name)
-        if kind == "light":
-            return {}
-        lost = SURFACE if kind == FOG and not self._parts[name].factor else tuple(
-            role for role in REFLECTANCE_ROLES if role is not SURFACES.get(kind))
+        lost = [role for role in REFLECTANCE_ROLES if role not in kind.divided]
+        if not (kind.on_surface or self._parts[name].factor):
+            lost = [*SURFACE]
         found = {str(role): self._absent(role, self._render) for role in lost}
         return found | {f"guide_{role}": self._absent(role, self._output)
                         for role in lost if f"guide_{role}" in planes}
@@ -367,10 +358,11 @@ class Layers:
 
     def _three(self, name: str, frame: ResidentFrame) -> Tensor:
         """A layer's values with three channels, as the kernels need them."""
-        if self._channels[name] == 3 and self._kind(name) != DEPTH:
+        are_distances = self._kind(name).are_distances
+        if self._channels[name] == 3 and not are_distances:
             return frame.parts[name]
         given = frame.host_parts[name]
-        if self._kind(name) == DEPTH:
+        if are_distances:
             given, decoding = encode_depth(given)
             self._decodings[name].upload(decoding)
         if name not in self._copies:
@@ -378,16 +370,6 @@ class Layers:
                                                           (*self._render, 3))
         self._copies[name].upload(given if given.shape[2] == 3 else np.repeat(given, 3, axis=2))
         return self._copies[name]
-
-    def _range(self, name: str, frame: ResidentFrame) -> tuple[float, float]:
-        """The bounds between which a layer's values are filtered."""
-        if self._kind(name) == "normal":
-            return -1.0, 1.0
-        if self._kind(name) != "position":
-            return 0.0, 1.0
-        given = frame.host_parts[name]
-        finite = given[np.isfinite(given)]
-        return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
 
     def _balance(self, commands: CommandBuffer, group: Group, stack: str,
                  pictures: tuple[Tensor, Tensor], balanced: Tensor,
@@ -398,10 +380,11 @@ class Layers:
         whole, picture = (
             self._signed.lift(commands, f"{what} above 0 of {group.first}", light, under)
             for what, light in zip(("whole", "picture"), pictures, strict=True))
-        commands.run(BALANCE, "balance", parts=some_of(self._stack(stack), group.first, count),
-                     whole=whole, picture=picture, reached=self._reached[group.first],
-                     complete=self._complete[group.first],
-                     balanced=some_of(balanced, group.first, count))
+        run_steps(commands, BALANCED, {
+            "parts": some_of(self._stack(stack), group.first, count), "whole": whole,
+            "picture": picture, "reached": self._reached[group.first],
+            "complete": self._complete[group.first],
+            "balanced": some_of(balanced, group.first, count)})
 
     def _stack(self, name: str) -> Tensor:
         """Pictures of the whole and of all light within a frame, in the places that they have in
@@ -413,8 +396,8 @@ class Layers:
 
     def _decoded(self, commands: CommandBuffer, name: str, filtered: Tensor) -> Tensor:
         output = self._between(f"decoded {name}", 3)
-        commands.run(DECODE, "decode", filtered=filtered, decoding=self._decodings[name],
-                     plane=output)
+        run_steps(commands, DECODED, {"filtered": filtered, "decoding": self._decodings[name],
+                                      "plane": output})
         return output
 
     def _leave(self, commands: CommandBuffer, frame: ResidentFrame, name: str,
@@ -423,13 +406,14 @@ class Layers:
         if name == ALPHA_LAYER:
             frame.set(Role.ALPHA, value)
             return
-        channels, is_depth = self._channels[name], self._kind(name) == DEPTH
-        if channels == value.shape[2] and not is_depth:
+        channels, are_distances = self._channels[name], self._kind(name).are_distances
+        if channels == value.shape[2] and not are_distances:
             frame.parts[name] = value
             return
         output = self._between(f"output {name}", channels)
-        commands.run(DECODE_ONE if channels == 1 else DECODE, "decode", filtered=value,
-                     plane=output, decoding=self._decodings[name] if is_depth else self._identity)
+        decoding = self._decodings[name] if are_distances else self._identity
+        run_steps(commands, DECODED, {"filtered": value, "decoding": decoding, "plane": output},
+                  frozenset({"single"} if channels == 1 else ()))
         frame.parts[name] = output
 
     def _finished(self, name: str) -> Tensor:
@@ -447,9 +431,9 @@ class Layers:
     def _is_light(self, name: str) -> bool:
         return name == WHOLE or (name in self._parts and self._parts[name].is_light)
 
-    def _kind(self, name: str) -> str:
+    def _kind(self, name: str) -> Kind:
         name = self._below.get(name, name)
-        return self._parts[name].kind if name in self._parts else "light"
+        return KINDS[self._parts[name].kind] if name in self._parts else LIGHT_KIND
 
 
 def _groups_of(parts: Sequence[Part]) -> list[Group]:
@@ -495,6 +479,12 @@ def mean_stops(light: np.ndarray) -> float | None:
     seen = rows[np.isfinite(rows)]
     total = float(seen.sum(dtype=np.float64))
     return float(np.log2(total / seen.size)) if total > 0 else None
+
+
+def _range_of(values: np.ndarray) -> tuple[float, float]:
+    """The least and largest finite value."""
+    finite = values[np.isfinite(values)]
+    return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
 
 
 def _completeness(frame: ResidentFrame, names: Sequence[str]) -> float:

@@ -1,31 +1,27 @@
 """Planes of a frame beside the network: stand-ins for those that it lacks or that are noise, planes
-that are only resampled, and the reactive mask; at the end the detail that the colour gets back,
-what alpha gets of its samples, and the blend with the input by strength.
-"""
+that are only resampled, and the reactive mask."""
 
 from __future__ import annotations
-
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 
 import numpy as np
 
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
-from postfx.kernels import Kernel
-from postfx.kernels.denoise import FARTHEST, NEAR_CELL, kernel
-from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
-from postfx.kernels.denoise.history import REACTIVE
-from postfx.kernels.denoise.output import DETAIL, JUDGE, RESTORE, STRENGTH, SUMS, TILE
-from postfx.kernels.denoise.prepare import DILATE
-from postfx.kernels.image import ENLARGE_OVERLAY, RESAMPLE, positions
-from postfx.kernels.partner import ENLARGE_MOTION
-from postfx.kernels.statistics import bounds_of_cells, coverage_noise
+from postfx.kernels.denoise import FARTHEST
+from postfx.kernels.image import positions
+from postfx.kernels.statistics import coverage_noise
 from postfx.passes import ResidentFrame
-from postfx.passes.denoise.history import LayerHistory
+from postfx.passes.denoise.graph import (
+    BLENDED,
+    MASKED,
+    ONE,
+    PASSED_ON,
+    RESAMPLED,
+    Each,
+    kernels_of,
+    run_steps,
+)
 from postfx.passes.denoise.options import ReactiveOption, Size
-from postfx.passes.denoise.tiling import Rows, full_rows, rows_of, tiles_with
 from postfx.runtime import CommandBuffer, Device, Tensor
-from postfx.sampling import three_by_three
 
 # Values of planes that a frame lacks at both sizes; networks are trained with the same values.
 ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0,
@@ -42,52 +38,53 @@ no longer does."""
 
 class Resampler:
     """Resizes a plane of every frame: cubic; depth by the nearest sample, so that misses do not mix
-    with hits; overlay colours limited by their coverage, for edges without halos.
+    with hits.
 
     The result is sampled at pixel centres plus `jitter`, in pixels of the result.
+
+    Attributes:
+        rows, columns: where the result's rows and columns lie in the image.
+        output: the result.
     """
 
     def __init__(self, device: Device, name: str, role: Role, size: Size, out_size: Size) -> None:
         self._size, self._out_size, self._nearest = size, out_size, role is Role.DEPTH
         new = device.heap.tensor
-        self._rows, self._columns = (new(f"{name} rows", out_size[:1]),
-                                     new(f"{name} columns", out_size[1:]))
+        self.rows = new(f"{name} rows", out_size[:1])
+        self.columns = new(f"{name} columns", out_size[1:])
         self._aimed: tuple[tuple[float, float], tuple[float, float]] | None = None
         self.output = device.heap.transient(name, (*out_size, ROLES[role].channels))
-        self._kernel = ENLARGE_OVERLAY if role is Role.OVERLAY else RESAMPLE
-        device.make_ready(self._kernel)
-
-    def encode(self, commands: CommandBuffer, label: str, image: Tensor,
-               jitter: tuple[float, float], out_jitter: tuple[float, float] = (0.0, 0.0)) -> Tensor:
-        """Record the work for an image whose samples are `jitter` of its own pixels off their
-        centres; returns the result."""
-        self.aim(jitter, out_jitter)
-        self.run(commands, label, image)
-        return self.output
+        device.make_ready(*kernels_of(RESAMPLED, over={"planes": ONE}))
 
     def aim(self, jitter: tuple[float, float],
             out_jitter: tuple[float, float] = (0.0, 0.0)) -> None:
         """Once a frame: its images have samples at these places."""
         if (jitter, out_jitter) == self._aimed:
             return
-        for axis, tensor in enumerate((self._rows, self._columns)):
+        for axis, tensor in enumerate((self.rows, self.columns)):
             size, out_size = self._size[axis], self._out_size[axis]
             shift = jitter[1 - axis] - out_jitter[1 - axis] * size / out_size
             at = positions(size, out_size, shift)
             tensor.upload(np.rint(at) if self._nearest else at)
         self._aimed = jitter, out_jitter
 
-    def run(self, commands: CommandBuffer, label: str, image: Tensor,
-            parts: Sequence[tuple[Tensor, Rows]] = ()) -> None:
-        """Record the work for an image, of several that are sampled at the same places.
+    def plane(self, image: Tensor, jitter: tuple[float, float],
+              out_jitter: tuple[float, float] = (0.0, 0.0)) -> Each:
+        """The plane to resample: an image whose samples are `jitter` of its own pixels off their
+        centres."""
+        self.aim(jitter, out_jitter)
+        return Each(buffers={"image": image, "rows": self.rows, "columns": self.columns,
+                             "output": self.output})
 
-        Args:
-            parts: rows to make, each in a tensor of the result's size; none: all rows, in `output`.
-        """
-        for output, rows in parts or [(self.output, (0, self._out_size.height))]:
-            if rows[0] < rows[1]:
-                commands.run(self._kernel, label, image=image, rows=rows_of(self._rows, rows),
-                             columns=self._columns, output=rows_of(output, rows))
+    def resample(self, commands: CommandBuffer, image: Tensor, output: Tensor | None = None,
+                 ) -> Tensor:
+        """Record the work on an image at the places that were aimed at; returns the result, which
+        no result of a network is mixed with."""
+        made = self.output if output is None else output
+        rows = Each(buffers={"plain": made, "plain_rows": self.rows})
+        run_steps(commands, BLENDED, {"colour": image, "plain_columns": self.columns},
+                  over={"rows": [rows]})
+        return made
 
 
 class Planes:
@@ -125,14 +122,15 @@ class Planes:
                 self._constants[f"guide_{role}"] = absent_plane(device, role, output)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame,
-               blank: bool = True) -> Mapping[str, Tensor]:
+               blank: bool = True) -> dict[str, Tensor]:
         """Record the resampling, if any; returns every plane by name. `blank`: where the frame
         shows a volume, depth and albedo are left out."""
-        for role, resampler in self._reduced.items():
-            resampler.encode(commands, "resample", frame.guides[role], frame.guide_jitter,
-                             frame.jitter)
-        for role, resampler in self._enlarged.items():
-            resampler.encode(commands, "resample", frame[role], frame.jitter, frame.guide_jitter)
+        moved = [resampler.plane(frame.guides[role], frame.guide_jitter, frame.jitter)
+                 for role, resampler in self._reduced.items()]
+        moved += [resampler.plane(frame[role], frame.jitter, frame.guide_jitter)
+                  for role, resampler in self._enlarged.items()]
+        if moved:
+            run_steps(commands, RESAMPLED, {}, over={"planes": moved})
         planes = {"colour": frame[Role.COLOUR]} | {name: frame[role]
                                                    for role, name in self._held.items()}
         planes |= {f"guide_{role}": frame.guides[role] for role in self._guides}
@@ -206,12 +204,19 @@ class ExpectedError:
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
         """Record what brings it to the output's size; returns the plane."""
         error = self.written["error"]
-        return (self._resampler.encode(commands, "error", error, frame.jitter) if self._resampler
-                else error)
+        if self._resampler is None:
+            return error
+        plane = self._resampler.plane(error, frame.jitter)
+        run_steps(commands, PASSED_ON, {}, over={"error": [plane]})
+        return self._resampler.output
 
 
 class LargerMotion:
-    """Brings motion to the output's size and pixels, each from the nearest render pixel."""
+    """Brings motion to the output's size and pixels, each from the nearest render pixel.
+
+    Attributes:
+        enlarged: the result.
+    """
 
     def __init__(self, device: Device, render: Size, output: Size) -> None:
         rows, columns = (positions(*sizes) for sizes in zip(render, output, strict=True))
@@ -219,18 +224,16 @@ class LargerMotion:
         arrays = {"rows": rows, "columns": columns, "ratio": ratio}
         self._places = {name: device.wrap(f"{name} of motion", array)
                         for name, array in arrays.items()}
-        self._enlarged = device.heap.transient("motion of the output", (*output, 2))
-        device.make_ready(ENLARGE_MOTION)
+        self.enlarged = device.heap.transient("motion of the output", (*output, 2))
 
-    def encode(self, commands: CommandBuffer, motion: Tensor) -> Tensor:
-        """Record the work; returns the motion."""
-        commands.run(ENLARGE_MOTION, "motion", motion=motion, enlarged=self._enlarged,
-                     **self._places)
-        return self._enlarged
+    def plane(self, motion: Tensor) -> Each:
+        """The plane to enlarge."""
+        return Each(buffers={"motion": motion, "enlarged": self.enlarged, **self._places})
 
 
 class Passthrough:
-    """Resamples alpha and overlay, from the frame's jittered samples to pixel centres.
+    """Resamples alpha and overlay, from the frame's jittered samples to pixel centres; overlay
+    colours limited by their coverage, for edges without halos.
 
     An overlay that is 0 everywhere, or whose pixels match the output's, is not resampled.
     """
@@ -244,12 +247,15 @@ class Passthrough:
         moves = Role.MOTION in passthrough_roles(spec)
         self._motion = LargerMotion(device, self._render, output) if moves else None
         self._nothing: Tensor | None = None
+        device.make_ready(*kernels_of(PASSED_ON, over=dict.fromkeys(passthrough_roles(spec), ONE)))
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         """Record the work; the frame's planes are then those of the output's size. Alpha that was
         already replaced is left alone."""
+        moved: dict[str, list[Each]] = {}
         if self._motion:
-            frame.set(Role.MOTION, self._motion.encode(commands, frame[Role.MOTION]))
+            moved[Role.MOTION] = [self._motion.plane(frame[Role.MOTION])]
+            frame.set(Role.MOTION, self._motion.enlarged)
         if Role.LATER in frame.guides:
             frame.set(Role.LATER, frame.guides[Role.LATER])
         if self._overlay_is_guide:
@@ -265,7 +271,10 @@ class Passthrough:
             elif role is Role.OVERLAY and self._size(role) == self._output and jitter == CENTRED:
                 frame.set(role, plane)
             else:
-                frame.set(role, resampler.encode(commands, str(role), plane, jitter))
+                moved[role] = [resampler.plane(plane, jitter)]
+                frame.set(role, resampler.output)
+        if moved:
+            run_steps(commands, PASSED_ON, {}, over=moved)
 
     def _source(self, role: Role, frame: ResidentFrame) -> tuple[Tensor, tuple[float, float]]:
         """A plane, and where its samples lie."""
@@ -291,281 +300,14 @@ class Reactive:
         if self._role is Role.OPAQUE_COLOUR:
             self._difference = device.heap.tensor("difference", (3,))
             self._output = device.heap.transient("reactive", (spec.height, spec.width, 1))
-            device.make_ready(REACTIVE)
-
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> dict[str, Tensor]:
-        """Record the work, if any; returns the mask by its name for the kernels, or an empty
-        mapping."""
-        if self._role is None:
-            return {}
-        if self._role is Role.REACTIVE:
-            return {"reactive": frame[Role.REACTIVE]}
-        self._difference.upload([frame.exposure_factor, self._option.scale, self._option.threshold])
-        commands.run(REACTIVE, "reactive", colour=frame[Role.COLOUR],
-                     opaque_colour=frame[Role.OPAQUE_COLOUR],
-                     difference=self._difference, reactive=self._output)
-        return {"reactive": self._output}
-
-
-# Samples a pixel: up to which no detail is looked for, that count once, and that count at most.
-NO_DETAIL_SAMPLES = 16
-FULL_EVIDENCE_SAMPLES = 64
-MOST_EVIDENCE_SAMPLES = 96
-PER_TILE = "judged", "sums", "detail"
-
-
-class Restore:
-    """For results of the input's size. Leaves frames alone that are known to have at most 16
-    samples a pixel, and jittered ones, whose samples do not lie where the result's pixels do."""
-
-    def __init__(self, device: Device, size: Size) -> None:
-        self._device = device
-        new, between = device.heap.tensor, device.heap.transient
-        tiles = -(-size.height // TILE), -(-size.width // TILE)
-        self._params, self._evidence = new("restore params", (4,)), new("evidence", (1,))
-        self._output = between("restored", (*size, 3))
-        self._judged, self._tiles = new("judged", (*tiles, 1)), tiles
-        self._rows, self._known = (0, size.height), np.zeros(tiles, bool)  # what 'judged' holds
-        self._tensors = {"params": self._params, "evidence": self._evidence,
-                         "sums": between("sums", (*tiles, SUMS)), "judged": self._judged,
-                         "detail": between("detail", (*tiles, 1)), "output": self._output}
-        device.make_ready(JUDGE, DETAIL, RESTORE)
-
-    def acts_on(self, frame: ResidentFrame) -> bool:
-        """Whether a frame may get detail back."""
-        return (frame.jitter == (0.0, 0.0)
-                and (frame.samples or FULL_EVIDENCE_SAMPLES) > NO_DETAIL_SAMPLES)
-
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
-               cells: np.ndarray | None = None) -> Tensor:
-        """Record the work on the frame's own colour and the denoised one in `rows`, of which tiles
-        with active `cells` are judged, without cells all; returns the colour."""
-        if not self.acts_on(frame):
-            return denoised
-        self._rows = rows
-        self._judge_only(np.ones(self._tiles, bool) if cells is None else tiles_with(cells))
-        self._params.upload([frame.exposure_factor, 0.0, 0.0, 0.0])
-        self._evidence.upload([min(frame.samples or FULL_EVIDENCE_SAMPLES, MOST_EVIDENCE_SAMPLES)
-                               / FULL_EVIDENCE_SAMPLES])
-        planes = {**self._tensors, "colour": frame[Role.COLOUR], "denoised": denoised}
-        for work in (JUDGE, DETAIL, RESTORE):
-            self._run(commands, work, planes)
-        return self._output
-
-    def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
-                    output: Tensor) -> Tensor:
-        """Record the same work on a part of the picture, after the picture itself: the part gets
-        back the same share."""
-        self._run(commands, RESTORE,
-                  {**self._tensors, "colour": noisy, "denoised": denoised, "output": output})
-        return output
-
-    def _run(self, commands: CommandBuffer, work: Kernel, tensors: Mapping[str, Tensor]) -> None:
-        commands.run(work, "restore", **{name: self._part_of(name, tensors[name])
-                                         for name in work.reads + work.writes})
-
-    def _judge_only(self, tiles: np.ndarray) -> None:
-        if not np.array_equal(tiles, self._known):
-            self._known = tiles
-            self._judged.upload(tiles[..., None].astype(np.float32))
-
-    def _part_of(self, name: str, tensor: Tensor) -> Tensor:
-        """The frame's rows of a tensor, or the rows of tiles that these are in."""
-        first, end = self._rows
-        if name in ("colour", "denoised", "output"):
-            return rows_of(tensor, self._rows)
-        return rows_of(tensor, (first // TILE, -(-end // TILE))) if name in PER_TILE else tensor
-
-
-FEW_SAMPLES, DRIFT_VARIANCE, SETTLED, LONGEST_ALPHA_FRAMES, RANDOM, SHARPER_ALPHA, BY_COLOUR = (
-    4, 1 / 32, 6, 16, 1 / 48, 0.4, 0.5
-)
-"""Samples a pixel of files that do not say. Variance, in units of a sample's, that a move adds to a
-mean of alpha; as how many samples filtered alpha counts; frames over which still alpha is averaged;
-variance in a sample's units that structure is compared with; how much sharper alpha is made that is
-twice as large; and the share of alpha that comes from colours where it has structure."""
-
-
-class Alpha:
-    """Brings filtered alpha nearer to a mean of its samples over the frames, which knows the
-    quarters of a pixel where things move by parts of one, and to the colours. Where alpha is 0 or 1
-    all around, there is nothing to do.
-
-    Attributes:
-        enlarged: where filtered alpha goes.
-    """
-
-    def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
-        self._scale = min(max(output.width / spec.width - 1, 0.0), 1.0)
-        new, between = device.heap.tensor, device.heap.transient
-        self._rates, self._gain = new("rates of alpha", (4,)), new("gain of alpha", (4,))
-        rows, columns = (device.wrap(name, np.arange(size, dtype=np.float32)) for name, size in
-                         (("alpha rows", spec.height), ("alpha columns", spec.width)))
-        moved = between("motion of alpha", (spec.height, spec.width, 2))
-        self._output, self.enlarged = (between("alpha", (*output, 1)),
-                                       between("enlarged alpha", (*output, 1)))
-        self._pixels = {"part_rows": rows, "part_columns": columns}
-        self._near = new("near alpha", (-(-spec.height // NEAR_CELL), -(-spec.width // NEAR_CELL)))
-        self._moved, self._finds_cells = moved, device.gpu is not None
-        self._fit = between("alpha by colours", (4, spec.height, spec.width))
-        device.make_ready(DILATE, GATHER, FIT, CORRECT, *(NEAR_ALPHA,) * self._finds_cells)
-
-    def gather(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
-               history: LayerHistory, keep: bool) -> dict[str, Tensor]:
-        """Record the work that adds a frame's own alpha to the mean; returns what filters read of
-        it. Jittered alpha does not lie where the pixels do, and counts for nothing but in its own
-        frame."""
-        samples, jittered = frame.samples or FEW_SAMPLES, frame.jitter != (0.0, 0.0)
-        if not self._finds_cells:
-            self._near.upload(near_cells(frame.host_planes[Role.ALPHA][..., 0]))
-        self._rates.upload([float(keep and not history.resized and not jittered), 1 / samples,
-                            DRIFT_VARIANCE, 1 / LONGEST_ALPHA_FRAMES])
-        self._gain.upload([0.0 if jittered else 1 / SETTLED, RANDOM / samples,
-                           0.0 if jittered else SHARPER_ALPHA * self._scale,
-                           0.0 if jittered else BY_COLOUR])
-        last, found = (quarters.view(quarters.name,
-                                     (2 * quarters.shape[0], 2 * quarters.shape[1], 1))
-                                 for quarters in (history.last["samples"], history.next["samples"]))
-        self._next = {"next_samples": found, "next_doubt": history.next["doubt"]}
-        commands.run(DILATE, "gather alpha", motion=planes[Role.MOTION], depth=planes[Role.DEPTH],
-                     moved=self._moved, **self._pixels)
-        if self._finds_cells:
-            commands.run(NEAR_ALPHA, "gather alpha", alpha=frame[Role.ALPHA], near=self._near)
-        commands.run(GATHER, "gather alpha", alpha=frame[Role.ALPHA], moved=self._moved,
-                     rates=self._rates,
-                     near=self._near, samples=last, doubt=history.last["doubt"], **self._next)
-        return {"next_samples": found, "near": self._near}
-
-    def correct(self, commands: CommandBuffer, picture: Tensor) -> Tensor:
-        """Record the work on alpha that was filtered and enlarged, given the picture that the
-        filters made; returns alpha."""
-        commands.run(FIT, "correct alpha", next_samples=self._next["next_samples"], picture=picture,
-                     near=self._near, fit=self._fit)
-        commands.run(CORRECT, "correct alpha", enlarged=self.enlarged, moved=self._moved,
-                     near=self._near, gain=self._gain, fit=self._fit, picture=picture,
-                     corrected=self._output, **self._next)
-        return self._output
-
-
-def near_cells(alpha: np.ndarray) -> np.ndarray:
-    """Cells of alpha (h, w): 2 where 3x3 of them are not all alike, 1 beside those, else 0."""
-    low, high = bounds_of_cells(alpha, NEAR_CELL)
-    differ = three_by_three(low, 1, np.minimum) != three_by_three(high, 1, np.maximum)
-    found: np.ndarray = differ + three_by_three(differ, 1, np.maximum).astype(np.float32)
-    return found
-
-
-def near_rows(y0: int, y1: int, alpha: np.ndarray, near: np.ndarray) -> None:
-    """What the kernel below computes. No device runs it: elsewhere the host looks at alpha, which
-    is its own."""
-    near[y0:y1] = near_cells(alpha[..., 0])[y0:y1]
-
-
-NEAR_ALPHA = kernel("near", ("alpha",), ("near",), near_rows, ("near", 0), alpha=("h", "w", 1),
-                    near=("alpha_h", "alpha_w"))
-"""Cells where alpha is worked on, on a GPU."""
-
-
-class Plain:
-    """The input resampled to output size, at pixel centres, in linear light, without overshooting
-    its samples."""
-
-    def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
-        self._resampler = Resampler(device, "plain", Role.COLOUR, Size(spec.height, spec.width),
-                                    output)
-        self.output = self._resampler.output
+            device.make_ready(*kernels_of(MASKED))
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
-        """Record the work; returns the colour at output size."""
-        return self._resampler.encode(commands, "plain", frame[Role.COLOUR], frame.jitter)
-
-    def aim(self, frame: ResidentFrame) -> None:
-        """Once a frame: its colour has samples at these places."""
-        self._resampler.aim(frame.jitter)
-
-    def run(self, commands: CommandBuffer, colour: Tensor,
-            parts: Sequence[tuple[Tensor, Rows]] = ()) -> None:
-        """Record the work, for some rows of some tensors if `parts` are given."""
-        self._resampler.run(commands, "plain", colour, parts)
-
-
-class Strength:
-    """Blends from the input to the result by `amount`, times the plane `strength` if the frame has
-    one."""
-
-    def __init__(self, device: Device, spec: FrameSpec, output: Size, amount: float) -> None:
-        self.plain = Plain(device, spec, output)
-        self._in_place = device.runs_rows
-        self._output, self._copy = (device.heap.transient(name, (*output, 3))
-                                    for name in ("blend", "denoised rows"))
-        self._is_whole = amount == 1
-        self._amount = device.wrap("amount", np.full(1, amount, np.float32))
-        device.make_ready(STRENGTH)
-        render, held = Size(spec.height, spec.width), spec.has(Role.STRENGTH)
-        self._plane = Resampler(device, "strength", Role.STRENGTH, render, output) if held else None
-        self._strength = self._plane.output if self._plane else device.wrap(
-            "full strength", np.ones((*output, 1), np.float32))
-
-    def begin(self, frame: ResidentFrame, rows: Rows) -> dict[str, Tensor]:
-        """Where the denoised picture should go: to the result, as 'output', if most of its rows are
-        denoised fully, so that these are neither blended nor copied."""
-        plane = frame.host_planes.get(Role.STRENGTH) if self._is_whole and self._in_place else None
-        if plane is None:
-            return {}
-        first, end = self._full = full_rows(plane, positions(len(plane), self._output.shape[0],
-                                                             frame.jitter[1]), rows)
-        return {"output": self._output} if 2 * (end - first) > rows[1] - rows[0] else {}
-
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
-               unblended: Callable[[], None]) -> Tensor:
-        """Record the blend of the frame's own colour with the denoised one in `rows`, all others
-        have no strength; returns the colour. If the strength is 1 everywhere, that is the denoised
-        one, and `unblended` is told."""
-        if self.is_full(frame):
-            unblended()
-            return denoised
-        colour, strength = frame[Role.COLOUR], frame[Role.STRENGTH] if self._plane else None
-        full = self._full if denoised is self._output else (rows[1], rows[1])
-        self.plain.aim(frame)
-        if self._plane:
-            self._plane.aim(frame.jitter)
-        commands.repeat((self, colour, strength, denoised, rows, full),
-                        partial(self._record, commands, colour, strength, denoised, rows, full))
+        """Record the work, if any; returns the mask."""
+        if self._role is Role.REACTIVE:
+            return frame[Role.REACTIVE]
+        self._difference.upload([frame.exposure_factor, self._option.scale, self._option.threshold])
+        run_steps(commands, MASKED, {
+            "colour": frame[Role.COLOUR], "opaque_colour": frame[Role.OPAQUE_COLOUR],
+            "difference": self._difference, "reactive": self._output})
         return self._output
-
-    def _record(self, commands: CommandBuffer, colour: Tensor, strength: Tensor | None,
-                denoised: Tensor, rows: Rows, full: Rows) -> None:
-        blended, others = ([(rows[0], full[0]), (full[1], rows[1])],
-                           [(0, rows[0]), (rows[1], self._output.shape[0])])
-        self.plain.run(commands, colour, [*((self.plain.output, some) for some in blended),
-                                          *((self._output, some) for some in others)])
-        if self._plane and strength:
-            self._plane.run(commands, "strength", strength,
-                            [(self._strength, some) for some in blended])
-        if denoised is self._output:
-            self._blend(commands, denoised, denoised, self._copy, *blended)  # with itself
-            denoised = self._copy
-        self._blend(commands, self.plain.output, denoised, self._output, *blended)
-
-    def _blend(self, commands: CommandBuffer, plain: Tensor, denoised: Tensor, output: Tensor,
-               *parts: Rows) -> None:
-        tensors = {"plain": plain, "denoised": denoised, "strength": self._strength,
-                   "output": output}
-        for rows in (some for some in parts if some[0] < some[1]):
-            commands.run(STRENGTH, "strength", amount=self._amount, **{
-                name: rows_of(tensor, rows) for name, tensor in tensors.items()})
-
-    def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
-                    rows: Rows, plain: Resampler, output: Tensor) -> Tensor:
-        """Record the same work on a part of the picture, after the picture itself; `plain`
-        resamples parts."""
-        others = (output, (0, rows[0])), (output, (rows[1], output.shape[0]))
-        plain.run(commands, "strength", noisy, [(plain.output, rows), *others])
-        self._blend(commands, plain.output, denoised, output, rows)
-        return output
-
-    def is_full(self, frame: ResidentFrame) -> bool:
-        """Whether a frame is denoised fully everywhere, although it has a plane that could say
-        otherwise."""
-        strength = frame.host_planes.get(Role.STRENGTH) if self._is_whole else None
-        return strength is not None and bool((strength >= 1).all())

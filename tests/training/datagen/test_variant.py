@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 from training.datagen.variant import llvm_fault, use_variant
@@ -28,3 +32,13 @@ def test_it_is_refused_before_anything_is_rendered(monkeypatch: pytest.MonkeyPat
         use_variant("llvm_ad_rgb")
     if before:  # what other tests rely on
         mitsuba.set_variant(before)
+
+
+def test_one_that_is_not_there_is_told_without_a_traceback() -> None:
+    """After what Dr.Jit itself writes."""
+    pytest.importorskip("mitsuba")
+    lines = "from training.datagen.variant import use_variant; use_variant('llvm_ad_rgb')"
+    done = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True,
+                          env=os.environ | {"DRJIT_LIBLLVM_PATH": "/nowhere/libLLVM.so"})
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert done.stderr.splitlines()[-1].startswith("error: no libLLVM is there: install libLLVM 19")

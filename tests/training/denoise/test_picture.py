@@ -32,7 +32,8 @@ from training.denoise.picture import (
 )
 from training.denoise.train import parse, rate_groups
 
-SMALL = PictureConfig(down=(8, 8, 8, 8, 8), up=(8, 8, 8, 8), last=8, gated=True)
+SMALL = PictureConfig(down=(8, 8, 8, 8, 8), up=(8, 8, 8, 8), last=8, gated=True,
+                      detailed=True)
 SIZE = 40, 56
 EXPOSURE_STOPS = 1.0
 JITTER = 0.25, -0.125
@@ -170,6 +171,26 @@ def test_an_open_gate_reads_the_history_instead_of_the_noise():
         colour = guided[:, :3] + network.mixed_in(guided, further, known)
     torch.testing.assert_close(colour[..., 8:], further[:, ACCUMULATED:HISTORY, :, 8:])
     torch.testing.assert_close(colour[..., :8], guided[:, :3, :, :8])
+
+
+def test_detail_that_the_picture_lost_comes_from_the_albedo():
+    """A texture of single pixels in even light, from a picture without it; the first weights keep
+    the picture nearly as it is."""
+    torch.manual_seed(1)
+    network = PictureNetwork(SMALL)
+    albedo = torch.where(torch.rand(1, 1, 24, 24) < 0.5, 0.1, 0.7).expand(1, 3, 24, 24)
+    light = 2.0 * albedo
+    guided = torch.cat((encode(light), albedo, torch.rand(1, 3, 24, 24)), 1)
+    smooth = encode(torch.nn.functional.avg_pool2d(light, 5, 1, 2, count_include_pad=False))
+    known = torch.rand(1, SMALL.beside[0], 24, 24)
+    with torch.no_grad():
+        kept = decode(network.with_detail(smooth, guided, known))
+        network.detail.bias.fill_(20.0)
+        found = decode(network.with_detail(smooth, guided, known))
+    torch.testing.assert_close(kept, decode(smooth), rtol=0.05, atol=0.01)
+    inner = slice(4, -4)
+    assert (found - light)[..., inner, inner].abs().mean() < 0.15 * light.mean()
+    assert (kept - light)[..., inner, inner].abs().mean() > 0.5 * light.mean()
 
 
 def test_it_keeps_the_size(denoiser):

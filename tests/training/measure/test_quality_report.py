@@ -12,6 +12,7 @@ import pytest
 Image = pytest.importorskip("PIL.Image", reason="needs the extra 'train'")
 
 from postfx.bench import report  # noqa: E402
+from tests.conftest import REPOSITORY  # noqa: E402
 from tests.training.measure.quality_results import bench, comparison, method  # noqa: E402
 from training.measure.quality_report import document  # noqa: E402
 from training.measure.quality_report.__main__ import MAKERS, main  # noqa: E402
@@ -170,6 +171,19 @@ def test_views_and_networks(tmp_path, results):
              "18.5"]
     assert networks == [[name, *facts]
                         for name in ("postfx m", "postfx m at 1x", "postfx m with guides")]
+
+
+def test_the_shipped_networks_have_a_table(tmp_path, results, capsys):
+    """Also those that give the picture; printed, for `training.measure.record`."""
+    doc = tmp_path / "doc.md"
+    doc.write_text("<!-- table: networks -->\nold\n<!-- end -->\n")
+    models = REPOSITORY / "models"
+    assert main([str(results), "--doc", str(doc), "--models", str(models), "--print"]) == 0
+    told = capsys.readouterr().out
+    tags = [json.loads(path.read_text())["tag"] for path in models.glob("denoise_upscale.*.json")]
+    whole = [tag for tag in tags if not {"int8", "fp16"} & {*tag.split(".")}]
+    assert len(cells(told.partition("\n\n")[2])) == 1 + len(whole) and "down 32/" in told
+    assert doc.read_text() == "<!-- table: networks -->\nold\n<!-- end -->\n"
 
 
 def test_what_is_missing_stays_and_is_named(tmp_path, results, capsys):

@@ -1,7 +1,7 @@
 """Write measurements into docs/lab/quality.md: its tables and pictures.
 
 python -m training.measure.quality_report RESULTS [--doc docs/lab/quality.md] \\
-    [--images docs/images/quality] [--check]
+    [--images docs/images/quality] [--check | --print]
 
 RESULTS holds the output of these commands:
 
@@ -33,7 +33,8 @@ their order:
     picture FILE WORDS...          RESULTS/FILE, reduced, with WORDS as alternative text
 
 A block with missing data stays unchanged and is named on standard error. --check writes nothing and
-ends with 1 if a block or a picture is out of date.
+ends with 1 if a block or a picture is out of date. --print writes nothing and prints the tables: so
+`training.measure.record` can keep what a page's figures are from.
 """
 
 from __future__ import annotations
@@ -65,8 +66,10 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--images", type=Path, default=REPOSITORY / "docs/images/quality")
     parser.add_argument("--models", type=Path, default=REPOSITORY / "models",
                         help="folder of the networks' cards")
-    parser.add_argument("--check", action="store_true",
-                        help="write nothing; only check that everything is up to date")
+    only = parser.add_mutually_exclusive_group()
+    only.add_argument("--check", action="store_true",
+                      help="write nothing; only check that everything is up to date")
+    only.add_argument("--print", action="store_true", help="write nothing; print the tables")
     return parser.parse_args(argv)
 
 
@@ -93,7 +96,8 @@ def report(args: argparse.Namespace) -> int:
     parts = parse(text, args.doc, {*MAKERS, "picture"})
     results, album = Results(args.results, args.models), Album(args.images, args.doc.parent)
     made: dict[int, str] = {}
-    for block in [part for part in parts if isinstance(part, Block)]:
+    blocks = [part for part in parts if isinstance(part, Block)]
+    for block in blocks:
         try:
             made[block.line] = make(block, results, album)
         except Missing as missing:
@@ -101,9 +105,12 @@ def report(args: argparse.Namespace) -> int:
         except ReportError as error:
             raise ReportError(f"{args.doc}:{block.line}: {error}") from error
     album.check_size()
+    if args.print:
+        print("\n".join(f"{block.title}\n\n{made[block.line]}" for block in blocks
+                        if block.line in made and block.name != "picture"), end="")
+        return 0
     if args.check:
-        old = [part for part in parts
-               if isinstance(part, Block) and made.get(part.line, part.text) != part.text]
+        old = [block for block in blocks if made.get(block.line, block.text) != block.text]
         stale = [f"{args.doc}:{block.line} '{block.title}'" for block in old] + album.stale()
         print("\n".join(f"out of date: {what}" for what in stale) or "up to date")
         return 1 if stale else 0

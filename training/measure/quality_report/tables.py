@@ -312,14 +312,20 @@ def networks(results: Results) -> str:
         length = (f"{training['steps']} of {training['batch']} windows, {training['minutes']:.0f} "
                   "minutes")
         length += f", {training['gpus']} GPU{'s' if training['gpus'] > 1 else ''}"
-        stem = [f"stem {config['stem']}"] if "stem" in config and config["stem"] else []
-        channels = ", ".join([*stem, "/".join(map(str, config["widths"]))])
-        rows.append([f"postfx {name}", channels, str(config["depth"]),
+        rows.append([f"postfx {name}", _channels(config), str(config.get("depth", "")),
                      f"{card['parameters'] / 1e6:.2f} M", length, str(training["clips"]),
                      f"{training['validation_psnr']:.2f} dB",
                      f"{1000 * training['validation_flicker']:.1f}"])
     return table(["network", "channels", "convolutions a level", "parameters", "steps", "clips",
                   "held-out clips: PSNR", "flicker"], rows)
+
+
+def _channels(config: Facts) -> str:
+    """Channels by level; those of networks that give the picture differ on the way down and up."""
+    if config.get("picture"):
+        return ", ".join(f"{way} {'/'.join(map(str, config[way]))}" for way in ("down", "up"))
+    stem = [f"stem {config['stem']}"] if config.get("stem") else []
+    return ", ".join([*stem, "/".join(map(str, config["widths"]))])
 
 
 def _told(method: str) -> str:

@@ -1,0 +1,170 @@
+"""What the picture gets behind the windows, and its parts with it: the detail that it lost, and the
+blend with the input by strength."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from postfx.frame import FrameSpec, Role
+from postfx.kernels.denoise.output import SUMS, TILE
+from postfx.kernels.image import positions
+from postfx.passes import ResidentFrame
+from postfx.passes.denoise.graph import BLENDED, NO_WORDS, RESTORED, Each, kernels_of, run_steps
+from postfx.passes.denoise.options import Size
+from postfx.passes.denoise.planes import Resampler
+from postfx.passes.denoise.tiling import Rows, full_rows, rows_of, tiles_with
+from postfx.runtime import CommandBuffer, Device, Tensor
+
+NO_DETAIL_SAMPLES = 16
+"""Samples a pixel up to which no detail is looked for."""
+FULL_EVIDENCE_SAMPLES = 64
+"""Samples a pixel that count once."""
+MOST_EVIDENCE_SAMPLES = 96
+"""Samples a pixel that count at most."""
+PER_PIXEL = ("colour", "denoised", "output")
+"""Buffers of restored detail that have the frame's rows."""
+PER_TILE = ("judged", "sums", "detail")
+"""Buffers of it that have rows of tiles."""
+
+
+class Restore:
+    """Gives results of the input's size back what was detail in what the network removed."""
+
+    def __init__(self, device: Device, size: Size) -> None:
+        self._device = device
+        new, between = device.heap.tensor, device.heap.transient
+        tiles = -(-size.height // TILE), -(-size.width // TILE)
+        self._params, self._evidence = new("restore params", (4,)), new("evidence", (1,))
+        self._output = between("restored", (*size, 3))
+        self._judged, self._tiles = new("judged", (*tiles, 1)), tiles
+        self._rows, self._known = (0, size.height), np.zeros(tiles, bool)  # what 'judged' holds
+        self._tensors = {"params": self._params, "evidence": self._evidence,
+                         "sums": between("sums", (*tiles, SUMS)), "judged": self._judged,
+                         "detail": between("detail", (*tiles, 1)), "output": self._output}
+        device.make_ready(*kernels_of(RESTORED))
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
+               cells: np.ndarray | None = None) -> Tensor:
+        """Record the work on the frame's own colour and the denoised one in `rows`, of which tiles
+        with active `cells` are judged, without cells all; returns the colour."""
+        self._rows = rows
+        self._judge_only(np.ones(self._tiles, bool) if cells is None else tiles_with(cells))
+        self._params.upload([frame.exposure_factor, 0.0, 0.0, 0.0])
+        self._evidence.upload([min(frame.samples or FULL_EVIDENCE_SAMPLES, MOST_EVIDENCE_SAMPLES)
+                               / FULL_EVIDENCE_SAMPLES])
+        planes = {**self._tensors, "colour": frame[Role.COLOUR], "denoised": denoised}
+        run_steps(commands, RESTORED, self._in_rows(planes))
+        return self._output
+
+    def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
+                    output: Tensor) -> Tensor:
+        """Record the same work on a part of the picture, after the picture itself: the part gets
+        back the same share."""
+        planes = {**self._tensors, "colour": noisy, "denoised": denoised, "output": output}
+        run_steps(commands, RESTORED, self._in_rows(planes), frozenset({"part"}))
+        return output
+
+    def _judge_only(self, tiles: np.ndarray) -> None:
+        if not np.array_equal(tiles, self._known):
+            self._known = tiles
+            self._judged.upload(tiles[..., None].astype(np.float32))
+
+    def _in_rows(self, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The frame's rows of tensors, or the rows of tiles that these are in."""
+        first, end = self._rows
+        tiles = first // TILE, -(-end // TILE)
+        return {name: rows_of(tensor, self._rows) if name in PER_PIXEL
+                else rows_of(tensor, tiles) if name in PER_TILE else tensor
+                for name, tensor in tensors.items()}
+
+
+class Strength:
+    """Blends from the input, which `plain` resamples, to the result by `amount`, times the plane
+    `strength` if the frame has one."""
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size, amount: float,
+                 plain: Resampler) -> None:
+        render, held = Size(spec.height, spec.width), spec.has(Role.STRENGTH)
+        self._plain = plain
+        self._in_place = device.runs_rows
+        self._output, self._copy = (device.heap.transient(name, (*output, 3))
+                                    for name in ("blend", "denoised rows"))
+        self._is_whole = amount == 1
+        self._amount = device.wrap("amount", np.full(1, amount, np.float32))
+        device.make_ready(*kernels_of(BLENDED, over={"rows": [Each(frozenset({"mixed"}))]}))
+        self._plane = Resampler(device, "strength", Role.STRENGTH, render, output) if held else None
+        self._strength = self._plane.output if self._plane else device.wrap(
+            "full strength", np.ones((*output, 1), np.float32))
+
+    def begin(self, frame: ResidentFrame, rows: Rows) -> dict[str, Tensor]:
+        """Where the denoised picture should go: to the result, as 'output', if most of its rows are
+        denoised fully, so that these are neither blended nor copied."""
+        plane = frame.host_planes.get(Role.STRENGTH) if self._is_whole and self._in_place else None
+        if plane is None:
+            return {}
+        first, end = self._full = full_rows(plane, positions(len(plane), self._output.shape[0],
+                                                             frame.jitter[1]), rows)
+        return {"output": self._output} if 2 * (end - first) > rows[1] - rows[0] else {}
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor,
+               rows: Rows) -> Tensor:
+        """Record the blend of the frame's own colour with the denoised one in `rows`, all others
+        have no strength; returns the colour. Not for frames whose strength `is_full`."""
+        colour, strength = frame[Role.COLOUR], frame[Role.STRENGTH] if self._plane else None
+        full = self._full if denoised is self._output else (rows[1], rows[1])
+        self._plain.aim(frame.jitter)
+        if self._plane:
+            self._plane.aim(frame.jitter)
+        commands.repeat((self, colour, strength, denoised, rows, full),
+                        partial(self._record, commands, colour, strength, denoised, rows, full))
+        return self._output
+
+    def _record(self, commands: CommandBuffer, colour: Tensor, strength: Tensor | None,
+                denoised: Tensor, rows: Rows, full: Rows) -> None:
+        words = {"mixed"}
+        pictures = {"denoised": denoised, "output": self._output}
+        if denoised is self._output:
+            words |= {"in_place"}
+            pictures |= {"denoised": self._copy, "result": denoised}
+        if self._plane and strength:
+            words |= {"varied"}
+            pictures["strength_rows"] = self._plane.rows
+            given = {"strength_plane": strength, "strength_columns": self._plane.columns}
+        else:
+            given = {}
+        self._blend(commands, self._plain, {**given, "colour": colour}, pictures,
+                    [(rows[0], full[0]), (full[1], rows[1])], rows, frozenset(words))
+
+    def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
+                    rows: Rows, plain: Resampler, output: Tensor) -> Tensor:
+        """Record the same work on a part of the picture, after the picture itself; `plain`
+        resamples parts."""
+        self._blend(commands, plain, {"colour": noisy}, {"denoised": denoised, "output": output},
+                    [rows], rows, frozenset({"mixed"}))
+        return output
+
+    def _blend(self, commands: CommandBuffer, plain: Resampler, given: Mapping[str, Tensor],
+               pictures: Mapping[str, Tensor], mixed: Sequence[Rows], rows: Rows,
+               words: frozenset[str]) -> None:
+        """Record the work on `pictures`, whose rows that are `mixed` are some of `rows`; beyond
+        these lies the input alone."""
+        output = pictures["output"]
+        between = {**pictures, "plain": plain.output, "plain_rows": plain.rows,
+                   "strength": self._strength}
+        alone = {"plain": output, "plain_rows": plain.rows}
+        over = [Each(kind, {name: rows_of(tensor, some) for name, tensor in tensors.items()})
+                for kind, tensors, ranges in (
+                    (words, between, mixed),
+                    (NO_WORDS, alone, [(0, rows[0]), (rows[1], output.shape[0])]))
+                for some in ranges if some[0] < some[1]]
+        run_steps(commands, BLENDED, {**given, "plain_columns": plain.columns,
+                                      "amount": self._amount}, over={"rows": over})
+
+    def is_full(self, frame: ResidentFrame) -> bool:
+        """Whether a frame is denoised fully everywhere, although it has a plane that could say
+        otherwise."""
+        strength = frame.host_planes.get(Role.STRENGTH) if self._is_whole else None
+        return strength is not None and bool((strength >= 1).all())
