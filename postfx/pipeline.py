@@ -176,7 +176,7 @@ class Pipeline:
                              "single picture")
         try:
             # planes may have been put into it since it was made
-            with lend(self.device.lent):
+            with lend(self.device.divide_planes):
                 return self._process(frame.copy_with(check=True, metadata=dict(frame.metadata)))
         except BaseException:
             self._reset_passes()

@@ -17,17 +17,20 @@ INFINITY_BITS = 0x7F800000
 """The bits of an infinite float32; those of NaN, without the sign, are larger."""
 LARGEST_HALF = 65504
 """The largest number that a half float holds."""
+LARGEST_FLOAT = float(np.finfo(np.float32).max)
+"""The largest number that a float holds."""
 WORTH = 1 << 20
 """Bytes to look at or to copy that are worth another thread."""
 
-Divide = Callable[[Callable[[int, int], None], int], None]
+Divide = Callable[[Callable[[int, int], None], int, int], None]
+"""`divide(rows, count, nbytes)` runs `rows(first, last)` over 0 to count - 1, in several threads or
+in pieces that fit a memory budget. nbytes: of what all of it reads."""
 _lent: ContextVar[Divide | None] = ContextVar("divide", default=None)
 
 
 @contextmanager
 def lend(divide: Divide | None) -> Iterator[None]:
-    """Let `share` divide work by `divide(rows, count)`, which runs `rows(first, last)` in several
-    threads."""
+    """Let `share` divide work by `divide`."""
     token = _lent.set(divide)
     try:
         yield
@@ -36,13 +39,31 @@ def lend(divide: Divide | None) -> Iterator[None]:
 
 
 def share(rows: Rows, count: int, *arrays: np.ndarray) -> None:
-    """Run `rows(first, last, *arrays)` over rows 0 to count - 1, on the threads that are lent if it
-    is worth that. The first array is by far the largest."""
+    """Run `rows(first, last, *arrays)` over rows 0 to count - 1, divided as a pipeline lends it if
+    it is worth that. The first array is by far the largest."""
     divide = _lent.get()
     if divide is None or arrays[0].nbytes < 2 * WORTH:
         rows(0, count, *arrays)
     else:
-        divide(rows.bind(arrays), count)
+        divide(rows.bind(arrays), count, arrays[0].nbytes)
+
+
+def sampled(plane: np.ndarray, down: int, across: int, first: int = 0) -> np.ndarray:
+    """Every so many rows and columns of a plane (height, width, channels), from the `first` of both
+    on; a copy. It is divided like other work: a file's pages come into memory many at a time, so
+    that a few rows take as much of it as all."""
+    chosen = plane[first::down, first::across]
+    found = np.empty_like(chosen)
+
+    def copy(begin: int, end: int) -> None:
+        found[begin:end] = chosen[begin:end]
+
+    divide = _lent.get()
+    if divide is None or not found.size or plane.nbytes < 2 * WORTH:
+        copy(0, len(found))
+    else:
+        divide(copy, len(found), plane.nbytes)
+    return found
 
 
 copy_pieces = Rows("copy_pieces")

@@ -19,6 +19,7 @@ import numpy as np
 
 from postfx.colour import luminance
 from postfx.frame import Role
+from postfx.planes import sampled
 
 REPEAT_SIDE_PX = 12  # pixels of a square
 
@@ -186,7 +187,8 @@ class FrameMemory:
 
         The first plane is the one whose pixels are looked at.
         """
-        some = next(iter(planes.values()))[::SAMPLED_PIXEL_STEP, ::SAMPLED_PIXEL_STEP].tobytes()
+        some = sampled(next(iter(planes.values())), SAMPLED_PIXEL_STEP,
+                       SAMPLED_PIXEL_STEP).tobytes()
         before, self._some = self._some, some
         if some != before or facts != self._facts:
             self._facts, self._planes = facts, None

@@ -257,6 +257,14 @@ class Scratch:
             return np.empty(shape, dtype)
         return np.frombuffer(self.map_file(nbytes), dtype, math.prod(shape)).reshape(shape)
 
+    def full(self, shape: tuple[int, ...], value: float) -> np.ndarray:
+        """An array of float32 of one value. A new file is 0 and needs no writing."""
+        found = self.empty(shape)
+        if value or found.base is None:
+            for first, last in self.pieces(len(found), found[0].nbytes):
+                found[first:last] = value
+        return found
+
     def map_file(self, nbytes: int) -> mmap.mmap:
         """A temporary file of zeros; it is gone when nothing refers to its mapping."""
         try:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import mmap
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,12 +13,14 @@ import pytest
 from postfx import Device, Frame, Pipeline, Role
 from postfx.errors import MemoryBudgetError
 from postfx.frame import ROLES
+from postfx.kernels.statistics import block_means, half_means, light_outside
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.models import seamless
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.planes import ABSENT, absent_plane
 from postfx.passes.denoise.tiling import Sizes, bands_within
 from postfx.passes.tonemap import ToneMap
+from postfx.planes import largest_bits_of, lend, sampled
 from postfx.runtime import DeviceError, device
 from postfx.system import Scratch, parse_size
 from tests.passes.denoise_frames import noisy
@@ -66,6 +70,44 @@ def test_tensors_beyond_the_budget_take_no_memory() -> None:
     place.memory.relax()
     assert resident() - before < 32 << 20
     assert [int(tensor.array[-1]) for tensor in tensors] == list(range(6))
+
+
+@pytest.mark.parametrize("can_clear", [True, False])
+def test_tensors_of_zeros_are_not_written(can_clear: bool,
+                                          monkeypatch: pytest.MonkeyPatch) -> None:
+    """A picture of 15360x8640 wrote 20 GB of them before its first tile."""
+    if not can_clear:
+        monkeypatch.delattr(mmap, "MADV_REMOVE")
+    place = Device("cpu", memory="64M")
+    tensors = [place.heap.tensor(f"tensor {i}", (1234, 999)) for i in range(3)]
+    for tensor, value in zip(tensors, (1, 2, 3), strict=True):
+        tensor.fill(value)
+    written: list[tuple[int, int]] = []
+    pieces = place.scratch.pieces
+    monkeypatch.setattr(place.scratch, "pieces",
+                        lambda *args: written.append(args) or pieces(*args))
+    tensors[1].fill(0)
+    assert (not written) == can_clear
+    for tensor, value in zip(tensors, (1, 0, 3), strict=True):
+        assert tensor.array.min() == value == tensor.array.max()
+
+
+@pytest.mark.parametrize("look", [
+    lambda plane: half_means(plane, 16), lambda plane: block_means(plane, 16), largest_bits_of,
+    lambda plane: sampled(plane, 16, 16, 8), light_outside,
+])
+def test_looking_at_a_whole_plane_takes_no_memory(look: Callable[[np.ndarray], object]) -> None:
+    """Finding cuts and metering held all of a picture of 15360x8640 at once, 1.5 GiB of it."""
+    place = Device("cpu", memory="256M")
+    plane = place.scratch.empty((2048, 4096, 3))
+    for first, last in place.scratch.pieces(len(plane), plane[0].nbytes):
+        plane[first:last] = np.arange(first, last)[:, None, None]
+    wanted, before = look(plane), resident()
+    place.memory.relax()
+    with lend(place.divide_planes):
+        found = look(plane)
+    assert resident() < before - plane.nbytes // 2
+    np.testing.assert_array_equal(found, wanted)
 
 
 def test_planes_that_a_frame_lacks_take_no_memory() -> None:

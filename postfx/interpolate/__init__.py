@@ -53,7 +53,13 @@ from postfx.interpolate.timing import (
     keep_sparks,
     settle_sparks,
 )
-from postfx.interpolate.ways import Ways, compare_ways
+from postfx.interpolate.ways import (
+    FLOW_HANDICAP,
+    Ways,
+    compare_ways,
+    foretelling_error,
+    shares_of,
+)
 from postfx.motion.flow import (
     bring_to_time,
     consistent_motion,
@@ -288,9 +294,7 @@ class Between:
     @cached_property
     def _small(self) -> tuple[np.ndarray, np.ndarray]:
         """The grey pictures at one pixel a cell."""
-        first, last = (halve(toned, MARGIN) if self._scale == 2 else
-                       np.ascontiguousarray(toned[MARGIN:-MARGIN, MARGIN:-MARGIN])
-                       for toned in self._toned)
+        first, last = (_at_cells(toned, self._scale) for toned in self._toned)
         return first, last
 
     @cached_property
@@ -354,9 +358,45 @@ class Between:
     def _share_of_mean(self) -> float:
         """How much the mean of both frames counts, 0 to 1: all where one of them is black, as
         nothing shows how its light changed."""
-        if not all(picture.any() for picture in self._pictures):
+        if not self._all_lit:
             return 1.0
         return 0.0 if self._ways is None else self._ways.share_of_mean
+
+    @property
+    def _all_lit(self) -> bool:
+        return all(picture.any() for picture in self._pictures)
+
+    @cached_property
+    def _without_vectors(self) -> Between:
+        """The same time by estimated motion alone."""
+        frames = [replace(frame, views={}, planes={
+            role: plane for role, plane in frame.planes.items()
+            if role not in (Role.MOTION, Role.DEPTH)}) for frame in (self.before, self.after)]
+        return Between(*frames, **self._options)
+
+    @cached_property
+    def _shares(self) -> tuple[float, float, float] | None:
+        """How much the picture by vectors, the one by estimated motion and the mean of both frames
+        count, where the mean would count and a frame beside the two shows more; None elsewhere."""
+        ways = self._ways
+        if ways is None or not self._all_lit or not ways.share_of_mean:
+            return None
+        row = [self.before, self.after]
+        if self._earlier is not None and not self.before.reset:
+            row.insert(0, self._earlier)
+        if self._later is not None and not self._later.reset:
+            row.append(self._later)
+        if len(row) == 2 or any(frame[Role.COLOUR].shape[:2] != self._size for frame in row):
+            return None
+        other = self._without_vectors
+        shown = [_at_cells(tone(_finite(frame[Role.COLOUR]), self._level, MARGIN), self._scale)
+                 for frame in row]
+        motion, _ = self._cells_of(self.after)
+        flow = other._enlarge(other._estimated[1])
+        errors = [foretelling_error(shown, way)
+                  for way in (flow, np.zeros_like(flow), *([motion] if ways.vectors_fit else ()))]
+        flowing, mean, *given = shares_of([FLOW_HANDICAP * errors[0], *errors[1:]])
+        return (given[0] if given else 0.0), flowing, mean
 
     @cached_property
     def _has_depth(self) -> bool:
@@ -508,7 +548,6 @@ class Between:
                      previous: float) -> tuple[dict[Role, np.ndarray], dict[str, np.ndarray]]:
         """Planes and parts at a time."""
         before, after = self.before, self.after
-        cells, own, marks = self._choose(t)
         shared = [name for name, part in before.parts.items()
                   if name in after.parts and part.shape == after.parts[name].shape]
         exact = [name for name in shared
@@ -523,15 +562,8 @@ class Between:
         stacks = [(stack_planes([pair[0] for pair in group.values()], self._size),
                    stack_planes([pair[1] for pair in group.values()], self._size))
                   for group in (light, data)]
-        # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and
-        # 1
-        back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
-        planes = Planes(self._lit(t), self._known, self._depths, *stacks)
-        mixture = Mixture(t, self._scale, float(self._level), self._masked, back)
-        picture, mixed, taken, motion = compose(cells, planes, mixture, Role.MOTION in after)
-        if self._share_of_mean > 0:
-            picture, mixed = (self._with_mean(t, picture, self._pictures),
-                              self._with_mean(t, mixed, stacks[0]))
+        (picture, mixed, taken, motion), own, marks = self._compose(t, previous, *stacks)
+        picture, mixed = self._weigh(t, (picture, mixed), stacks)
         if self._pictures is self._colours:
             follow_light((self._earlier, before, after, self._later), t, picture)
         if self._sparks is not None and marks is not None:
@@ -547,12 +579,34 @@ class Between:
         return ({role: plane for role, plane in made.items() if isinstance(role, Role)},
                 {name: plane for name, plane in made.items() if not isinstance(name, Role)})
 
-    def _with_mean(self, t: float, made: np.ndarray, pair: Pair) -> np.ndarray:
-        """Planes of a time with as much of both frames' mean as counts."""
-        one, other = pair
-        mean = one + np.float32(t) * (other - one)
-        mixed: np.ndarray = made + np.float32(self._share_of_mean) * (mean - made)
-        return mixed
+    def _compose(self, t: float, previous: float, light: Pair,
+                 data: Pair) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray | None]:
+        """What `compose` makes of both frames along paths, of planes that are mixed and of those
+        that are taken; then the last two of `_choose`."""
+        cells, own, marks = self._choose(t)
+        # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and
+        # 1
+        back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
+        planes = Planes(self._lit(t), self._known, self._depths, light, data)
+        mixture = Mixture(t, self._scale, float(self._level), self._masked, back)
+        return compose(cells, planes, mixture, Role.MOTION in self.after), own, marks
+
+    def _weigh(self, t: float, made: Pair, stacks: list[Pair]) -> Pair:
+        """The picture of a time and planes that are mixed like it, by all ways as they count;
+        `made` along paths. stacks: of both frames, planes that are mixed and that are taken."""
+        shares = self._shares or (1 - self._share_of_mean, 0.0, self._share_of_mean)
+        if shares[0] == 1:
+            return made
+        flowing: tuple[np.ndarray, ...] = made
+        if shares[1]:
+            flowing = self._without_vectors._compose(t, 0.0, *stacks)[0][:2]
+        paths_count, flow_counts, mean_counts = map(np.float32, shares)
+        picture, mixed = (
+            paths_count * along + flow_counts * flow + mean_counts
+            * (one + np.float32(t) * (other - one))
+            for along, flow, (one, other) in zip(made, flowing, (self._pictures, stacks[0]),
+                                                 strict=True))
+        return picture, mixed
 
     def _overlay_at(self, t: float) -> np.ndarray:
         one, other = self._overlays
@@ -623,6 +677,12 @@ class Interpolator:
         """Likewise, at a time in the unit of `push`, counted from the first frame's delta on."""
         first, last = self._times
         return self.frame((time - first) / (last - first), number)
+
+
+def _at_cells(toned: np.ndarray, scale: int) -> np.ndarray:
+    """A grey picture with margins, at one pixel a cell."""
+    return (halve(toned, MARGIN) if scale == 2
+            else np.ascontiguousarray(toned[MARGIN:-MARGIN, MARGIN:-MARGIN]))
 
 
 def _without_lost(motion: np.ndarray, longest: np.float32) -> np.ndarray:

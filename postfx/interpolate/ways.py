@@ -3,11 +3,13 @@
 Where vectors explain much less than estimated motion does, they are not used: those of frames that
 are held, of a wrong sign or unit, of the shot that goes in a dissolve. In the middle of a dissolve
 neither explains much, and each leads another way: the mean of both frames is better then than
-either.
+either. Where frames beside the two are known, ways count there as they foretell a known frame
+from those next to it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +42,16 @@ DIFFERENT_WAY_SHARE = 0.5
 """Share of pixels whose ways must differ for vectors not to fit."""
 DIFFERENT_VECTOR_SHARES = 0.5, 0.8
 """Share of pixels whose vectors differ: 0.33 where it snows, which has 0.62 of the former."""
+
+FORETOLD_POWER = 4
+"""Power of their errors by which ways count."""
+FLOW_HANDICAP = 1.5
+"""By how much the error of estimated motion counts as larger: it was found in the very pictures
+that it foretells."""
+LEAST_SHARE = 0.1
+"""Ways that would count less do not count."""
+LEAST_ERROR = 1e-5
+"""Toned light that is added to errors: frames that are all alike have none."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +112,27 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
     apart, moving = (np.abs(one).max(-1)[inside] > DIFFERENT_WAY_CELLS
                      for one in (fields[0] - fields[1], fields[1]))
     return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()))
+
+
+def foretelling_error(row: Sequence[np.ndarray], motion: np.ndarray) -> float:
+    """How far frames in a row, grey pictures (h, w), are from the mean of those next to them along
+    a field of motion (h, w, 2) to the frame before, which all of them share, in pixels; NaN is 0.
+    """
+    step = max(2, min(row[0].shape) // COMPARED_ROWS)
+    y, x = (place.ravel() for place in np.mgrid[:row[0].shape[0]:step, :row[0].shape[1]:step])
+    across, down = np.nan_to_num(motion[::step, ::step]).reshape(-1, 2).T
+    errors = []
+    for before, shown, after in zip(row, row[1:], row[2:], strict=False):
+        one, other = bilinear(before, x + across, y + down), bilinear(after, x - across, y - down)
+        errors.append(np.abs((one + other) / 2 - shown[y, x]).mean())
+    return float(np.mean(errors))
+
+
+def shares_of(errors: Sequence[float]) -> list[float]:
+    """How much ways should count whose errors these are; the sum is 1."""
+    counts = [(error + LEAST_ERROR) ** -FORETOLD_POWER for error in errors]
+    counts = [count if count >= LEAST_SHARE * sum(counts) else 0.0 for count in counts]
+    return [count / sum(counts) for count in counts]
 
 
 def _misfit(one: np.ndarray, other: np.ndarray) -> float:

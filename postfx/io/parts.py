@@ -223,8 +223,7 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
     valid = np.isfinite(excess) & np.isfinite(light)
     lights = [part.name for part in parts if part.is_light and part.name in pixels]
     below = [name for name in lights if _is_below(pixels[name])]
-    notes = ([f"layers {', '.join(below)} have light below 0, which is cut to 0: add it to another "
-              "layer, or take them out of --aov"]
+    notes = ([f"layers {', '.join(below)} have light below 0: it is denoised apart, and stays"]
              if below else [])
     if (not named or excess[valid].sum(dtype=np.float64)
         <= LAYER_SUM_TOLERANCE * light[valid].sum(dtype=np.float64)):

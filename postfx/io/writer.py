@@ -439,8 +439,10 @@ class OutputFiles:
             raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like "
                              f"{stem}.####{suffix}")
         if VIEW_FIELD in os.path.dirname(self._pattern.prefix):
+            folder = os.path.dirname(str(self._pattern))
             raise WriteError(f"{self._pattern}: all views go into one folder: put {VIEW_FIELD} "
-                             "into the file's name")
+                             f"into the file's name, or make the folder '{folder}' first if it is "
+                             "called so")
         if sequence.pattern.has_views and sequence.views and not self.has_views:
             raise WriteError(f"{target}: one file for {len(sequence.views) + 1} views, which have "
                              f"files of their own: put {VIEW_FIELD} into the name, or choose one "
@@ -540,10 +542,8 @@ def check_folder(folder: Path, option: str) -> None:
 def _output_pattern(target: str, source: Pattern) -> Pattern:
     if not is_utf8(target):
         raise WriteError(f"{make_printable(target)}: is not UTF-8: choose another name")
-    if PLANE_FIELD in split_folder(target)[1]:
-        raise WriteError(f"{target}: {PLANE_FIELD} is for input: leave it out, the AOVs of a frame "
-                         "go into one file")
     if not (target.endswith("/") or os.path.isdir(target) or not Path(target).suffix):
+        _refuse_planes(target)
         return parse_pattern(target)
     start, end = source.prefix.rpartition("/")[2].replace(PLANE_FIELD, "frame"), source.suffix
     if source.is_numbered:
@@ -553,3 +553,14 @@ def _output_pattern(target: str, source: Pattern) -> Pattern:
     if source.has_views and VIEW_FIELD not in start + end:
         start = f"{VIEW_FIELD}.{start}"
     return Pattern(start, f"{end}.exr", source.digits, f"{target.rstrip('/')}/")
+
+
+def _refuse_planes(target: str) -> None:
+    """WriteError for a file's name with {plane} outside of a folder that is there."""
+    place, rest = split_folder(target)
+    folder = rest.rpartition("/")[0]
+    if PLANE_FIELD in rest:
+        also = (f", or make the folder '{place}{folder}' first if it is called so"
+                if PLANE_FIELD in folder else "")
+        raise WriteError(f"{target}: {PLANE_FIELD} is for input: leave it out, the AOVs of a frame "
+                         f"go into one file{also}")

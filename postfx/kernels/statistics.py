@@ -15,7 +15,7 @@ import numpy as np
 from postfx.colour import TO_WIDER_PRIMARIES
 from postfx.compiled.calls import whole
 from postfx.compiled.library import Rows
-from postfx.planes import share
+from postfx.planes import sampled, share
 
 # Blocks of pixels
 
@@ -198,7 +198,7 @@ def light_outside(colour: np.ndarray) -> float:
     does not count, nor do pixels without any positive number.
     """
     down, right = (max(1, side // LOOKED_AT_PX) for side in colour.shape[:2])
-    pixels = colour[::down, ::right].reshape(-1, 3)
+    pixels = sampled(colour, down, right).reshape(-1, 3)
     if not (pixels < 0).any():
         return 0.0
     pixels = pixels[np.isfinite(pixels).all(1)].astype(np.float64)

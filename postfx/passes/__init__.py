@@ -291,6 +291,14 @@ class Pass:
         """Pickled by its options: the copy is not compiled and has no history."""
         return _make_pass, (type(self), dict(self.options))
 
+    def _number(self, option: str, given: Any) -> float:
+        """An option that is a number; PassOptionError for what is none."""
+        try:
+            return float(given)
+        except (TypeError, ValueError):
+            raise PassOptionError(f"pass '{self.name}' has {option} {given!r}: give a "
+                                  "number") from None
+
     def reflect(self, spec: FrameSpec) -> Reflection:
         """What the pass reads, may read and writes for frames of `spec`. Pure: depends on options
         and spec only."""

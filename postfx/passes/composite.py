@@ -7,7 +7,7 @@ frames.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import median
 from typing import ClassVar, Never
@@ -16,6 +16,7 @@ from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise.parts import BALANCE
 from postfx.kernels.image import OVER, OVER_ALPHA
 from postfx.passes import Pass, Reflection, ResidentFrame
+from postfx.passes.signed_light import SignedLight, below, lies_below
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 LATEST = 64
@@ -94,20 +95,21 @@ class PartShares:
     channels counts."""
 
     def __init__(self, parts: Sequence[Part | str]) -> None:
-        self._lights = [part if isinstance(part, str) else part.name for part in parts
-                        if isinstance(part, str) or part.is_light]
+        named = [Part(part) if isinstance(part, str) else part for part in parts]
+        self._groups = {part.name: part.group for part in named if part.is_light}
         self._balanced: dict[str, Tensor] = {}
 
     def read_of(self, spec: FrameSpec) -> tuple[str, ...]:
         """Names of the parts that are read of frames of a spec."""
-        return tuple(name for name in self._lights if name in spec.part_names)
+        return tuple(name for name in self._groups if name in spec.part_names)
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         """Get ready for frames of a spec."""
-        self._balanced = {name: device.heap.transient(f"{name} of the mixture",
-                                                      (1, spec.height, spec.width, 3))
-                          for name in self._lights}
-        if not self._lights:
+        size = spec.height, spec.width
+        self._signed = SignedLight(device, size, size)
+        self._balanced = {name: device.heap.transient(f"{name} of the mixture", (1, *size, 3))
+                          for name in self._groups}
+        if not self._groups:
             return
         self._none, self._everywhere = (device.heap.tensor(name, shape) for name, shape in (
             ("not all of it", (1,)), ("everywhere", (1, 1, 1))))
@@ -119,14 +121,30 @@ class PartShares:
                after: Tensor) -> None:
         """Record the work, once the picture `after` is there, which takes the place of the one
         `before`."""
-        for name, balanced in self._balanced.items():
-            part = frame.parts.get(name)
-            if part is None or part.shape[2] != 3:
-                continue
-            commands.run(BALANCE, "mix", parts=part.view(name, (1, *part.shape), 0), whole=before,
-                         picture=after,
-                         complete=self._none, reached=self._everywhere, balanced=balanced)
-            frame.parts[name] = balanced.view(name, part.shape, 0)
+        parts = {name: part for name in self._groups
+                 if (part := frame.parts.get(name)) is not None and part.shape[2] == 3}
+        by_sign: dict[str, Tensor] = {}
+        for name in parts:
+            if name in frame.host_parts and lies_below(frame.host_parts[name]):
+                by_sign |= self._signed.split(commands, name, parts[name])
+        for group in dict.fromkeys(self._groups[name] for name in parts):
+            of_group = [name for name in parts if self._groups[name] == group]
+            under = [by_sign[below(name)] for name in of_group if below(name) in by_sign]
+            pictures = {what: self._signed.lift(commands, f"{what} above 0 of {group}", light,
+                                                under)
+                        for what, light in (("whole", before), ("picture", after))}
+            for name in of_group:
+                self._scale(commands, frame, name, by_sign.get(name, parts[name]), pictures)
+                if name in by_sign:
+                    frame.parts[name] = self._signed.join(commands, name, frame.parts[name],
+                                                          by_sign[below(name)])
+
+    def _scale(self, commands: CommandBuffer, frame: ResidentFrame, name: str, part: Tensor,
+               pictures: Mapping[str, Tensor]) -> None:
+        """Bring a part without light below 0 from the `whole` to the `picture`."""
+        commands.run(BALANCE, "mix", parts=part.view(name, (1, *part.shape), 0), **pictures,
+                     complete=self._none, reached=self._everywhere, balanced=self._balanced[name])
+        frame.parts[name] = self._balanced[name].view(name, part.shape, 0)
 
 
 class BothWays(Pass):

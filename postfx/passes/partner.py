@@ -166,9 +166,9 @@ class MixPartner(Pass):
         super().__init__(strength=strength, scale=scale, both_ways=both_ways, parts=parts,
                          **unknown)
         self._frames = 0
-        self._scale = max(float(scale), 1.0)
+        self._scale = max(self._number("scale", scale), 1.0)
         self._more = BACKWARD_FRAMES if both_ways else 0
-        self._strength = float(strength)
+        self._strength = self._number("strength", strength)
         if not 0 <= self._strength <= 1:
             raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not "
                                   f"{self._strength:g}: give one of them")

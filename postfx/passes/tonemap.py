@@ -144,7 +144,7 @@ class ToneMap(Pass):
 
     def __init__(self, look: str = "aces2", *, keep: float | None = None, **unknown: Never) -> None:
         super().__init__(look=look, keep=keep, **unknown)
-        if keep is not None and not 0 <= float(keep) < 1:
+        if keep is not None and not 0 <= self._number("keep", keep) < 1:
             raise PassOptionError(f"pass '{self.name}' keeps 0 to below 1 of the last grid, not "
                                   f"{keep}")
 

@@ -27,7 +27,14 @@ from postfx.runtime.encoders import (
     Recordings,
     Tables,
 )
-from postfx.runtime.hazards import Accesses, Footprint, Hazards, predecessors, with_barriers
+from postfx.runtime.hazards import (
+    Accesses,
+    Footprint,
+    Hazards,
+    UsedMemory,
+    predecessors,
+    with_barriers,
+)
 from postfx.runtime.heap import Placement
 from postfx.runtime.memory import Memory
 from postfx.runtime.session import first_line
@@ -91,6 +98,7 @@ class CommandBuffer:
         self._kept: set[Allocation] = set()
         self._placement: Placement | None = None
         self._footprint: Footprint | None = None
+        self._used = UsedMemory()
         self._groups: list[str] = []
         self._passages: list[Passage] = []
         self._encoder: Encoder | None = None
@@ -123,6 +131,7 @@ class CommandBuffer:
         self._runs.clear()
         self.label = self.label if label is None else label
         self.records, self._kept, self._placement, self._footprint = [], set(), None, None
+        self._used = UsedMemory()
         self._error, self._timings, self._handlers, self._passages = None, {}, [], []
         self._state = "open"
         self.device.hazards.open(self)
@@ -310,6 +319,10 @@ class CommandBuffer:
         if self._footprint is None:
             self._footprint = Footprint(self.records)
         return self._footprint
+
+    def uses(self, tensor: Tensor) -> bool:
+        """Whether a command that is recorded reads or writes a byte of a tensor."""
+        return self._used.touches(self.records, tensor)
 
     def record(self, record: Record) -> None:
         """Append a command; encoders call this. Raises EncodingError after commit."""

@@ -191,11 +191,14 @@ class Device:
         else:
             self._helpers.work([Band(rows, *edge) for edge in pairwise(edges)])
 
-    @property
-    def lent(self) -> Callable[[Callable[[int, int], None], int], None] | None:
-        """What the host's work on planes is divided by; None within a memory budget, where it goes
-        piece by piece."""
-        return None if self.scratch else lambda rows, count: self.divide(rows, 0, count, 1)
+    def divide_planes(self, rows: Callable[[int, int], None], count: int, nbytes: int) -> None:
+        """Divide the host's work on planes, see `postfx.planes.Divide`: among the threads, or
+        within a memory budget into pieces, whose planes are let go of."""
+        if self.scratch is None:
+            self.divide(rows, 0, count, 1)
+            return
+        for first, last in self.scratch.pieces(count, nbytes // count):
+            rows(first, last)
 
     def wrap(self, name: str, array: Any, copy: Tensor | None = None) -> Tensor:
         """A tensor with an array's content: the same memory on the CPU, an upload elsewhere.

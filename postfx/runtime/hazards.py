@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import threading
 import weakref
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -35,6 +36,8 @@ class RecordedCommands(Waitable, Protocol):
     records: list[Record]
 
     def footprint(self) -> Footprint: ...
+
+    def uses(self, tensor: Tensor) -> bool: ...
 
 
 class Hazards:
@@ -136,9 +139,7 @@ class Hazards:
             allocation = tensor.allocation
             if self._flying or allocation.released or allocation.transient:
                 return False
-            return not any([_uses(record.reads, tensor) or _uses(record.writes, tensor)
-                            for commands in self._open
-                            for record in commands.records if isinstance(record, Dispatch)])
+            return not any([commands.uses(tensor) for commands in self._open])
 
     def mark_written(self, tensor: Tensor) -> None:
         """Note that the tensor's content is now defined."""
@@ -229,14 +230,46 @@ def _uses(tensors: Iterable[Tensor], tensor: Tensor) -> bool:
     start, end = tensor.start, tensor.end
     if start == end:
         return False
-    for other in tensors:  # a loop, as each upload asks this of all that is recorded
-        if other.start < end and start < other.end and other.start < other.end:
-            return True
-    return False
+    return any(other.start < end and start < other.end and other.start < other.end
+               for other in tensors)
 
 
 def _use(commands: RecordedCommands, dispatch: Dispatch) -> Use:
     return Use(dispatch.label, dispatch.command, commands.label)
+
+
+class UsedMemory:
+    """The addresses that records use, looked up as they grow: each upload asks for its own, and
+    large frames record thousands of commands."""
+
+    def __init__(self) -> None:
+        self._starts: list[int] = []
+        self._ends: list[int] = []
+        self._known: set[tuple[int, int]] = set()
+        self._count = 0
+
+    def touches(self, records: Sequence[Record], tensor: Tensor) -> bool:
+        """Whether one of these records, which are those of the last call and perhaps more, uses a
+        byte of a tensor."""
+        for record in records[self._count:]:
+            if isinstance(record, Dispatch):
+                for other in (*record.reads, *record.writes):
+                    self._add(other.start, other.end)
+        self._count = len(records)
+        after = bisect_right(self._ends, tensor.start)
+        return (tensor.start < tensor.end and after < len(self._starts)
+                and self._starts[after] < tensor.end)
+
+    def _add(self, start: int, end: int) -> None:
+        """Include [start, end), merged with all that it touches: the ranges stay apart and
+        sorted."""
+        if start == end or (start, end) in self._known:
+            return
+        self._known.add((start, end))
+        first, last = bisect_left(self._ends, start), bisect_right(self._starts, end)
+        if first < last:
+            start, end = min(start, self._starts[first]), max(end, self._ends[last - 1])
+        self._starts[first:last], self._ends[first:last] = [start], [end]
 
 
 class Need(NamedTuple):

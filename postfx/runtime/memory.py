@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import mmap
 import sys
 import time
 import weakref
@@ -166,9 +167,26 @@ class MappedChunk:
     """A chunk in a temporary file."""
 
     def __init__(self, scratch: Scratch, nbytes: int) -> None:
-        self._storage = np.frombuffer(scratch.map_file(nbytes), np.uint8)
+        self._map = scratch.map_file(nbytes)
+        self._storage = np.frombuffer(self._map, np.uint8)
         self.pointer = address(self._storage)
         self.nbytes = nbytes
+
+    def clear(self, pointer: int, nbytes: int) -> bool:
+        """Make bytes 0 by giving their pages back to the disk, so that nothing is written; False,
+        and nothing is done, where the system or the file system cannot."""
+        start = pointer - self.pointer
+        first, last = -(-start // mmap.PAGESIZE), (start + nbytes) // mmap.PAGESIZE
+        if not hasattr(mmap, "MADV_REMOVE") or first >= last:
+            return False
+        try:
+            self._map.madvise(mmap.MADV_REMOVE, first * mmap.PAGESIZE,
+                              (last - first) * mmap.PAGESIZE)
+        except OSError:
+            return False
+        self._storage[start:first * mmap.PAGESIZE] = 0
+        self._storage[last * mmap.PAGESIZE:start + nbytes] = 0
+        return True
 
 
 class HostMemory(Immediate):

@@ -13,7 +13,16 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from postfx.errors import BindingError, CommandError, DeviceError, HazardError
-from postfx.runtime.memory import CUDA, Memory, Ranges, address, is_as_lent, lend, view_at
+from postfx.runtime.memory import (
+    CUDA,
+    MappedChunk,
+    Memory,
+    Ranges,
+    address,
+    is_as_lent,
+    lend,
+    view_at,
+)
 from postfx.system import Scratch
 
 
@@ -380,8 +389,10 @@ class Tensor:
             self.upload(np.broadcast_to(np.asarray(value, element_type(self.dtype)), self.shape))
             return
         self._check_host_write()
-        for first, last in scratch.pieces(self.shape[0], self.nbytes // max(1, self.shape[0])):
-            self.host_view()[first:last] = value
+        chunk = self.allocation.owner
+        if value or not (isinstance(chunk, MappedChunk) and chunk.clear(self.start, self.nbytes)):
+            for first, last in scratch.pieces(self.shape[0], self.nbytes // max(1, self.shape[0])):
+                self.host_view()[first:last] = value
         self._device.hazards.mark_written(self)
 
     def __dlpack_device__(self) -> tuple[int, int]:

@@ -147,7 +147,8 @@ def test_names_that_are_not_utf_8_are_refused(postfx, shot, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(("target", "told"), [("", "nowhere to write: give -o"),
-                                              ("{plane}/", "is for input"),
+                                              ("{plane}/a.####.exr", "make the folder '{plane}'"),
+                                              ("{view}/a.####.exr", "make the folder '{view}'"),
                                               ("out/{plane}.####.exr", "is for input")])
 def test_outputs_that_are_no_names_are_refused(postfx, shot, target: str, told: str) -> None:
     shot(1)

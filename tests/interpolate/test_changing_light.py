@@ -145,6 +145,33 @@ def test_a_dissolve_is_no_worse_than_without_vectors_or_than_a_mean(kind):
     assert max(worse) < 0.8, worse
 
 
+@pytest.mark.parametrize("kind", ["one that pans fast", "one that stands still"])
+def test_frames_beside_a_dissolve_tell_which_way_counts(kind):
+    """From a shot that pans fast, whose vectors are right to the end. Without them, the second step
+    was 26 dB, and the third 3.8 dB below the flow's."""
+    def pan(time: float) -> np.ndarray:
+        return texture(X + 11 * time, Y + 2 * time, 3)
+
+    def shown(time: float) -> np.ndarray:
+        part = min(max(time / 8, 0), 1)
+        return pan(time) * (1 - part) + SHOTS[kind](time) * part
+
+    def at(time: float, *vectors: tuple[float, float]) -> Frame:
+        planes = {Role.COLOUR: shown(time).astype(np.float32)}
+        for vector in vectors:
+            planes[Role.MOTION] = np.full((HEIGHT, WIDTH, 2), vector, np.float32)
+        return Frame(planes, number=1)
+
+    frames, between, gained = [at(time, (11, 2)) for time in range(1, 7)], None, []
+    for i, (before, after, later) in enumerate(zip(frames, frames[1:], frames[2:], strict=False)):
+        between = Between(before, after, later, last=between)
+        wanted, mean = shown(i + 1.5), (before[Role.COLOUR] + after[Role.COLOUR]) / 2
+        flow = Between(at(i + 1), at(i + 2)).frame(0.5)[Role.COLOUR]
+        gained.append(psnr(between.frame(0.5)[Role.COLOUR], wanted)
+                      - max(psnr(flow, wanted), psnr(mean, wanted)))
+    assert min(gained) > -1 and gained[1] > 3, gained
+
+
 def wire(time: float, vectors: bool) -> Frame:
     """A line of one pixel in front of a wall that stands still, with vectors of what covers most of
     a pixel."""

@@ -290,8 +290,7 @@ def test_a_part_brighter_than_the_picture_and_light_below_0_are_told(two_splits)
             "own")
     darkened = {"key": picture + 0.1, "dark": np.full_like(picture, -0.1)}
     parts = (Part("key", "light", "named"), dark)
-    note = ("layers dark have light below 0, which is cut to 0: add it to another layer, or take "
-            "them out of --aov")
+    note = "layers dark have light below 0: it is denoised apart, and stays"
     assert group_parts(parts, picture, darkened) == (parts, [note])
 
 

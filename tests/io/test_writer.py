@@ -325,13 +325,15 @@ def test_light_near_the_largest_half_stays_finite_in_lossy_compression(tmp_path,
     light[rng.random((64, 96)) < 0.1] = 65504
     light[20:40, 20:40] = 60000 + 5500 * rng.random((20, 20, 3))
     depth = np.full((64, 96, 1), 1e6, np.float32)
-    frame = Frame({Role.COLOUR: light}, parts={"Depth": depth},
+    frame = Frame({Role.COLOUR: light}, parts={"Depth": depth, "key": light, "shadow": -light},
                   part_sources={"Depth": PartSource(("Depth.Z",))})
     write_frame(tmp_path / "a.exr", frame, bits=16 if half else 32, compression=compression)
     image = oiio.ImageBuf(str(tmp_path / "a.exr"))
     found = dict(zip(image.spec().channelnames, np.moveaxis(image.get_pixels(oiio.FLOAT), 2, 0),
                      strict=True))
-    assert np.isfinite(found["R"]).all() and found["R"][20:40, 20:40].min() > 40000
+    assert all(np.isfinite(plane).all() for plane in found.values())
+    for name in ("R", "key.G", "shadow.B"):
+        assert np.abs(found[name][20:40, 20:40]).min() > 40000
     assert half or (found["Depth.Z"] == 1e6).all()
     assert "as " + compression + " compression would make it infinite" in caplog.text
 

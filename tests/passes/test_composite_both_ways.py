@@ -51,6 +51,17 @@ def test_parts_get_their_share_of_the_mixed_picture(passes):
     np.testing.assert_array_equal(result.parts["z"], given.parts["z"])
 
 
+def test_parts_with_light_below_0_add_up_to_the_mixed_picture(passes):
+    """A part brighter than the picture was cut to it."""
+    shares = {"key": 1.5, "dark": -0.75, "fill": 0.25}
+    both = Pipeline([BothWays(parts=list(shares))], passes.device, exposure=0.0)
+    given = frame(np.linspace(0, 1, 48, dtype=np.float32).reshape(6, 8, 1))
+    given.parts = {name: share * given[Role.COLOUR] for name, share in shares.items()}
+    result = both(given)
+    np.testing.assert_allclose(sum(result.parts.values()), result[Role.COLOUR], rtol=1e-5)
+    assert result.parts["dark"].max() < 0 < result.parts["fill"].min()
+
+
 def test_it_says_why_it_does_nothing():
     spec = Frame({Role.COLOUR: np.ones((6, 8, 3), np.float32)}).spec
     (skip,) = [item for item in make_plan([BothWays()], spec).skips if item.what == "both_ways"]

@@ -8,8 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.errors import PassOptionError
 from postfx.neural import Network
 from postfx.passes import registry, scene
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.partner import MixPartner
+from postfx.passes.tonemap import ToneMap
 from postfx.runtime import Device, Library
 from postfx.testing import Maker, PassContract
 from tests import toys
@@ -57,3 +61,13 @@ class TestEveryPass(PassContract):
         if request.param in ("oidn", "partner"):
             pytest.importorskip("pyoidn", reason="Open Image Denoise is not installed")
         return TOYS[request.param] if request.param in TOYS else registry.load(request.param)
+
+
+@pytest.mark.parametrize(("make", "option"), [
+    (DenoiseUpscale, "strength"), (DenoiseUpscale, "budget"), (ToneMap, "keep"),
+    (MixPartner, "strength"), (MixPartner, "scale"),
+])
+@pytest.mark.parametrize("given", [[2], "two", {}])
+def test_what_is_no_number_is_refused_in_one_line(make, option: str, given: object) -> None:
+    with pytest.raises(PassOptionError, match=rf"has {option} .*: give a number"):
+        make(**{option: given})

@@ -14,6 +14,7 @@ from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.passes.denoise import DenoiseUpscale, kinds
 from postfx.passes.denoise.assembly import Frames
 from postfx.passes.denoise.parts import coverage, mean_stops
+from postfx.passes.signed_light import lies_below
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from postfx.system import PROCESS
@@ -464,3 +465,50 @@ def test_light_that_is_no_part_of_the_picture_is_filtered_and_never_rescaled(
         for name, part in found.parts.items():
             assert part.mean() == pytest.approx(BEYOND[kind][name] * found[Role.COLOUR].mean(),
                                                 rel=0.05)
+
+
+SHARES = {"key": 1.4, "dark": -0.6, "fill": 0.2}
+"""Of the picture's light; the second part takes light away."""
+
+
+@pytest.mark.parametrize("options", [{}, {"scale": 1}, {"strength": 0.5}, {"strength": 0.0},
+                                     {"part_filters": "own"}], ids=str)
+def test_light_below_0_stays(options: dict[str, object], device: Device) -> None:
+    """It was cut, and the parts then added up to more than the picture."""
+    pipeline = upscaler(device, parts=tuple(SHARES), **options)
+    for number in (1, 2, 3):
+        frame = noisy(number, 37, 50)
+        frame.parts = {name: share * frame[Role.COLOUR] for name, share in SHARES.items()}
+        found = pipeline(frame)
+    picture = found[Role.COLOUR]
+    np.testing.assert_allclose(sum(found.parts.values()), picture, rtol=1e-4, atol=1e-5)
+    for name, share in SHARES.items():
+        assert found.parts[name].mean() == pytest.approx(share * picture.mean(), rel=0.12, abs=0)
+
+
+def test_light_below_0_may_come_late_and_a_stop_changes_nothing(device: Device) -> None:
+    def frames() -> list[Frame]:
+        found = [noisy(number, 37, 50) for number in (1, 2, 3, 4)]
+        for number, frame in enumerate(found):
+            shadow = frame[Role.COLOUR] * np.float32(0.1 if number < 1 else -0.5)
+            frame.parts = {"shadow": shadow, "rest": frame[Role.COLOUR] - shadow}
+        return found
+
+    pipeline, again = (upscaler(device, parts=("shadow", "rest")) for _ in range(2))
+    found = [pipeline(frame) for frame in frames()[:3]]
+    kept = {name: array.copy() for name, array in pipeline.history().items()}
+    again.recall(frames()[2], kept)
+    last, resumed = pipeline(frames()[3]), again(frames()[3])
+    assert found[0].parts["shadow"].min() >= 0 > found[1].parts["shadow"].max()
+    for name, part in last.parts.items():
+        np.testing.assert_array_equal(resumed.parts[name], part)
+
+
+def test_what_a_pixel_filter_leaves_below_0_costs_no_layer(device: Device) -> None:
+    part = np.ones((16, 16, 3), np.float32)
+    part[::8] = -0.02
+    assert lies_below(part)
+    assert not lies_below(np.where(part < 0, 1, part) * np.float32(0.999))
+    part[::8] = 1
+    part[0, 0] = -0.02
+    assert not lies_below(part)

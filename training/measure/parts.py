@@ -3,6 +3,7 @@ after or before.
 
 python -m training.measure.parts SEQUENCE.npz [--model m] [--scales 1,2]
 python -m training.measure.parts --cost [--threads 2] [--model m]
+python -m training.measure.parts --below ../shared/sequences/staircase [--model m]
 
 SEQUENCE.npz holds, for frame i, `albedo{i}`, `normal{i}`, `depth{i}`, `motion{i}`, a light group's
 `NAME{i}`, and for the last frame references `ref{size}_NAME{i}`, where size is the width. The light
@@ -10,7 +11,8 @@ groups add up to the picture. PSNR and sums are those of the last frame; PSNR co
 pictures, each exposed like its reference. `--cost` measures a part's share of a frame's passes:
 frames of 960x540 to 1920x1080 without parts, with three and with six, in turn; the time on
 `--threads`, and the processor time of the device's threads, by Linux, which other work disturbs
-less.
+less. `--below` takes frames `noisy.*` of a folder apart into three parts, of which `shadow` takes
+light away, and compares the fourth with `reference.*`, on a scale with both signs.
 """
 
 from __future__ import annotations
@@ -25,12 +27,15 @@ from postfx.bench.baselines import HostKernels, Oidn
 from postfx.bench.metrics import grey_factor, psnr
 from postfx.colour.displays import srgb_encode
 from postfx.frame import Frame, Role
+from postfx.io.sequence import read_sequence
 from postfx.passes.denoise import PART_FILTERS, DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 
 FRAMES, WARM_UP = 12, 3
 """Frames that run, and how many of them are not timed."""
+SHOWN = 4
+"""Frame of a sequence that is compared with its reference."""
 COUNTS = 0, 3, 6
 """Numbers of parts, in turn."""
 GRADE = {"key": 2.0, "fill": 0.5}
@@ -139,6 +144,37 @@ def cost(model: str, threads: int) -> None:
             for count, time in zip(COUNTS[1:], among, strict=True)))
 
 
+def with_shadow(light: np.ndarray) -> dict[str, np.ndarray]:
+    """Parts of a picture (h, w, 3): one takes light away in the middle, and gives some on the
+    right."""
+    height, width, _ = light.shape
+    x = np.linspace(0, 1, width, dtype=np.float32)[None, :, None]
+    y = np.linspace(0, 1, height, dtype=np.float32)[:, None, None]
+    middle = np.exp(-((x - 0.5) ** 2 + (y - 0.5) ** 2) / 0.05)
+    shadow, key = (0.2 * x - 0.8 * middle) * light, (1 - 0.5 * x) * light
+    return {"shadow": shadow, "key": key, "fill": light - shadow - key}
+
+
+def shown(light: np.ndarray) -> np.ndarray:
+    """Light of either sign as a display would show it."""
+    return np.sign(light) * srgb_encode(np.abs(light) / (1 + np.abs(light)))
+
+
+def below(folder: Path, model: str) -> None:
+    """Print how parts come out of which one has light below 0."""
+    reference = next(iter(read_sequence(folder / "reference.####.exr", frames=str(SHOWN))))
+    truth = reference[Role.COLOUR]
+    pipeline = Pipeline([DenoiseUpscale(size=truth.shape[1::-1], model=model,
+                                        parts=list(with_shadow(truth)))], Device("cpu"))
+    for frame in read_sequence(folder / "noisy.####.exr", frames=f"1-{SHOWN}"):
+        frame.parts = with_shadow(frame[Role.COLOUR])
+        found = pipeline(frame).parts
+    for name, wanted in with_shadow(truth).items():
+        cut, whole = (psnr(shown(light), shown(wanted))
+                      for light in (np.maximum(found[name], 0), found[name]))
+        print(f"{folder.name} {name}: cut at 0 {cut:.2f} dB, as it is {whole:.2f} dB")
+
+
 def busy() -> float:
     """Milliseconds of processor time of all threads but this one so far, by Linux's /proc."""
     others = {task for task in Path("/proc/self/task").iterdir()
@@ -152,12 +188,15 @@ def main() -> None:
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequence", type=Path, nargs="?")
     parser.add_argument("--cost", action="store_true")
+    parser.add_argument("--below", type=Path, nargs="*", default=[])
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--model", default="m")
     parser.add_argument("--scales", default="1,2")
     arguments = parser.parse_args()
     if arguments.cost:
         cost(arguments.model, arguments.threads)
+    for folder in arguments.below:
+        below(folder, arguments.model)
     if arguments.sequence is None:
         return
     frames, references = load(arguments.sequence)

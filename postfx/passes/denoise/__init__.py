@@ -150,11 +150,11 @@ class DenoiseUpscale(Pass):
                          error=error, library=library, **unknown)
         self.scale = validate_scale(scale)
         self.size = validate_size(size, self.scale)
-        self.strength = float(strength)
+        self.strength = self._number("strength", strength)
         if not 0 <= self.strength <= 1:
             raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not "
                                   f"{self.strength:g}: give one of them")
-        self.budget = None if budget is None else float(budget)
+        self.budget = None if budget is None else self._number("budget", budget)
         if self.budget is not None and not self.budget > 0:
             raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a "
                                   "budget above 0")

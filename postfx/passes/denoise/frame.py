@@ -45,6 +45,7 @@ from postfx.passes.denoise.reflections import Reflections, can_follow
 from postfx.passes.denoise.savings import FULL_STRENGTH, HAZY_DEPTH, Reason
 from postfx.passes.denoise.tiling import CELL, Sizes, grown
 from postfx.passes.denoise.window import THE_PICTURE, Work
+from postfx.planes import sampled
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 LIGHT_REACH = 80
@@ -264,6 +265,5 @@ class ReadyNetwork(Ready):
 
 def _lit_part(plane: np.ndarray) -> float:
     """The share of a plane's pixels that are not 0, by a few of them."""
-    some = plane[LIT_PIXEL_STEP // 2::LIT_PIXEL_STEP,
-                 LIT_PIXEL_STEP // 2::LIT_PIXEL_STEP].any(axis=2)
+    some = sampled(plane, LIT_PIXEL_STEP, LIT_PIXEL_STEP, LIT_PIXEL_STEP // 2).any(axis=2)
     return float(some.mean()) if some.size else 1.0

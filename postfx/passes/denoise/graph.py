@@ -22,6 +22,9 @@
 `ReadyNetwork.encode` in frame.py records them in this order; the files named here hold their
 buffers.
 
+Parts with light below 0 come to the page as two layers, and leave it as their difference:
+`postfx/passes/signed_light.py` takes them apart and joins them, here and where frames are mixed.
+
 A step runs where all of its words hold, and none of those behind `unless`:
 
     moves      the last output is warped to this frame

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from postfx.frame import Role
+from postfx.planes import LARGEST_FLOAT
 
-LARGEST_FLOAT = float(np.finfo(np.float32).max)
 REFLECTANCE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 
 

@@ -25,12 +25,14 @@ from postfx.passes.denoise.history import (
     places_of,
     some_of,
 )
-from postfx.passes.denoise.kinds import KINDS, LARGEST_FLOAT, LIGHT_KIND, REFLECTANCE_ROLES, Kind
+from postfx.passes.denoise.kinds import KINDS, LIGHT_KIND, REFLECTANCE_ROLES, Kind
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.output import Restore, Strength
 from postfx.passes.denoise.planes import ABSENT, Resampler, absent_plane
 from postfx.passes.denoise.tiling import Rows
 from postfx.passes.denoise.window import THE_PICTURE, Layer, Work
+from postfx.passes.signed_light import SignedLight, below, lies_below
+from postfx.planes import LARGEST_FLOAT
 from postfx.runtime import CommandBuffer, Device, Tensor
 from postfx.sampling import three_by_three
 
@@ -100,8 +102,12 @@ class Layers:
         self._nothing = make_zeros(device, "no reflectance",
                                    (*self._render, 3) if self._parts else (1,))
         self._made: dict[str, Tensor] = {}
-        self._codings = {name: new(f"coding {name}", (3,)) for name in self._parts}
-        self._decodings = {name: new(f"decoding {name}", (5,)) for name in self._parts}
+        self._signed = SignedLight(device, self._render, output)
+        self._below = {below(part.name): part.name for part in parts if part.is_light}
+        self._codings = {name: new(f"coding {name}", (3,))
+                         for name in (*self._parts, *self._below)}
+        self._decodings = {name: new(f"decoding {name}", (5,))
+                           for name, part in self._parts.items() if not part.is_light}
         self._complete = {group.first: new("complete", (1,)) for group in self._groups}
         self._everywhere = {group.first: new("everywhere", (len(group.names), 1, 1))
                             for group in self._groups}
@@ -116,6 +122,7 @@ class Layers:
         self._identity.upload([1.0, 0.0, -LARGEST_FLOAT, LARGEST_FLOAT, 0.0])
         self._runs: list[str] = []
         self._raw: dict[str, Tensor] = {}
+        self._by_sign: dict[str, Tensor] = {}
         self._alpha = Alpha(device, spec, output) if alpha else None
 
     def begin(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
@@ -128,6 +135,7 @@ class Layers:
         self._params.upload([1.0, *work.params[JITTER_X:GAIN], 1.0])
         self._exposed.upload([*work.params[:GAIN], 1.0])
         self._history.turn()
+        self._by_sign = self._take_apart(commands, frame)
         self._runs = self._needed(frame)
         runs = []
         targets: dict[str, dict[str, Tensor]] = {}
@@ -179,7 +187,7 @@ class Layers:
         """What the network itself runs on in this frame."""
         self._history.ran = tuple(name for name in self._history.own if name in self._runs)
         for name in self._history.ran:
-            part = self._raw[name] = self._three(name, frame)
+            part = self._raw[name] = self._input(name, frame)
             before, stops = self._history.stops[name], self._history.stops
             stops[name] = _stops_above(frame, name, before)
             own = work.params.copy()
@@ -200,8 +208,10 @@ class Layers:
         denoised, picture = pictures
         for group in self._groups:
             whole = one_of(self._stack("blended"), 0) if WHOLE in self._runs else denoised
-            self._balance(commands, group, self._stack("blended"), whole, denoised,
-                          self._history.stacks[1])
+            under = self._under(group, {name: self._history.layer(name).output
+                                        for name in self._below if name in self._runs})
+            self._balance(commands, group, "blended", (whole, denoised), self._history.stacks[1],
+                          under)
         values = {name: self._finish_layer(commands, frame, name, denoised, rows, restore, strength)
                   for name in self._runs if name != WHOLE}
         values |= {name: self._resampled(commands, frame, name)
@@ -217,7 +227,7 @@ class Layers:
         if name == ALPHA_LAYER and self._alpha:
             raw, plain = frame[Role.ALPHA], self._plain_alpha
             value = self._alpha.correct(commands, denoised)
-        elif not (self._is_light(name) or kind.are_distances):
+        elif name in self._decodings and not kind.are_distances:
             value = self._decoded(commands, name, value)
         assert raw is not None  # as the layer ran
         if restore and kind.is_detailed:
@@ -235,26 +245,44 @@ class Layers:
             self._complete[group.first].upload([_completeness(frame, group.names)])
         self._reached = dict(self._everywhere)
         self._plain.aim(frame.jitter)
-        values = {}
-        for name in self._parts:
-            if name != ALPHA_LAYER:
-                values[name] = self._resampled(commands, frame, name)
+        self._by_sign = self._take_apart(commands, frame)
+        layers = dict.fromkeys((*self._parts, *self._by_sign))
+        values = {name: self._resampled(commands, frame, name)
+                  for name in layers if name != ALPHA_LAYER}
         self._leave_all(commands, frame, values, picture, True)
 
     def _resampled(self, commands: CommandBuffer, frame: ResidentFrame, name: str) -> Tensor:
-        return self._plain.resample(commands, self._three(name, frame), self._finished(name))
+        return self._plain.resample(commands, self._input(name, frame), self._finished(name))
 
     def _leave_all(self, commands: CommandBuffer, frame: ResidentFrame,
                    values: Mapping[str, Tensor], picture: Tensor, changed: bool) -> None:
         """Put layers into the frame, light so that it adds up to a picture that was `changed` once
         more."""
         for group in self._groups if changed else ():
-            self._balance(commands, group, self._stack("finished"), picture, picture,
-                          self._stack("balanced"))
+            self._balance(commands, group, "finished", (picture, picture),
+                          self._stack("balanced"), self._under(group, values))
         for name, value in values.items():
-            again = changed and self._is_light(name)
-            self._leave(commands, frame, name,
-                        one_of(self._stack("balanced"), self._places[name]) if again else value)
+            if name in self._below:
+                continue
+            if changed and self._is_light(name):
+                value = one_of(self._stack("balanced"), self._places[name])
+            if below(name) in values:
+                value = self._signed.join(commands, name, value, values[below(name)])
+            self._leave(commands, frame, name, value)
+
+    def _take_apart(self, commands: CommandBuffer, frame: ResidentFrame) -> dict[str, Tensor]:
+        """The layers of parts with light below 0, by name. A part that had some in the frame before
+        keeps both, as its history does."""
+        found: dict[str, Tensor] = {}
+        for layer, name in self._below.items():
+            before = self._history.layers.get(layer)
+            if (before and before.frames) or lies_below(frame.host_parts[name]):
+                found |= self._signed.split(commands, name, self._three(name, frame))
+        return found
+
+    def _under(self, group: Group, values: Mapping[str, Tensor]) -> list[Tensor]:
+        """What the parts of a group have below 0, of layers by name."""
+        return [values[below(name)] for name in group.names if below(name) in values]
 
     def _needed(self, frame: ResidentFrame) -> list[str]:
         """The layers of this frame: alpha only where it is neither 0 nor 1, the whole picture only
@@ -267,6 +295,7 @@ class Layers:
             self._note_reach(frame, group)
         found += [name for name in self._parts
                   if name != ALPHA_LAYER and self._kind(name).is_filtered]
+        found += [layer for layer in self._below if layer in self._by_sign]
         return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and has_noisy_alpha(frame)
                         else [])
 
@@ -291,12 +320,12 @@ class Layers:
 
     def _inputs(self, name: str, frame: ResidentFrame,
                 planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        self._raw[name], kind = self._three(name, frame), self._kind(name)
+        self._raw[name], kind = self._input(name, frame), self._kind(name)
         low, high = kind.span or _range_of(frame.host_parts[name])
         scale = 1.0 if (low, high) == (0.0, 1.0) else 1 / max(high - low, 1e-30)
         most = LARGEST_FLOAT if kind.are_distances else MAX_COLOUR / self._exposure
         self._codings[name].upload([low, scale, most])
-        if not kind.are_distances:
+        if name in self._decodings and not kind.are_distances:
             decoding = [1 / scale, low, *kind.bounds, float(kind.are_vectors)]
             self._decodings[name].upload(decoding)
         found = {"part": self._raw[name], "coding": self._codings[name]}
@@ -323,6 +352,10 @@ class Layers:
             self._made[name] = absent_plane(self._device, role, size)
         return self._made[name]
 
+    def _input(self, name: str, frame: ResidentFrame) -> Tensor:
+        """What a layer is filtered from: a part, or its light of one sign."""
+        return self._by_sign.get(name) or self._three(name, frame)
+
     def _three(self, name: str, frame: ResidentFrame) -> Tensor:
         """A layer's values with three channels, as the kernels need them."""
         are_distances = self._kind(name).are_distances
@@ -338,12 +371,19 @@ class Layers:
         self._copies[name].upload(given if given.shape[2] == 3 else np.repeat(given, 3, axis=2))
         return self._copies[name]
 
-    def _balance(self, commands: CommandBuffer, group: Group, parts: Tensor, whole: Tensor,
-                 picture: Tensor, balanced: Tensor) -> None:
+    def _balance(self, commands: CommandBuffer, group: Group, stack: str,
+                 pictures: tuple[Tensor, Tensor], balanced: Tensor,
+                 under: Sequence[Tensor]) -> None:
+        """Bring a group's parts of a stack to a picture: `pictures` are the whole as it was
+        filtered, and that; `under` is what the parts have below 0, which both lack."""
         count = len(group.names)
+        whole, picture = (
+            self._signed.lift(commands, f"{what} above 0 of {group.first}", light, under)
+            for what, light in zip(("whole", "picture"), pictures, strict=True))
         run_steps(commands, BALANCED, {
-            "parts": some_of(parts, group.first, count), "whole": whole, "picture": picture,
-            "reached": self._reached[group.first], "complete": self._complete[group.first],
+            "parts": some_of(self._stack(stack), group.first, count), "whole": whole,
+            "picture": picture, "reached": self._reached[group.first],
+            "complete": self._complete[group.first],
             "balanced": some_of(balanced, group.first, count)})
 
     def _stack(self, name: str) -> Tensor:
@@ -392,6 +432,7 @@ class Layers:
         return name == WHOLE or (name in self._parts and self._parts[name].is_light)
 
     def _kind(self, name: str) -> Kind:
+        name = self._below.get(name, name)
         return KINDS[self._parts[name].kind] if name in self._parts else LIGHT_KIND
 
 

@@ -166,10 +166,7 @@ def absent_plane(device: Device, role: Role, size: Size) -> Tensor:
     shape, value = (*size, ROLES[role].channels), (ABSENT | MIRRORED_ROLES)[role]
     if device.scratch is None:
         return device.wrap(f"absent {role}", np.full(shape, value, np.float32))
-    plane = device.scratch.empty(shape)
-    for first, last in device.scratch.pieces(size.height, plane[0].nbytes):
-        plane[first:last] = value
-    return device.wrap(f"absent {role}", plane)
+    return device.wrap(f"absent {role}", device.scratch.full(shape, value))
 
 
 CENTRED = (0.0, 0.0)

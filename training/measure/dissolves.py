@@ -1,0 +1,127 @@
+"""Frames between those of a dissolve, against estimated motion alone and a plain blend.
+
+python -m training.measure.dissolves
+
+Three shots with vectors dissolve into seven others in eight steps. A row says how far frames
+between are above the better of both, in dB: on average, at worst, and how many are more than 0.2
+and 1 dB below. Ways: by the two frames alone; with those beside them, by the way alone that
+foretells known frames best; and by all ways as they foretell them, as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from postfx import Between, Frame, Role
+from postfx.interpolate import ways
+
+HEIGHT, WIDTH, STEPS = 96, 160, 8
+SEEN_DB = 52
+"""Frames that are better than that by either way are left out: nobody sees a difference."""
+BEST_ALONE_POWER = 60
+"""Power of errors by which next to only the best way counts."""
+Y, X = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+Shot = Callable[[float], np.ndarray]
+
+
+def texture(x: np.ndarray, y: np.ndarray, seed: int) -> np.ndarray:
+    """A colourful pattern of waves of 7 to 126 pixels."""
+    random, found = np.random.default_rng(seed), np.zeros((*x.shape, 3))
+    for _ in range(14):
+        k = random.uniform(0.05, 0.9, 2) * random.choice((-1, 1), 2)
+        wave = np.sin(x * k[0] + y * k[1] + random.uniform(0, 6.3))
+        found += wave[..., None] * random.uniform(-0.5, 0.5, 3)
+    return (0.5 + 0.16 * found).clip(0.02, None)
+
+
+def pan(seed: int, right: float, down: float = 0.0, light: float = 1.0) -> Shot:
+    """A wall that moves to the left and up."""
+    return lambda time: light * texture(X + right * time, Y + down * time, seed)
+
+
+def disc_in(place: Callable[[float], tuple[float, float]], wall: Shot, seed: int) -> Shot:
+    """A disc that flies in front of a wall."""
+    def shown(time: float) -> np.ndarray:
+        x, y = (one - centre for one, centre in zip((X, Y), place(time), strict=True))
+        return np.where((x**2 + y**2 < 18**2)[..., None], texture(x, y, seed) * (1.2, 0.7, 0.3),
+                        wall(time))
+    return shown
+
+
+def flown(time: float) -> tuple[float, float]:
+    """Where the disc of the first shot is."""
+    return 45 + 7 * time, 40 + 2 * time
+
+
+def vectors_of_disc(time: float) -> np.ndarray:
+    """Motion of that shot to the frame before."""
+    x, y = (one - centre for one, centre in zip((X, Y), flown(time), strict=True))
+    return np.where((x**2 + y**2 < 18**2)[..., None], (-7.0, -2.0), (3.0, 0.0))
+
+
+GOING: dict[str, tuple[Shot, Shot]] = {
+    "disc": (disc_in(flown, pan(3, 3), 5), vectors_of_disc),
+    "still": (pan(3, 0), lambda time: np.zeros((HEIGHT, WIDTH, 2))),
+    "fast pan": (pan(3, 11, 2), lambda time: np.full((HEIGHT, WIDTH, 2), (11.0, 2.0))),
+}
+COMING: dict[str, Shot] = {
+    "pan": pan(11, -4, 1), "still": pan(12, 0, light=0.8), "fast pan": pan(13, 9, -3, 1.3),
+    "bright pan": pan(14, -2, light=3), "smooth": lambda time: np.repeat(
+        0.5 + 0.3 * np.sin((X + 3 * time) / 25)[..., None], 3, axis=2),
+    "disc": disc_in(lambda time: (60 - 6 * time, 50 + time), pan(32, -2), 31),
+    "fast disc": disc_in(lambda time: (60 + 10 * time, 50 + 4 * time), pan(42, 0), 41),
+}
+
+
+def psnr(found: np.ndarray, truth: np.ndarray) -> float:
+    """PSNR of displayed pictures."""
+    one, other = ((light / (1 + light)) ** (1 / 2.2) for light in (np.maximum(found, 0), truth))
+    return float(-10 * np.log10(np.mean((one - other) ** 2)))
+
+
+def gains(going: tuple[Shot, Shot], coming: Shot) -> list[list[float]]:
+    """Of one dissolve, by the ways in turn."""
+    def shown(time: float) -> np.ndarray:
+        part = min(max(time / STEPS, 0.0), 1.0)
+        return going[0](time) * (1 - part) + coming(time) * part
+
+    def frame(time: float, with_vectors: bool = True) -> Frame:
+        planes = {Role.COLOUR: shown(time).astype(np.float32)}
+        if with_vectors:
+            planes[Role.MOTION] = going[1](time).astype(np.float32)
+        return Frame(planes)
+
+    frames, found = [frame(time) for time in range(-1, STEPS + 2)], []
+    for time in range(STEPS):
+        earlier, before, after, later = frames[time:time + 4]
+        wanted, mean = shown(time + 0.5), (before[Role.COLOUR] + after[Role.COLOUR]) / 2
+        flow = Between(frame(time, False), frame(time + 1, False)).frame(0.5)[Role.COLOUR]
+        best = max(psnr(flow, wanted), psnr(mean, wanted))
+        if best > SEEN_DB:
+            continue
+        row = [Between(before, after)]
+        row += [Between(before, after, later, last=Between(earlier, before)) for _ in range(2)]
+        shares = []
+        for between, power in zip(row, (4, BEST_ALONE_POWER, ways.FORETOLD_POWER), strict=True):
+            ways.FORETOLD_POWER, usual = power, ways.FORETOLD_POWER
+            shares.append(psnr(between.frame(0.5)[Role.COLOUR], wanted) - best)
+            ways.FORETOLD_POWER = usual
+        found.append(shares)
+    return found
+
+
+def main() -> None:
+    """Measure, and print a row for each way."""
+    found = np.array([gain for going in GOING.values() for coming in COMING.values()
+                      for gain in gains(going, coming)])
+    names = "by two frames", "the best one alone", "all as they foretell"
+    print(f"{len(found)} frames between | mean | worst | below -0.2 | below -1")
+    for name, gain in zip(names, found.T, strict=True):
+        print(f"{name} | {gain.mean():.2f} dB | {gain.min():.2f} dB | {(gain < -0.2).sum()} | "
+              f"{(gain < -1).sum()}")
+
+
+if __name__ == "__main__":
+    main()
