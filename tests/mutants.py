@@ -187,7 +187,7 @@ CHOSEN = (
     ("cpp", "F(greys->equal) : F(greys->other)", "F(greys->other) : F(greys->equal)"),
     ("py", "_halo(model) * 4 // 3", "_halo(model) // 3"),
     ("py", "min(max(0, first - halo) // grid * grid, last)", "min(max(0, first - halo), last)"),
-    ("py", 'pack("<2i", top + place * lines, len(chunk))', 'pack("<2i", top, len(chunk))'),
+    ("py", 'pack("<2i", top + first, len(chunk))', 'pack("<2i", top, len(chunk))'),
     ("py", "if len(packed) < plain.size else plain.tobytes()", ""),
     ("py", "-down - first_row, -right", "-down, -right"),
     ("py", "self._inner |= self._current", "self._inner = self._current and self._inner"),

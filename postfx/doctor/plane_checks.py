@@ -35,12 +35,12 @@ class Cost(NamedTuple):
 
 
 COSTS = {
-    Role.DIFFUSE_ALBEDO: Cost(0.92, 1.75),
-    Role.SPECULAR_ALBEDO: Cost(0.06, 0.30),
-    Role.NORMAL: Cost(0.25, 0.31),
-    Role.ROUGHNESS: Cost(0.02, 0.04),
-    Role.DEPTH: Cost(0.10, 0.42),
-    Role.MOTION: Cost(1.22, 2.03),
+    Role.DIFFUSE_ALBEDO: Cost(0.90, 1.57),
+    Role.SPECULAR_ALBEDO: Cost(0.07, 0.29),
+    Role.NORMAL: Cost(0.20, 0.36),
+    Role.ROUGHNESS: Cost(0.02, 0.05),
+    Role.DEPTH: Cost(0.07, 0.37),
+    Role.MOTION: Cost(1.14, 2.02),
 }
 """Measured by leaving each plane out of three sequences: the table of ablations in
 docs/lab/quality.md."""

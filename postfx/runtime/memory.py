@@ -177,7 +177,8 @@ class MappedChunk:
         and nothing is done, where the system or the file system cannot."""
         start = pointer - self.pointer
         first, last = -(-start // mmap.PAGESIZE), (start + nbytes) // mmap.PAGESIZE
-        if not hasattr(mmap, "MADV_REMOVE") or first >= last:
+        advises = hasattr(mmap, "MADV_REMOVE") and hasattr(self._map, "madvise")
+        if not advises or first >= last:
             return False
         try:
             self._map.madvise(mmap.MADV_REMOVE, first * mmap.PAGESIZE,

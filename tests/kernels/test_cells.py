@@ -166,7 +166,7 @@ def test_many_threads_find_what_one_finds() -> None:
     colour, divided = bad_colours(480, 640), []
     colour[100:140] = 1
 
-    def divide(rows, count):
+    def divide(rows, count, _):
         divided.append(count)
         for i in reversed(range(count)):
             rows(i, i + 1)

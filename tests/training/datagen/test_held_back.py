@@ -23,9 +23,19 @@ def test_a_scene_that_is_held_back_is_refused_by_name():
     held_back.refuse("camp")
 
 
-def test_mitsuba_draws_no_scene_that_is_held_back(tmp_path):
+@pytest.fixture
+def scalar_mitsuba():
+    """Mitsuba with its plainest variant, and then with the one that it had."""
     mitsuba = pytest.importorskip("mitsuba")
+    before = mitsuba.variant()
     mitsuba.set_variant("scalar_rgb")
+    yield mitsuba
+    if before:
+        mitsuba.set_variant(before)
+
+
+@pytest.mark.usefixtures("scalar_mitsuba")
+def test_mitsuba_draws_no_scene_that_is_held_back(tmp_path):
     from training.datagen.scenes.convert import RealScenes
 
     for name in ("bathroom", "fox"):

@@ -280,7 +280,7 @@ def test_the_document_has_known_markers_and_its_pictures():
 
     blocks = [part for part in parse(page.read_text(), page, {*MAKERS, "picture"})
               if isinstance(part, Block)]
-    assert {block.name for block in blocks} == {*MAKERS, "picture"}
+    assert "picture" in {block.name for block in blocks} <= {*MAKERS, "picture"}
     shown = [block.text.split("](")[1].rstrip(")\n")
              for block in blocks if block.name == "picture" and block.text]
     files = {f"../images/quality/{path.name}": path.stat().st_size
