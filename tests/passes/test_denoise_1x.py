@@ -81,6 +81,13 @@ def test_a_plan_tells_that_another_network_stands_in_at_1x() -> None:
             .remarks(spec) == ())
 
 
+def test_a_plan_tells_that_a_precision_is_missing() -> None:
+    (remark,) = DenoiseUpscale(model="xl.int8", scale=1).remarks(noisy(1).spec)
+    assert remark == ("model 'xl.int8' has no network in int8: 'm.int8' stands in; give model 'xl' "
+                      "for the better picture")
+    assert DenoiseUpscale(model="xl", scale=1).remarks(noisy(1).spec) == ()
+
+
 @pytest.mark.usefixtures("models")
 def test_a_plan_tells_that_another_network_enlarges_instead_of_one_for_1x_alone() -> None:
     spec = noisy(1).spec

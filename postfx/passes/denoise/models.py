@@ -116,6 +116,10 @@ def unscaled_remarks(tag: str) -> list[str]:
     other = _stand_in(tag, STAND_INS)
     if other == tag or model_of(tag, UNSCALED) != _named(other, UNSCALED, None):
         return []
+    size, _, precision = tag.partition(".")
+    if size in ENLARGING_STAND_INS:
+        return [f"model '{tag}' has no network in {precision}: '{other}' stands in; give model "
+                f"'{size}' for the better picture"]
     return [f"model '{tag}' has no network for 1x: '{other}' stands in, which is better there"]
 
 
