@@ -7,12 +7,10 @@ It needs pip install '.[bench]', on a GPU also PyTorch with CUDA. postfx turns n
 given size into twice as large, tone-mapped ones, or by --scale 1 into ones of the same size. OIDN
 (clean albedo and normal) denoises a frame of the same size, and one of the output's size; on the
 CPU also one whose albedo and normal it filters first, as Blender has it. Prints medians, spread
-and ratios. On the CPU times are those of whole calls. On a GPU they are the
-device's own, between its first and last command: all planes lie there for both, and nothing is
-copied.
+and ratios. On the CPU times are those of whole calls. On a GPU they are the device's own, between
+its first and last command: all planes lie there for both, and nothing is copied.
 """
 import argparse
-import os
 import resource
 import statistics
 import time
@@ -24,6 +22,7 @@ import postfx
 from postfx.frame import ROLES
 from postfx.oidn import OpenImageDenoise
 from postfx.runtime import Device
+from postfx.system import usable_cores
 
 PLANES = ("colour", "depth", "motion", "normal", "diffuse_albedo", "specular_albedo", "roughness")
 
@@ -70,7 +69,7 @@ def prefiltered_oidn(frame: postfx.Frame, quality: str) -> float:
 
 @cache
 def three_filters(quality: str) -> OpenImageDenoise:
-    return OpenImageDenoise(quality, "cpu", threads=len(os.sched_getaffinity(0)))
+    return OpenImageDenoise(quality, "cpu", threads=usable_cores())
 
 
 def oidn_on_gpu(frame: postfx.Frame, scale: int, quality: str) -> float:

@@ -25,10 +25,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from training.denoise.picture import ADDED_LAYERS
+
 PREFIX, HALF = "trunk.", "_half"
-ADDED = ("correct", "enter", "join", "gate", "detail")
-"""Layers of a picture network that add to a published one: without them it is that network, but
-for gates, which are nearly closed then."""
 
 
 def save(checkpoint: dict[str, Any], path: Path) -> None:
@@ -108,7 +107,7 @@ def widen(weights: dict[str, Tensor], wider: dict[str, Tensor]) -> dict[str, Ten
     """
     found = {name: values.clone() for name, values in wider.items()}
     for name in found.keys() - weights.keys():
-        if name.removeprefix(PREFIX).partition(".")[0] in ADDED:
+        if name.removeprefix(PREFIX).partition(".")[0] in ADDED_LAYERS:
             found[name].zero_()
     levels = count_levels(weights)
     for name, values in weights.items():

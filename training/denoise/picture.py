@@ -67,6 +67,9 @@ LEAST_ALBEDO = 0.02  # is added, so that ratios of black surfaces stay finite
 LEAST_LIGHT = 1e-3  # likewise, of exposed light
 MOST_DETAIL = 3.0  # logarithm of the largest factor
 LEVELS = 4
+ADDED_LAYERS = ("correct", "enter", "join", "gate", "detail")
+"""Layers that add to a published network: without them it is that network, but for gates, which are
+nearly closed then."""
 BLEND_BEGINS = 1.5  # logit of the new picture's share beside the history
 DISTRUST_BEGINS = -2.0  # logit
 GATE_BEGINS = -3.0  # logit of a share of the history in the colour that is read: 5 %
@@ -248,12 +251,10 @@ class PictureNetwork(nn.Module):
         self.judge = nn.Sequential(conv(last + known + 6, JUDGE), nn.ReLU())
         self.controls = nn.Conv2d(JUDGE, CONTROLS, 1)
         self.error = nn.Conv2d(JUDGE, 1, 1)
-        gates = (*((self.gate,) if self.config.gated else ()),
-                 *((self.detail,) if self.config.detailed else ()))
-        for added in (self.correct, self.enter, self.join, *gates):
-            nn.init.zeros_(added.weight)
-        for added in (self.correct, self.join, *gates):
-            nn.init.zeros_(added.bias)
+        for name in ADDED_LAYERS:
+            if hasattr(self, name):
+                for weight in getattr(self, name).parameters():
+                    nn.init.zeros_(weight)
         for head in (self.controls, self.error):
             nn.init.normal_(head.weight, std=HEAD_STD)
             nn.init.zeros_(head.bias)

@@ -189,6 +189,13 @@ def parse(words: list[str] | None = None) -> argparse.Namespace:
         args = parser.parse_args(words)
     if args.carry and args.both_ways:
         parser.error("--carry and --both-ways exclude each other")
+    if args.only and not args.picture:
+        parser.error("--only is for --picture: leave one of the two out, or give both")
+    if args.only:
+        known = layers_of(network_of(args).trunk)
+        for name in args.only:
+            if name not in known:
+                parser.error(f"--only {name}: the network has {', '.join(known)}")
     return args
 
 
@@ -221,7 +228,7 @@ def network_of(args: argparse.Namespace) -> DenoiseUpscale | PictureDenoiser:
 def rate_groups(model: DenoiseUpscale | PictureDenoiser, published: float,
                 only: list[str] | None = None) -> list[dict[str, Any]]:
     """The weights that are learnt, by the share of the learning rate that they get; others are
-    frozen. Raises ValueError if ``only`` names a layer that the network lacks."""
+    frozen. ``only`` names the layers that a picture network learns."""
     if not isinstance(model, PictureDenoiser):
         return [{"params": list(model.parameters()), "share": 1.0}]
     if only:
@@ -242,10 +249,12 @@ def choose_layers(network: PictureNetwork, words: list[str]) -> list[nn.Paramete
         weight.requires_grad_(name.partition(".")[0] in words)
         if weight.requires_grad:
             chosen.append(weight)
-    known = {name.partition(".")[0] for name, _ in network.named_parameters()}
-    if unknown := sorted(set(words) - known):
-        raise ValueError(f"--only {unknown[0]}: the network has {', '.join(sorted(known))}")
     return chosen
+
+
+def layers_of(network: nn.Module) -> list[str]:
+    """The first words of the names of a network's weights."""
+    return sorted({name.partition(".")[0] for name, _ in network.named_parameters()})
 
 
 def runs_both_ways(step: int, share: float) -> bool:

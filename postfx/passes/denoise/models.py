@@ -117,7 +117,7 @@ def unscaled_remarks(tag: str) -> list[str]:
     if other == tag or model_of(tag, UNSCALED) != _named(other, UNSCALED, None):
         return []
     size, _, precision = tag.partition(".")
-    if size in ENLARGING_STAND_INS:
+    if precision and size in ENLARGING_STAND_INS:
         return [f"model '{tag}' has no network in {precision}: '{other}' stands in; give model "
                 f"'{size}' for the better picture"]
     return [f"model '{tag}' has no network for 1x: '{other}' stands in, which is better there"]
@@ -205,7 +205,7 @@ def blanks_volumes(model: str) -> bool:
     return bool(_card(model).get("blanks_volumes", True))
 
 
-HALOS, GUIDED_HALO = {CLASSIC: 40, "s": 56, "m": 44, "l": 48, "xl": 96}, 96
+HALOS, GUIDED_HALO = {CLASSIC: 40, "s": 56, "m": 44, "l": 48}, 96
 """Render pixels that a network must see around active ones so that the result differs by less than
 1e-3 from that of the whole frame: by model size, the largest for other models, and for models that
 read guides. docs/lab/denoiser.md lists the differences. A card's own "halo" comes before them."""

@@ -12,11 +12,12 @@ from postfx import DenoiseUpscale, Device, Frame, Pipeline
 from postfx.errors import PassOptionError
 from postfx.frame import Role
 from training.denoise import open_weights
-from training.denoise.checkpoint import ADDED, PREFIX, graft, mix, save, widen
+from training.denoise.checkpoint import PREFIX, graft, mix, save, widen
 from training.denoise.export import card, export_trunk, load_trunk
 from training.denoise.model import Inputs, empty_state
 from training.denoise.picture import (
     ACCUMULATED,
+    ADDED_LAYERS,
     FURTHER_INPUTS,
     GUIDED_INPUTS,
     HISTORY,
@@ -151,11 +152,24 @@ def test_published_weights_get_their_own_rate(denoiser):
     assert not any(weight.requires_grad for weight in frozen.trunk.published())
 
 
+def test_some_layers_can_be_learnt_alone(capsys):
+    chosen = PictureDenoiser(PictureNetwork(SMALL))
+    (only,) = rate_groups(chosen, 0.05, ["gate", "detail"])
+    learnt = [name for name, weight in chosen.trunk.named_parameters() if weight.requires_grad]
+    assert learnt == ["gate.weight", "gate.bias", "detail.weight", "detail.bias"]
+    assert len(only["params"]) == len(learnt)
+    for words, said in ((["--only", "gate"], "--only is for --picture"),
+                        (["--picture", "--large", "--only", "gates"], "--only gates: the")):
+        with pytest.raises(SystemExit):
+            parse(["--clips", ".", "--out", ".", *words])
+        assert said in capsys.readouterr().err
+
+
 def test_what_is_added_to_a_published_network_begins_as_nothing():
     torch.manual_seed(1)
     network = PictureNetwork(SMALL)
     assert not any(weight.any() for name, weight in network.named_parameters()
-                   if name.startswith(ADDED))
+                   if name.startswith(ADDED_LAYERS))
 
 
 def test_an_open_gate_reads_the_history_instead_of_the_noise():
