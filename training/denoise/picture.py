@@ -60,13 +60,11 @@ ACCUMULATED = FURTHER_INPUTS - 6  # where the codes of the accumulated colour be
 HISTORY = FURTHER_INPUTS - 3  # where the codes of the last output begin among them
 VALID = 21  # the feature that says where a pixel has a history
 JUDGE = 24  # channels of what compares the picture with the history
-DETAIL = 24  # channels of what compares the detail of the picture and of the albedo
-DETAIL_SIDE_PX = 5  # side of the windows whose means detail is relative to
-DETAIL_BEGINS = -4.0  # logit of the share of the albedo's detail: 2 %
-LEAST_ALBEDO = 0.02  # is added, so that ratios of black surfaces stay finite
-LEAST_LIGHT = 1e-3  # likewise, of exposed light
-MOST_DETAIL = 3.0  # logarithm of the largest factor
+DETAIL = 24  # channels of what compares the picture with the albedo's texture
+EVEN_SIDE_PX = 7  # side of the windows in which light is taken as even
+DETAIL_BEGINS = -3.0  # logit of the share of the albedo's texture: 5 %
 LEVELS = 4
+DEEPEST = 96  # channels at 1/8 of the size in a deep branch
 ADDED_LAYERS = ("correct", "enter", "join", "gate", "detail")
 """Layers that add to a published network: without them it is that network, but for gates, which are
 nearly closed then."""
@@ -111,6 +109,7 @@ class PictureConfig:
             networks.
         gated: the branch mixes the history into the colour that is read.
         detailed: fine detail may come from the albedo instead of the picture.
+        deep: the branch has further convolutions, and a level at 1/8 of the size.
     """
 
     picture: bool = True
@@ -121,6 +120,7 @@ class PictureConfig:
     large: bool = False
     gated: bool = False
     detailed: bool = False
+    deep: bool = False
     trust: bool = False
     guides: bool = False
     mirrored: bool = True
@@ -209,11 +209,12 @@ class Layer(NamedTuple):
 
 
 LARGE = PictureConfig(down=(64, 96, 128, 192, 256), up=(64, 96, 128, 192), last=64, large=True,
-                      gated=True, detailed=True)
-"""The layout of Open Image Denoise's large networks, with a gate for the history and one for
-detail."""
-BRANCH_LEVELS = {"branch.half_down": 1, "branch.half_up": 1, "branch.quarter_in": 2,
-                 "branch.quarter_out": 2}
+                      gated=True, detailed=True, deep=True)
+"""The layout of Open Image Denoise's large networks, with a gate for the history, one for detail,
+and a deep branch."""
+BRANCH_LEVELS = {"branch.half_down": 1, "branch.half_up": 1, "branch.half_more": 1,
+                 "branch.quarter_in": 2, "branch.quarter_out": 2, "branch.eighth_in": 3,
+                 "branch.eighth_out": 3, "branch.quarter_more": 3}
 """Levels of convolutions of the branch below the render size."""
 
 
@@ -239,14 +240,15 @@ class PictureNetwork(nn.Module):
         for name, layer in self.config.published_layers().items():
             setattr(self, name, conv(layer.inputs, layer.outputs))
         up_one, last, known = self.config.up[0], self.config.last, self.config.beside[0]
-        self.branch = Branch(GUIDED_INPUTS + FURTHER_INPUTS, self.config.beside)
+        branch = DeepBranch if self.config.deep else Branch
+        self.branch = branch(GUIDED_INPUTS + FURTHER_INPUTS, self.config.beside)
         self.correct = conv(known, GUIDED_INPUTS)
         self.enter = nn.Conv2d(known, self.config.down[0], 3, padding=1, bias=False)
         self.join = nn.Conv2d(known, up_one, 1)
         if self.config.gated:
             self.gate = conv(known, 2)
         if self.config.detailed:
-            self.compare_detail = conv(known + 9, DETAIL)
+            self.compare_detail = conv(known + 12, DETAIL)
             self.detail = conv(DETAIL, 1)
         self.judge = nn.Sequential(conv(last + known + 6, JUDGE), nn.ReLU())
         self.controls = nn.Conv2d(JUDGE, CONTROLS, 1)
@@ -276,7 +278,7 @@ class PictureNetwork(nn.Module):
         with torch.autocast(stream.device.type, enabled=False):
             codes = getattr(self, self.config.picture_layer)(stream.float()).clamp(0.0, 1.0)
         if self.config.detailed:
-            codes = self.with_detail(codes, guided, known)
+            codes = self.with_detail(codes, guided[:, :3], corrected[:, 3:6], known)
         history = further[:, HISTORY:]
         compared = torch.cat((codes, codes - history), 1)
         judged = F.relu(self.convolve(self.judge[0], stream, known, compared))
@@ -294,24 +296,22 @@ class PictureNetwork(nn.Module):
         history = further[:, HISTORY:] - colour
         return shares[:, :1] * accumulated + shares[:, 1:] * history
 
-    def with_detail(self, codes: Tensor, guided: Tensor, known: Tensor) -> Tensor:
-        """The codes of the picture (N, 3, h, w), with a share of the detail of the albedo instead
-        of its own.
+    def with_detail(self, codes: Tensor, noisy: Tensor, albedo: Tensor, known: Tensor) -> Tensor:
+        """The codes of the picture (N, 3, h, w), in part replaced by `albedo_in_even_light`.
 
         A texture of single pixels looks like noise, and a network takes it out of the picture. The
-        albedo still has it: a surface in even light is as bright as its albedo, times a factor that
-        changes little from pixel to pixel. Where the albedo itself is noisy, or says nothing of
-        the light, its share is small.
+        cleaned ``albedo`` (N, 3, h, w) still has it. How far the two agree with the ``noisy`` codes
+        (N, 3, h, w) helps to tell where light changes from pixel to pixel, so that the albedo says
+        little.
         """
         with torch.autocast(codes.device.type, enabled=False):
-            light = decode(codes)
-            change = (fine_detail(guided[:, 3:6].float().clamp(min=0.0) + LEAST_ALBEDO)
-                      - fine_detail(light + LEAST_LIGHT)).clamp(-MOST_DETAIL, MOST_DETAIL)
-        compared = torch.cat((codes, guided[:, :3] - codes, change), 1)
+            noisy, albedo = noisy.float(), albedo.float()
+            textured = encode(albedo_in_even_light(decode(codes), albedo).clamp(0.0, MOST_LIGHT))
+        compared = torch.cat((codes, noisy - codes, textured - codes, noisy - textured), 1)
         seen = F.relu(self.convolve(self.compare_detail, known, compared))
         with torch.autocast(codes.device.type, enabled=False):
             share = torch.sigmoid(self.detail(seen.float()) + DETAIL_BEGINS)
-            return encode((light * torch.exp(share * change)).clamp(0.0, MOST_LIGHT))
+            return torch.lerp(codes, textured, share)
 
     def way_down(self, guided: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The streams at 1/2, 1/4, 1/8 and 1/16 of the size, each before its level's convolutions;
@@ -369,18 +369,67 @@ class Branch(nn.Module):
         self.known = conv(two + one, one)
 
     def forward(self, inputs: Tensor) -> Tensor:
-        full = F.relu(self.full(inputs))
-        half = F.relu(self.half_down(F.max_pool2d(full, 2)))
+        full = self.further_full(F.relu(self.full(inputs)))
+        half = self.further_half(F.relu(self.half_down(F.max_pool2d(full, 2))))
         quarter = F.relu(self.quarter_in(F.max_pool2d(half, 2)))
-        quarter = F.relu(self.quarter_out(quarter))
+        quarter = self.further_quarter(F.relu(self.quarter_out(quarter)))
         half = F.relu(self.half_up(beside(quarter, half)))
         return F.relu(self.known(beside(half, full)))
 
+    def further_full(self, full: Tensor) -> Tensor:
+        """The stream of the whole size, before the coarser levels."""
+        return full
 
-def fine_detail(plane: Tensor) -> Tensor:
-    """Logarithm of a positive plane (N, C, h, w) over its mean around each pixel."""
-    mean = F.avg_pool2d(plane, DETAIL_SIDE_PX, 1, DETAIL_SIDE_PX // 2, count_include_pad=False)
-    return torch.log(plane / mean)
+    def further_half(self, half: Tensor) -> Tensor:
+        """The stream of half the size, before the coarser level."""
+        return half
+
+    def further_quarter(self, quarter: Tensor) -> Tensor:
+        """The coarsest stream."""
+        return quarter
+
+
+class DeepBranch(Branch):
+    """A branch with one more convolution at 1 and 1/2 of the size, and a level at 1/8: it sees
+    about 45 pixels around each.
+
+    Its convolutions add to the streams of the other branch, and begin as zero.
+    """
+
+    def __init__(self, inputs: int, channels: tuple[int, ...]):
+        super().__init__(inputs, channels)
+        one, two, three = channels
+        self.full_more = conv(one, one)
+        self.half_more = conv(two, two)
+        self.eighth_in = conv(three, DEEPEST)
+        self.eighth_out = conv(DEEPEST, DEEPEST)
+        self.quarter_more = nn.Conv2d(DEEPEST, three, 1)
+        for layer in (self.full_more, self.half_more, self.quarter_more):
+            for weight in layer.parameters():
+                nn.init.zeros_(weight)
+
+    def further_full(self, full: Tensor) -> Tensor:
+        return F.relu(full + self.full_more(full))
+
+    def further_half(self, half: Tensor) -> Tensor:
+        return F.relu(half + self.half_more(half))
+
+    def further_quarter(self, quarter: Tensor) -> Tensor:
+        eighth = F.relu(self.eighth_in(F.max_pool2d(quarter, 2)))
+        eighth = F.relu(self.eighth_out(eighth))
+        return F.relu(quarter + enlarge(self.quarter_more(eighth)))
+
+
+def albedo_in_even_light(light: Tensor, albedo: Tensor) -> Tensor:
+    """The picture (N, 3, h, w) of the albedo in light that hardly changes from pixel to pixel: its
+    mean around each pixel, over the mean of the albedo there, times the albedo."""
+    factor = ops.demodulation(albedo, torch.zeros_like(albedo))
+    return factor * local_mean(light) / local_mean(factor)
+
+
+def local_mean(plane: Tensor) -> Tensor:
+    """The mean of a plane (N, C, h, w) around each pixel."""
+    return F.avg_pool2d(plane, EVEN_SIDE_PX, 1, EVEN_SIDE_PX // 2, count_include_pad=False)
 
 
 def beside(coarser: Tensor, skip: Tensor) -> Tensor:
