@@ -12,6 +12,9 @@ A cleaned half is no target for a render with as many samples: the network would
 blurred as the target. So the other half of the reference leaves the clip. The render from the first
 half stays for its planes, which are almost without noise, and is not trained on.
 
+A renderer that fails on the GPU may still save pictures, black or half done. A clip whose renders
+have not the light of its reference is left out.
+
 Clips without halves have references of many samples, and are moved as they are, like clips whose
 references are larger than their renders. RAW may still be growing: with --watch the program goes on
 for so many minutes. Cleaned clips leave RAW, so a rendering that goes on there makes
@@ -29,9 +32,14 @@ from pathlib import Path
 
 import numpy as np
 
+from training.denoise.dataset import grey_factor
 from postfx.oidn import OpenImageDenoise
 from training.datagen.clip_file import to_half
 
+BLOCK_PX = 32  # side of the blocks whose light is compared
+LEAST_BLOCK_RATIO = 0.25  # of the light of a block to that of the same block
+DARK_BLOCK = 0.02  # behind x / (1 + x): darker blocks count as equal
+MOST_DIFFERENT_BLOCKS = 0.1  # of a frame
 PAUSE = 0.5  # seconds between two looks for new clips
 THREADS = 8  # of the CPU
 
@@ -68,10 +76,43 @@ def clean(denoise: OpenImageDenoise, arrays: Arrays, variant: str) -> np.ndarray
     return result
 
 
+def is_whole(arrays: Arrays) -> bool:
+    """Whether all renders of a clip have the light of its reference, in nearly all blocks of every
+    frame. Renders of another size than the reference are not compared."""
+    reference = arrays["reference"].astype(np.float32)
+    if not reference.reshape(len(reference), -1).max(1).min() > 0:
+        return False
+    exposure = grey_factor(reference[0].clip(0))
+    wanted = block_codes(reference, exposure)
+    for name, colour in arrays.items():
+        if name.endswith("_colour") and colour.shape == reference.shape:
+            found = block_codes(colour.astype(np.float32), exposure)
+            less, more = np.minimum(found, wanted), np.maximum(found, wanted)
+            differs = (less < LEAST_BLOCK_RATIO * more) & (more > DARK_BLOCK)
+            shares = differs.mean((1, 2))
+            if not shares.max() <= MOST_DIFFERENT_BLOCKS:
+                return False
+    return True
+
+
+def block_codes(light: np.ndarray, exposure: float) -> np.ndarray:
+    """The mean light of blocks (T, rows, columns) behind x / (1 + x)."""
+    frames, height, width, _ = light.shape
+    rows, columns = height // BLOCK_PX, width // BLOCK_PX
+    cut = light[:, :rows * BLOCK_PX, :columns * BLOCK_PX].mean(-1)
+    exposed = exposure * cut.reshape(frames, rows, BLOCK_PX, columns, BLOCK_PX).mean((2, 4)).clip(0)
+    return exposed / (1 + exposed)
+
+
 def clean_file(denoise: OpenImageDenoise, path: Path, folder: Path) -> bool:
-    """Move a clip to a folder, its reference cleaned if it needs that; returns whether it did."""
+    """Move a clip to a folder, its reference cleaned if it needs that; returns whether it did. A
+    clip that is not whole is deleted."""
     with np.load(path) as file:
         arrays = dict(file)
+    if not is_whole(arrays):
+        print(f"left out: {path.name}: a render has not the light of its reference", flush=True)
+        path.unlink()
+        return False
     target, variant = folder / path.name, render_of_half(arrays)
     if variant is None:
         shutil.move(path, target)

@@ -62,6 +62,8 @@ VALID = 21  # the feature that says where a pixel has a history
 JUDGE = 24  # channels of what compares the picture with the history
 DETAIL = 24  # channels of what compares the picture with the albedo's texture
 EVEN_SIDE_PX = 7  # side of the windows in which light is taken as even
+LEAST_LIGHT = 1e-5  # whose code still has a small gradient
+LEAST_ALBEDO = 0.01  # is added, so that ratios of black surfaces stay small
 DETAIL_BEGINS = -3.0  # logit of the share of the albedo's texture: 5 %
 LEVELS = 4
 DEEPEST = 96  # channels at 1/8 of the size in a deep branch
@@ -306,7 +308,8 @@ class PictureNetwork(nn.Module):
         """
         with torch.autocast(codes.device.type, enabled=False):
             noisy, albedo = noisy.float(), albedo.float()
-            textured = encode(albedo_in_even_light(decode(codes), albedo).clamp(0.0, MOST_LIGHT))
+            even = albedo_in_even_light(decode(codes), albedo)
+            textured = encode(even.clamp(LEAST_LIGHT, MOST_LIGHT))
         compared = torch.cat((codes, noisy - codes, textured - codes, noisy - textured), 1)
         seen = F.relu(self.convolve(self.compare_detail, known, compared))
         with torch.autocast(codes.device.type, enabled=False):
@@ -423,7 +426,7 @@ class DeepBranch(Branch):
 def albedo_in_even_light(light: Tensor, albedo: Tensor) -> Tensor:
     """The picture (N, 3, h, w) of the albedo in light that hardly changes from pixel to pixel: its
     mean around each pixel, over the mean of the albedo there, times the albedo."""
-    factor = ops.demodulation(albedo, torch.zeros_like(albedo))
+    factor = albedo.clamp(min=0.0) + LEAST_ALBEDO
     return factor * local_mean(light) / local_mean(factor)
 
 
