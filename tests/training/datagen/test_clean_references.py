@@ -69,3 +69,20 @@ def test_a_render_whose_reference_is_gone_is_not_trained_on(folders: tuple[Path,
     half = cleaned.halved.index(True)
     assert half not in compared(cleaned)
     assert len(compared(cleaned)) == len(cleaned.planes) - 1
+
+
+@pytest.mark.parametrize(("name", "frame"), (("reference", 0), ("reference", 2), ("v0_colour", 1)))
+def test_a_clip_with_a_black_picture_is_left_out(tmp_path: Path, name: str, frame: int,
+                                                 capsys: pytest.CaptureFixture[str]) -> None:
+    """A renderer that fails may save black pictures."""
+    raw, folder = tmp_path / "raw", tmp_path / "cleaned"
+    raw.mkdir()
+    torch.manual_seed(4)
+    (reference, variants, facts), = formula.draw_clips(1, FRAMES, SIDE, 1.0, torch.device("cpu"))
+    clip = {"reference": reference, "v0_colour": variants[0]["colour"]}
+    clip[name][frame] = 0
+    save_clip(raw / "clip.00000.npz", reference, variants, facts | {"seed": 0})
+    assert clean_references.main([str(raw), str(folder), "--threads", "1"]) == 0
+    assert "left out: clip.00000.npz" in capsys.readouterr().out
+    assert not list(raw.iterdir())
+    assert not list(folder.iterdir())
