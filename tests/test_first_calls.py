@@ -43,3 +43,12 @@ def test_a_pipeline_is_called_with_a_frame():
                        r"array\}\)"):
         pipeline(PICTURE)
     assert pipeline(postfx.Frame({"color": PICTURE}))["colour"].shape == PICTURE.shape
+
+
+@pytest.mark.parametrize(("given", "kind"), [
+    (("out.exr", PICTURE), "ndarray"),
+    ((postfx.Frame({"color": PICTURE}), "out.exr"), "str"),
+])
+def test_what_is_written_is_a_frame(given, kind):
+    with pytest.raises(FrameError, match=f"takes a path and a postfx.Frame, not {kind}: "):
+        postfx.write_frame(*given)
