@@ -100,6 +100,8 @@ class Sequence:
         self._step = _step(self.present())
         self._last: int | None = None
         wanted = options.frames if options.frames is not None else named or self._on_disk()
+        if isinstance(wanted, int):
+            wanted = [wanted]
         self.numbers = tuple(
             parse_frames(wanted) if isinstance(wanted, str) else map(index, wanted)
         )
