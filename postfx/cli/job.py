@@ -693,8 +693,8 @@ def announce_run_up(check: Callable[[], None],
         nonlocal told
         check()
         if first != told:
-            tell(f"frames {other} back to {first} first, unwritten, for the history of frame "
-                 f"{first} (--run-up 0 leaves it out)")
+            tell(f"run-up from frame {other} back to frame {first}, for its history (--run-up 0 "
+                 "leaves it out)")
         told = first
 
     return before_frame
