@@ -155,7 +155,7 @@ def test_the_page_names_what_the_button_sets_and_its_block_does_the_same(extensi
     (tmp_path / "block.py").write_text(block)
     found = panels.in_blender(extension, tmp_path / "block.py")
     assert found["block"] == found["after"] != found["before"]
-    table = page[page.index("| panel |"):page.index("In Blender before 5.2")]
+    table = page[page.index("| panel |"):page.index("Before Blender 5.2")]
     changed = [(title, line) for title, lines in found["after"].items() for line in lines
                if line not in found["before"][title]]
     assert len(changed) == 11
