@@ -33,6 +33,8 @@ source:
 
 build:
   number: 0
+  skip:
+    - match(python, "{unsupported}")
   script:
     # The compiler of the kernels: another version would give other bits.
     - python -m pip install --no-deps --target compiler {compiler}
@@ -50,7 +52,7 @@ requirements:
     - {backend}
 {host}
   run:
-    - python {python}
+    - python
 {run}
 
 tests:
@@ -62,6 +64,7 @@ tests:
       - postfx --version
 
 about:
+  homepage: https://pypi.org/project/{name}/
   summary: {summary}
   license: {license}
   license_file:
@@ -93,7 +96,7 @@ def recipe(sdist: bytes) -> str:
         backend=conda_name(backend),
         host=needed,  # the man page is made of the command's parser, which imports them
         run=needed,
-        python=project["requires-python"],
+        unsupported=project["requires-python"].replace(">=", "<"),
         summary=project["description"].replace(": ", " - "),
         license=project["license"],
         license_files="\n".join(f"    - {name}" for name in project["license-files"]),

@@ -73,7 +73,8 @@ class Pipeline:
     Args:
         passes: in the order in which they run, each of this pipeline alone; those that would change
             nothing are skipped.
-        device: where to run; default: one device shared by the process.
+        device: where to run, or its name as for `Device`: 'cpu', 'cuda', ...; default: one device
+            shared by the process.
         exposure: 'auto', 'metadata' or a number of stops, see `postfx.exposure.ExposureMeter`; or a
             meter, such as a `postfx.exposure.SmoothExposure` of the whole sequence.
         cuts: 'auto' drops the history also before frames that are unrelated to the one before, as
@@ -111,7 +112,7 @@ class Pipeline:
     def __init__(
         self,
         passes: Sequence[Pass],
-        device: Device | None = None,
+        device: Device | str | None = None,
         exposure: str | float | ExposureMeter | SmoothExposure = "auto",
         cuts: str = "auto",
         run_up: RunUp | None = None,
@@ -122,7 +123,8 @@ class Pipeline:
             raise CutError(f"cuts '{cuts}': use auto or none, and frame.reset for cuts that are "
                            "known")
         self.passes = with_tool(_check_passes(passes))
-        self.device = device if device is not None else default_device()
+        own = Device(device) if isinstance(device, str) else device
+        self.device = own if own is not None else default_device()
         self.plan: Plan | None = None
         self.timings: dict[str, float] = {}
         self.exposure_factor: float | None = None
@@ -142,7 +144,7 @@ class Pipeline:
         self._wide: tuple[Plan, int] | None = None
         self._begins = True  # nothing is known of the frames before
         self._flow = Flow(self.device)
-        self._own_device = device
+        self._own_device = own
         self._cuts = cuts
         self._views: dict[str, Pipeline] = {}
         # the last frame's, in the device's memory

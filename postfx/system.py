@@ -231,8 +231,8 @@ def parse_size(size: str | int) -> int:
         raise MemoryBudgetError(f"memory budget '{size}' is not a size: give bytes, or a number "
                                 "with K, M, G or T: 4G")
     if isinstance(size, str) and not found[2] and float(found[1]) < _SIZE_UNITS["M"]:
-        raise MemoryBudgetError(f"memory budget '{size}' is in bytes without a unit: {found[1]}G "
-                                "for gigabytes?")
+        raise MemoryBudgetError(f"memory budget '{size}' has no unit: give {found[1]}G for "
+                                "gigabytes")
     return int(float(found[1]) * _SIZE_UNITS[found[2].upper()])
 
 

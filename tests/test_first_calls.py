@@ -43,3 +43,25 @@ def test_a_pipeline_is_called_with_a_frame():
                        r"array\}\)"):
         pipeline(PICTURE)
     assert pipeline(postfx.Frame({"color": PICTURE}))["colour"].shape == PICTURE.shape
+
+
+@pytest.mark.parametrize(("given", "kind"), [
+    (("out.exr", PICTURE), "ndarray"),
+    ((postfx.Frame({"color": PICTURE}), "out.exr"), "str"),
+])
+def test_what_is_written_is_a_frame(given, kind):
+    with pytest.raises(FrameError, match=f"takes a path and a postfx.Frame, not {kind}: "):
+        postfx.write_frame(*given)
+
+
+def test_one_frame_and_a_device_go_by_their_plain_names(write_exr, tmp_path):
+    for number in (1, 2):
+        write_exr(f"shot.{number:04d}.exr", {name: np.zeros((8, 8)) for name in "RGB"})
+    shot = postfx.read_sequence(tmp_path / "shot.####.exr", frames=2)
+    assert shot.numbers == (2,)
+    by_name = postfx.Pipeline([postfx.ToneMap()], "cpu")
+    assert by_name.device.name == "cpu" and by_name(shot.read(2))["color"].shape == (8, 8, 3)
+    with pytest.raises(postfx.PostfxError, match="no device 'gpu': use auto, cpu"):
+        postfx.Pipeline([postfx.ToneMap()], "gpu")
+    with pytest.raises(PassOptionError, match="no option 'sacle': did you mean scale[?] its"):
+        postfx.DenoiseUpscale(sacle=2)

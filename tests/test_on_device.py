@@ -412,6 +412,23 @@ def test_tensors_of_pytorch_on_a_gpu():
         assert np.array_equal(held.download(), late.cpu().numpy())
 
 
+@pytest.mark.gpu
+@gpu
+def test_a_still_of_pytorch_on_a_gpu():
+    """Its result is a tensor there, of the same values as on the way through the host."""
+    torch = pytest.importorskip("torch")
+    if not torch.cuda.is_available():
+        pytest.skip("needs PyTorch for CUDA")
+    given = {name: torch.from_numpy(PLANES[Role(name)]).cuda()
+             for name in ("color", "albedo", "normal")}
+    found = [stills.denoise(**given, model="s", exposure=1.0) for _ in range(3)]
+    assert all(one.is_cuda and one.device == given["color"].device for one in found)
+    assert all(torch.equal(one, found[0]) for one in found[1:])
+    host = {name: PLANES[Role(name)] for name in given}
+    right = stills.denoise(**host, model="s", exposure=1.0, device="cuda")
+    np.testing.assert_allclose(found[0].cpu().numpy(), right, rtol=1e-3, atol=1e-3)
+
+
 def test_work_of_other_libraries_gets_copies_of_what_lies_on_a_device(far):
     given, found = There(PLANES[Role.COLOUR]), {}
 
@@ -455,6 +472,19 @@ def test_a_still_on_a_gpu_stays_there(far):
     planes = {role: PLANES[role] for role in (Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.NORMAL)}
     right = Pipeline([DenoiseUpscale(model="s")], far, exposure=1.0)(Frame(planes))[Role.COLOUR]
     np.testing.assert_allclose(found.download(), right, rtol=1e-4, atol=1e-5)
+
+
+def test_results_that_are_held_stay_as_they_are(far):
+    """As of a list of pictures that are denoised one after the other."""
+    stills._pipeline.cache_clear()
+    pictures = [There((PLANES[Role.COLOUR] * factor).astype("f4")) for factor in (1, 2, 4, 8)]
+    found = [stills.denoise(one, model="s", exposure=1.0, device="auto") for one in pictures]
+    assert len({one.start for one in found}) == len(found)
+    before = [stills.denoise(one, model="s", exposure=1.0, device="auto").download()
+              for one in pictures]
+    stills._pipeline.cache_clear()
+    for held, right in zip(found, before, strict=True):
+        np.testing.assert_array_equal(held.download(), right)
 
 
 def test_a_still_on_a_gpu_has_three_channels(far):

@@ -123,8 +123,10 @@ def test_the_recipe_of_conda_forge_has_what_the_package_needs() -> None:
     assert recipe["context"]["version"] == __version__
     assert recipe["source"]["sha256"] == hashlib.sha256(b"sdist").hexdigest()
     run = recipe["requirements"]["run"]
-    assert (run[0] == f"python {PROJECT['requires-python']}"
-            and len(run) == 1 + len(PROJECT["dependencies"]))
+    assert run[0] == "python" and len(run) == 1 + len(PROJECT["dependencies"])
+    oldest = PROJECT["requires-python"].removeprefix(">=")
+    assert recipe["build"]["skip"] == [f'match(python, "<{oldest}")']
+    assert recipe["about"]["homepage"] and recipe["about"]["license"] == PROJECT["license"]
     assert {"numpy >=2.0", "py-openimageio >=3.1", "python-isal >=1.7"} <= set(run)
     assert set(run[1:]) <= set(recipe["requirements"]["host"])
     assert recipe["build"]["python"]["entry_points"] == ["postfx = postfx.cli.main:main"]

@@ -93,7 +93,9 @@ PRESETS = [("NONE", "Standard", "Every frame uses the frames before it"),
            ("preview", "Preview", "The fastest: the small network, alone"),
            ("final", "Final",
             "The cleanest: the largest network in both directions, many times the time"),
-           ("animation", "Animation", "As Final, and steady in brightness")]
+           ("animation", "Animation", "In both directions, and steady in brightness")]
+OWN_NETWORK = ("preview", "final")
+"""Presets that choose the network themselves."""
 
 LOOKS = [("NONE", "None (EXR)", "Scene-linear EXR for the compositor"),
          ("aces2", "ACES 2", "Pictures (PNG) by ACES 2"),
@@ -121,7 +123,8 @@ class Settings(bpy.types.PropertyGroup):
     look: bpy.props.EnumProperty(name="Look", default="NONE", items=LOOKS)
     scale: bpy.props.FloatProperty(name="Scale", default=1.0, min=1.0, max=3.0,
                                    description="Output over render size")
-    model: bpy.props.EnumProperty(name="Network", default="m", items=[
+    model: bpy.props.EnumProperty(name="Network", default="m", description="The presets Preview "
+                                  "and Final choose their own", items=[
         ("s", "Small", "Fastest"), ("m", "Medium", "Recommended"), ("l", "Large", "Better"),
         ("xl", "Extra large", "Best at the render's own size, and slowest")])
     strength: bpy.props.FloatProperty(name="Strength", default=1.0, min=0.0, max=1.0)
@@ -162,6 +165,19 @@ def patterns(scene) -> tuple[str, str]:
                              path.stem[number.end():])
     return (str(path.with_name(f"{before}{hashes}{after}.exr")),
             str(path.with_name(f"{before}{MARK}{hashes}{after}.exr")))
+
+
+def options_of(settings, whole: bool) -> list[str]:
+    """Options of `postfx run` for what the panel says, for the whole sequence or one frame."""
+    options = ["--scale", str(round(settings.scale, 3)),
+               "--strength", str(round(settings.strength, 3))]
+    options += ["--model", settings.model] if settings.preset not in OWN_NETWORK else []
+    options += ["--preset", settings.preset] if settings.preset != "NONE" else []
+    options += ["--aov", "auto"] if settings.parts else []
+    options += (["--clamp-fireflies", str(round(settings.fireflies, 3))] if settings.fireflies
+                else [])
+    options += ["--both-ways"] if settings.both_ways and whole else []
+    return options + (["--tonemap", settings.look] if settings.look != "NONE" else [])
 
 
 def file_of(pattern: str, frame: int) -> Path:
@@ -286,19 +302,11 @@ class Denoise(bpy.types.Operator):
         except LookupError as error:
             self.report({"ERROR"}, str(error))
             return False
-        options = ["--scale", str(round(settings.scale, 3)), "--strength",
-                   str(round(settings.strength, 3))]
-        options += ["--model", settings.model] if settings.preset != "preview" else []
-        options += ["--preset", settings.preset] if settings.preset != "NONE" else []
-        options += ["--aov", "auto"] if settings.parts else []
-        options += (["--clamp-fireflies", str(round(settings.fireflies, 3))] if settings.fireflies
-                    else [])
-        options += ["--both-ways"] if settings.both_ways and self.whole else []
         if settings.look != "NONE":
-            options += ["--tonemap", settings.look]
             output = str(Path(output).with_suffix(".png"))
         self._frames = list(wanted)
-        self._job = Job(command, source, output, ",".join(map(str, wanted)), options)
+        self._job = Job(command, source, output, ",".join(map(str, wanted)),
+                        options_of(settings, self.whole))
         return True
 
     def _end(self, context):

@@ -107,8 +107,10 @@ def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
     from postfx.io.profile import NAME_SOURCES
 
     profile, examined = facts["profile"], len(facts["examined"])
-    looked = f", {examined} examined" if facts["frames"]["count"] > 1 else ""
-    looked += f", ranges of {len(facts['measured'])}" if len(facts["measured"]) > examined else ""
+    absent = facts["absent_frames"]
+    looked = f", {len(absent)} of them without a file" if absent else ""
+    looked += f", {examined} examined" if facts["frames"]["count"] > 1 else ""
+    looked += f", ranges from {len(facts['measured'])}" if len(facts["measured"]) > examined else ""
     return [
         f"{facts['source']}: {_frames_text(facts['frames'])}{looked}: {VERDICTS[exit_code]}",
         f"profile {profile['name']} ({profile['title'] or 'own'}), "
@@ -120,8 +122,7 @@ def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
         *(_plane_line(plane, profile["source"]) for plane in facts["planes"]),
         "",
         *_guide_lines(facts["guides"]),
-        *(f"missing  {item['role']}{': ' + item['fix'] if item['fix'] else ''}"
-          for item in facts["missing"]),
+        *_missing_lines(facts["missing"]),
         *_unread_lines(facts["unread"]),
         *(f"header   {name}: {value}" for name, value in facts["header"].items()),
         *(f"warning  {warning}" for warning in facts["warnings"]),
@@ -129,6 +130,17 @@ def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
         *([f"wrote    {len(facts['pictures'])} pictures: {facts['pictures'][0]} ..."]
           if facts["pictures"] else []),
     ]
+
+
+def _missing_lines(missing: list[dict[str, str]]) -> list[str]:
+    """AOVs that improve any result, a line each, and in one line those that few frames need."""
+    from postfx.doctor.plane_checks import COSTS
+
+    wanted = [item for item in missing if item["role"] in COSTS]
+    others = [item["role"] for item in missing if item not in wanted]
+    lines = [f"missing  {item['role']}{': ' + item['fix'] if item['fix'] else ''}"
+             for item in wanted]
+    return lines + ([f"optional {', '.join(others)}: not in the file"] if others else [])
 
 
 def _unread_lines(layers: list[str]) -> list[str]:

@@ -230,7 +230,7 @@ class Interpolation:
         lines += [f"left out {len(found.skipped)} frames"] * bool(found.skipped)
         passed = ", ".join(f"{interval:g} ({count} times)"
                            for interval, count in sorted(found.intervals.items()))
-        lines.append("motion   from one new frame to the next, in frames of "
+        lines.append("timing   from one new frame to the next, in frames of "
                      f"{self._sequence.pattern}: {passed}")
         if found.psnr:
             mean = sum(found.psnr.values()) / len(found.psnr)

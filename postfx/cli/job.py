@@ -340,6 +340,7 @@ class Job:
                       *warn_of_budget(self._arguments.budget, self._pass_ms, self._choices)],
             choices={name: dict(counts) for name, counts in self._choices.items()},
             outputs=self._written,
+            told=self._noticed,
             guides=guides_in(self.plan, {"scale", "size"} & {*self._values("denoiser")} != set()),
             exposure=self._exposure,
             cuts=self._cuts,
@@ -439,7 +440,7 @@ class Job:
                         run.recall(work, frame)
                     continue
                 if frame is not None:
-                    self._look(frame, progress.note)
+                    self._look(frame, progress.note, self._is_still)
                     frame.reset = frame.reset or is_unseen
                     if self._backwards:
                         ahead = partial(self._look_ahead, self._backwards, frame, work.write, stop,
@@ -458,10 +459,14 @@ class Job:
                 stop.check()
 
     def _remarks(self) -> list[str]:
-        """What the passes remark; a picture that is no part of a shot cannot flicker."""
-        is_still = len(self.sequence.present()) == 1
-        return [remark
-                for remark in self.plan.remarks if not (is_still and NO_HISTORY_REMARK in remark)]
+        """What the passes remark; a still cannot flicker."""
+        return [remark for remark in self.plan.remarks
+                if not (self._is_still and NO_HISTORY_REMARK in remark)]
+
+    @cached_property
+    def _is_still(self) -> bool:
+        """Whether there is one picture, which is no part of a shot."""
+        return len(self.sequence.present()) == 1 and not self.sequence.before(self.first, 1)
 
     def _later_frames(self) -> list[int]:
         """The second, the middle and the last frame."""
@@ -495,18 +500,19 @@ class Job:
         return FirstFrames(self._channels, self._enable,
                            not self.pipeline.device.memory.host_visible)
 
-    def _look(self, frame: Frame, tell: Callable[[str], None]) -> None:
+    def _look(self, frame: Frame, tell: Callable[[str], None],
+              is_alone: bool = False) -> None:
         """Tell what is plainly wrong with the first frames at once, not after a night."""
         if (self._arguments.no_denoise or self._arguments.strength == 0
             or self.pipeline.device.scratch):
             return  # where AOVs are not read, so that none is missing
-        self._tell(self._looker.look(frame), tell)
+        self._tell(self._looker.look(frame, is_alone), tell)
 
     def _tell_noticed(self, number: int, tell: Callable[[str], None]) -> None:
         self._tell([f"frame {number}: {text}" for text in self.pipeline.noticed], tell)
 
     def _tell(self, texts: Iterable[str], tell: Callable[[str], None]) -> None:
-        """Tell at once what is to be mended, and again at the end."""
+        """Tell at once what is to be mended, and again at the end of a long run."""
         for text in texts:
             self._noticed.append(text)
             tell(f"warning  {text}")
@@ -687,7 +693,8 @@ def announce_run_up(check: Callable[[], None],
         nonlocal told
         check()
         if first != told:
-            tell(f"before frame {first}: a run-up from frame {other}")
+            tell(f"run-up from frame {other} back to frame {first}, for its history (--run-up 0 "
+                 "leaves it out)")
         told = first
 
     return before_frame

@@ -104,15 +104,16 @@ def read_and_write_by(threads: int | None) -> None:
         oiio.attribute(name, threads or usable_cores())
 
 
-def _place_of_run_options(parser: argparse.ArgumentParser, word: str) -> str:
+def _place_of_run_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
     """For verbs that hand options of `postfx run` on."""
     from postfx.cli.run_options import RUN
 
-    verb, flag = parser.prog.split()[-1], word.partition("=")[0]
+    verb, flag = parser.prog.split()[-1], words[0].partition("=")[0]
     if verb not in FORWARDING or flag not in {name for option in RUN
                                               for name in (option.flag, option.short)}:
         return ""
-    return f": options of 'postfx run' go after --, as in: postfx {verb} ... -- {word}"
+    return (f": options of 'postfx run' go after --, as in: postfx {verb} ... -- "
+            f"{' '.join(words)}")
 
 
 def make_parser(used: Collection[str] = tuple(VERBS)) -> argparse.ArgumentParser:

@@ -270,7 +270,8 @@ class Parser(argparse.ArgumentParser):
     declared: Options | None = None
     more: tuple[str, str] = "", ""
     complete: Callable[[argparse.Namespace, set[str]], None] | None = None
-    hint: Callable[[argparse.ArgumentParser, str], str] = staticmethod(lambda parser, word: "")
+    hint: Callable[[argparse.ArgumentParser, Sequence[str]], str] = staticmethod(
+        lambda parser, words: "")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As in the base class; also records which options are given."""
@@ -320,7 +321,7 @@ class Parser(argparse.ArgumentParser):
         if unknown:
             used = getattr(found, "parser", self)
             flags = [flag for action in used._actions for flag in action.option_strings]
-            hint = self.hint(used, unknown[0]) or suggest(unknown[0].partition("=")[0], flags)
+            hint = self.hint(used, unknown) or suggest(unknown[0].partition("=")[0], flags)
             used.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return found
 

@@ -210,17 +210,10 @@ def _roles_unread(overlay: str) -> tuple[Role, ...]:
 
 def _find_network(tag: str) -> str:
     """A denoiser's file, or its tag; ModelError that names the sizes for any other word."""
-    from postfx.errors import ModelError
-    from postfx.passes.denoise.models import CLASSIC, FILE, find_model, model_of
+    from postfx.passes.denoise.models import FILE, check_is_there
 
-    if not tag.endswith(FILE) and tag != CLASSIC:
-        library, name = find_model(model_of(tag))
-        try:
-            library.path(name)
-        except ModelError as error:
-            known, _, _ = str(error).partition(" there are ")
-            raise ModelError(f"{known} give s, m, l, xl, classic or FILE.onnx; 'postfx models' "
-                             "lists all") from None
+    if not tag.endswith(FILE):
+        check_is_there(tag)
     return tag
 
 
@@ -260,9 +253,9 @@ DENOISING = Section("denoising and size", (
            help="do not denoise or enlarge"),
     Option(flag="--model", basic=True, metavar="TAG|FILE", sets="denoiser.model",
            convert=_find_network, excludes=_FOR_DENOISER,
-           help="network of the denoiser: s (the fastest), m (default) or l (the largest), as "
-           "m.fp32 in full precision; FILE.onnx with its card beside it; or classic, a filter "
-           "without a network. 'postfx models' lists all"),
+           help="network of the denoiser: s (the fastest), m (default), l, or xl (the cleanest); "
+           "m.fp32 is m in full precision; FILE.onnx with its card beside it; or classic, a "
+           "filter without a network. 'postfx models' lists all"),
     Option(flag="--both-ways", basic=True,
            excludes={
                **_FOR_DENOISER,

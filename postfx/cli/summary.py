@@ -28,6 +28,8 @@ from postfx.temporal.reverse_order import RunUp
 
 SHOWN_FRAMES = 3
 SHOWN_CUTS = 12
+SEEN_FRAMES = 10
+"""Frames whose lines leave a warning above them in sight: after more it is repeated at the end."""
 LOG_SECONDS = 5
 """Between two lines of a log about what takes long."""
 
@@ -328,6 +330,7 @@ class Report:
         ahead_ms: milliseconds on the device for each frame of the run-ups.
         skips: passes, planes and frames that were left out, and why.
         warnings: what was odd, each once.
+        told: those of them that were shown while the run was on.
         outputs: paths that were written.
         choices: pass name -> what it chose (a network) -> frames, of passes that choose.
         guides: size of the planes at output size, roles that were used, and whether the output's
@@ -364,6 +367,7 @@ class Report:
     page: str | None = None
     faults: list[Fault] = field(default_factory=list)
     error: str | None = None
+    told: list[str] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
         """The report in plain types."""
@@ -421,7 +425,8 @@ class Report:
         lines += [f"broken   {role}: {_broken_text(role, found)}"
                   for role, found in self.bad_pixels.items()]
         lines += [f"skipped  {what}: {why}" for what, why in self._skipped_by_reason()]
-        lines += [f"warning  {warning}" for warning in self.warnings]
+        lines += [f"warning  {warning}" for warning in self.warnings
+                  if self.frames > SEEN_FRAMES or warning not in self.told]
         lines += [f"capture  {self.capture}"] if self.capture else []
         lines += [f"report   {self.page}"] if self.page else []
         if self.outputs:

@@ -68,13 +68,15 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.cli.interruptions import Stop
     from postfx.cli.told import Told
     from postfx.errors import ReadError, SequenceError
+    from postfx.io.image_file import READABLE
 
     def tell(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
-    folder = (Path(arguments.input) if Path(arguments.input).is_dir()
-              else Path(arguments.input).parent)
-    if arguments.input.endswith("/") and not Path(arguments.input).is_dir() or not folder.is_dir():
+    given = Path(arguments.input)
+    names_frames = given.suffix.lower() in READABLE and not arguments.input.endswith("/")
+    folder = given.parent if names_frames and not given.is_dir() else given
+    if not folder.is_dir():
         raise SequenceError(f"{arguments.input}: there is no such folder: make it, or check its "
                             "name")
     with Stop(tell) as stop, Told(lambda text: tell(f"warning  {text}")):

@@ -18,6 +18,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.errors import ColourError
+from postfx.version import pip_install
 
 OCIO_PACKAGE = "opencolorio"
 _MODULE = "PyOpenColorIO"
@@ -93,7 +94,10 @@ def load(name: str) -> Config:
 
 
 def _unreadable(name: str, why: str) -> ColourError:
-    return ColourError(f"{name}: not a readable OpenColorIO config: {why}")
+    is_old = name.startswith("ocio://") and not is_installed()
+    newer = (f" This is OpenColorIO {version()}; a newer one comes by {pip_install('ocio')}"
+             if is_old else "")
+    return ColourError(f"{name}: not a readable OpenColorIO config: {why}{newer}")
 
 
 class _OfPackage(Config):

@@ -73,12 +73,15 @@ class FirstFrames:
         """Whether no further frame is looked at."""
         return self._seen >= MOST_SEEN
 
-    def look(self, frame: Frame) -> list[str]:
-        """What this frame and those before it show, a line each: errors and warnings."""
+    def look(self, frame: Frame, is_alone: bool = False) -> list[str]:
+        """What this frame and those before it show, a line each: errors and warnings.
+
+        is_alone: whether there is no other frame, so that motion helps nothing.
+        """
         if self._seen >= MOST_SEEN:
             return []
         self._seen += 1
-        found = self._of_first(frame) if self._seen == 1 else []
+        found = self._of_first(frame, is_alone) if self._seen == 1 else []
         if self._kept and (frame.reset or _size(frame) != self._size):
             self._kept.clear()
         planes = {role: self._keep(plane)
@@ -92,13 +95,13 @@ class FirstFrames:
             self._kept, self._seen = [], MOST_SEEN
         return [self._line(one, frame) for one in most_important_first(found) if self._matters(one)]
 
-    def _of_first(self, frame: Frame) -> list[Finding]:
+    def _of_first(self, frame: Frame, is_alone: bool) -> list[Finding]:
         found = [finding for check in OF_ONE_FRAME for finding in check(Material([frame]))]
         held = {role: plane for role, plane in frame.planes.items()
                 if not self._channels or role in self._channels}
         # motion may be estimated
         material = Material([replace(frame, planes=held)], enable=dict(self._enable))
-        material.frames *= 2  # a single frame needs no motion, a run has more
+        material.frames *= 1 if is_alone else 2  # a single frame needs no motion
         return found + [one for one in plane_checks.check_missing_planes(material)
                         if Role(one.role) in self._enable]
 

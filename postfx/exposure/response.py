@@ -21,7 +21,7 @@ from postfx.errors import ExposureError
 from postfx.exposure import KEY, USED_EXPOSURE_ATTRIBUTE
 from postfx.frame import Frame, Role
 from postfx.io.image_file import reason_of
-from postfx.io.pattern import locate
+from postfx.io.pattern import describe_absence, locate
 from postfx.io.writer import write_frame
 from postfx.passes import Pass
 from postfx.passes.display import Display, View
@@ -280,7 +280,7 @@ class GradedBoards:
         self._files = {number: next(iter(files.values()))
                        for number, files in self.pattern.find_frames().items()}
         if not self._files:
-            raise ExposureError(f"{source}: no such file: check the folder and the frame pattern")
+            raise ExposureError(f"{source}: {describe_absence(self.pattern)}")
 
     def level(self, number: int) -> float:
         """Level of mid grey on a frame's board. Raises ExposureError if it is missing or shows no

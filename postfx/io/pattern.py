@@ -294,6 +294,16 @@ def patterns_in(folder: Path, suffixes: Iterable[str]) -> list[Pattern]:
                   and path.name[0] != "." and os.path.isfile(path))
 
 
+def describe_absence(pattern: Pattern) -> str:
+    """Why a pattern fits no file: its folder, or what that holds instead."""
+    folder = Path(str(pattern)).parent
+    if not os.path.isdir(folder):  # False for a name that is too long
+        return f"no such file: there is no folder '{folder}'"
+    held = ", ".join(Path(str(other)).name for other in patterns_in(folder, READABLE)[:4])
+    return ("no such file: "
+            + (f"its folder holds {held}" if held else "check the folder and the frame pattern"))
+
+
 def _group(paths: Iterable[Path]) -> list[Pattern]:
     """Patterns of files, each once."""
     found: dict[tuple[str, str, str], Pattern] = {}
@@ -393,8 +403,8 @@ def _one_sequence(patterns: list[Pattern], source: str) -> Pattern:
     together = patterns[0] if len(patterns) == 1 else _one_file_a_plane(patterns)
     if together is None:
         names = [Path(str(pattern)).name for pattern in patterns]
-        views = sorted({name.replace("right", VIEW_FIELD) for name in names}
-                       & {name.replace("left", VIEW_FIELD) for name in names})
+        views = sorted({name.replace("right", VIEW_FIELD) for name in names if "right" in name}
+                       & {name.replace("left", VIEW_FIELD) for name in names if "left" in name})
         also = f", or all views by {views[0]}" if views else ""
         raise SequenceError(f"{source}: holds {len(names)} sequences ({', '.join(names[:4])}): "
                             f"name one of them{also}")

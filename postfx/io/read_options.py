@@ -32,7 +32,7 @@ class ReadOptions:
     """How a sequence is read. Raises the error of an option that cannot be, such as SequenceError.
 
     Attributes:
-        frames: '1-100x2', '1,5,8-12' or numbers; None for all that are on the disk.
+        frames: '1-100x2', '1,5,8-12', a number or numbers; None for all that are on the disk.
         profile: name of a built-in renderer profile or path of a TOML file; None to detect it.
         planes: roles to read, of planes and guides; None for all that are there.
         guides: files of planes at output size (albedos, normal, roughness, depth), named like those
@@ -67,7 +67,7 @@ class ReadOptions:
             NumPy.
     """
 
-    frames: str | Iterable[int] | None = None
+    frames: str | int | Iterable[int] | None = None
     profile: str | None = None
     planes: Iterable[Role] | None = None
     guides: Source | None = None

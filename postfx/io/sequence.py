@@ -19,7 +19,15 @@ from postfx.files import make_printable
 from postfx.frame import LOG, Frame, Role
 from postfx.io.colours import parse_colourspace
 from postfx.io.frame_reader import READ_ALL, FrameFiles
-from postfx.io.pattern import VIEW_FIELD, Pattern, Source, format_frames, locate, parse_frames
+from postfx.io.pattern import (
+    VIEW_FIELD,
+    Pattern,
+    Source,
+    describe_absence,
+    format_frames,
+    locate,
+    parse_frames,
+)
 from postfx.io.read_options import AUTO_MOTION, ReadOptions, parse_views
 from postfx.io.read_plan import MOST_READ_PLANS, Area, Plans, Settled
 from postfx.io.windows import scale_windows
@@ -76,7 +84,7 @@ class Sequence:
         self.pattern, named = locate(source)
         self._found = _files_of(self.pattern)
         if not self._found:
-            raise SequenceError(f"{source}: no such file: check the folder and the frame pattern")
+            raise SequenceError(f"{source}: {describe_absence(self.pattern)}")
         if self.pattern.has_views:
             self._choose_views()
         self._known_views = (self.view, *self.views)
@@ -92,6 +100,8 @@ class Sequence:
         self._step = _step(self.present())
         self._last: int | None = None
         wanted = options.frames if options.frames is not None else named or self._on_disk()
+        if isinstance(wanted, int):
+            wanted = [wanted]
         self.numbers = tuple(
             parse_frames(wanted) if isinstance(wanted, str) else map(index, wanted)
         )
@@ -405,12 +415,13 @@ class Sequence:
         self._pictures[self.view] = frame.number, picture
         if not (is_wanted or unknown is not None or motion.any()):
             return
-        seen = ", ".join(role for role in (*MOTION_SOURCES, Role.DEPTH) if role in frame.planes)
-        some = "" if unknown is None else "some "
-        self.warn(
-            f"{some}motion is estimated from {seen}, not taken from the files (--motion file: from "
-            "them alone)"
-        )
+        if before is not None:
+            seen = ", ".join(role for role in (*MOTION_SOURCES, Role.DEPTH) if role in frame.planes)
+            some = "" if unknown is None else "some "
+            self.warn(
+                f"{some}motion is estimated from {seen}, not taken from the files (--motion file: "
+                "from them alone)"
+            )
         if unknown is not None:
             motion = np.where(unknown, motion, frame.planes[Role.MOTION])
         frame.planes[Role.MOTION] = motion
@@ -470,8 +481,7 @@ class Sequence:
         others = ", ".join(view for view in views[1:] if view not in self._known_views)
         if others:
             self.warn(
-                f"view {views[0]} is read; {others} not, and is only copied where the output keeps "
-                "other channels: --view all denoises all of them"
+                f"view {views[0]} is read, {others} at most copied: --view all denoises all of them"
             )
 
     def _warn_of_overlooked(self) -> None:

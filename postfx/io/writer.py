@@ -18,7 +18,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.colour.displays import SRGB, Display, parse_display
-from postfx.errors import OutputExistsError, WriteError
+from postfx.errors import FrameError, OutputExistsError, WriteError
 from postfx.files import is_utf8, make_printable, output_file, with_slashes
 from postfx.frame import LINEAR, TOLD, Frame, Role
 from postfx.io.encoder import cut_pieces, display_of, encode_all, encode_pixel, tag_codes
@@ -149,6 +149,9 @@ def write_frame(
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written or
     its format cannot hold such a picture, ReadError when what is kept cannot be read.
     """
+    if not isinstance(frame, Frame):
+        raise FrameError("write_frame takes a path and a postfx.Frame, not "
+                         f"{type(frame).__name__}: give Frame({{'colour': array}})")
     path = Path(path)
     shown = is_display_format(path)
     check_storage(path, bits, compression, frame.encoding)

@@ -12,7 +12,7 @@ from inspect import Parameter, signature
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from postfx.errors import FrameError, NotCompiledError, PassOptionError
+from postfx.errors import FrameError, NotCompiledError, PassOptionError, suggest
 from postfx.frame import ROLES, Frame, FrameSpec, GuideSpec, Role
 from postfx.planes import is_blank
 from postfx.runtime.memory import follow_torch
@@ -275,8 +275,9 @@ class Pass:
         unknown = sorted(set(options) - set(self.defaults))
         if unknown:
             valid = ", ".join(self.defaults) or "none"
-            raise PassOptionError(f"pass '{self.name}' has no option '{unknown[0]}': its options "
-                                  f"are {valid}")
+            meant = suggest(unknown[0], self.defaults)
+            raise PassOptionError(f"pass '{self.name}' has no option '{unknown[0]}'"
+                                  f"{meant or ':'} its options are {valid}")
         self.options: Mapping[str, Any] = MappingProxyType({**self.defaults, **options})
         self._spec: FrameSpec | None = None
 

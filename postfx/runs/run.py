@@ -23,6 +23,7 @@ import OpenImageIO
 
 from postfx.errors import Interrupted, MissingFrameError, ReadError, WriteError
 from postfx.frame import Frame
+from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
 from postfx.io.writer import ExistingFiles, OutputFiles
 from postfx.passes.registry import BUILT_IN, plug_ins
@@ -351,9 +352,8 @@ class Run:
                               for path, one in zip(paths, found, strict=True) if one.why]
             others += [number] if any(one and not self._is_alike(one) for one in known) else []
         if others:
-            self.warnings.append(f"{len(others)} kept frames, {others[0]} the first, were made "
-                                 "with other settings, models or versions: --overwrite makes them "
-                                 "again")
+            self.warnings.append("kept, though made with other settings, models or versions: "
+                                 f"frames {format_frames(others)}; --overwrite makes them again")
         return wanted
 
     def _schedule(self, wanted: set[int]) -> list[Work]:

@@ -67,6 +67,18 @@ def test_where_the_names_of_a_renderer_are_from(inspect, write_exr, capsys):
     assert text.count("name from its maker's documents, not seen in a file") == 1
 
 
+def test_only_aovs_that_every_result_needs_are_called_missing(shot, tmp_path, capsys):
+    shot(1, 2, 3)
+    (tmp_path / "in/shot.0002.exr").unlink()
+    main(["inspect", str(tmp_path / "in"), "--frames", "1-3"])
+    text = capsys.readouterr().out
+    assert ": 3 frames, 1 to 3, 1 of them without a file" in text
+    assert "missing  roughness" in text
+    (optional,) = [line for line in text.splitlines() if line.startswith("optional ")]
+    assert {"strength,", "reactive,", "overlay:"} <= {*optional.split()}
+    assert "missing  overlay" not in text
+
+
 def test_roles_say_which_planes_and_why(inspect):
     _, found = inspect(ROOM, "--frames", "2")
     assert set(found["roles"]) == set(Role)

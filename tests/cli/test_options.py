@@ -64,7 +64,8 @@ def test_an_option_declared_in_one_place_reaches_its_pass_and_the_files(sharpen,
     assert main([*run, "--sharpen", "1", "--skip-existing"]) == 0
     assert "other settings" not in capsys.readouterr().err
     assert main([*run, "--skip-existing"]) == 0
-    assert "1 kept frames, 1 the first, were made with other settings" in capsys.readouterr().err
+    assert ("kept, though made with other settings, models or versions: frames 1; --overwrite"
+            in capsys.readouterr().err)
 
 
 @pytest.mark.parametrize(("words", "message"), [

@@ -71,6 +71,18 @@ def test_inspect_of_nothing(postfx):
     assert done.err == "error: nothing.exr: no such file: check the folder and the frame pattern\n"
 
 
+def test_a_mistyped_name_is_told_what_there_is(postfx, write_exr):
+    write_exr("shot.0001.exr", {name: np.ones((4, 4)) for name in "RGB"})
+    assert postfx("inspect", "shto.####.exr").err == (
+        "error: shto.####.exr: no such file: its folder holds shot.####.exr\n")
+    assert postfx("inspect", "there/shot.####.exr").err == (
+        "error: there/shot.####.exr: no such file: there is no folder 'there'\n")
+    write_exr("both/shot.0001.exr", {name: np.ones((4, 4)) for name in "RGB"})
+    write_exr("both/clean.0001.exr", {name: np.ones((4, 4)) for name in "RGB"})
+    assert postfx("inspect", "both").err == (
+        "error: both: holds 2 sequences (clean.####.exr, shot.####.exr): name one of them\n")
+
+
 def test_models_lists_every_model_with_its_card(postfx):
     done = postfx("models", "--json")
     assert done.code == 0

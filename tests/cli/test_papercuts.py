@@ -24,7 +24,7 @@ def here(shot, tmp_path, monkeypatch) -> Path:
 
 @pytest.mark.parametrize(("words", "said"), [
     (("--model", "x"), "give s, m, l, xl, classic or FILE.onnx; 'postfx models' lists all"),
-    (("--memory", "4"), "memory budget '4' is in bytes without a unit: 4G for gigabytes?"),
+    (("--memory", "4"), "memory budget '4' has no unit: give 4G for gigabytes"),
     (("--scale", "9"), "scales by 1 to 3, not 9"),
     (("--frames", "100-200"),
      "there are frames 1-3, none of 100-200: give --frames that are there"),
@@ -43,7 +43,7 @@ def test_options_of_run_go_behind_two_dashes(here, capsys, verb):
     with pytest.raises(SystemExit):
         main([verb, "in/", "-o", "out/", "--model", "s"])
     told = capsys.readouterr().err
-    assert f"options of 'postfx run' go after --, as in: postfx {verb} ... -- --model" in told
+    assert f"options of 'postfx run' go after --, as in: postfx {verb} ... -- --model s (" in told
 
 
 def test_chunks_check_the_options_behind_the_dashes(here, capsys):
@@ -52,7 +52,7 @@ def test_chunks_check_the_options_behind_the_dashes(here, capsys):
         assert said in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("folder", ["nowhere/", "nowhere/shot.####.exr"])
+@pytest.mark.parametrize("folder", ["nowhere", "nowhere.v2", "nowhere/", "nowhere/shot.####.exr"])
 def test_a_folder_that_is_not_there_is_not_watched(here, capsys, folder):
     assert main(["watch", folder, "-o", "out/"]) == 2
     assert f"{folder}: there is no such folder" in capsys.readouterr().err

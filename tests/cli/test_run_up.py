@@ -12,6 +12,7 @@ from postfx.errors import Interrupted
 from postfx.io.sequence import Sequence
 from postfx.temporal.reverse_order import RunUp
 
+RUN_UP_OF_1 = "run-up from frame 6 back to frame 1, for its history (--run-up 0 leaves it out)"
 RUN = ("run", "in/shot.####.exr", "--model", "s")
 
 
@@ -22,7 +23,7 @@ def pixels(path):
 def test_first_frames_have_a_history(postfx, noise):
     done = postfx(*RUN, "-o", "with/a.####.exr", "--json")
     assert done.json["run_up"]["frames"] == 5
-    assert "before frame 1: a run-up from frame 6" in done.err.splitlines()
+    assert RUN_UP_OF_1 in done.err.splitlines()
     assert "5 frames first, in reverse order, for the first frames' history" in done.err
     done = postfx(*RUN, "-o", "without/a.####.exr", "--run-up", "0", "--json")
     assert done.json["run_up"] == {"frames": 0, "ms_per_frame": None}
@@ -63,7 +64,7 @@ def test_it_ends_when_the_run_is_to_stop(noise):
     with pytest.raises(Interrupted):
         run_up(next(iter(sequence)), found.append)
     assert [frame.number for frame in found] == [6, 5]
-    assert told == ["before frame 1: a run-up from frame 6"]
+    assert told == [RUN_UP_OF_1]
 
 
 def test_cuts_that_are_known_have_one_each(postfx, noise):

@@ -139,3 +139,29 @@ def test_a_run_tells_of_planes_that_come_later(write_exr, tmp_path, capsys):
     assert told.count(line) == 1 and "warning  denoise_upscale: no motion vectors" in told
     assert main([*run, "--frames", "2-3", "--preroll", "0", "--overwrite"]) == 0
     assert "no diffuse_albedo" not in capsys.readouterr().err
+
+
+def test_a_still_needs_no_motion_and_hears_each_warning_once(write_exr, tmp_path, capsys):
+    from postfx.cli.main import main
+
+    random = np.random.default_rng(3)
+    for number in (1, 2):
+        planes = {f"albedo.{name}": random.random((24, 32), np.float32) for name in "RGB"}
+        planes |= {name: random.random((24, 32), np.float32) for name in "RGB"}
+        planes["depth.Z"] = np.full((24, 32), 4, np.float32)
+        write_exr(f"in/shot.{number:04d}.exr", planes)
+
+    def told(source: str, *options: str) -> list[str]:
+        run = ["run", str(tmp_path / source), "-o", f"{tmp_path}/out/", "--model", "s", "--device",
+               "cpu", "--overwrite", *options]
+        assert main(run) == 0
+        return [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning")]
+
+    (tmp_path / "alone").mkdir()
+    (tmp_path / "in/shot.0001.exr").rename(tmp_path / "alone/still.exr")
+    alone = told("alone/still.exr")
+    assert [line for line in alone if "4 everywhere" in line and "depth" in line]
+    assert len(set(alone)) == len(alone) and not [line for line in alone if "motion" in line]
+    assert not [line for line in told("in/shot.0002.exr") if "motion" in line]
+    (tmp_path / "alone/still.exr").rename(tmp_path / "in/shot.0001.exr")
+    assert [line for line in told("in/shot.####.exr", "--frames", "2") if "motion" in line]

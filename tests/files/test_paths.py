@@ -228,7 +228,7 @@ def test_an_input_folder_without_rights(visible: Path) -> None:
                                 f"read_sequence('{visible}/in/a.####.exr')")
     assert (folder == f"SequenceError {visible}/in: cannot be read: Permission denied; check its "
             "rights")
-    assert "no such file: check the folder" in pattern
+    assert pattern == folder
 
 
 def test_an_output_folder_without_rights(visible: Path) -> None:

@@ -62,8 +62,14 @@ scene.postfx.look = "NONE"
 Path(FOLDER, "shot", "box_0002.exr").write_bytes(b"no picture")
 found["broken"] = attempt(bpy.ops.postfx.denoise, whole=False)
 
-# Without a window there are no events: these are handed to the operator's function.
 module = sys.modules[name]
+found["options"] = {}
+for preset in ("NONE", "preview", "final", "animation"):
+    scene.postfx.preset = preset
+    found["options"][preset] = module.options_of(scene.postfx, whole=False)[4:]
+scene.postfx.preset = "NONE"
+
+# Without a window there are no events: these are handed to the operator's function.
 preferences.command, module.PLACES = "", (Path(COMMAND),)
 path = os.environ.pop("PATH")
 found["place"] = module.find_command(bpy.context)

@@ -119,6 +119,9 @@ def test_two_frames_in_blender(extension, tmp_path):
     assert found["not rendered"].startswith("frame 1 is not rendered: there is no ")
     assert found["no command"].startswith("there is no command '/nowhere/postfx': install it")
     assert found["broken"].startswith("error") and "box_0002.exr" in found["broken"]
+    assert found["options"] == {"NONE": ["--model", "s"], "preview": ["--preset", "preview"],
+                                "final": ["--preset", "final"],
+                                "animation": ["--model", "s", "--preset", "animation"]}
     assert found["image"] == ["box_denoised_0001.exr", "SEQUENCE"]
     names = [f"box_{mark}000{number}.exr" for mark in ("", "denoised_") for number in (1, 2)]
     assert [name for name in found["files"] if name.endswith(".exr")] == sorted(names)
@@ -152,7 +155,7 @@ def test_the_page_names_what_the_button_sets_and_its_block_does_the_same(extensi
     (tmp_path / "block.py").write_text(block)
     found = panels.in_blender(extension, tmp_path / "block.py")
     assert found["block"] == found["after"] != found["before"]
-    table = page[page.index("| panel |"):page.index("In Blender before 5.2")]
+    table = page[page.index("| panel |"):page.index("Before Blender 5.2")]
     changed = [(title, line) for title, lines in found["after"].items() for line in lines
                if line not in found["before"][title]]
     assert len(changed) == 11

@@ -258,6 +258,13 @@ def test_a_broken_table_whose_bytes_are_no_text_is_refused_in_one_line(tmp_path,
     assert "\n" not in str(caught.value)
 
 
+def test_a_built_in_config_of_a_newer_library_says_how_to_get_that(monkeypatch):
+    monkeypatch.setenv("OCIO", "ocio://studio-config-v9")
+    monkeypatch.setattr("postfx.colour.ocio_library.is_installed", lambda: False)
+    with pytest.raises(ColourError, match=r"This is OpenColorIO 2.*; a newer one comes by pip"):
+        view_transform("", parse_display("srgb"))
+
+
 def test_a_broken_config_whose_bytes_are_no_text_is_refused_in_one_line(tmp_path, monkeypatch):
     (tmp_path / "config.ocio").write_bytes(b"ocio_profile_version: \xff\xfe\n")
     monkeypatch.setenv("OCIO", str(tmp_path / "config.ocio"))

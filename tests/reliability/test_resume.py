@@ -108,7 +108,7 @@ def test_checkpoint_of_other_settings_is_not_used(runs):
                 more=("--checkpoint", "0", "--exposure", "auto", "--cuts", "none"))
     code, said = runs(*RESUME)
     assert code == 0 and not runs.events("recall")
-    assert "were made with other settings, models or versions: --overwrite makes them again" in said
+    assert "kept, though made with other settings, models or versions: frames " in said
 
 
 def test_a_frame_lost_in_the_middle(runs, unbroken):

@@ -72,12 +72,26 @@ def validate_tag(model: str, library: Library | None = None) -> str:
                              "'postfx models' lists those that need none")
         return str(path.absolute())
     if library is None or model == CLASSIC:
+        check_is_there(model)
         return model
     if library.trust:
         raise PassOptionError("the denoised upscaler takes no networks on trust: give it "
                               f"{library.folders[0]} alone")
     found = library.path(f"{PASS}.{model.removesuffix(EXACT_SUFFIX)}")
     return f"{found.absolute().parent}/{model}"
+
+
+def check_is_there(tag: str) -> None:
+    """Raise ModelError that names the sizes for a tag that no network of postfx has."""
+    if tag == CLASSIC:
+        return
+    library, name = find_model(model_of(tag))
+    try:
+        library.path(name)
+    except ModelError as error:
+        known, _, _ = str(error).partition(" there are ")
+        raise ModelError(f"{known} give s, m, l, xl, classic or FILE.onnx; 'postfx models' lists "
+                         "all") from None
 
 
 def short_tag(tag: str) -> str:
