@@ -23,7 +23,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from itertools import count
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -184,7 +184,7 @@ def atomic_file(path: Path, durable: bool = True) -> Iterator[Path]:
         yield temporary
         if durable:
             _sync(temporary, os.O_RDWR)
-        despite_readers(lambda: os.replace(temporary, path))
+        despite_readers(partial(os.replace, temporary, path))
         if durable:
             with suppress(OSError):  # some file systems, and Windows, cannot sync a folder
                 _sync(path.parent, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))

@@ -104,7 +104,7 @@ class CommandBuffer:
         self._encoder: Encoder | None = None
         # the encoder of the last `run`, which another one may go on with
         self._running: Encoder | None = None
-        self._tables = Tables()
+        self._tables = Tables() if known is None else known.tables
         self._runs: Counter[tuple[State, str]] = Counter()
         self._state = "open"
         self._done = threading.Event()
@@ -165,8 +165,7 @@ class CommandBuffer:
         state = self.device.compute_state(kernel) if isinstance(kernel, Kernel) else kernel
         label = label or state.name
         full = self._full(label)
-        tables = self._tables if self.known is None else self.known.tables
-        table = tables.table(state, full, self._runs[state, full])
+        table = self._tables.table(state, full, self._runs[state, full])
         self._runs[state, full] += 1
         try:
             table.bind(tensors)

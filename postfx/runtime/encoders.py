@@ -155,7 +155,7 @@ class Recordings:
 
     def passage(self, key: tuple[object, ...]) -> Passage | None:
         """The passage that was recorded with this key."""
-        return self._passages[key] if key in self._passages else None
+        return self._passages.find(key)
 
     def keep_passage(self, key: tuple[object, ...], passage: Passage) -> None:
         """Know this passage from now on."""
@@ -182,7 +182,7 @@ class Recordings:
 
     def find(self, key: tuple[object, ...]) -> KnownCommands | None:
         """The commands with this key."""
-        return self._known[key] if key in self._known else None
+        return self._known.find(key)
 
     def keep(self, key: tuple[object, ...], recorded: KnownCommands) -> None:
         """Know these commands from now on. Forgets those in other transient memory, with released

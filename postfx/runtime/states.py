@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -221,7 +221,7 @@ class CompiledComputeState(ComputeState):
         rows = bind_rows(self._rows, [tensor.host_view() for tensor in tensors])
         count, scratch = self._extent(tensors)[0], self.device.scratch
         if scratch is None:
-            return lambda: self.device.divide(rows, 0, count)
+            return partial(self.device.divide, rows, 0, count)
         row_bytes = sum(tensor.nbytes for tensor in tensors) // max(1, count)
 
         def run_in_pieces() -> None:
@@ -274,8 +274,8 @@ class HostState:
         """A function that does the work on bound tensors."""
         if self.device.memory.host_visible:
             arrays = [tensor.host_view() for tensor in tensors]
-            return lambda: self._work(*arrays)
-        return lambda: self._work_on_copies(tensors)
+            return partial(self._work, *arrays)
+        return partial(self._work_on_copies, tensors)
 
     def _work_on_copies(self, tensors: Sequence[Tensor]) -> None:
         memory = self.device.memory
