@@ -17,11 +17,11 @@ import numpy as np
 from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
 from postfx.files import make_printable
 from postfx.frame import LOG, Frame, Role
-from postfx.io.colours import parse_colourspace
+from postfx.io.colours import InputColours, parse_colourspace
 from postfx.io.frame_reader import READ_ALL, FrameFiles
 from postfx.io.pattern import VIEW_FIELD, Pattern, Source, format_frames, locate, parse_frames
 from postfx.io.read_options import AUTO_MOTION, ReadOptions, parse_views
-from postfx.io.read_plan import MOST_READ_PLANS, Area, Plans, Settled
+from postfx.io.read_plan import MOST_READ_PLANS, Area, Plans, ReadPlan, Settled
 from postfx.io.windows import scale_windows
 from postfx.masks.cryptomatte import Coverage
 from postfx.motion import MOTION_SOURCES
@@ -81,6 +81,8 @@ class Sequence:
             self._choose_views()
         self._known_views = (self.view, *self.views)
         self._named = False
+        # The plan and the colours whose warnings were told last.
+        self._told: tuple[ReadPlan, InputColours] | None = None
         self._areas: dict[str | None, Area | None] = {}
         self.coverage = Coverage()
         self.colours = parse_colourspace(options.colourspace)
@@ -287,6 +289,14 @@ class Sequence:
             self.view, *others = files.views
             self.views, self._known_views, self._all_views = tuple(others), files.views, False
         self._areas[self.view] = self._areas.get(self.view) or files.area
+        if self._told != (files.plan, self.colours):
+            self._tell_of(files)
+            self._told = files.plan, self.colours
+        return files
+
+    def _tell_of(self, files: FrameFiles) -> None:
+        """Warn of what all frames with the plan of these files have in common. Raises ColourError,
+        and closes the files, where their colours are of no known space."""
         try:
             of_colours = self.colours.warnings(files.layout.attributes)
         except ColourError as error:
@@ -296,7 +306,6 @@ class Sequence:
             self.warn(warning)
         if files.views:
             self._warn_of_views(files.views)
-        return files
 
     def read(
         self,

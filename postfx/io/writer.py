@@ -460,6 +460,8 @@ class OutputFiles:
 
     def paths(self, number: int) -> list[Path]:
         """Output files of a frame, of the first view first."""
+        if not self.has_views:
+            return [self._pattern.path(number)]
         return [self._pattern.of_view(view).path(number) for view in self._views()]
 
     def split(self, frame: Frame) -> list[tuple[Path, Frame]]:
@@ -499,15 +501,15 @@ class OutputFiles:
                                  "or name")
 
     def _views(self) -> list[str]:
-        """Views that have files of their own; '' where all share one."""
-        return ([view or "" for view in (self._sequence.view, *self._sequence.views)]
-                if self.has_views else [""])
+        """Views that have files of their own; '' for the first one while its name is not known."""
+        return [view or "" for view in (self._sequence.view, *self._sequence.views)]
 
     def _guess_paths(self, numbers: Iterable[int]) -> list[Path]:
         """Files of frames, of whatever views are on the disk where no frame was opened yet that
         tells them."""
-        views = ([view for view in self._views() if view or not self.has_views]
-                 or ["view", *self._pattern.by_view()])
+        if not self.has_views:
+            return [self._pattern.path(number) for number in numbers]
+        views = list(filter(None, self._views())) or ["view", *self._pattern.by_view()]
         return [self._pattern.of_view(view).path(number) for number in numbers for view in views]
 
 

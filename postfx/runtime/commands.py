@@ -512,9 +512,11 @@ class Execution:
 
     def _one_by_one(self) -> list[Span]:
         spans: list[Span] = []
+        # only commands before these have failed: the first of these that fails is the last to run
+        may_lack = any([allocation.lost for allocation in self._footprint.users])
         for index, dispatch in enumerate(self._dispatches):
             self.running = dispatch
-            if self._cannot_run(dispatch, self._dispatches[index:]):
+            if may_lack and self._cannot_run(dispatch, self._dispatches[index:]):
                 break
             try:
                 spans += self._execute(dispatch)

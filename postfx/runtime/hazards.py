@@ -251,10 +251,12 @@ class UsedMemory:
     def touches(self, records: Sequence[Record], tensor: Tensor) -> bool:
         """Whether one of these records, which are those of the last call and perhaps more, uses a
         byte of a tensor."""
-        for record in records[self._count:]:
-            if isinstance(record, Dispatch):
-                for other in (*record.reads, *record.writes):
-                    self._add(other.start, other.end)
+        new = {(other.start, other.end)
+               for record in records[self._count:] if isinstance(record, Dispatch)
+               for tensors in (record.reads, record.writes) for other in tensors}
+        for start, end in new - self._known:
+            self._add(start, end)
+        self._known |= new
         self._count = len(records)
         after = bisect_right(self._ends, tensor.start)
         return (tensor.start < tensor.end and after < len(self._starts)
@@ -263,9 +265,8 @@ class UsedMemory:
     def _add(self, start: int, end: int) -> None:
         """Include [start, end), merged with all that it touches: the ranges stay apart and
         sorted."""
-        if start == end or (start, end) in self._known:
+        if start == end:
             return
-        self._known.add((start, end))
         first, last = bisect_left(self._ends, start), bisect_right(self._starts, end)
         if first < last:
             start, end = min(start, self._starts[first]), max(end, self._ends[last - 1])

@@ -488,11 +488,12 @@ def read_stored(file: ExrContainer, part: int, names: Sequence[str], first: int,
     words = _unpack(storage, file.read_chunks(part, begin, end), begin * storage.lines)
     if words is None:
         return None
-    rows, found = words[first - begin * storage.lines:][:last - first], []
+    rows = words[first - begin * storage.lines:][:last - first]
+    found, width = [], storage.window.width
     for name in names:
         kind, column = storage.channels[name]
-        width = storage.window.width * SAMPLE_BYTES[kind] // 2
-        found.append(rows[:, column : column + width].view(SAMPLE_TYPES[kind]))
+        end = column + width * SAMPLE_BYTES[kind] // 2
+        found.append(rows[:, column:end].view(SAMPLE_TYPES[kind]))
     return found
 
 
