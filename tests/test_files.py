@@ -153,10 +153,9 @@ def test_a_folder_is_not_listed_for_every_output(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     listed: list[object] = []
-    for name in ("listdir", "scandir"):
-        listing = getattr(os, name)
+    for name, lists in (("listdir", os.listdir), ("scandir", os.scandir)):
         monkeypatch.setattr(files.os, name,
-                            lambda folder, listing=listing: listed.append(folder) or listing(folder))
+                            lambda folder, lists=lists: listed.append(folder) or lists(folder))
     for number in range(5):
         with output_file(tmp_path / f"out.{number}.exr") as temporary:
             temporary.write_text("whole")

@@ -204,12 +204,12 @@ class CommandBuffer:
         self._require_open()
         self._require_no_encoder("repeat commands")
         key = (*self._groups, *key)
-        passage = self.known.passage(key)
+        passage = self.known.passages.find(key)
         if passage is None:
             first, result = len(self.records), record()
             self._end_run()
             passage = Passage(self.records[first:], result)
-            self.known.keep_passage(key, passage)
+            self.known.passages[key] = passage
         else:
             self.records += passage.records
         self._passages.append(passage)
@@ -370,7 +370,7 @@ class CommandBuffer:
             or self.device.hazards.in_flight()):
             return None
         key = self.known.key(self.records, self._kept, self._passages)
-        again = self.known.find(key)
+        again = self.known.commands.find(key)
         if again is None:
             return key
         self.records, self._placement, self._footprint, _ = again
