@@ -18,8 +18,10 @@ from postfx.kernels import Blocks
 from postfx.kernels.denoise import BOTH, in_half, kernel
 from postfx.kernels.denoise.alpha import NEAR, QUARTERS
 
-SIDE, REACH = 5, 2
-"""Taps along a side of a kernel, and how far they reach."""
+REACH = 2
+"""Pixels that the taps of a kernel reach."""
+SIDE = 2 * REACH + 1
+"""Taps along a side of a kernel."""
 PLANAR = ("planes", "hp", "wp")
 POOL = kernel("pool", ("finer", "finer_importance", "finer_rows", "finer_columns"),
               ("level", "importance"), None, ("level", 1), level=PLANAR)
