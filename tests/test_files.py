@@ -1,20 +1,15 @@
-"""Reading patiently, reading ahead, writing behind, and files that are whole."""
+"""Reading patiently, reading ahead and writing behind."""
 
 from __future__ import annotations
 
-import os
-import socket
-import subprocess
-import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
 from postfx import files
 from postfx.errors import ReadError
-from postfx.files import PAUSES, WriteBehind, output_file, read_ahead, read_patiently
+from postfx.files import PAUSES, WriteBehind, read_ahead, read_patiently
 
 
 def test_what_cannot_be_read_is_tried_twice_more_after_growing_pauses(
@@ -130,33 +125,3 @@ def test_other_encodings_are_refused_with_the_fix(tmp_path, content):
     (tmp_path / "a.toml").write_bytes(content)
     with pytest.raises(ValueError, match="save it as UTF-8"):
         files.read_text(tmp_path / "a.toml")
-
-
-def test_an_output_removes_what_a_killed_process_left_of_it_and_nothing_else(
-    tmp_path: Path
-) -> None:
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    host, dead, living = socket.gethostname(), ended.pid, os.getpid()
-    left, of_another, being_written, foreign = (tmp_path / name for name in (
-        f".out.0001.exr.{host}-{dead}-0.part", f".other.0001.exr.{host}-{dead}-0.part",
-        f".out.0001.exr.{host}-{living}-999999.part", ".out.0001.exr.elsewhere-7-0.part"))
-    for path in (left, of_another, being_written, foreign):
-        path.write_text("half a frame")
-    for number in (1, 2):
-        with output_file(tmp_path / f"out.000{number}.exr") as temporary:
-            temporary.write_text("whole")
-    assert {*tmp_path.glob(".*")} == {of_another, being_written, foreign}
-
-
-def test_a_folder_is_not_listed_for_every_output(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    listed: list[object] = []
-    for name, lists in (("listdir", os.listdir), ("scandir", os.scandir)):
-        monkeypatch.setattr(files.os, name,
-                            lambda folder, lists=lists: listed.append(folder) or lists(folder))
-    for number in range(5):
-        with output_file(tmp_path / f"out.{number}.exr") as temporary:
-            temporary.write_text("whole")
-    assert len(listed) == 1
