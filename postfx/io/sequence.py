@@ -399,13 +399,11 @@ class Sequence:
         unknown = None
         if stored is not None and not is_finite(stored):
             unknown = np.isnan(stored).any(axis=2, keepdims=True)
-        is_short = stored is not None and (unknown is not None or not stored.any())
-        if not is_wanted and not (is_short and any(role in frame for role in MOTION_SOURCES)):
+        lacks_vectors = stored is not None and (unknown is not None or not stored.any())
+        if not is_wanted and not (lacks_vectors and any(role in frame for role in MOTION_SOURCES)):
             return
-        from postfx.motion.estimated import (
-            motion_between,
-            picture_of,
-        )  # few need it, and its kernels take time
+        # few need it, and its kernels take time
+        from postfx.motion.estimated import motion_between, picture_of
 
         before = None if begins else self._picture_before(frame.number)
         picture = picture_of(frame)
