@@ -180,10 +180,9 @@ class Display:
     def encode(self, light: np.ndarray) -> np.ndarray:
         """Light (..., 3) to code values in [0, 1]; light that the display cannot show is clipped in
         each channel."""
-        shown = np.clip(np.nan_to_num(light, posinf=self.most), 0, self.most)
-        if not self.hdr:
-            return self.kind.curve.encode(shown)
-        signal = shown / self.unit
+        if not self.hdr:  # the curve clips at 1, which is all that the display shows
+            return self.kind.curve.encode(light)
+        signal = np.clip(np.nan_to_num(light, posinf=self.most), 0, self.most) / self.unit
         return self.kind.curve.encode(signal * self._gain(signal, 1 / self.system_gamma - 1))
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
