@@ -51,7 +51,7 @@ class LRUCache(Generic[Key, Value]):
         self._values.move_to_end(key)
 
     def find(self, key: Key) -> Value | None:
-        """The key's value, which no None may be; None if there is none."""
+        """The key's value, which this uses; None if there is none."""
         found = self._values.get(key)
         if found is not None:
             self._values.move_to_end(key)
