@@ -50,13 +50,21 @@ class LRUCache(Generic[Key, Value]):
         self._values[key] = value
         self._values.move_to_end(key)
 
+    def find(self, key: Key) -> Value | None:
+        """The key's value, which this uses; None if there is none."""
+        found = self._values.get(key)
+        if found is not None:
+            self._values.move_to_end(key)
+        return found
+
     def get_or_make(self, key: Key, make: Callable[[], Value]) -> Value:
         """The key's value, made if there is none. The oldest one goes before that, so that its
         memory is free."""
         if key not in self._values:
             self._make_room()
             self._values[key] = make()
-        return self[key]
+        self._values.move_to_end(key)
+        return self._values[key]
 
     def peek(self, key: Key) -> Value:
         """The key's value, which does not count as used; KeyError if there is none."""

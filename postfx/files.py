@@ -23,7 +23,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, lru_cache, partial
 from itertools import count
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -184,7 +184,7 @@ def atomic_file(path: Path, durable: bool = True) -> Iterator[Path]:
         yield temporary
         if durable:
             _sync(temporary, os.O_RDWR)
-        despite_readers(lambda: os.replace(temporary, path))
+        despite_readers(partial(os.replace, temporary, path))
         if durable:
             with suppress(OSError):  # some file systems, and Windows, cannot sync a folder
                 _sync(path.parent, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
@@ -223,12 +223,14 @@ def create_whole(path: Path, content: bytes) -> bool:
 
 @contextmanager
 def output_file(path: Path) -> Iterator[Path]:
-    """`atomic_file` for what a user asked for: makes the folder, removes what killed processes of
-    this machine left behind for `path`, and raises WriteError where the file system refuses."""
+    """`atomic_file` for what a user asked for: makes the folder, removes what processes of this
+    machine that were killed before left behind for `path`, and raises WriteError where the file
+    system refuses."""
     temporary = path
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(path.parent, [path.name])
+        if _shorten(path.name) in _names_left(path.parent):
+            remove_leftovers(path.parent, [path.name])
         with atomic_file(path) as temporary:
             yield temporary
     except OSError as error:
@@ -263,6 +265,14 @@ def remove_leftovers(folder: Path, names: Iterable[str], any_host: bool = False)
         if any_host if found["host"] != own else not is_process_alive(int(found["process"])):
             with suppress(OSError):
                 os.unlink(entry.path)
+
+
+@lru_cache(64)
+def _names_left(folder: Path) -> frozenset[str]:
+    """Names whose temporary files lay in a folder when this process first wrote there. So a folder
+    is listed once, not for each of its frames."""
+    found = [_TEMPORARY.fullmatch(name) for name in os.listdir(folder) if name.endswith(PARTIAL)]
+    return frozenset(match["name"] for match in found if match)
 
 
 def is_process_alive(pid: int) -> bool:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, Self
@@ -252,6 +252,14 @@ class FrameSpec:
         for name, value in fixed.items():
             object.__setattr__(self, name, value)
 
+    def of_files(self, source: str | None, guide_source: str | None) -> FrameSpec:
+        """The same spec of a frame that comes from these files."""
+        found = object.__new__(FrameSpec)
+        found.__dict__.update(self.__dict__, source=source)
+        if self.guides:
+            found.__dict__["guides"] = replace(self.guides, source=guide_source)
+        return found
+
     @cached_property
     def roles(self) -> tuple[Role, ...]:
         """Roles of the planes, in the order of `Role`."""
@@ -281,11 +289,12 @@ class FrameSpec:
 
 @lru_cache(16)
 def _spec_of(shapes: tuple[tuple[Role, tuple[int, ...]], ...], encoding: str,
-             guides: tuple[Any, ...] | None,
-             source: str | None, parts: tuple[tuple[str, int], ...]) -> FrameSpec:
-    (height, width, _), sharp = shapes[0][1], GuideSpec(*guides) if guides else None
-    return FrameSpec(width, height, {role: shape[2] for role, shape in shapes}, encoding, sharp,
-                     source, parts)
+             guides: tuple[Any, ...] | None, parts: tuple[tuple[str, int], ...]) -> FrameSpec:
+    """The spec of all frames that are alike, whatever files they come from."""
+    height, width, _ = shapes[0][1]
+    planes = {role: shape[2] for role, shape in shapes}
+    sharp = GuideSpec(*guides) if guides else None
+    return FrameSpec(width, height, planes, encoding, sharp, parts=parts)
 
 
 def _complete_encoding(encoding: str) -> str:
@@ -451,10 +460,10 @@ class Frame:
     def spec(self) -> FrameSpec:
         """Size, planes and encoding of this frame."""
         shapes = tuple([(role, plane.shape) for role, plane in self.planes.items()])
-        guides = ((*self.guide_size, tuple(self.guides), self.guide_source) if self.guide_size
-                  else None)
+        guides = (*self.guide_size, tuple(self.guides)) if self.guide_size else None
         parts = tuple([(name, part.shape[2]) for name, part in self.parts.items()])
-        return _spec_of(shapes, self.encoding, guides, self.source, parts)
+        alike = _spec_of(shapes, self.encoding, guides, parts)
+        return alike.of_files(self.source, self.guide_source)
 
     def copy_with(self, check: bool = False, **fields: Any) -> Self:
         """A copy with other values of some fields, which fit together, unless everything is to be

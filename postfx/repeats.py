@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from enum import Enum
+from functools import lru_cache
 
 import numpy as np
 
@@ -128,8 +129,9 @@ def squares(plane: np.ndarray) -> np.ndarray:
     return some
 
 
+@lru_cache(8)
 def _places(side: int, most: int) -> tuple[int, np.ndarray]:
-    """How many squares there are along a side, and their pixels."""
+    """How many squares there are along a side, and their pixels, which are not to be changed."""
     count = min(side // REPEAT_SIDE_PX, most)
     first = np.linspace(0, side - REPEAT_SIDE_PX, count).astype(int)
     return count, (first[:, None] + np.arange(REPEAT_SIDE_PX)).ravel()

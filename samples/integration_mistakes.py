@@ -67,9 +67,10 @@ def shown(frame: Frame, exposure_factor: float) -> np.ndarray:
     return (exposed / (1 + exposed)) ** (1 / 2.2)
 
 
-def psnr_with(mistake: Change, frames: list[Frame], reference: Frame) -> float:
+def psnr_with(mistake: Change, passes: postfx.Pipeline, frames: list[Frame],
+              reference: Frame) -> float:
     """PSNR (dB) of the last frame when all frames have a mistake."""
-    passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=2)], exposure="metadata", cuts="none")
+    passes.reset()
     for before, frame in zip([frames[0], *frames], frames, strict=False):
         result = passes(mistake(frame, before))
     error = shown(result, reference.exposure_factor) - shown(reference, reference.exposure_factor)
@@ -81,8 +82,9 @@ def main() -> None:
     (reference,) = postfx.read_sequence(sorted(folder.glob("reference.*.exr"))[-1])
     frames = [frame for frame in postfx.read_sequence(folder / "noisy.####.exr")
               if frame.number <= reference.number]
+    passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=2)], exposure="metadata", cuts="none")
     for name, mistake in MISTAKES.items():
-        print(f"{psnr_with(mistake, frames, reference):6.2f} dB  {name}", flush=True)
+        print(f"{psnr_with(mistake, passes, frames, reference):6.2f} dB  {name}", flush=True)
 
 
 if __name__ == "__main__":

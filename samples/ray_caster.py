@@ -1,10 +1,10 @@
 """A small ray caster that writes every plane postfx reads, by the helpers of postfx.integrate.
 
 python samples/ray_caster.py [OUTPUT_FOLDER] [--frames 8] [--samples 2] [--size 240x136] \\
-    [--reference FRAMES]
+    [--reference FRAMES] [--reference-samples 64]
 
 A textured ball rolls over a chequered floor between a rough copper ball and a flat mirror; the
-camera moves. --reference also renders frames such as 8 at twice the size, 64 samples spread over
+camera moves. --reference also renders frames such as 8 at twice the size, their samples spread over
 the pixel, to measure against.
 """
 import argparse
@@ -212,6 +212,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=2)
     parser.add_argument("--size", default="240x136")
     parser.add_argument("--reference", type=int, nargs="*", default=[], metavar="FRAME")
+    parser.add_argument("--reference-samples", type=int, default=64)
     arguments = parser.parse_args()
     width, height = map(int, arguments.size.split("x"))
     jitter, exposure = integrate.jitter_sequence(integrate.jitter_length(2)), None
@@ -222,7 +223,7 @@ def main() -> None:
         frame.exposure = exposure
         print("wrote", integrate.write_planes(arguments.output / f"noisy.{number:04d}.exr", frame))
     for number in arguments.reference:
-        frame = render(number, 2 * width, 2 * height, 64, None)
+        frame = render(number, 2 * width, 2 * height, arguments.reference_samples, None)
         colour = postfx.Frame({Role.COLOUR: frame[Role.COLOUR]}, number, exposure=exposure,
                               samples=frame.samples)
         print("wrote",

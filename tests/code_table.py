@@ -81,7 +81,8 @@ def list_constants(tree: ast.Module) -> Iterator[tuple[str, int]]:
             continue
         for target in targets:
             for name in ast.walk(target):
-                if isinstance(name, ast.Name) and name.id.isupper():
+                is_given = isinstance(name, ast.Name) and isinstance(name.ctx, ast.Store)
+                if is_given and name.id.isupper():
                     yield name.id, name.lineno
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from tests.code_table import make_table, read_sources
 
-NEAR = ('NEAR = 1\nSTEP, MOST = 2, 3\n\n\ndef f(a, b, c, d, e, f, g, *rest, h=1):\n    SMALL = '
-        '4\n    return SMALL\n')
+NEAR = ('NEAR = 1\nSTEP, MOST = 2, 3\nNAMES[NEAR] = 4\n\ndef f(a, b, c, d, e, f, g, *rest, h=1):\n'
+        '    SMALL = 4\n    return SMALL\n')
 WIDE = ('NEAR: int = 1\n\n\nclass A:\n    def f(self, a, b, c, d, e, f, g, h):\n        return '
         '"' + 88 * "x" + '"\n')
 

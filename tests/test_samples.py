@@ -405,7 +405,8 @@ def test_memory_is_measured_within_a_budget():
 
 def test_what_the_ray_caster_writes_is_right(tmp_path):
     """The history helps, and every mistake about motion and jitter costs more than 1 dB."""
-    run("ray_caster.py", str(tmp_path), "--frames", "5", "--size", "128x72", "--reference", "5")
+    run("ray_caster.py", str(tmp_path), "--frames", "5", "--size", "128x72", "--reference", "5",
+        "--reference-samples", "24")
     printed = run("integration_mistakes.py", str(tmp_path)).splitlines()
     scores = {line.split(" dB  ")[1]: float(line.split()[0]) for line in printed}
     costly = [name for name in scores if "motion" in name or "jitter" in name or "reset" in name]

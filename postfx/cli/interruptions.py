@@ -143,7 +143,8 @@ def first_readable(sequence: Sequence, policy: OnError) -> int:
 def check_sizes(frame: Frame, first: FrameSpec, sized: bool) -> None:
     """FrameError for a frame of another size than the first one's, GuideError for its guides: the
     output's size may follow from them, unless it is given (`sized`)."""
-    spec, guides = frame.spec, frame.spec.guides
+    spec = frame.spec
+    guides = spec.guides
     if not sized and (spec.width, spec.height) != (first.width, first.height):
         raise FrameError(f"{frame.source}: frame {frame.number} is {spec.width}x{spec.height}, the "
                          f"first one {first.width}x{first.height}: render it at one size, or give "

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -147,28 +147,28 @@ class Display:
     peak: float | None = None
     white: float | None = None
 
-    @property
+    @cached_property
     def kind(self) -> Kind:
         """The properties shared with other displays of its name."""
         return DISPLAY_KINDS[self.name]
 
-    @property
+    @cached_property
     def hdr(self) -> bool:
         """Whether it shows light above diffuse white."""
         return self.name in HDR
 
-    @property
+    @cached_property
     def most(self) -> float:
         """The most light that it can show; 1 is white."""
         return self.peak / self.white if self.peak is not None and self.white is not None else 1.0
 
-    @property
+    @cached_property
     def unit(self) -> float:
         """Light at the curve's value 1; 1 is white. For HLG, before the system gamma is
         inverted."""
         return {"pq": PQ_NITS / (self.white or 1), "hlg": self.most}.get(self.name, 1.0)
 
-    @property
+    @cached_property
     def system_gamma(self) -> float:
         """Exponent of the HLG display's OOTF (ITU-R BT.2100-2, note 5f); 1 for all others."""
         return (1.2 + 0.42 * math.log10(self.peak / 1000)
@@ -180,8 +180,10 @@ class Display:
     def encode(self, light: np.ndarray) -> np.ndarray:
         """Light (..., 3) to code values in [0, 1]; light that the display cannot show is clipped in
         each channel."""
-        light = np.clip(np.nan_to_num(light, posinf=self.most), 0, self.most) / self.unit
-        return self.kind.curve.encode(light * self._gain(light, 1 / self.system_gamma - 1))
+        if not self.hdr:  # the curve clips at 1, which is all that the display shows
+            return self.kind.curve.encode(light)
+        signal = np.clip(np.nan_to_num(light, posinf=self.most), 0, self.most) / self.unit
+        return self.kind.curve.encode(signal * self._gain(signal, 1 / self.system_gamma - 1))
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
         """Code values (..., 3) to light."""

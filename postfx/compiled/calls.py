@@ -40,23 +40,12 @@ class Form:
                                                    for kind in kinds if kind)).pack
 
     def __call__(self, first: int, last: int, *arrays: np.ndarray) -> None:
-        self._check(self._entry(self._pack(first, last, *_words_of(arrays)), None))
+        if self._entry(self._pack(first, last, *_words_of(arrays)), None):
+            raise _failure(self._name)
 
     def bind(self, arrays: Sequence[np.ndarray]) -> BoundRows:
         """The function of rows, with all arrays given."""
-        entry, check, pair = self._entry, self._check, struct.Struct("=qq").pack
-        words = _words_of(arrays)
-        rest = self._pack(0, 0, *words)[16:]
-
-        def rows(first: int, last: int) -> None:
-            check(entry(pair(first, last) + rest, None))
-
-        address = ctypes.cast(entry, ctypes.c_void_p).value or 0
-        return BoundRows(self._name, rows, address, [0, 0, *words], tuple(arrays))
-
-    def _check(self, status: int) -> None:
-        if status:
-            raise RuntimeError(f"kernel {self._name} failed, probably for want of memory")
+        return BoundRows(self._name, self._entry, _words_of(arrays), arrays)
 
 
 class BoundRows:
@@ -64,24 +53,27 @@ class BoundRows:
     threads may also call without Python's lock.
 
     Args:
-        call: the function.
-        entry: address of `int entry(const int64_t *words, void *)`.
-        words: with zeros for the first and the last row.
+        name: the kernel's, for messages.
+        function: of the library, as `Form` has it.
+        words: address and shape of each array.
         arrays: which live as long as their addresses.
 
     Attributes:
-        entry: as given.
+        entry: address of the function.
     """
 
-    def __init__(self, name: str, call: Callable[[int, int], None], entry: int,
-                 words: Sequence[int], arrays: Sequence[np.ndarray]) -> None:
-        self._name, self._call, self.entry, self._words, self._arrays = (name, call, entry, words,
-                                                                         arrays)
+    def __init__(self, name: str, function: Any, words: Sequence[int],
+                 arrays: Sequence[np.ndarray]) -> None:
+        self.entry = ctypes.cast(function, ctypes.c_void_p).value or 0
+        self._name, self._function = name, function
+        self._words, self._arrays = [0, 0, *words], tuple(arrays)
+        self._packed_words = struct.pack(f"={len(words)}Q", *words)
         self._edges: Sequence[int] = ()
         self._blocks = np.empty((0, 0), np.int64)
 
     def __call__(self, first: int, last: int) -> None:
-        self._call(first, last)
+        if self._function(_PAIR.pack(first, last) + self._packed_words, None):
+            raise _failure(self._name)
 
     def blocks(self, edges: Sequence[int]) -> np.ndarray:
         """The words (bands, count) of each band between two edges."""
@@ -95,8 +87,17 @@ class BoundRows:
     def explain(self, edges: Sequence[int]) -> None:
         """Raises the error of a band that failed."""
         for first, last in pairwise(edges):
-            self._call(first, last)
-        raise RuntimeError(f"kernel {self._name} failed, probably for want of memory")
+            self(first, last)
+        raise _failure(self._name)
+
+
+_PAIR = struct.Struct("=qq")
+"""The first and the last row."""
+
+
+def _failure(name: str) -> RuntimeError:
+    """The error of a kernel that returned another number than 0."""
+    return RuntimeError(f"kernel {name} failed, probably for want of memory")
 
 
 def kinds_of(arrays: Iterable[np.ndarray]) -> Kinds:

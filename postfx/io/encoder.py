@@ -55,9 +55,8 @@ def encode_all(
         written = written and output.write_scanlines(row, row + len(pixels), 0, pixels)
         row += len(pixels)
     closed = output.close()
-    lines = [
-        line for line in output.geterror().splitlines() if line and "Exif" not in line
-    ]  # of TIFF, harmless
+    # what TIFF says of Exif is harmless
+    lines = [line for line in output.geterror().splitlines() if line and "Exif" not in line]
     if lines or not (written and closed):
         raise OSError(lines[0] if lines else "unknown reason")
 

@@ -43,6 +43,9 @@ FEWEST_ROWS = 64
 """That OpenImageIO reads at once, with few threads: they stay in the cache."""
 MOST_CHUNK_ROWS = 256
 """With many threads: each has a chunk."""
+READING_FACTOR = 8
+"""Memory that is kept free to read rows, in parts of their planes: they are there twice for a
+moment, with channels that nobody wants."""
 READ_ALL = ReadOptions()
 """All planes that are there, as they are."""
 UNSETTLED = Settled()
@@ -78,21 +81,23 @@ class _Rows:
 
     def read(self, scratch: Scratch | None) -> None:
         """Read all rows: by several threads, if the files are stored so that it can be done."""
-        count, (_, height) = oiio.get_int_attribute("threads"), self.plan.size
+        _, height = self.plan.size
         if scratch:
-            # Twice as much, with channels that nobody wants.
-            held = 8 * sum(plane.nbytes for plane in self.planes.values())
-            for rows in scratch.pieces(height, held // height):
+            row_bytes = READING_FACTOR * sum(plane[0].nbytes for plane in self.planes.values())
+            for rows in scratch.pieces(height, row_bytes):
                 if not self._read_straight(rows):
                     self._read_any(rows)
             return
-        straight = self.plan.parts is not None
-        step = (rows_of_task(count) if straight
-                else min(max(FEWEST_ROWS, 16 * count), MOST_CHUNK_ROWS))
-        step = -(-step // self.plan.chunk) * self.plan.chunk
-        pieces = [(first, min(height, first + step)) for first in range(0, height, step)]
+        threads = oiio.get_int_attribute("threads")
+        is_straight = self.plan.parts is not None
+        step = (rows_of_task(threads) if is_straight
+                else min(max(FEWEST_ROWS, 16 * threads), MOST_CHUNK_ROWS))
+        whole_chunks = -(-step // self.plan.chunk) * self.plan.chunk
+        pieces = [(first, min(height, first + whole_chunks))
+                  for first in range(0, height, whole_chunks)]
         tasks = [partial(self._read_straight, rows) for rows in pieces]
-        done = run_in_order(file_threads(count), tasks, 2 * count) if straight else repeat(False)
+        done = (run_in_order(file_threads(threads), tasks, 2 * threads) if is_straight
+                else repeat(False))
         for rows, is_done in zip(pieces, done, strict=False):
             if not is_done:
                 self._read_any(rows)

@@ -23,9 +23,8 @@ def write_jpeg(path: Path, image_bytes: int, encode: Callable[[Path], None]) -> 
     encode: writes the file under another name. image_bytes: of the pixels that it writes, which it
         has less of.
     """
-    if not Path(
-        "/dev/fd"
-    ).is_dir():  # on Windows, where pipes have no names: there must be room for any JPEG
+    if not Path("/dev/fd").is_dir():
+        # on Windows, where pipes have no names: there must be room for any JPEG
         with memory_file(JPEG_SUFFIXES[0], image_bytes) as made:
             encode(made)
             path.write_bytes(made.read_bytes())

@@ -25,9 +25,12 @@ LETTERS_BY_KIND = {"normal": VECTOR_LETTERS, "position": VECTOR_LETTERS, "albedo
 """Channels of planes by kind, best first; others have three of colour or one."""
 PLANE_KINDS = tuple(kind for kind in PART_KINDS if kind not in (*ADDITIVE, "factor"))
 """Kinds that `--aov-denoise` takes."""
-NEVER = ("crypto", "uint", "id", "index", "mask")
-"""Words that begin or end the names of layers whose values are not amounts, so that means of them
-mean nothing."""
+ID_WORDS = ("crypto", "uint", "id", "index", "mask")
+"""Words in the names of layers whose values are not amounts, so that means of them mean nothing."""
+ID_PREFIX = "crypto"
+"""How such a word may also begin: 'CryptoObject00'."""
+SHOWN_LAYERS = 16
+"""Layers that a message names at most."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ def parse_parts(aov: str | None, planes: str | None) -> PartOptions | None:
 def refuse_ids(layer: str, option: str) -> None:
     """OptionError for a layer that holds ids by its name."""
     words = layer.lower().replace("_", " ").replace(".", " ").split()
-    if any(word.startswith(NEVER[0]) or word in NEVER for word in words):
+    if any(word.startswith(ID_PREFIX) or word in ID_WORDS for word in words):
         raise OptionError(f"{option}: '{layer}' holds ids, whose means are other ids: they are "
                           "never filtered")
 
@@ -165,7 +168,7 @@ def _size(channels: tuple[Channel, ...]) -> tuple[int, int]:
 def _missing_error(
     name: str, index: ChannelIndex, layout: Layout, path: str, option: str = "--aov"
 ) -> MissingPlaneError:
-    held = "; ".join(index.contents()[:16]) or "nothing"
+    held = "; ".join(index.contents()[:SHOWN_LAYERS]) or "nothing"
     if name == AUTO_PARTS:
         return MissingPlaneError(f"{path}: --aov auto: profile {layout.profile.name} knows none of "
                                  "its layers as light groups or passes: name them (--aov "
@@ -176,9 +179,10 @@ def _missing_error(
 LAYER_SUM_TOLERANCE = 3e-3
 """Layers add up to the picture if their sum differs by less than this share of its light."""
 
-# One row in so many is looked at; more layers than that are not tried in all combinations.
 _SAMPLED_ROW_STEP = 8
+"""One row in so many is looked at."""
 _MOST_COMBINED_LAYERS = 14
+"""More layers are not tried in all combinations."""
 
 
 def find_sets(picture: np.ndarray, parts: Mapping[str, np.ndarray]) -> list[tuple[str, ...]]:
@@ -187,14 +191,15 @@ def find_sets(picture: np.ndarray, parts: Mapping[str, np.ndarray]) -> list[tupl
 
     Layers that are in no set are left out.
     """
-    seen = picture[::_SAMPLED_ROW_STEP].reshape(-1)
-    shown = [np.broadcast_to(part[::_SAMPLED_ROW_STEP],
-                             (*picture[::_SAMPLED_ROW_STEP].shape[:2], 3))
-             .reshape(-1) for part in parts.values()]
-    whole = np.isfinite(seen) & np.logical_and.reduce([np.isfinite(part) for part in shown])
-    layers = np.stack([part[whole] for part in shown]).astype(np.float64)
-    target, names, found = seen[whole].astype(np.float64), tuple(parts), []
+    seen = picture[::_SAMPLED_ROW_STEP]
+    rows = [np.broadcast_to(part[::_SAMPLED_ROW_STEP], seen.shape) for part in parts.values()]
+    is_known = np.isfinite(seen) & np.logical_and.reduce([np.isfinite(part) for part in rows])
+    layers = np.stack([part[is_known] for part in rows]).astype(np.float64)
+    target = seen[is_known].astype(np.float64)
     light = np.abs(target).sum()
+
+    # A layer that is in a set is left out of larger ones.
+    names, found = tuple(parts), []
     left = list(range(min(len(names), _MOST_COMBINED_LAYERS)))
     for size in range(1, len(left) + 1):
         for chosen in combinations(tuple(left), size):
@@ -216,18 +221,20 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
     parts = tuple(parts)
     named = [part for part in parts
              if part.is_light and part.group == NAMED_PARTS and part.name in pixels]
-    total = sum((pixels[part.name][::_SAMPLED_ROW_STEP] for part in named),
-                np.zeros_like(picture[::_SAMPLED_ROW_STEP]))
-    excess, light = (np.maximum(total - picture[::_SAMPLED_ROW_STEP], 0),
-                     np.abs(picture[::_SAMPLED_ROW_STEP]))
-    valid = np.isfinite(excess) & np.isfinite(light)
+    seen = picture[::_SAMPLED_ROW_STEP]
+    total = sum((pixels[part.name][::_SAMPLED_ROW_STEP] for part in named), np.zeros_like(seen))
+    excess = np.maximum(total - seen, 0)
+    light = np.abs(seen)
+    is_known = np.isfinite(excess) & np.isfinite(light)
     lights = [part.name for part in parts if part.is_light and part.name in pixels]
     below = [name for name in lights if _is_below(pixels[name])]
     notes = ([f"layers {', '.join(below)} have light below 0: it is denoised apart, and stays"]
              if below else [])
-    if (not named or excess[valid].sum(dtype=np.float64)
-        <= LAYER_SUM_TOLERANCE * light[valid].sum(dtype=np.float64)):
+    if (not named or excess[is_known].sum(dtype=np.float64)
+        <= LAYER_SUM_TOLERANCE * light[is_known].sum(dtype=np.float64)):
         return parts, notes
+
+    # Together they are brighter than the picture.
     sets = find_sets(picture, {part.name: pixels[part.name] for part in named})
     groups = {name: ",".join(names) for names in sets for name in names}
     alone = [part.name for part in named if part.name not in groups]

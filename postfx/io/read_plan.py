@@ -203,7 +203,8 @@ class ReadPlan:
     def rows(
         self, matches: Mapping[Role, Match], files: Mapping[str, ImageFile]
     ) -> list[RowsPlan]:
-        """How these planes are read, found once unless their rules were changed."""
+        """How these planes are read, found once for the rules that they have first: whoever looks
+        for mistakes, as `postfx inspect`, tries others on the same files."""
         roles = tuple(matches)
         held = self._rows.get(roles)
         if held is None:

@@ -17,7 +17,7 @@ import numpy as np
 from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
 from postfx.files import make_printable
 from postfx.frame import LOG, Frame, Role
-from postfx.io.colours import parse_colourspace
+from postfx.io.colours import InputColours, parse_colourspace
 from postfx.io.frame_reader import READ_ALL, FrameFiles
 from postfx.io.pattern import (
     VIEW_FIELD,
@@ -29,7 +29,7 @@ from postfx.io.pattern import (
     parse_frames,
 )
 from postfx.io.read_options import AUTO_MOTION, ReadOptions, parse_views
-from postfx.io.read_plan import MOST_READ_PLANS, Area, Plans, Settled
+from postfx.io.read_plan import MOST_READ_PLANS, Area, Plans, ReadPlan, Settled
 from postfx.io.windows import scale_windows
 from postfx.masks.cryptomatte import Coverage
 from postfx.motion import MOTION_SOURCES
@@ -89,6 +89,8 @@ class Sequence:
             self._choose_views()
         self._known_views = (self.view, *self.views)
         self._named = False
+        # The plan and the colours whose warnings were told last.
+        self._told: tuple[ReadPlan, InputColours] | None = None
         self._areas: dict[str | None, Area | None] = {}
         self.coverage = Coverage()
         self.colours = parse_colourspace(options.colourspace)
@@ -297,6 +299,14 @@ class Sequence:
             self.view, *others = files.views
             self.views, self._known_views, self._all_views = tuple(others), files.views, False
         self._areas[self.view] = self._areas.get(self.view) or files.area
+        if self._told != (files.plan, self.colours):
+            self._tell_of(files)
+            self._told = files.plan, self.colours
+        return files
+
+    def _tell_of(self, files: FrameFiles) -> None:
+        """Warn of what all frames with the plan of these files have in common. Raises ColourError,
+        and closes the files, where their colours are of no known space."""
         try:
             of_colours = self.colours.warnings(files.layout.attributes)
         except ColourError as error:
@@ -306,7 +316,6 @@ class Sequence:
             self.warn(warning)
         if files.views:
             self._warn_of_views(files.views)
-        return files
 
     def read(
         self,
@@ -400,13 +409,11 @@ class Sequence:
         unknown = None
         if stored is not None and not is_finite(stored):
             unknown = np.isnan(stored).any(axis=2, keepdims=True)
-        is_short = stored is not None and (unknown is not None or not stored.any())
-        if not is_wanted and not (is_short and any(role in frame for role in MOTION_SOURCES)):
+        lacks_vectors = stored is not None and (unknown is not None or not stored.any())
+        if not is_wanted and not (lacks_vectors and any(role in frame for role in MOTION_SOURCES)):
             return
-        from postfx.motion.estimated import (
-            motion_between,
-            picture_of,
-        )  # few need it, and its kernels take time
+        # few need it, and its kernels take time
+        from postfx.motion.estimated import motion_between, picture_of
 
         before = None if begins else self._picture_before(frame.number)
         picture = picture_of(frame)

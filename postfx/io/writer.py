@@ -7,7 +7,7 @@ import errno
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import lru_cache
 from os import PathLike
@@ -179,33 +179,46 @@ def _write_light(path: Path, found: list[tuple[Frame, LightPlan, Header]], keep:
     again, cut at a limit. Returns what the user should know of it: notes on the file with their
     facts."""
     plans = [plan for _, plan, _ in found]
-    names = {name for plan in plans
-             for name, is_altered in zip(plan.names, plan.altered, strict=True) if is_altered}
-    names |= {f"{view}.{name}" for view in found[0][0].views for name in names}
-    cut, lost = set[str](), list[bool]()
-    for limit in _LIMITS if names else _LIMITS[:1]:
+    altered = {name for plan in plans
+               for name, is_altered in zip(plan.names, plan.altered, strict=True) if is_altered}
+    altered |= {f"{view}.{name}" for view in found[0][0].views for name in altered}
+    losses = _Losses()
+    for limit in _LIMITS if altered else _LIMITS[:1]:
         pictures = []
         for frame, plan, header in found:
-            pixels = _linear_pixels(frame, plan, cut)
-            if names:
-                pixels = _limited(pixels, plan.altered, limit, lost)
+            pixels = _linear_pixels(frame, plan, losses)
+            if altered:
+                pixels = _limited(pixels, plan.altered, limit, losses)
             pixels = crop(pixels, plan.windows.area, plan.windows.data)
             rows = _channel_rows(pixels, plan.places, relax)
             pictures.append(Picture(Header(dict(header.attributes)), rows, frame))
         write_exr(path, pictures, keep, plans[0].key)
-        if not names or _is_finite(path, names):
+        if not altered or _is_finite(path, altered):
             break
     notes: list[tuple[Any, ...]] = []
     compression = plans[0].compression
-    if lost:
+    if losses.has_nan:
         notes.append(("%s: pixels that are NaN become black by %s compression", compression))
     if limit is not None:
         notes.append(("%s: light above %d is cut there, as %s compression would make it infinite",
                       limit, compression))
-    elif cut:
+    elif losses.beyond:
         notes.append(("%s: %s above %d is cut there, as half floats hold no more: give 32 bits "
-                      "(--bits 32) to keep it", " and ".join(sorted(cut)), LARGEST_HALF))
+                      "(--bits 32) to keep it", " and ".join(sorted(losses.beyond)), LARGEST_HALF))
     return notes
+
+
+@dataclass
+class _Losses:
+    """What a file does not hold of a picture, noted while it is written.
+
+    Attributes:
+        beyond: kinds of channels that are larger than half floats.
+        has_nan: whether a pixel is NaN that a compression would spread.
+    """
+
+    beyond: set[str] = field(default_factory=set)
+    has_nan: bool = False
 
 
 def _channel_rows(pixels: Pixels, places: list[int], relax: Callable[[], None] | None) -> Rows:
@@ -292,15 +305,16 @@ def write_channels(
 _LIMITS = (None, 60000, 52000, 40000, 24000)
 """Light at which pictures are cut, one after the other, until lossy compression, which errs by some
 percent of what is around a pixel, leaves all within half floats."""
+
+
 def _limited(pixels: Pixels, altered: np.ndarray, limit: float | None,
-             lost: list[bool]) -> Pixels:
-    """Pixels whose altered channels are cut at a limit and are 0 in place of NaN, of which
-    `lost` is told."""
+             losses: _Losses) -> Pixels:
+    """Pixels whose altered channels are cut at a limit and are 0 in place of NaN."""
 
     def convert(rows: slice) -> np.ndarray:
         found = pixels(rows)
         if (is_nan := altered & np.isnan(found)).any():
-            lost.append(True)
+            losses.has_nan = True
             found = np.where(is_nan, found.dtype.type(0), found)
         if limit is None:
             return found
@@ -344,9 +358,8 @@ def is_complete(path: str | PathLike[str], width: int, height: int) -> bool:
     return readable and has_end(Path(path), Path(path).suffix)
 
 
-def _linear_pixels(frame: Frame, plan: LightPlan, cut: set[str]) -> Pixels:
-    """Rows of light as they are written. cut: gets the names of planes of which half floats hold
-    less than there is."""
+def _linear_pixels(frame: Frame, plan: LightPlan, losses: _Losses) -> Pixels:
+    """Rows of light as they are written."""
     colour = frame[Role.COLOUR]
     before, behind = plan.planes
 
@@ -360,8 +373,8 @@ def _linear_pixels(frame: Frame, plan: LightPlan, cut: set[str]) -> Pixels:
             return pixels
         if largest_bits_of(pixels) >= BEYOND_HALF_BITS:
             beyond = (np.abs(pixels) >= BEYOND_HALF).any((0, 1))
-            cut.update(kind for kind, is_beyond in zip(plan.kinds, beyond, strict=True)
-                       if is_beyond)
+            losses.beyond.update(kind for kind, is_beyond in zip(plan.kinds, beyond, strict=True)
+                                 if is_beyond)
         return to_halves(pixels)
 
     return convert
@@ -463,6 +476,8 @@ class OutputFiles:
 
     def paths(self, number: int) -> list[Path]:
         """Output files of a frame, of the first view first."""
+        if not self.has_views:
+            return [self._pattern.path(number)]
         return [self._pattern.of_view(view).path(number) for view in self._views()]
 
     def split(self, frame: Frame) -> list[tuple[Path, Frame]]:
@@ -502,15 +517,15 @@ class OutputFiles:
                                  "or name")
 
     def _views(self) -> list[str]:
-        """Views that have files of their own; '' where all share one."""
-        return ([view or "" for view in (self._sequence.view, *self._sequence.views)]
-                if self.has_views else [""])
+        """Views that have files of their own; '' for the first one while its name is not known."""
+        return [view or "" for view in (self._sequence.view, *self._sequence.views)]
 
     def _guess_paths(self, numbers: Iterable[int]) -> list[Path]:
         """Files of frames, of whatever views are on the disk where no frame was opened yet that
         tells them."""
-        views = ([view for view in self._views() if view or not self.has_views]
-                 or ["view", *self._pattern.by_view()])
+        if not self.has_views:
+            return [self._pattern.path(number) for number in numbers]
+        views = list(filter(None, self._views())) or ["view", *self._pattern.by_view()]
         return [self._pattern.of_view(view).path(number) for number in numbers for view in views]
 
 

@@ -82,7 +82,9 @@ MOST = 10
 EXPONENT = 11
 
 DARK = 1e-9
-RED, GREEN, BLUE = map(np.float32, LUMA_REC2020)
+RED = np.float32(LUMA_REC2020[0])
+GREEN = np.float32(LUMA_REC2020[1])
+BLUE = np.float32(LUMA_REC2020[2])
 
 ENCODE_DISPLAY = Kernel(
     name="encode_display",

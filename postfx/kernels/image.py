@@ -39,7 +39,9 @@ RESAMPLE = Kernel("resample", ("image", "rows", "columns"), ("output",), Rows("r
                   {"image": ("h", "w", "channels"), "rows": ("height",), "columns": ("width",),
                    "output": ("height", "width", "channels")}, pixels=(2, 2))
 
-RGBA_SHAPE, COLOUR_SHAPE, ALPHA_SHAPE = (("height", "width", channels) for channels in (4, 3, 1))
+RGBA_SHAPE = ("height", "width", 4)
+COLOUR_SHAPE = ("height", "width", 3)
+ALPHA_SHAPE = ("height", "width", 1)
 ENLARGE_OVERLAY = Kernel("overlay_enlarge", ("image", "rows", "columns"), ("output",),
                          Rows("overlay_enlarge"), ("output", 0),
                          {"image": ("h", "w", 4), "rows": ("height",), "columns": ("width",),

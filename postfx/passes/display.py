@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import ClassVar, Never
 
@@ -20,6 +19,7 @@ from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.passes.registry import create
 from postfx.plan import Skip
 from postfx.runtime import CommandBuffer, Device, Library
+from postfx.workers import Workers
 
 THREAD_ROWS = 32
 """Rows of a picture that one thread shows at a time."""
@@ -143,6 +143,7 @@ class View(Pass):
                  **unknown: Never) -> None:
         super().__init__(view=view, display=display, exact=exact, **unknown)
         self._view, self._exact = find_view(view, parse_display(display)), bool(exact)
+        self._matrix = matrix_between(REC709, self._view.primaries)
         # a table is read now, so that a broken one is told before any frame
         self._view.apply(np.zeros((1, 3)))
 
@@ -166,13 +167,13 @@ class View(Pass):
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
         self._cube = {}
         if self._exact:
-            self._threads = device.threads
+            self._workers = Workers(device.threads, "postfx view")
             self._state = device.host_state("view", ("colour", "params"), ("output",), self._show)
         else:
             kernel, values = form_of(bake(self._view), device.gpu is not None)
             self._cube = {"matrix": device.heap.tensor("view matrix", (9,)),
                           "cube": device.heap.tensor("cube", values.shape)}
-            self._cube["matrix"].upload(self._matrix().ravel())
+            self._cube["matrix"].upload(self._matrix.ravel())
             self._cube["cube"].upload(values)
             self._state = device.compute_state(kernel)
         super().compile(device, spec)
@@ -186,11 +187,8 @@ class View(Pass):
                                 **self._cube))
         frame.set(Role.COLOUR, self._output)
 
-    def _matrix(self) -> np.ndarray:
-        return matrix_between(REC709, self._view.primaries)
-
     def _show(self, colour: np.ndarray, params: np.ndarray, output: np.ndarray) -> None:
-        matrix, most = self._matrix() * float(params[0]), float(BRIGHTEST)
+        matrix, most = self._matrix * float(params[0]), float(BRIGHTEST)
 
         def show_rows(first: int) -> None:
             rows = slice(first, first + THREAD_ROWS)
@@ -198,8 +196,7 @@ class View(Pass):
                                   neginf=-most) @ matrix.T
             output[rows] = self._view.apply(np.clip(light, -most, most))
 
-        with ThreadPoolExecutor(self._threads) as workers:
-            list(workers.map(show_rows, range(0, len(colour), THREAD_ROWS)))
+        list(self._workers.map(show_rows, range(0, len(colour), THREAD_ROWS)))
 
 
 def is_shown(is_picture: bool, tonemap: str | None = None, display: str | None = None,

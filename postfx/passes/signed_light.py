@@ -20,8 +20,10 @@ LEAST_BELOW = 3e-3
 picture."""
 ROW_STEP = 8
 """One row in so many is looked at for that."""
-ABOVE, BELOW = 1.0, -1.0
-"""What light is multiplied by, before the rest is cut at 0."""
+
+# What light is multiplied by, before the rest is cut at 0.
+ABOVE = 1.0
+BELOW = -1.0
 
 
 def below(name: str) -> str:

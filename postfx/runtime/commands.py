@@ -104,7 +104,7 @@ class CommandBuffer:
         self._encoder: Encoder | None = None
         # the encoder of the last `run`, which another one may go on with
         self._running: Encoder | None = None
-        self._tables = Tables()
+        self._tables = Tables() if known is None else known.tables
         self._runs: Counter[tuple[State, str]] = Counter()
         self._state = "open"
         self._done = threading.Event()
@@ -165,8 +165,7 @@ class CommandBuffer:
         state = self.device.compute_state(kernel) if isinstance(kernel, Kernel) else kernel
         label = label or state.name
         full = self._full(label)
-        tables = self._tables if self.known is None else self.known.tables
-        table = tables.table(state, full, self._runs[state, full])
+        table = self._tables.table(state, full, self._runs[state, full])
         self._runs[state, full] += 1
         try:
             table.bind(tensors)
@@ -205,12 +204,12 @@ class CommandBuffer:
         self._require_open()
         self._require_no_encoder("repeat commands")
         key = (*self._groups, *key)
-        passage = self.known.passage(key)
+        passage = self.known.passages.find(key)
         if passage is None:
             first, result = len(self.records), record()
             self._end_run()
             passage = Passage(self.records[first:], result)
-            self.known.keep_passage(key, passage)
+            self.known.passages[key] = passage
         else:
             self.records += passage.records
         self._passages.append(passage)
@@ -371,7 +370,7 @@ class CommandBuffer:
             or self.device.hazards.in_flight()):
             return None
         key = self.known.key(self.records, self._kept, self._passages)
-        again = self.known.find(key)
+        again = self.known.commands.find(key)
         if again is None:
             return key
         self.records, self._placement, self._footprint, _ = again
@@ -513,9 +512,11 @@ class Execution:
 
     def _one_by_one(self) -> list[Span]:
         spans: list[Span] = []
+        # only commands before these have failed: the first of these that fails is the last to run
+        may_lack = any([allocation.lost for allocation in self._footprint.users])
         for index, dispatch in enumerate(self._dispatches):
             self.running = dispatch
-            if self._cannot_run(dispatch, self._dispatches[index:]):
+            if may_lack and self._cannot_run(dispatch, self._dispatches[index:]):
                 break
             try:
                 spans += self._execute(dispatch)

@@ -59,6 +59,7 @@ from postfx.runtime.states import (
     CudaComputeState,
     HostState,
     Intermediates,
+    LoadedNetwork,
     PipelineState,
     PortableComputeState,
     State,
@@ -300,8 +301,8 @@ class Device:
                                 Placement(CPU, "cpu", 0, taken))
                 # tells sizes and constants
                 session = self._session(content, library, name, host, fixed)
-                state = PipelineState(self, name, session, named, library.path(name),
-                                      library.constants(name))
+                state = PipelineState(self, LoadedNetwork(name, library.path(name), named, session,
+                                                          library.constants(name)))
                 state.convolve(layers, self.gpu, heads or {})
                 self.name_model(library, name)
                 return state
@@ -326,8 +327,8 @@ class Device:
             return Session(given, name, replace(placement, stream=0), named,
                            library.path(name).parent, of_its_own=True).intermediates()
 
-        return PipelineState(self, name, session, named, library.path(name),
-                             library.constants(name), in_place, taken, products, measure)
+        network = LoadedNetwork(name, library.path(name), named, session, library.constants(name))
+        return PipelineState(self, network, in_place, taken, products, measure)
 
     def intermediates(self, *needed: PipelineState | int) -> Intermediates:
         """Memory for the intermediates of networks that run one after the other: enough for the

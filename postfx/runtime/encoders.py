@@ -146,20 +146,14 @@ class Recordings:
 
     Attributes:
         tables: argument tables of commands that need none of the caller's.
+        passages: by the keys of `CommandBuffer.repeat`.
+        commands: by what `key` makes of them.
     """
 
     def __init__(self) -> None:
         self.tables = Tables()
-        self._known: LRUCache[tuple[object, ...], KnownCommands] = LRUCache(MOST_RECORDINGS)
-        self._passages: LRUCache[tuple[object, ...], Passage] = LRUCache(MOST_PASSAGES)
-
-    def passage(self, key: tuple[object, ...]) -> Passage | None:
-        """The passage that was recorded with this key."""
-        return self._passages[key] if key in self._passages else None
-
-    def keep_passage(self, key: tuple[object, ...], passage: Passage) -> None:
-        """Know this passage from now on."""
-        self._passages[key] = passage
+        self.passages: LRUCache[tuple[object, ...], Passage] = LRUCache(MOST_PASSAGES)
+        self.commands: LRUCache[tuple[object, ...], KnownCommands] = LRUCache(MOST_RECORDINGS)
 
     def key(self, records: Sequence[Record], kept: Iterable[Allocation],
             passages: Sequence[Passage] = ()) -> tuple[object, ...]:
@@ -180,30 +174,26 @@ class Recordings:
                 parts += (type(record), record.after, record.before)
         return tuple(parts)
 
-    def find(self, key: tuple[object, ...]) -> KnownCommands | None:
-        """The commands with this key."""
-        return self._known[key] if key in self._known else None
-
     def keep(self, key: tuple[object, ...], recorded: KnownCommands) -> None:
         """Know these commands from now on. Forgets those in other transient memory, with released
         tensors, and with wrapped arrays that these do not use."""
         memory, users = recorded.placement and recorded.placement.memory, recorded.footprint.users
-        for other in list(self._known):
-            old = self._known.peek(other)
+        for other in list(self.commands):
+            old = self.commands.peek(other)
             if ((old.placement and old.placement.memory) is not memory or any(
                     item.released or (item.borrowed and item not in users)
                     for item in old.footprint.users)):
-                self._known.drop(other)
-        self._known[key] = recorded
-        alive = {passage for one in self._known for passage in self._known.peek(one).passages}
-        for name in list(self._passages):
-            if self._passages.peek(name) not in alive:
-                self._passages.drop(name)
+                self.commands.drop(other)
+        self.commands[key] = recorded
+        alive = {passage for one in self.commands for passage in self.commands.peek(one).passages}
+        for name in list(self.passages):
+            if self.passages.peek(name) not in alive:
+                self.passages.drop(name)
 
     def clear(self) -> None:
         """Forget all commands."""
-        self._known.clear()
-        self._passages.clear()
+        self.commands.clear()
+        self.passages.clear()
         self.tables.clear()
 
 

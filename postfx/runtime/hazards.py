@@ -114,7 +114,7 @@ class Hazards:
                 if _uses(dispatch.writes, tensor) or _uses(dispatch.reads, tensor):
                     recorded = _use(commands, dispatch)
                     break
-            needed = Ranges((tensor.span(),) if tensor.nbytes else ())
+            needed = Ranges((tensor.span,) if tensor.nbytes else ())
             allocation = tensor.allocation
             lost = (tensor.device.heap.explain_loss(allocation) if isinstance(allocation, Transient)
                     else None)
@@ -130,7 +130,7 @@ class Hazards:
             gone = (own.released
                     or (isinstance(own, Transient) and tensor.device.heap.explain_loss(own)))
             return (not (gone or self._flying or allocation.lost)
-                    and allocation.written.covers(*tensor.span()))
+                    and allocation.written.covers(*tensor.span))
 
     def is_free(self, tensor: Tensor) -> bool:
         """Whether nothing is in flight or recorded that uses the tensor, so that the host may write
@@ -144,7 +144,7 @@ class Hazards:
     def mark_written(self, tensor: Tensor) -> None:
         """Note that the tensor's content is now defined."""
         with self._lock:
-            tensor.allocation.written.add(*tensor.span())
+            tensor.allocation.written.add(*tensor.span)
             if tensor.allocation.lost:
                 self.mark_found(tensor)
 
@@ -152,7 +152,7 @@ class Hazards:
         """Note that a command wrote a tensor that an earlier one had failed to write."""
         with self._lock:
             for ranges, _ in tensor.allocation.lost:
-                ranges.remove(*tensor.span())
+                ranges.remove(*tensor.span)
             tensor.allocation.lost = [item for item in tensor.allocation.lost if item[0].spans]
 
     def mark_lost(self, tensors: Iterable[Tensor], cause: CommandError) -> None:
@@ -161,12 +161,12 @@ class Hazards:
             for tensor in tensors:
                 self.mark_found(tensor)
                 if tensor.nbytes:
-                    tensor.allocation.lost.append((Ranges((tensor.span(),)), cause))
+                    tensor.allocation.lost.append((Ranges((tensor.span,)), cause))
 
     def loss(self, tensor: Tensor) -> CommandError | None:
         """The error of the command that should have written the tensor, as far as commands have
         run."""
-        needed = Ranges((tensor.span(),))
+        needed = Ranges((tensor.span,))
         with self._lock:
             return next((cause for ranges, cause in tensor.allocation.lost
                          if ranges.touches(needed)), None)
@@ -251,10 +251,12 @@ class UsedMemory:
     def touches(self, records: Sequence[Record], tensor: Tensor) -> bool:
         """Whether one of these records, which are those of the last call and perhaps more, uses a
         byte of a tensor."""
-        for record in records[self._count:]:
-            if isinstance(record, Dispatch):
-                for other in (*record.reads, *record.writes):
-                    self._add(other.start, other.end)
+        new = {(other.start, other.end)
+               for record in records[self._count:] if isinstance(record, Dispatch)
+               for tensors in (record.reads, record.writes) for other in tensors}
+        for start, end in new - self._known:
+            self._add(start, end)
+        self._known |= new
         self._count = len(records)
         after = bisect_right(self._ends, tensor.start)
         return (tensor.start < tensor.end and after < len(self._starts)
@@ -263,9 +265,8 @@ class UsedMemory:
     def _add(self, start: int, end: int) -> None:
         """Include [start, end), merged with all that it touches: the ranges stay apart and
         sorted."""
-        if start == end or (start, end) in self._known:
+        if start == end:
             return
-        self._known.add((start, end))
         first, last = bisect_left(self._ends, start), bisect_right(self._starts, end)
         if first < last:
             start, end = min(start, self._starts[first]), max(end, self._ends[last - 1])
@@ -357,7 +358,7 @@ class Footprint(Accesses):
                          for item in self.dispatches)
 
     def _read(self, dispatch: Dispatch, tensor: Tensor) -> None:
-        allocation, span = tensor.allocation, tensor.span()
+        allocation, span = tensor.allocation, tensor.span
         written = self.writes.get(allocation)
         if (not tensor.nbytes or (allocation, span) in self.needs
             or (written is not None and written.covers(*span))):
@@ -372,9 +373,9 @@ class Footprint(Accesses):
             return
         written = self.writes.get(tensor.allocation)
         if written is None:
-            self.writes[tensor.allocation] = Ranges((tensor.span(),))
+            self.writes[tensor.allocation] = Ranges((tensor.span,))
         else:
-            written.add(*tensor.span())
+            written.add(*tensor.span)
 
 
 def _spans(dispatches: Iterable[Dispatch]) -> list[Span]:

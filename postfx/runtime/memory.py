@@ -350,8 +350,8 @@ def _drop_capsule(capsule: int) -> None:
 
 _deleter = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_take_back)
 _destructor = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)(_drop_capsule)
-_DELETER, _DESTRUCTOR = (ctypes.cast(function, ctypes.c_void_p).value
-                         for function in (_deleter, _destructor))
+_DELETER = ctypes.cast(_deleter, ctypes.c_void_p).value
+_DESTRUCTOR = ctypes.cast(_destructor, ctypes.c_void_p).value
 
 
 def lend(pointer: int, shape: tuple[int, ...], dtype: str, place: tuple[int, int],

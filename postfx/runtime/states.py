@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -93,6 +93,24 @@ class State(Protocol):
         ...
 
 
+class LoadedNetwork(NamedTuple):
+    """A network of a library, as it is loaded.
+
+    Attributes:
+        name: in the library.
+        path: of its file.
+        dims: its free dimensions that have a name -> their sizes.
+        session: runs it.
+        constants: names of outputs that depend on no input.
+    """
+
+    name: str
+    path: Path
+    dims: dict[str, int]
+    session: Session | TableSession
+    constants: Sequence[str]
+
+
 class PipelineState:
     """A network with fixed dimensions. Made by `Device.pipeline_state`.
 
@@ -111,24 +129,24 @@ class PipelineState:
     stage = "machine-learning"
     capturable = True
 
-    def __init__(self, device: StateDevice, name: str, session: Session | TableSession,
-                 dims: dict[str, int], model: Path, constants: Sequence[str] = (),
+    def __init__(self, device: StateDevice, network: LoadedNetwork,
                  in_place: Mapping[str, str] | None = None,
                  threads: int | None = None, products: Mapping[str, Product] | None = None,
                  measure: Callable[[], int | None] = lambda: 0) -> None:
+        session = network.session
         self.device = device
         self.products = products or {}
         self.threads = threads or device.threads
         self.narrow = self.threads < device.threads
         self.stream = session.stream if self.narrow else 0
-        self.name = name
-        self.dims = dims
-        self.model = model
-        self.command = f"network '{name}'"
+        self.name = network.name
+        self.dims = network.dims
+        self.model = network.path
+        self.command = f"network '{network.name}'"
         self._in_place = dict(in_place or {})
-        self.bindings = _session_bindings(name, session, constants, self._in_place)
+        self.bindings = _session_bindings(network, self._in_place)
         self.shapes = {value.name: value.fixed for value in (*session.inputs, *session.outputs)}
-        self.constants = session.constants(constants)
+        self.constants = session.constants(network.constants)
         self._session = session
         self._measure = measure
         self._convolutions: Convolutions | None = None
@@ -221,7 +239,7 @@ class CompiledComputeState(ComputeState):
         rows = bind_rows(self._rows, [tensor.host_view() for tensor in tensors])
         count, scratch = self._extent(tensors)[0], self.device.scratch
         if scratch is None:
-            return lambda: self.device.divide(rows, 0, count)
+            return partial(self.device.divide, rows, 0, count)
         row_bytes = sum(tensor.nbytes for tensor in tensors) // max(1, count)
 
         def run_in_pieces() -> None:
@@ -274,8 +292,8 @@ class HostState:
         """A function that does the work on bound tensors."""
         if self.device.memory.host_visible:
             arrays = [tensor.host_view() for tensor in tensors]
-            return lambda: self._work(*arrays)
-        return lambda: self._work_on_copies(tensors)
+            return partial(self._work, *arrays)
+        return partial(self._work_on_copies, tensors)
 
     def _work_on_copies(self, tensors: Sequence[Tensor]) -> None:
         memory = self.device.memory
@@ -308,14 +326,14 @@ def _prepare_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
                                   for binding, shape in zip(bindings, shapes, strict=True)))
 
 
-def _session_bindings(
-    name: str, session: Session | TableSession, constants: Sequence[str],
-    in_place: Mapping[str, str]
-) -> tuple[Binding, ...]:
+def _session_bindings(network: LoadedNetwork, in_place: Mapping[str, str]) -> tuple[Binding, ...]:
+    """What a network reads and writes. Raises ModelError where two that are to be one are not
+    alike."""
+    name, session = network.name, network.session
     reads = {value.name: Binding(value.name, "read", value.fixed, value.dtype)
              for value in session.inputs}
     writes = {value.name: Binding(value.name, "write", value.fixed, value.dtype)
-              for value in session.outputs if value.name not in constants}
+              for value in session.outputs if value.name not in network.constants}
     for source, result in in_place.items():
         if source not in reads or result not in writes:
             raise ModelError(f"network '{name}' cannot replace '{source}' by '{result}': it has "

@@ -271,6 +271,9 @@ class Tensor:
     command buffer) or `device.wrap` (content of a NumPy array).
 
     Attributes:
+        device: that holds it.
+        start, end: its addresses.
+        span: its byte range inside its allocation.
         contiguous: whether its elements lie in order without gaps; if not, `strided` was given, the
             array that it wraps in the host's memory. What runs on it works on a contiguous copy,
             which costs a copy each time.
@@ -285,7 +288,7 @@ class Tensor:
                                f"{', '.join(DTYPES)}")
         self.contiguous = strided is None
         self._put = b""
-        self._device = device
+        self.device = device
         self.name = name
         self.shape = tuple(map(int, shape))
         self.dtype = dtype
@@ -293,16 +296,12 @@ class Tensor:
         self.nbytes = size_in_bytes(self.shape, dtype)
         self.start = allocation.pointer + offset
         self.end = self.start + (self.nbytes if self.contiguous else allocation.nbytes)
+        self.span = offset, self.end - allocation.pointer
         self._host = strided
         self._resident: Tensor | None = None
 
     def __repr__(self) -> str:
         return f"Tensor('{self.name}', {self.shape}, {self.dtype})"
-
-    @property
-    def device(self) -> TensorDevice:
-        """The device that holds the tensor."""
-        return self._device
 
     @property
     def released(self) -> bool:
@@ -312,7 +311,7 @@ class Tensor:
     @property
     def state(self) -> TensorState:
         """Whether the content is defined, and which committed or recorded commands use it now."""
-        return self._device.hazards.state(self)
+        return self.device.hazards.state(self)
 
     @property
     def array(self) -> np.ndarray:
@@ -330,20 +329,20 @@ class Tensor:
 
     def content(self) -> np.ndarray:
         """The content, to read at once: `array` if the host can see the memory, else a copy."""
-        return self.array if self._device.memory.host_visible else self.download()
+        return self.array if self.device.memory.host_visible else self.download()
 
     def download(self, empty: Callable[[tuple[int, ...],
                                         np.dtype[Any]], np.ndarray] = np.empty) -> np.ndarray:
         """A NumPy copy of the content, on memory that `empty` gives. Raises HazardError as `array`
         does."""
         self._check_host_read()
-        scratch, here = self._device.scratch, self.resident()
+        scratch, here = self.device.scratch, self.resident()
         if not self.contiguous:
             return here.host_view().copy("C")
         if scratch is None:
             copy = empty(self.shape, element_type(self.dtype))
             if copy.nbytes:
-                self._device.memory.read(here.start, copy)
+                self.device.memory.read(here.start, copy)
             return copy
         copy, view = scratch.empty(self.shape, element_type(self.dtype)), here.host_view()
         if not copy.ndim:
@@ -372,8 +371,8 @@ class Tensor:
         if not self.contiguous:
             self.host_view()[...] = contiguous
         elif contiguous.nbytes:
-            self._device.memory.write(self.start, contiguous)
-        self._device.hazards.mark_written(self)
+            self.device.memory.write(self.start, contiguous)
+        self.device.hazards.mark_written(self)
 
     def put(self, values: np.ndarray) -> None:
         """`upload` values that no command writes over, unless they are those of the last `put`."""
@@ -384,7 +383,7 @@ class Tensor:
 
     def fill(self, value: float) -> None:
         """Set every element to `value`. Raises HazardError as `upload` does."""
-        scratch = self._device.scratch
+        scratch = self.device.scratch
         if scratch is None or not self.shape:
             self.upload(np.broadcast_to(np.asarray(value, element_type(self.dtype)), self.shape))
             return
@@ -393,11 +392,11 @@ class Tensor:
         if value or not (isinstance(chunk, MappedChunk) and chunk.clear(self.start, self.nbytes)):
             for first, last in scratch.pieces(self.shape[0], self.nbytes // max(1, self.shape[0])):
                 self.host_view()[first:last] = value
-        self._device.hazards.mark_written(self)
+        self.device.hazards.mark_written(self)
 
     def __dlpack_device__(self) -> tuple[int, int]:
         """Kind and number of the device in DLPack."""
-        return self._device.memory.place
+        return self.device.memory.place
 
     def __dlpack__(self, *, stream: Any = None, max_version: Any = None, dl_device: Any = None,
                    copy: bool | None = None) -> object:
@@ -413,12 +412,12 @@ class Tensor:
                               "download() for a copy")
         self._check_host_read()
         here = self.resident()
-        return lend(here.start, self.shape, self.dtype, self._device.memory.place, here)
+        return lend(here.start, self.shape, self.dtype, self.device.memory.place, here)
 
     @property
     def __cuda_array_interface__(self) -> dict[str, Any]:
         """The same for libraries that know CUDA's arrays; AttributeError in other memory."""
-        if self._device.memory.place[0] != CUDA:
+        if self.device.memory.place[0] != CUDA:
             raise AttributeError(f"tensor '{self.name}' is not in CUDA's memory")
         self._check_host_read()
         return {"shape": self.shape, "typestr": element_type(self.dtype).str, "strides": None,
@@ -440,7 +439,7 @@ class Tensor:
             raise BindingError(f"view '{name}' {tuple(shape)} at {offset} does not fit into "
                                f"'{self.name}' {self.shape}")
         inside = self.start - self.allocation.pointer + skipped
-        return Tensor(self._device, name, shape, dtype or self.dtype, self.allocation, inside)
+        return Tensor(self.device, name, shape, dtype or self.dtype, self.allocation, inside)
 
     def release(self) -> None:
         """Return the memory to the heap, or drop a wrapped array; this tensor and its views become
@@ -459,12 +458,8 @@ class Tensor:
             return self
         if self._resident is None or self._resident.allocation is not placed:
             inside = self.start - self.allocation.pointer
-            self._resident = Tensor(self._device, self.name, self.shape, self.dtype, placed, inside)
+            self._resident = Tensor(self.device, self.name, self.shape, self.dtype, placed, inside)
         return self._resident
-
-    def span(self) -> tuple[int, int]:
-        """The tensor's byte range inside its allocation."""
-        return self.start - self.allocation.pointer, self.end - self.allocation.pointer
 
     def overlaps(self, other: Tensor) -> bool:
         """Whether the two tensors share memory."""
@@ -492,8 +487,8 @@ class Tensor:
     def host_view(self) -> np.ndarray:
         """Writable view for compiled kernels, made once; checks only that the host can see the
         memory."""
-        if not self._device.memory.host_visible:
-            raise DeviceError(f"tensor '{self.name}' lives on {self._device.name}: use download() "
+        if not self.device.memory.host_visible:
+            raise DeviceError(f"tensor '{self.name}' lives on {self.device.name}: use download() "
                               "for a copy")
         if self._host is None:
             self._host = view_at(self.start, self.shape, element_type(self.dtype),
@@ -501,7 +496,7 @@ class Tensor:
         return self._host
 
     def _check_host_read(self) -> None:
-        if not self._device.hazards.is_settled(self):
+        if not self.device.hazards.is_settled(self):
             check_host_read(self.name, self.state)
 
     def _check_host_write(self) -> None:
@@ -512,5 +507,5 @@ class Tensor:
         if not self.allocation.writable:
             raise BindingError(f"tensor '{self.name}' wraps a read-only array: it cannot be "
                                "written")
-        if not self._device.hazards.is_free(self):
+        if not self.device.hazards.is_free(self):
             check_host_write(self.name, self.state)

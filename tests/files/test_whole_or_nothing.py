@@ -185,16 +185,33 @@ def test_a_killed_process_leaves_whole_files_only(tmp_path: Path, moment: float)
 
 
 def test_partial_files_of_a_dead_process_are_removed(tmp_path: Path) -> None:
-    dead = subprocess.Popen(["true"])
+    """Those that were dead when this process first wrote into the folder."""
+    dead, out = subprocess.Popen(["true"]), tmp_path / "out"
     dead.wait()
+    out.mkdir()
     with output_file(tmp_path / "a.exr") as own:
-        left = tmp_path / own.name.replace(f"-{os.getpid()}-", f"-{dead.pid}-")
+        left = out / own.name.replace(f"-{os.getpid()}-", f"-{dead.pid}-")
         own.write_text("mine")
-    for path in (left, left.with_name(left.name.replace(PARTIAL, f"9{PARTIAL}"))):
+    of_another = left.with_name(left.name.replace("a.exr", "b.exr"))
+    for path in (left, left.with_name(left.name.replace(PARTIAL, f"9{PARTIAL}")), of_another):
         path.write_text("half a frame")
-    with output_file(tmp_path / "a.exr") as own:
-        own.write_text("mine")
-    assert names(tmp_path) == ["a.exr"]
+    for number in range(2):
+        with output_file(out / f"{'ca'[number]}.exr") as own:
+            own.write_text("mine")
+    assert names(out) == [of_another.name, "a.exr", "c.exr"]
+
+
+def test_a_folder_is_not_listed_for_every_output(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed: list[object] = []
+    for name, lists in (("listdir", os.listdir), ("scandir", os.scandir)):
+        monkeypatch.setattr(postfx_files.os, name,
+                            lambda folder, lists=lists: listed.append(folder) or lists(folder))
+    for number in range(5):
+        with output_file(tmp_path / f"out.{number}.exr") as temporary:
+            temporary.write_text("whole")
+    assert len(listed) == 1
 
 
 def test_files_of_processes_that_still_run_are_not_removed(tmp_path: Path) -> None:

@@ -31,9 +31,7 @@ class Bytes:
         self.start = rng.randrange(MEMORY)
         self.end = min(MEMORY, self.start + rng.randint(0, 3))
         self.nbytes = self.end - self.start
-
-    def span(self):
-        return self.start, self.end
+        self.span = self.start, self.end
 
 
 def random_records(rng, encoders):
@@ -172,8 +170,8 @@ def test_needs_are_the_bytes_read_before_they_are_written(seed):
         records = random_records(rng, encoders=5)
         written, needed = set(), set()
         for dispatch in (record for record in records if isinstance(record, Dispatch)):
-            needed |= {b for t in dispatch.reads for b in range(*t.span())} - written
-            written |= {b for t in dispatch.writes for b in range(*t.span())}
+            needed |= {b for t in dispatch.reads for b in range(*t.span)} - written
+            written |= {b for t in dispatch.writes for b in range(*t.span)}
         footprint = Footprint(records)
         found = [ranges for _, _, ranges in footprint.needs.values()]
         assert {b for ranges in found for span in ranges.spans for b in range(*span)} == needed

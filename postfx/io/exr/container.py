@@ -116,7 +116,7 @@ def _find_storage(*stored: Attribute | None) -> Storage:
     named = zip(STORAGE_ATTRIBUTES, stored, strict=True)
     header = Header({name: attribute for name, attribute in named if attribute is not None})
     count = _count_chunks(header)
-    coordinates, sizes = _HEADS.get(header.part_type, (16, "<3q"))
+    coordinates, sizes = _HEADS[header.part_type]
     data, display = header.data, header.display
     return Storage(
         count=count,
@@ -133,7 +133,8 @@ def _find_storage(*stored: Attribute | None) -> Storage:
     )
 
 
-_HEADS = {SCANLINE_IMAGE: (4, "<i"), TILED_IMAGE: (16, "<i"), DEEP_SCANLINES: (4, "<3q")}
+_HEADS = {SCANLINE_IMAGE: (4, "<i"), TILED_IMAGE: (16, "<i"), DEEP_SCANLINES: (4, "<3q"),
+          DEEP_TILES: (16, "<3q")}
 """Bytes of a chunk's coordinates, and the sizes that follow them, by the type of the part."""
 
 
@@ -308,9 +309,12 @@ class ExrContainer(ExitStack):
 
     def read(self, chunk: Chunk) -> bytes:
         """A chunk as it is stored, without the number of its part."""
-        self._file.seek(chunk.at)
-        stored = self._file.read(chunk.head + chunk.size)
-        if len(stored) < chunk.head + chunk.size:
+        return self._read_bytes(chunk.at, chunk.head + chunk.size)
+
+    def _read_bytes(self, at: int, count: int) -> bytes:
+        self._file.seek(at)
+        stored = self._file.read(count)
+        if len(stored) < count:
             raise self._broken_error("it ends early")
         return stored
 
@@ -323,8 +327,8 @@ class ExrContainer(ExitStack):
                 return [memoryview(self.read(self.chunk(part, place)))
                         for place in range(first, last)]
             final = self.chunk(part, last - 1)
-            block = memoryview(self.read(Chunk(offsets[0], 0,
-                                               final.at + final.head + final.size - offsets[0])))
+            end = final.at + final.head + final.size
+            block = memoryview(self._read_bytes(offsets[0], end - offsets[0]))  # all at once
         found = []
         for offset in offsets:
             at = offset - offsets[0]
@@ -488,11 +492,12 @@ def read_stored(file: ExrContainer, part: int, names: Sequence[str], first: int,
     words = _unpack(storage, file.read_chunks(part, begin, end), begin * storage.lines)
     if words is None:
         return None
-    rows, found = words[first - begin * storage.lines:][:last - first], []
+    rows = words[first - begin * storage.lines:][:last - first]
+    found, width = [], storage.window.width
     for name in names:
         kind, column = storage.channels[name]
-        width = storage.window.width * SAMPLE_BYTES[kind] // 2
-        found.append(rows[:, column : column + width].view(SAMPLE_TYPES[kind]))
+        end = column + width * SAMPLE_BYTES[kind] // 2
+        found.append(rows[:, column:end].view(SAMPLE_TYPES[kind]))
     return found
 
 

@@ -96,6 +96,8 @@ class KeepPlan:
         merge = Merge(own, source, frame)
         self._enlargement, self._pixels = merge.enlargement, merge.stored.pixels
         recipes = merge.recipes()
+
+        # A header of a recipe holds the very objects that it took over from other headers.
         origins = {id(attribute): (place, name)
                    for place, header in enumerate((own, *source.headers))
                    for name, attribute in header.attributes.items()}

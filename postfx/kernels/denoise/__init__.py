@@ -40,15 +40,20 @@ from postfx.kernels import Kernel
 HIDDEN = 8
 STATE = 4 + HIDDEN
 FEATURES = 27 + HIDDEN
-KERNEL, PHASES = 25, 9 * 4
-"""Channels of a 5x5 filter kernel, and of 3x3 weights at four phases."""
+KERNEL = 5 * 5
+"""Channels of a 5x5 filter kernel."""
+PHASES = 9 * 4
+"""Channels of 3x3 weights at four phases."""
+
+# Channels of the fine head: where its parts begin behind the 5x5 kernel, and how many there are.
 TAP_WEIGHTS = KERNEL
 BLEND = TAP_WEIGHTS + PHASES
-SHARPEN, MIX = BLEND + 4, BLEND + 8
-DISTRUST, IMPORTANCE, MEMORY = MIX + 1, MIX + 2, MIX + 3
+SHARPEN = BLEND + 4
+MIX = SHARPEN + 4
+DISTRUST = MIX + 1
+IMPORTANCE = DISTRUST + 1
+MEMORY = IMPORTANCE + 1
 FINE = MEMORY + HIDDEN
-"""Channels of the fine head: where its parts begin behind the 5x5 kernel, and how many there
-are."""
 PLANE_TRUST = FINE - 1
 """The last hidden channel, -1 to 1: how far networks that doubt planes trust a pixel's
 reflectance."""
@@ -64,35 +69,49 @@ TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH = range(8)
 UNKNOWN = 1e-3  # share of a reprojected pixel that the history may lack
 NEAR_CELL = 4
 """Render pixels along a side of the cells of ``near``, outside of which alpha is left alone."""
-TRUST_CELL, DOUBT, FAINT = 8, np.float32(0.7), np.float32(1e-4)
-"""Render pixels along a side of the cells in which guides are judged and reflectance is averaged;
-how much trust disagreeing guides lose, and the squared relative detail below which they are not
-judged."""
+TRUST_CELL = 8
+"""Render pixels along a side of the cells in which guides are judged and reflectance is
+averaged."""
+DOUBT = np.float32(0.7)
+"""How much trust disagreeing guides lose."""
+FAINT = np.float32(1e-4)
+"""Squared relative detail below which guides are not judged."""
 MAX_COUNT = 32.0
-MAX_COLOUR, MAX_LIGHT = 1e4, np.float32(1e30)
-"""Exposed light that a channel holds, and that a division by reflectance may give before it is
-held: a pixel that is brighter keeps its hue."""
+MAX_COLOUR = 1e4
+"""Exposed light that a channel holds at most."""
+MAX_LIGHT = np.float32(1e30)
+"""Light that a division by reflectance may give before it is held at `MAX_COLOUR`: a pixel that is
+brighter keeps its hue."""
 # logarithm of the largest weight of a filter, and minus that of the smallest
 STEEPEST = np.float32(8)
 TINY = np.float32(1e-8)  # the smallest sum of weights that counts
 LEAST_IMPORTANCE = np.float32(1e-30)
 """Weight of a pixel in the mean of its cell at least: where a network gives none to a whole cell,
 the cell is not black."""
-MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
+MAX_DEPTH = np.float32(1e10)
+MAX_FLOAT = np.float32(3e38)
 MOST_MOTION = np.float32(1e5)  # pixels a frame, more than a picture can have
-NEAREST, FARTHEST = np.float32(1e-6), np.float32(1e9)
-"""Depth that counts as hit; a miss is farther, 1e10."""
-MOST_LOG, MOST_STATE = np.float32(20), np.float32(3e5)
-"""Limits of log-encoded light and of all of a pixel's state, which are never reached from frame to
-frame. Beyond them the history or the network's answer is broken and is not passed on. NaN is not
-below them, either."""
+NEAREST = np.float32(1e-6)
+"""Least depth that counts as hit."""
+FARTHEST = np.float32(1e9)
+"""Most depth that counts as hit; a miss is farther, 1e10."""
 
-MOST_REFLECTANCE, EMITTER = np.float32(4), np.float32(0.005)
-"""What both albedos of a channel reflect at most, and the reflectance below which a pixel gives
-light of its own."""
-LEAST_TINT, ADDED = np.float32(0.15), np.float32(0.01)
-"""Of the largest channel: what every channel reflects at least; and what is added to all, so that
-nothing is divided by 0."""
+# Limits that are never reached from frame to frame. Beyond them the history or the network's answer
+# is broken and is not passed on. NaN is not below them, either.
+MOST_LOG = np.float32(20)
+"""Of log-encoded light."""
+MOST_STATE = np.float32(3e5)
+"""Of all of a pixel's state."""
+
+MOST_REFLECTANCE = np.float32(4)
+"""What both albedos of a channel reflect at most."""
+EMITTER = np.float32(0.005)
+"""Reflectance below which a pixel gives light of its own."""
+LEAST_TINT = np.float32(0.15)
+"""What every channel reflects at least, as a share of the largest."""
+ADDED = np.float32(0.01)
+"""What is added to the reflectance of every channel, as a share of the largest, so that nothing is
+divided by 0."""
 
 REFLECTANCE = ("diffuse_albedo", "specular_albedo")
 PLANES = {

@@ -31,22 +31,32 @@ EXACT, NOISE, SHARPER, FITTED = range(4)
 """Of ``gain``: variance of filtered alpha in those units, 0 where samples count for nothing; of its
 structure that is as likely noise; how much of what differs from the pixels around is added; and how
 much alpha by colours counts."""
-ALIKE, DARK = np.float32(3e-5), np.float32(1e-20)
-"""Variance that colours are taken to have in any direction, as a share of their mean square, and
-beside it."""
+ALIKE = np.float32(3e-5)
+"""Variance that colours are taken to have in any direction, as a share of their mean square."""
+DARK = np.float32(1e-20)
+"""Variance that they are taken to have beside that share."""
 LARGE = np.float32(1e30)
 """Sum of the factors of colours from which on they say nothing."""
-LEAST_MOTION, FAINTEST = np.float32(1 / 64), np.float32(1e-6)
-"""Render pixels that count as motion, and the smallest variance that is structure."""
-PLANE, SLOPED = np.float32(2 / 3), np.float32(1 / 8)
-"""Variance in 3x3 pixels of a plane that rises by 1 a pixel, and how much of it counts as
-structure."""
-LIMIT_OFF, LEAST_OFF = np.float32(9), np.float32(4e-4)
-"""Squares: standard deviations, and alpha, by which 3x3 pixels may differ from what was there
-before."""
-SIDE, MIDDLE = np.float32(0.27406862), np.float32(0.45186276)
-"""Weights of three pixels by a Gaussian of one pixel."""
-QUARTERS, NEAR = ("2*h", "2*w", 1), ("near_h", "near_w")
+LEAST_MOTION = np.float32(1 / 64)
+"""Render pixels that count as motion."""
+FAINTEST = np.float32(1e-6)
+"""The smallest variance that is structure."""
+PLANE = np.float32(2 / 3)
+"""Variance in 3x3 pixels of a plane that rises by 1 a pixel."""
+SLOPED = np.float32(1 / 8)
+"""How much of that variance counts as structure."""
+
+# How far 3x3 pixels may differ from what was there before.
+LIMIT_OFF = np.float32(3**2)
+"""Square of it in standard deviations."""
+LEAST_OFF = np.float32(0.02**2)
+"""Square of it in alpha, which is always allowed."""
+
+# Weights of three pixels by a Gaussian of one pixel.
+SIDE = np.float32(0.27406862)
+MIDDLE = np.float32(0.45186276)
+QUARTERS = ("2*h", "2*w", 1)
+NEAR = ("near_h", "near_w")
 GATHER = kernel("gather", ("alpha", "moved", "samples", "doubt", "near", "rates"),
                 ("next_samples", "next_doubt"),
                 None, ("next_doubt", 0), alpha=("h", "w", 1), moved=("h", "w", 2), samples=QUARTERS,

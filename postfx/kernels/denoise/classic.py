@@ -31,7 +31,8 @@ SLANT = np.float32(0.3)
 """Share of the depth's own slope that makes one."""
 LUMINANCE = np.float32(4)
 """Standard deviations of luminance that make one."""
-_LIGHT, _SURFACE = (4, "th", "tw"), (6, "th", "tw")
+_LIGHT = (4, "th", "tw")
+_SURFACE = (6, "th", "tw")
 GATHER = kernel("classic_gather", ("colour", *REFLECTANCE, "normal", "depth", "moved", "state",
                                    "last_depth", "params", "window", "keep"),
                 ("next_state", "next_depth", "light", "surface", "factor"), None, ("light", 1),

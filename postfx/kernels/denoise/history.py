@@ -39,15 +39,26 @@ HISTORY = replace(kernel("history",
                          ("history", "moved", "params", "window", "out_rows", "out_columns"),
                          ("warped",), None, ("warped", 0)), pixels=(2, 2))
 
-FOCAL, FOCAL_THEN, JITTER, TURN, SHIFT, WORLD, CAMERA = 0, 2, 4, 6, 15, 18, 27
+# Of ``camera``: where its parts begin, and how many numbers it has.
+FOCAL = 0
+FOCAL_THEN = 2
+JITTER = 4
+TURN = 6
+SHIFT = TURN + 9
+WORLD = SHIFT + 3
+CAMERA = WORLD + 9
 ROUGHEST = np.float32(0.3)
 """Roughness up to which a surface shows an image that is worth following: docs/lab/denoising.md."""
-STEP, BEND = np.float32(0.1), np.float32(0.9)
-"""Most relative difference in depth of neighbours on one surface, and least cosine between their
-normals."""
-STILL, PART = np.float32(0.25), np.float32(0.05)
-"""Pixels, and share of the motion, by which the motion of a surface at rest may differ from the
-camera's."""
+STEP = np.float32(0.1)
+"""Most relative difference in depth of neighbours on one surface."""
+BEND = np.float32(0.9)
+"""Least cosine between the normals of neighbours on one surface."""
+
+# How far the motion of a surface at rest may differ from the camera's: the sum of both.
+STILL = np.float32(0.25)
+"""In pixels."""
+PART = np.float32(0.05)
+"""As a share of the motion."""
 
 REFLECTIONS = kernel(
     "reflections", ("motion", "depth", "normal", "roughness", "diffuse_albedo", "specular_albedo",

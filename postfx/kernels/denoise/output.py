@@ -27,7 +27,8 @@ from postfx.kernels.denoise import PLANES, kernel
 TILE = 16
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (0, 4), (4, 0))
 NEAR = 6  # the first lags, which a pixel filter reaches
-COUNT, POWER, HELD_POWER, FIRST = 0, 1, 2, 3
+# Of ``sums``: where each stands, the first of the lags, and how many there are.
+COUNT, POWER, HELD_POWER, FIRST = range(4)
 SUMS = FIRST + len(LAGS)
 # times a tile's root mean square: larger differences, such as fireflies, are clamped to it
 LIMIT = 3.0
@@ -42,7 +43,8 @@ LOUD = (10**-1.8, 10**-1.4)  # the same, from possibly clean to certainly noisy
 SPREAD_NOISE = 2.25
 TINY_POWER = np.float32(1e-12)
 
-IMAGE, TILES = PLANES["colour"], ("tiles_high", "tiles_wide")
+IMAGE = PLANES["colour"]
+TILES = ("tiles_high", "tiles_wide")
 JUDGE = kernel("judge", ("colour", "denoised", "params", "judged"), ("sums",), None, ("sums", 0),
                denoised=IMAGE, judged=(*TILES, 1), sums=(*TILES, SUMS))
 DETAIL = kernel("detail", ("sums", "evidence"), ("detail",), None, ("detail", 0),
@@ -54,8 +56,14 @@ RESTORE = kernel("restore", ("colour", "denoised", "detail"), ("output",), None,
 
 # Tiles and strength
 
-HELD, OWN = 2, 6
-PLACE = 10
+# Of a row of ``places``: the tile's first row and column, then two boxes (first row, first column,
+# last row, last column) of the frame.
+HELD = 2
+"""Where the box begins that the tile holds."""
+OWN = HELD + 4
+"""Where the box begins that is the tile's own."""
+PLACE = OWN + 4
+"""Numbers of a row."""
 
 ASSEMBLE = kernel("assemble", ("tiles", "places", "frame_rows", "frame_columns"), ("picture",),
                   None, ("picture", 0), tiles=("tiles", "tile_h", "tile_w", "channels"),

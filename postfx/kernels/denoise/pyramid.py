@@ -18,8 +18,10 @@ from postfx.kernels import Blocks
 from postfx.kernels.denoise import BOTH, in_half, kernel
 from postfx.kernels.denoise.alpha import NEAR, QUARTERS
 
-SIDE, REACH = 5, 2
-"""Taps along a side of a kernel, and how far they reach."""
+REACH = 2
+"""Pixels that the taps of a kernel reach."""
+SIDE = 2 * REACH + 1
+"""Taps along a side of a kernel."""
 PLANAR = ("planes", "hp", "wp")
 POOL = kernel("pool", ("finer", "finer_importance", "finer_rows", "finer_columns"),
               ("level", "importance"), None, ("level", 1), level=PLANAR)
@@ -56,12 +58,12 @@ in_half(MIX_LEVELS, "heads")
 in_half(FILTER, "heads")
 
 
-def filter_mixed_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, heads: np.ndarray,
-                      coarse_rows: np.ndarray, coarse_columns: np.ndarray, area: np.ndarray,
-                      filtered: np.ndarray) -> None:
+def filter_mixed_rows(y0: int, y1: int, *arrays: np.ndarray) -> None:
     """What the kernel below computes. No device runs it."""
+    *of_mixing, area, filtered = arrays
+    _, level, heads, *_ = of_mixing
     mixed = np.empty_like(level)
-    MIX_LEVELS.rows(0, level.shape[1], coarse, level, heads, coarse_rows, coarse_columns, mixed)
+    MIX_LEVELS.rows(0, level.shape[1], *of_mixing, mixed)
     FILTER.rows(y0, y1, mixed, heads, area, filtered)
 
 
@@ -73,13 +75,12 @@ REMODULATE = kernel("remodulate", ("filtered", "factor", "part_rows", "part_colu
                     ("radiance",), None, ("radiance", 1))
 
 
-def filter_shaded_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, heads: np.ndarray,
-                       coarse_rows: np.ndarray, coarse_columns: np.ndarray, area: np.ndarray,
-                       factor: np.ndarray, radiance: np.ndarray) -> None:
+def filter_shaded_rows(y0: int, y1: int, *arrays: np.ndarray) -> None:
     """What the kernel below computes. No device runs it."""
+    *of_filtering, factor, radiance = arrays
+    _, level, *_, area = of_filtering
     filtered = np.empty_like(level)
-    filter_mixed_rows(0, level.shape[1], coarse, level, heads, coarse_rows, coarse_columns, area,
-                      filtered)
+    filter_mixed_rows(0, level.shape[1], *of_filtering, filtered)
     rows, columns = (np.minimum(np.arange(size - 2, dtype=np.float32), end - 1)
                      for size, end in zip(radiance.shape[1:], area, strict=True))
     REMODULATE.rows(y0, y1, filtered, factor, rows, columns, radiance)

@@ -11,12 +11,14 @@ SIGMA = 0.5
 TAPS = 9
 
 WRITES = ("output", "next_history")
-BETWEEN, LAST = ("moved", "past", "warped"), ("params", "window", "keep")
-HELD, CODED = ("radiance", "fine", *BETWEEN), ("radiance", "codes", "factors", "scaling", *BETWEEN)
+BETWEEN = ("moved", "past", "warped")
+LAST = ("params", "window", "keep")
+HELD = ("radiance", "fine", *BETWEEN)
+CODED = ("radiance", "codes", "factors", "scaling", *BETWEEN)
 GUIDES_READ = (*GUIDE_REFLECTANCE, "trust")
-UPSAMPLE = kernel("upsample", (*HELD, *LAST), WRITES, None, ("output", 0))
-UPSAMPLE_GUIDED = kernel("upsample_guided", (*HELD, *GUIDES_READ, *LAST), WRITES, None,
-                         ("output", 0), radiance=BOTH)
+UPSAMPLE = replace(kernel("upsample", (*HELD, *LAST), WRITES, None, ("output", 0)), pixels=(2, 2))
+UPSAMPLE_GUIDED = replace(kernel("upsample_guided", (*HELD, *GUIDES_READ, *LAST), WRITES, None,
+                                 ("output", 0), radiance=BOTH), pixels=(2, 2))
 UPSAMPLE_UNSCALED = kernel("upsample_unscaled", (*HELD, "factor", *LAST), WRITES, None,
                            ("output", 0), radiance=BOTH)
 CODES_PLAIN = kernel("upsample_codes", (*CODED, *LAST), WRITES, None, ("output", 0))
@@ -24,7 +26,6 @@ CODES_GUIDED = kernel("upsample_guided_codes", (*CODED, *GUIDES_READ, *LAST), WR
                       ("output", 0), radiance=BOTH)
 CODES_UNSCALED = kernel("upsample_unscaled_codes", (*CODED, "factor", *LAST), WRITES, None,
                         ("output", 0), radiance=BOTH)
-UPSAMPLE, UPSAMPLE_GUIDED = (replace(one, pixels=(2, 2)) for one in (UPSAMPLE, UPSAMPLE_GUIDED))
 BLEND_PICTURE = kernel("blend_picture", ("picture", "controls", *BETWEEN, *LAST), WRITES, None,
                        ("output", 0))
 """A picture that a network gives itself, blended with the last output: its first control is its

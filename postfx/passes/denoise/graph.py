@@ -168,9 +168,9 @@ Table = Mapping[str, Steps]
 """Steps by the label of their encoder."""
 
 
-def step(kernel: Kernel | None, when: str = "", unless: str = "", over: str = "",
+def step(kernel: Kernel | None, when: str = "", *, unless: str = "", over: str = "",
          **buffers: str) -> Step:
-    """A step, with its words in one text."""
+    """A step, with its words in one text; `buffers` are given by the names of bindings."""
     return Step(kernel, frozenset(when.split()), frozenset(unless.split()), over, 0, buffers)
 
 
@@ -207,23 +207,23 @@ def _filtering(i: int) -> Steps:
     head, area = f"head level{i}" if i else "head fine", f"area {i}"
     buffers = {"heads": head, "area": area, "filtered": f"filtered {i}"}
     if i == PYRAMID_LEVELS:
-        return (step(FILTER, "", "given", mixed=f"pool {i}", **buffers),)
+        return (step(FILTER, unless="given", mixed=f"pool {i}", **buffers),)
     buffers |= {"mixed": f"mixed {i}", "level": f"pool {i}", "coarse": f"filtered {i + 1}",
                 "coarse_rows": f"coarse_rows {i}", "coarse_columns": f"coarse_columns {i}"}
     if i > 0:
         return (
-            step(MIX_LEVELS, "", "gpu given", **buffers),
-            step(FILTER, "", "gpu given", **buffers),
-            step(FILTER_MIXED, "gpu", "given", **buffers))
+            step(MIX_LEVELS, unless="gpu given", **buffers),
+            step(FILTER, unless="gpu given", **buffers),
+            step(FILTER_MIXED, "gpu", unless="given", **buffers))
     return (
-        step(MIX_LEVELS, "", "gpu given", **buffers),
-        step(FILTER, "", "gpu given coded", **buffers),
-        step(FILTER_CODES, "coded", "given", **buffers),
-        step(FILTER_MIXED, "gpu", "given shaded", **buffers),
+        step(MIX_LEVELS, unless="gpu given", **buffers),
+        step(FILTER, unless="gpu given coded", **buffers),
+        step(FILTER_CODES, "coded", unless="given", **buffers),
+        step(FILTER_MIXED, "gpu", unless="given shaded", **buffers),
         step(FILTER_SHADED, "gpu shaded", **buffers))
 
 
-_POOLS = step(POOLS, "gpu", "given", finer="pool 0", finer_importance="importance 0",
+_POOLS = step(POOLS, "gpu", unless="given", finer="pool 0", finer_importance="importance 0",
               level1="pool 1", level2="pool 2", level3="pool 3", level4="pool 4",
               importance1="importance 1", importance2="importance 2",
               importance3="importance 3", importance4="importance 4")
@@ -245,30 +245,31 @@ PREPARE: Steps = (
     step(MIRROR, "mirrored"))
 PACK_STEPS: Steps = (
     step(PACK, "halves", over="inputs", packed="closed"),
-    step(STORE, "codes", "ringed", over="inputs", stored="closed"),
+    step(STORE, "codes", unless="ringed", over="inputs", stored="closed"),
     step(STORE_RINGED, "codes ringed", over="inputs", stored="closed"))
 OPEN_STEPS: Steps = (
     step(OPEN_PHASED, "phased", over="outputs", phased_fine="closed", fine="head"),
     step(OPEN_LOGITS, "logits", over="outputs", fine_logits="closed", fine="head"),
     step(OPEN_FINE, "raw fine", over="outputs", raw_fine="closed", fine="head"),
-    step(OPEN, "raw", "fine", over="outputs", raw="closed", heads="head"),
+    step(OPEN, "raw", unless="fine", over="outputs", raw="closed", heads="head"),
     step(OPEN_SOME_PRODUCTS, "sums behind", over="outputs", products="closed", fine="head"),
-    step(OPEN_FINE_PRODUCTS, "sums fine", "behind", "outputs", products="closed", fine="head"),
-    step(OPEN_PRODUCTS, "sums", "fine", over="outputs", products="closed", heads="head"),
+    step(OPEN_FINE_PRODUCTS, "sums fine", unless="behind", over="outputs", products="closed",
+         fine="head"),
+    step(OPEN_PRODUCTS, "sums", unless="fine", over="outputs", products="closed", heads="head"),
     step(OPEN_FINE_CODES, "codes fine", over="outputs", codes="closed", fine="head"),
-    step(OPEN_CODES, "codes", "fine", over="outputs", codes="closed", heads="head"))
+    step(OPEN_CODES, "codes", unless="fine", over="outputs", codes="closed", heads="head"))
 ACCUMULATE_AND_FILTER: Steps = (
     step(ACCUMULATE, level="level 0"),
     *PYRAMID,
-    step(REMODULATE, "plain", "shaded", filtered="filtered 0"),
+    step(REMODULATE, "plain", unless="shaded", filtered="filtered 0"),
     step(REMODULATE_BOTH, "guides", filtered="filtered 0"),
     step(REMODULATE_BOTH, "unscaled", filtered="filtered 0"))
 ENLARGE: Steps = (
-    step(UPSAMPLE, "plain", "coded"),
+    step(UPSAMPLE, "plain", unless="coded"),
     step(CODES_PLAIN, "plain coded"),
-    step(UPSAMPLE_GUIDED, "guides", "coded"),
+    step(UPSAMPLE_GUIDED, "guides", unless="coded"),
     step(CODES_GUIDED, "guides coded"),
-    step(UPSAMPLE_UNSCALED, "unscaled", "coded"),
+    step(UPSAMPLE_UNSCALED, "unscaled", unless="coded"),
     step(CODES_UNSCALED, "unscaled coded"),
     step(BLEND_PICTURE, "given", picture="head picture", controls="head controls"),
     step(OPEN_ERROR, "error", log_error="head error"))
@@ -392,8 +393,8 @@ def kernels_of(table: Table, words: frozenset[str] = NO_WORDS, over: Over = OVER
 
 def _steps_of(table: Table, words: frozenset[str], over: Over,
               maybe: frozenset[str] = NO_WORDS) -> Iterator[tuple[str, Step, Each]]:
-    """The steps that run, with their labels, once for each thing that they run over. Of the words,
-    `maybe` some do not hold."""
+    """The steps that run, with their labels, once for each thing that they run over. A word that is
+    also in `maybe` may hold or not: it lets steps run, and keeps none from running."""
     for label, steps in table.items():
         for one in steps:
             for each in over.get(one.over, ()) if one.over else ONE:

@@ -20,9 +20,12 @@ HEADS = {"raw_fine": Head("fine", FINE, BLEND, MEMORY, side=2)} | {
     f"raw_level{level}": Head(f"level{level}", KERNEL + 1, KERNEL, KERNEL + 1)
     for level in range(1, PYRAMID_LEVELS + 1)}
 """Outputs that a GPU gives after their activations: weights of filters, shares, and states."""
-EXACT_SUFFIX, FILE = ".fp32", ".onnx"
-"""Suffixes of a tag: for the network as trained, in float32, and for one in a file."""
-GUIDED, UNSCALED = ".guides", ".1x"
+EXACT_SUFFIX = ".fp32"
+"""Suffix of a tag for the network as trained, in float32."""
+FILE = ".onnx"
+"""Suffix of a tag for a network in a file."""
+GUIDED = ".guides"
+UNSCALED = ".1x"
 SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has the render size"}
 """Endings of the names of networks that are chosen automatically, and when."""
 CLASSIC = "classic"
@@ -219,10 +222,13 @@ def blanks_volumes(model: str) -> bool:
     return bool(_card(model).get("blanks_volumes", True))
 
 
-HALOS, GUIDED_HALO = {CLASSIC: 40, "s": 56, "m": 44, "l": 48}, 96
-"""Render pixels that a network must see around active ones so that the result differs by less than
-1e-3 from that of the whole frame: by model size, the largest for other models, and for models that
-read guides. docs/lab/denoiser.md lists the differences. A card's own "halo" comes before them."""
+# Render pixels that a network must see around active ones so that the result differs by less than
+# 1e-3 from that of the whole frame. docs/lab/denoiser.md lists the differences. A card's own "halo"
+# comes before them.
+HALOS = {CLASSIC: 40, "s": 56, "m": 44, "l": 48}
+"""By model size; the largest for other models."""
+GUIDED_HALO = 96
+"""Of models that read guides."""
 
 
 def halo_of(models: Iterable[str]) -> int:
@@ -230,9 +236,12 @@ def halo_of(models: Iterable[str]) -> int:
     return max(_halo_in_card(model) or _halo(model) for model in models)
 
 
-NETWORK_REACHES_PX, GUIDED_REACH = {CLASSIC: 72, "s": 136, "m": 64, "l": 64}, 224
-"""Render pixels that a network sees around each at most, counted by its convolutions: nothing
-farther away changes a bit of what it gives."""
+# Render pixels that a network sees around each at most, counted by its convolutions: nothing
+# farther away changes a bit of what it gives.
+NETWORK_REACHES_PX = {CLASSIC: 72, "s": 136, "m": 64, "l": 64}
+"""By model size."""
+GUIDED_REACH = 224
+"""Of models that read guides."""
 
 
 def reach_of(models: Iterable[str]) -> int:
@@ -308,9 +317,11 @@ back at once."""
 WEIGHT = 0.3
 """Weight of the last frame in the running mean of a network's time."""
 
-PATIENCE, MOST_PATIENCE = 2, 256
-"""Frames in a row that must allow a slower network: at first, and at most after it was too slow
-again and again."""
+# Frames in a row that must allow a slower network.
+PATIENCE = 2
+"""At first."""
+MOST_PATIENCE = 256
+"""At most, after it was too slow again and again."""
 
 STEADY = 64
 """Frames on a slower rung after which its being too slow before is forgotten."""

@@ -14,8 +14,10 @@ from postfx.passes.denoise.graph import Each
 from postfx.runtime import ModelError, PipelineState, Tensor
 from postfx.runtime.tensor import TensorHeap
 
-PACKED, RAW = "packed_", "raw_"
-"""Prefix of the names of inputs and outputs in half precision, channels last."""
+PACKED = "packed_"
+"""Prefix of the names of inputs in half precision, channels last."""
+RAW = "raw_"
+"""Prefix of the names of outputs in half precision, channels last."""
 PHASED_FINE = "phased_fine"
 """The fine head in float32 before its activations, with the four phases of each channel in a
 row."""
@@ -24,14 +26,18 @@ FINE_LOGITS = "fine_logits"
 size."""
 ERROR = "error"
 """The logarithm of each pixel's expected squared error."""
-PICTURE, CONTROLS_NAME = "picture", "controls"
-"""Outputs of a network that gives the picture itself, log(1 + exposed light), and controls it and
-the history."""
-STORED, CODING = "stored_", "coding_"
-"""Prefixes of the names of 8-bit inputs, channels last, and of the constants that tell how they are
-coded."""
-PRODUCTS, SCALING = "products_", "scaling_"
-"""Prefixes of the names of integer outputs, (C, h * w), and of the constants that scale them."""
+PICTURE = "picture"
+"""Output of a network that gives the picture itself: log(1 + exposed light)."""
+CONTROLS_NAME = "controls"
+"""Output of such a network that controls the picture and the history."""
+STORED = "stored_"
+"""Prefix of the names of 8-bit inputs, channels last."""
+CODING = "coding_"
+"""Prefix of the names of the constants that tell how 8-bit inputs are coded."""
+PRODUCTS = "products_"
+"""Prefix of the names of integer outputs, (C, h * w)."""
+SCALING = "scaling_"
+"""Prefix of the names of the constants that scale integer outputs."""
 CODES_NAME = "codes_"
 """Prefix of the names of 8-bit outputs, channels last, of which kernels make such products."""
 RING = 1

@@ -12,7 +12,9 @@ from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import FrameSpec, GuideSpec, Role
 from postfx.passes.denoise.models import Ladder
 
-LEAST_SCALE, MOST_SCALE, USUAL_SCALE = 1.0, 3.0, 1.0
+LEAST_SCALE = 1.0
+MOST_SCALE = 3.0
+USUAL_SCALE = 1.0
 ASPECT = 0.01
 """Share of a side by which frames may be off the output's aspect, if that is more than a pixel:
 sizes are often multiples of 8."""

@@ -43,9 +43,10 @@ BEYOND = 1.5
 are rounded."""
 SAMPLED_ROW_STEP = 8
 """One row in so many is looked at for that."""
-DENSE, DENSER = 0.6, 0.8
-"""Shares of lit pixels around lit ones from which a part counts as a surface's and not as sparse
-light."""
+# Shares of lit pixels around lit ones from which a part counts as a surface's and not as sparse
+# light.
+DENSE = 0.6
+DENSER = 0.8
 FARTHEST_DISTANCE = 1e9
 """Distances from here on stand for none."""
 SURFACE = tuple(role for role in ABSENT if role is not Role.MOTION)

@@ -31,9 +31,10 @@ MIRRORED_ROLES = {Role.DENOISING_ALBEDO: 0.0, Role.DENOISING_NORMAL: 0.0}
 HAZY = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.DEPTH)
 """Planes that are left out in a volume: they show the surface behind it for the samples that came
 so far."""
-FOUND_VOLUME_SHARE, LOST_VOLUME_SHARE = 0.12, 0.08
-"""From this share of noise in what depth covers on a frame shows a volume, and below the second it
-no longer does."""
+FOUND_VOLUME_SHARE = 0.12
+"""Share of noise in what depth covers from which on a frame shows a volume."""
+LOST_VOLUME_SHARE = 0.08
+"""Share below which a frame no longer shows the volume of the one before."""
 
 
 class Resampler:

@@ -18,9 +18,11 @@ from postfx.runtime import CommandBuffer, Device, Tensor
 COLOURS = (Role.COLOUR, Role.OPAQUE_COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 """Light, and what is compared with it or multiplied by it."""
 
-LOGARITHMIC_LIGHT, PLAIN_LIGHT = "next_history", ("next_state", "history", "last_part")
-"""In a history, light by its logarithm, log(1 + light), and light as it is, in the first three
-channels."""
+# In a history, light in the first three channels.
+LOGARITHMIC_LIGHT = "next_history"
+"""By its logarithm, log(1 + light)."""
+PLAIN_LIGHT = ("next_state", "history", "last_part")
+"""As it is."""
 
 
 class WiderPrimaries:

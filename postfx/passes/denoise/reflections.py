@@ -24,8 +24,12 @@ Mitsuba, OpenGL, pbrt."""
 
 SAMPLES = 24
 """Pixels along a side whose motion tells which axes a camera has."""
-MOST_OFF, PART_OFF = 0.25, 0.05
-"""Pixels, and share of the motion, by which half of those pixels may be off."""
+
+# How far half of those pixels may be off: the sum of both.
+MOST_OFF = 0.25
+"""In pixels."""
+PART_OFF = 0.05
+"""As a share of the motion."""
 
 NO_CAMERA = "no worldToCamera and field of view (postfx:fovX) in the headers"
 NO_FIT = "worldToCamera, field of view and depth do not give the motion that the frame has"

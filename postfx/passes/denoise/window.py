@@ -54,8 +54,11 @@ from postfx.passes.denoise.network import (
 from postfx.passes.denoise.tiling import PYRAMID_LEVELS, Band, Window
 from postfx.runtime import CommandBuffer, Device, PipelineState, Tensor
 
-PLAIN, GUIDES_KIND, UNSCALED_KIND, GIVEN = "plain", "guides", "unscaled", "given"
-"""Words for what ends a window."""
+# Words for what ends a window.
+PLAIN = "plain"
+GUIDES_KIND = "guides"
+UNSCALED_KIND = "unscaled"
+GIVEN = "given"
 MOST_PLACES = 64
 """Windows of one size whose positions stay on the device."""
 TOGETHER = 3

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -57,16 +56,9 @@ def write_pairs(folder: Path, pictures: dict[str, np.ndarray]) -> list[str]:
     return [str(folder / "hdr"), str(folder / "sdr")]
 
 
-def teach(*words: str) -> str:
-    run = subprocess.run([sys.executable, "-m", "training.tonemap.train", *words],
-                         capture_output=True, text=True)
-    assert run.returncode == 0, run.stderr
-    return run.stdout
-
-
-def teach_here(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
-    """The same without a start of Python and its libraries; a network is trained for a step or two
-    only."""
+def teach(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
+    """The command, without a start of Python and its libraries; a network is trained for a step or
+    two only."""
     from training.tonemap import train
 
     short = ["--minutes", "0.01", "--batch", "1", "--scale", "0.1"]
@@ -105,12 +97,12 @@ def test_a_fit_keeps_the_start_where_nothing_is_asked() -> None:
 def test_a_look_is_learnt_from_pairs_to_a_model_that_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With a solver that stops early: the last digits of a cube cost a minute and give 0.1 dB."""
+    """With a solver that stops early: 53 dB take half of the time of 59 dB."""
     from training.tonemap import pairs
 
     folders = write_pairs(tmp_path, {f"p{i}": picture(i) for i in range(9)})
-    monkeypatch.setattr(pairs, "TOLERANCE", 1e-4)
-    teach_here(monkeypatch, "mine", "--pairs", *folders, "--hold-out", "p8", "-o",
+    monkeypatch.setattr(pairs, "TOLERANCE", 5e-3)
+    teach(monkeypatch, "mine", "--pairs", *folders, "--hold-out", "p8", "-o",
                str(tmp_path / "run"))
     said = capsys.readouterr().out
     assert "colour alone explains the pairs" in said and "p8: " in said
@@ -121,9 +113,11 @@ def test_a_look_is_learnt_from_pairs_to_a_model_that_runs(
     assert card["quality"]["held_out_psnr"]["p8"] >= LEAST
 
 
-def test_a_look_of_a_config_is_baked_and_measured_on_charts(tmp_path: Path) -> None:
+def test_a_look_of_a_config_is_baked_and_measured_on_charts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     view = ["--ocio", ACES2.config, "--display", ACES2.display, "--view", ACES2.view]
-    teach("film", *view, "-o", str(tmp_path))
+    teach(monkeypatch, "film", *view, "-o", str(tmp_path))
     model, light = tmp_path / "tonemap.film.onnx", picture(1)
     assert psnr_of(model, light, exact_view(ACES2, light)) > 45
     assert min(json.loads(model.with_suffix(".json")
@@ -165,7 +159,7 @@ def test_a_local_look_is_trained_and_exported(tmp_path: Path,
         write(tmp_path / "hdr" / f"{i}.exr", picture(i))
     words = ["--target", "local", "--pictures", str(tmp_path / "hdr/*.exr"), "--hold-out", "1",
              "--start", "none"]
-    teach_here(monkeypatch, "small", *words, "-o", str(tmp_path / "run"))
+    teach(monkeypatch, "small", *words, "-o", str(tmp_path / "run"))
     card = json.loads((tmp_path / "run" / "tonemap.small.json").read_text())
     assert card["parameters"] == 488_352 and card["training"]["runs"][0]["steps"] > 0
     assert (tmp_path / "run" / "log.jsonl").read_text().count("\n") >= 1
@@ -181,7 +175,7 @@ def test_an_exposure_is_learnt_and_exported(tmp_path: Path,
     pictures = str(tmp_path / "hdr/*.exr")
     words = ["--target", "auto", "--pictures", pictures, "--views", "60", "-o",
              str(tmp_path / "run")]
-    teach_here(monkeypatch, "mine", *words)
+    teach(monkeypatch, "mine", *words)
     model, light = tmp_path / "run" / "tonemap.mine.onnx", picture(1)
     card = json.loads(model.with_suffix(".json").read_text())
     assert card["outputs"]["stops"]["shape"] == [1, 1] and card["keep"] == 0.98
@@ -197,7 +191,7 @@ def test_pairs_that_do_not_fit_are_refused(tmp_path: Path, monkeypatch: pytest.M
     write(tmp_path / "sdr" / "b.png", np.zeros((10, 10, 3), np.uint8))
     folders = [str(tmp_path / "hdr"), str(tmp_path / "sdr")]
     with pytest.raises(SystemExit, match="both must show the same pixels"):
-        teach_here(monkeypatch, "x", "--pairs", *folders, "-o", str(tmp_path / "run"))
+        teach(monkeypatch, "x", "--pairs", *folders, "-o", str(tmp_path / "run"))
 
 
 def test_eight_pairs_of_photographs_are_enough(shared_dir: Path,
@@ -207,7 +201,7 @@ def test_eight_pairs_of_photographs_are_enough(shared_dir: Path,
     from training.tonemap.pairs import Pairs, fit
     from training.tonemap.train import nearest_cube
 
-    monkeypatch.setattr(module, "TOLERANCE", 1e-4)
+    monkeypatch.setattr(module, "TOLERANCE", 5e-3)
 
     found = find_pictures([f"{shared_dir}/hdr/*.exr"], [f"{shared_dir}/environments/*.hdr"], 320)
     found = {name: expose(light) for name, light in found.items()}
