@@ -92,6 +92,8 @@ if TYPE_CHECKING:
 
 NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
 BACKWARDS = "denoise_upscale backwards"
+RENDER_SIZE_NETWORK = "xl"
+"""Network that a run takes at the render's size, unless another one is asked for."""
 """Of the run in reverse order, in the summary."""
 
 
@@ -119,28 +121,27 @@ class Job:
         exposure = (SmoothExposure(colours_of(self.sequence, policy is not OnError.STOP))
             if self._smooth else ExposureMeter(arguments.exposure))
         cuts = "auto" if arguments.cuts == "auto" else "none"
-        denoising = None if arguments.no_denoise else self._values("denoiser")
         covered = asked_form() == "whole"  # by a checkerboard, under which nothing is denoised
         is_picture = self.outputs is not None and self.outputs.display
-        if is_picture and denoising and denoising.get("error"):
+        if is_picture and not arguments.no_denoise and self._values("denoiser").get("error"):
             raise OptionError(f"{arguments.output}: pictures for a display hold no AOV 'error': "
                               "write EXR, or leave error out of --aov")
         # before any file is opened, which tells of it
         native = not is_shown(is_picture, **self._values("look"))
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
+        denoising = None if arguments.no_denoise else self._denoiser_options()
         if arguments.both_ways and self._has_flat_albedo():
             arguments.both_ways = False
             self.skips.append(Skip("both_ways",
                                                 "albedo has one value everywhere, so that more "
                                                 "history in one order shows more of the textures"))
         both_ways = arguments.both_ways and arguments.strength != 0 and not covered
-        backwards = {**self._values("denoiser"), "error": False}  # which that of the last run tells
         wrap = self._find_wrap()
         self._backwards = (Backwards(self.sequence, device,
                                      exposure if self._smooth else arguments.exposure, cuts,
-                                     wrap=wrap, **backwards)
-                           if both_ways else None)
+                                     wrap=wrap, **denoising | {"error": False})
+                           if denoising is not None and both_ways else None)
         self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
         self._parts = self._find_parts()
         self._partner = (None if covered or arguments.strength == 0
@@ -197,6 +198,15 @@ class Job:
 
     def _values(self, part: str) -> dict[str, Any]:
         return RUN.values_for(part, self._arguments)
+
+    def _denoiser_options(self) -> dict[str, Any]:
+        """The denoiser's options. Without --model they name the network that is best at the first
+        frame's output size, unless time or memory is bounded."""
+        given = self._values("denoiser")
+        is_bounded = self._arguments.budget is not None or self._arguments.memory is not None
+        if "model" in given or is_bounded or self._enlargement(given) != 1:
+            return given
+        return {**given, "model": RENDER_SIZE_NETWORK}
 
     def _has_flat_albedo(self) -> bool:
         """Whether the first frame's diffuse albedo is one grey or colour: a default, or an override
