@@ -4,12 +4,6 @@ only shrinks."""
 from __future__ import annotations
 
 PENDING: dict[str, tuple[str, ...]] = {
-    "docs/lab/tonemap.md": (
-        "Measured",
-        "Flicker",
-        "local",
-        "auto",
-    ),
     "docs/lab/interpolation.md": (
         "Measured",
     ),
@@ -26,9 +20,6 @@ PENDING: dict[str, tuple[str, ...]] = {
     ),
     "docs/lab/neural.md": (
         "Kernels on a GPU",
-    ),
-    "docs/lab/parts.md": (
-        "Alpha",
     ),
     "docs/measured/speed.md": (
         "On a GPU",
