@@ -5,7 +5,7 @@ from __future__ import annotations
 
 PENDING: dict[str, tuple[str, ...]] = {
     "docs/lab/interpolation.md": (
-        "Measured",
+        "Time",
     ),
     "docs/lab/denoiser.md": (
         "Doubt in planes",
