@@ -24,9 +24,6 @@ PENDING: dict[str, tuple[str, ...]] = {
     "docs/measured/speed.md": (
         "On a GPU",
     ),
-    "docs/lab/networks.md": (
-        "Ambient occlusion",
-    ),
     "docs/lab/quality.md": (
         "Against the best of the others",
         "Living room",
