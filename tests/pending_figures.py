@@ -24,12 +24,6 @@ PENDING: dict[str, tuple[str, ...]] = {
     "docs/measured/speed.md": (
         "On a GPU",
     ),
-    "docs/lab/quality.md": (
-        "Against the best of the others",
-        "Living room",
-        "Staircase",
-        "Garage",
-    ),
     "docs/lab/runtime.md": (
         "CUDA",
         "Arrays of other libraries",
