@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from postfx.passes.denoise.options import RenderSize
     from postfx.passes.oidn import Oidn
     from postfx.passes.partner import MixPartner, Partner
+    from postfx.passes.scene import Irradiance, Occlusion, SceneShading
     from postfx.passes.tonemap import ToneMap
     from postfx.pipeline import Pipeline
     from postfx.presenter import Presenter
@@ -51,8 +52,10 @@ _HOMES = {
     "Frame": "postfx.frame",
     "FrameSpec": "postfx.frame",
     "Interpolator": "postfx.interpolate",
+    "Irradiance": "postfx.passes.scene",
     "Library": "postfx.runtime",
     "MixPartner": "postfx.passes.partner",
+    "Occlusion": "postfx.passes.scene",
     "Oidn": "postfx.passes.oidn",
     "Overlay": "postfx.passes.composite",
     "Partner": "postfx.passes.partner",
@@ -63,6 +66,7 @@ _HOMES = {
     "Role": "postfx.frame",
     "RenderSize": "postfx.passes.denoise.options",
     "RunUp": "postfx.temporal.reverse_order",
+    "SceneShading": "postfx.passes.scene",
     "Sequence": "postfx.io.sequence",
     "ToneMap": "postfx.passes.tonemap",
     "denoise": "postfx.stills",
@@ -81,8 +85,10 @@ __all__ = [
     "Frame",
     "FrameSpec",
     "Interpolator",
+    "Irradiance",
     "Library",
     "MixPartner",
+    "Occlusion",
     "Oidn",
     "Overlay",
     "Partner",
@@ -93,6 +99,7 @@ __all__ = [
     "RenderSize",
     "Role",
     "RunUp",
+    "SceneShading",
     "Sequence",
     "ToneMap",
     "denoise",

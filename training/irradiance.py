@@ -1,24 +1,15 @@
 """Irradiance of one scene by the direction of the normal: a small network for the pass
-`irradiance`.
+`irradiance`, which `python -m training.train_scene irradiance` trains.
 
-    python -m training.irradiance REFERENCE MODEL.onnx [--steps 1000] [--hidden 16 16]
-
-Reads a sequence with diffuse albedo and normals and little noise, and learns the logarithm of the
-irradiance of diffuse surfaces: colour / albedo * pi. The fused kernels of `postfx.neural` train it
-on the CPU; it needs no PyTorch. One frame in four is held out, and the error there is printed
-beside that of the mean irradiance of the others.
-
-    postfx run FRAMES OUT --pass irradiance,model=MODEL.onnx,before=tonemap
+It learns the logarithm of the irradiance of diffuse surfaces, colour / albedo * pi, from frames
+with diffuse albedo and normals and little noise. The fused kernels of `postfx.neural` train it on
+the CPU; it needs no PyTorch.
 """
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 import numpy as np
 
-import postfx
 from postfx import Device, Frame, Role
 from postfx.errors import FrameError
 from postfx.neural import Learner, Network
@@ -28,8 +19,6 @@ LEAST_ALBEDO = 0.05
 MIRRORS = 0.5
 """Specular over diffuse albedo up to which a surface counts as diffuse."""
 LEAST_LIGHT = 1e-4
-HELD_OUT = 4
-"""Every so many frames one is held out."""
 NEEDED = (Role.COLOUR, Role.NORMAL, Role.DIFFUSE_ALBEDO)
 
 
@@ -80,26 +69,3 @@ def error(network: Network, parameters: np.ndarray, frames: list[Frame]) -> floa
     commands.wait()
     return float(np.mean((values.array - targets) ** 2))
 
-
-def main(words: list[str] | None = None) -> None:
-    """Train, tell the error and write the model."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
-    parser.add_argument("reference", help="pattern of the sequence, such as room.####.exr")
-    parser.add_argument("model", type=Path, help="ONNX file to write")
-    parser.add_argument("--steps", type=int, default=1000)
-    parser.add_argument("--hidden", type=int, nargs="+", default=(16, 16))
-    given = parser.parse_args(words)
-    frames = list(postfx.read_sequence(given.reference))
-    held = frames[HELD_OUT - 1::HELD_OUT] or frames[-1:]
-    seen = [frame for frame in frames if not any(frame is other for other in held)] or frames
-    network, parameters = train(seen, tuple(given.hidden), given.steps)
-    targets = np.concatenate([examples(frame)[1] for frame in held])
-    usual = np.concatenate([examples(frame)[1] for frame in seen]).mean(0)
-    print(f"{len(seen)} frames, {network.count} parameters; squared error of log light in "
-          f"{len(held)} held out: {error(network, parameters, held):.4f}, of the mean irradiance "
-          f"{np.mean((targets - usual) ** 2):.4f}")
-    network.save_onnx(given.model, parameters)
-
-
-if __name__ == "__main__":
-    main()

@@ -2,16 +2,18 @@
 
     python -m training.train_scene points FRAMES REFERENCE MODEL.onnx [--steps 4000] [--hidden 64]
     python -m training.train_scene unet VIEWS MODELS ...
-    python -m training.train_scene irradiance REFERENCE MODEL.onnx ...
+    python -m training.train_scene irradiance FRAMES REFERENCE MODEL.onnx [--steps 1000] ...
 
 points: a network that sees each pixel alone, 33-64-64-64-3 by default. It reads place, normal and
-mirrored view direction of FRAMES. It learns the light of REFERENCE, a sequence without noise of the
-same size or a multiple of it, on the CPU without PyTorch. It writes MODEL.onnx, and MODEL.json,
-which holds the scene's box. Every fourth frame is held out.
-unet: all kinds of U-Net, with history and without (training.scene_network).
+mirrored view direction. It writes MODEL.onnx, and MODEL.json, which holds the scene's box.
 irradiance: light by the normal alone (training.irradiance).
+unet: all kinds of U-Net, with history and without (training.scene_network).
 
-    postfx run FRAMES OUT --pass scene_shading,model=MODEL.onnx,before=denoise_upscale
+The first two read the planes of FRAMES, such as 'room.####.exr'. They learn the light of REFERENCE,
+the same frames without noise, of the same size or a multiple of it, on the CPU without PyTorch.
+Every fourth frame is held out, and the error there is printed.
+
+    postfx run FRAMES -o OUT --pass scene_shading,model=MODEL.onnx
 """
 
 from __future__ import annotations
@@ -19,15 +21,17 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 import postfx
 from postfx import Device, Frame, Pipeline, Role
 from postfx.colour.views import to_codes
-from postfx.errors import FrameError
+from postfx.errors import FrameError, PostfxError
 from postfx.frame import DEPTH_MISS
 from postfx.neural import Learner, Network
 from postfx.passes.scene import SceneShading, camera_of
@@ -49,12 +53,61 @@ HELD_OUT = 4
 NEEDED = (Role.COLOUR, Role.DEPTH, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 
 
+class Words(argparse.ArgumentParser):
+    """The words of a network that sees each pixel alone."""
+
+    def __init__(self, kind: str, steps: int, hidden: Sequence[int]) -> None:
+        super().__init__(prog=f"python -m training.train_scene {kind}")
+        self.add_argument("frames", help="sequence whose planes are read, such as 'room.####.exr'")
+        self.add_argument("reference", help="the same frames without noise, whose light is learnt")
+        self.add_argument("model", type=self._model, help="ONNX file to write")
+        self.add_argument("--steps", type=int, default=steps, help="(default: %(default)s)")
+        self.add_argument("--hidden", type=int, nargs="+", default=list(hidden),
+                          help="widths of the layers between (default: %(default)s)")
+
+    @staticmethod
+    def _model(text: str) -> Path:
+        path = Path(text)
+        if path.suffix != ".onnx" or not path.parent.is_dir():
+            raise argparse.ArgumentTypeError(f"{text}: give a file of the kind .onnx, in a folder "
+                                             "that is there")
+        return path
+
+
+class Shown(NamedTuple):
+    """Frames, each with its reference."""
+
+    frames: list[Frame]
+    references: list[Frame]
+
+    @classmethod
+    def read(cls, frames: str, reference: str) -> tuple[Shown, Shown]:
+        """What is learnt, and what is held out.
+
+        Raises SequenceError if there is no such sequence, MissingFrameError if a frame has no
+        reference.
+        """
+        planes = postfx.read_sequence(frames)
+        every = cls(list(planes), list(postfx.read_sequence(reference, frames=planes.numbers)))
+        at = range(len(every.frames))
+        held = at[HELD_OUT - 1::HELD_OUT] or at[-1:]
+        return every._of([k for k in at if k not in held] or at), every._of(held)
+
+    def _of(self, picked: Iterable[int]) -> Shown:
+        return Shown(*([frames[k] for k in picked] for frames in self))
+
+    def lit(self) -> list[Frame]:
+        """The frames with the light of their references."""
+        return [replace(frame, planes={**frame.planes, Role.COLOUR: light_at(reference, frame)})
+                for frame, reference in zip(*self, strict=True)]
+
+
 def light_at(reference: Frame, frame: Frame) -> np.ndarray:
     """A reference's light at a frame's size: means over the pixels in each of its own.
 
     Raises FrameError if its size is no multiple.
     """
-    (height, width), light = frame[Role.DEPTH].shape[:2], reference[Role.COLOUR]
+    (height, width), light = frame[Role.COLOUR].shape[:2], reference[Role.COLOUR]
     by = max(light.shape[0] // height, 1)
     if light.shape[:2] != (height * by, width * by):
         raise FrameError(f"reference {reference.number} is {light.shape[1]}x{light.shape[0]}, no "
@@ -111,21 +164,12 @@ def rel_mse(found: np.ndarray, truth: np.ndarray) -> float:
 
 def main_points(words: list[str]) -> None:
     """Train a network of points, and tell how near it is in frames that it has not seen."""
-    parser = argparse.ArgumentParser(prog="python -m training.train_scene points")
-    parser.add_argument("frames", help="sequence whose planes are read, such as room.####.exr")
-    parser.add_argument("reference", help="pattern of the sequence without noise")
-    parser.add_argument("model", type=Path, help="ONNX file to write")
-    parser.add_argument("--steps", type=int, default=4000)
-    parser.add_argument("--hidden", type=int, nargs="+", default=[64, 64, 64])
-    given = parser.parse_args(words)
-    sequences = postfx.read_sequence(given.frames), postfx.read_sequence(given.reference)
-    pairs = list(zip(*sequences, strict=True))
-    held = pairs[HELD_OUT - 1::HELD_OUT] or pairs[-1:]
-    seen = [pair for pair in pairs if not any(pair is other for other in held)] or pairs
-    network = train_points(*zip(*seen, strict=True), given.hidden, given.steps, given.model)
+    given = Words("points", 4000, (64, 64, 64)).parse_args(words)
+    seen, held = Shown.read(given.frames, given.reference)
+    network = train_points(*seen, given.hidden, given.steps, given.model)
     way = Pipeline([SceneShading(model=str(given.model))], exposure=1.0)
-    print(f"{len(seen)} frames, {network.count} parameters")
-    for frame, reference in held:
+    print(f"{len(seen.frames)} frames, {network.count} parameters")
+    for frame, reference in zip(*held, strict=True):
         truth, shaded = light_at(reference, frame), way(frame)[Role.COLOUR]
         ways = ("held out", shaded), ("the render", frame[Role.COLOUR])
         told = (f"{name} {psnr(light, truth):.2f} dB, relMSE {rel_mse(light, truth):.4f}"
@@ -141,8 +185,16 @@ def main_unet(words: list[str]) -> None:
 
 
 def main_irradiance(words: list[str]) -> None:
-    """Train a network of normals."""
-    irradiance.main(words)
+    """Train a network of normals, and tell its error in frames that it has not seen."""
+    given = Words("irradiance", 1000, (16, 16)).parse_args(words)
+    seen, held = (shown.lit() for shown in Shown.read(given.frames, given.reference))
+    network, parameters = irradiance.train(seen, tuple(given.hidden), given.steps)
+    network.save_onnx(given.model, parameters)
+    usual, targets = (np.concatenate([irradiance.examples(frame)[1] for frame in frames])
+                      for frames in (seen, held))
+    print(f"{len(seen)} frames, {network.count} parameters; squared error of log light in "
+          f"{len(held)} held out: {irradiance.error(network, parameters, held):.4f}, of the mean "
+          f"irradiance {np.mean((targets - usual.mean(0)) ** 2):.4f}")
 
 
 KINDS = {"points": main_points, "unet": main_unet, "irradiance": main_irradiance}
@@ -154,7 +206,11 @@ def main(words: list[str] | None = None) -> None:
     as_written = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=as_written)
     parser.add_argument("kind", choices=KINDS)
-    KINDS[parser.parse_args(words[:1]).kind](words[1:])
+    kind = parser.parse_args(words[:1]).kind
+    try:
+        KINDS[kind](words[1:])
+    except PostfxError as error:
+        parser.exit(2, f"error: {error}\n")
 
 
 if __name__ == "__main__":

@@ -377,8 +377,9 @@ LOOK_SECTION = Section("look", (
            help="dithering of 8-bit pictures: another pattern in each frame (default), always the "
            "same one, or none"),
     Option(flag="--pass", metavar="NAME[,OPTION=VALUE]", repeated=True,
-           help="also run a pass, such as one of another package: before tone mapping, or where "
-           "before=PASS or after=PASS say, e.g. vignette,amount=0.5,after=tonemap; may be repeated "
+           help="also run a pass, such as another package's: before tone mapping, first if it "
+           "reads the render, or where before=PASS or after=PASS say, e.g. "
+           "vignette,amount=0.5,after=tonemap; may be repeated "
            "(docs/howto/passes.md)"),
     Option(flag="--passes", changes="nothing", shows=_list_passes,
            help="list all installed passes with their options, then stop"),

@@ -256,6 +256,10 @@ class Pass:
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Every option with its default value; taken from the signature unless a subclass sets them."""
 
+    reads_render: ClassVar[bool] = False
+    """Whether it needs the planes of the render, which passes that change the size drop: without a
+    place on the command line it then runs first."""
+
     renamed: ClassVar[Mapping[str, str]] = MappingProxyType({})
     """Options by their former names: they still work, with a DeprecationWarning."""
 

@@ -189,15 +189,16 @@ def _value(name: str, key: str, text: str, default: Any) -> Any:
 
 
 def insert_passes(chain: Sequence[Pass], asked: Sequence[PassRequest], default: int) -> list[Pass]:
-    """A chain with passes that were asked for; those without a place stand before position
-    `default` of it.
+    """A chain with passes that were asked for. Those without a place stand before position
+    `default` of it, or first if they read planes of the render.
 
     Passes of one place stand in the order in which they were asked for, and may name each other.
     Raises OptionError for a place that is not in the chain.
     """
     added = [(one, make_asked(one)) for one in asked]
     free = [instance for one, instance in added if not (one.before or one.after)]
-    result = [*chain[:default], *free, *chain[default:]]
+    result = [*(one for one in free if one.reads_render), *chain[:default],
+              *(one for one in free if not one.reads_render), *chain[default:]]
     waiting = [pair for pair in added if pair[0].before or pair[0].after]
     behind: dict[Pass, int] = {}  # how many stand behind a pass already
     while waiting:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar, Never
+from typing import ClassVar, NamedTuple, Never
 
 import numpy as np
 
@@ -33,7 +33,9 @@ from postfx.system import in_bands
 # What they share ----------------------------------------------------------------------------------
 
 class _Linear(Pass):
-    """A pass that needs light of the scene."""
+    """A pass that needs light of the scene, and planes of the render."""
+
+    reads_render: ClassVar[bool] = True
 
     def skip(self, spec: FrameSpec) -> str | None:
         if spec.encoding != "scene-linear":
@@ -57,12 +59,26 @@ def _missing_planes(spec: FrameSpec, roles: tuple[Role, ...]) -> str | None:
     lacking = [str(role) for role in roles if not spec.has(role)]
     if not lacking:
         return None
-    return (f"no plane {', '.join(lacking)} here; those of the render are there with "
+    return (f"no plane {', '.join(lacking)} here: render it, and let the pass run "
             "before=denoise_upscale")
 
 
-def _find_model(pass_name: str, model: str) -> tuple[Library, str, tuple[str, ...]]:
-    """The library and name of a model file, and the names of its inputs.
+POINTS = "points"
+"""The input of networks that see each pixel alone."""
+
+
+class _Model(NamedTuple):
+    """A model file by its library and name; `inputs` are the names of what it reads, `point` the
+    numbers of a point if it sees each pixel alone, else 0."""
+
+    library: Library
+    name: str
+    inputs: tuple[str, ...]
+    point: int
+
+
+def _find_model(pass_name: str, model: str) -> _Model:
+    """The model of a file.
 
     Raises PassOptionError when there is no such file, ModelError when it is damaged.
     """
@@ -70,8 +86,14 @@ def _find_model(pass_name: str, model: str) -> tuple[Library, str, tuple[str, ..
     if path.suffix != ".onnx" or not path.is_file():
         raise PassOptionError(f"pass '{pass_name}' finds no model '{model}': give an ONNX file")
     library = Library(path.parent)
-    return library, path.stem, tuple(value.name
-                                     for value in parse_model(library.load(path.stem)).inputs)
+    shapes = {value.name: value.shape for value in parse_model(library.load(path.stem)).inputs}
+    width = (shapes.get(POINTS) or (0,))[-1] if len(shapes) == 1 else 0
+    return _Model(library, path.stem, tuple(shapes), width if isinstance(width, int) else 0)
+
+
+def _described(found: _Model) -> str:
+    """What a model reads, in words."""
+    return f"points of {found.point} numbers" if found.point else ", ".join(found.inputs)
 
 
 # Ambient occlusion --------------------------------------------------------------------------------
@@ -258,6 +280,8 @@ def _slope(place: np.ndarray, axis: int) -> np.ndarray:
 
 # Networks of one scene ----------------------------------------------------------------------------
 
+NORMAL = 3
+"""Numbers of a point that is a normal."""
 MOST_IRRADIANCE = 1e6
 """Irradiance that a network may give at most."""
 
@@ -280,9 +304,9 @@ class Irradiance(_Linear):
     def __init__(self, *, model: str | None = None, **unknown: Never) -> None:
         super().__init__(model=model, **unknown)
         self._found = None if model is None else _find_model(self.name, model)
-        if self._found and self._found[2] != ("points",):
-            raise ModelError(f"model '{model}' reads {', '.join(self._found[2])}, where pass "
-                             "'irradiance' has points: train one by python -m "
+        if self._found and self._found.point != NORMAL:
+            raise ModelError(f"model '{model}' reads {_described(self._found)}, where pass "
+                             f"'irradiance' has points of {NORMAL}: train one by python -m "
                              "training.train_scene irradiance")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
@@ -296,7 +320,7 @@ class Irradiance(_Linear):
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         assert self._found is not None  # or it is skipped
-        library, name, _ = self._found
+        library, name = self._found.library, self._found.name
         count, new = spec.height * spec.width, device.heap.transient
         points, values = new("points", (count, 3)), new("irradiance", (count, 3))
         directions = device.host_state("directions", ("normal",), ("points",), _directions)
@@ -358,15 +382,16 @@ class SceneShading(_Linear):
     def __init__(self, *, model: str | None = None, **unknown: Never) -> None:
         super().__init__(model=model, **unknown)
         self._found = None if model is None else _find_model(self.name, model)
-        self._inputs = self._found[2] if self._found else ()
+        self._inputs = self._found.inputs if self._found else ()
         self._box: SceneBox | None = None
-        if self._found and self._inputs == ("points",):
-            self._box = SceneBox.of_card(self._found[0].card(self._found[1]), str(model))
+        if self._found and self._found.point == POINT:
+            self._box = SceneBox.of_card(self._found.library.card(self._found.name), str(model))
             self._inputs = (*POINT_PLANES, "camera")
         strange = [name for name in self._inputs if name not in (*SCENE_PLANES, "camera", "before")]
-        if strange or (self._found and "camera" not in self._inputs):
-            raise ModelError(f"model '{model}' reads {', '.join(self._inputs)}, which is no "
-                             "network of a scene: train one by python -m training.train_scene")
+        if self._found and (strange or "camera" not in self._inputs):
+            raise ModelError(f"model '{model}' reads {_described(self._found)}, which is no "
+                             "network for pass 'scene_shading': train one by python -m "
+                             "training.train_scene points, or unet")
         self._states: list[Tensor] = []
         self._fresh = True
 
@@ -387,7 +412,7 @@ class SceneShading(_Linear):
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         assert self._found is not None  # or it is skipped
-        library, name, _ = self._found
+        library, name = self._found.library, self._found.name
         size = spec.height, spec.width
         self._camera = device.heap.tensor("camera", (CAMERA_NUMBERS,))
         self._shaded = device.heap.transient("shaded", (*size, 3))
@@ -408,7 +433,7 @@ class SceneShading(_Linear):
     def _compile_points(self, device: Device, spec: FrameSpec, box: SceneBox) -> None:
         """Tables of the commands around a network that sees each pixel alone."""
         assert self._found is not None
-        library, name, _ = self._found
+        library, name = self._found.library, self._found.name
         count, new = spec.height * spec.width, device.heap.transient
         points, values = new("points", (count, POINT)), new("light", (count, 3))
 

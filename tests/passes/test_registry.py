@@ -158,6 +158,7 @@ def test_passes_stand_where_they_are_asked_for(foreign):
                  "foreign,size=2,before=overlay")[:2] == ["foreign1", "foreign2"]
     assert order("display,before=foreign",
                  "foreign,size=1,after=tonemap")[2:] == ["display", "foreign1"]
+    assert order("foreign,size=1", "occlusion") == ["occlusion", "overlay", "foreign1", "tonemap"]
     with pytest.raises(OptionError,
                        match="no pass 'overlai' runs here: did you mean overlay. there are "
                        "overlay, tone"):

@@ -149,11 +149,11 @@ def test_shading_needs_the_camera_and_its_own_kind_of_model(device: Device,
     blind = Frame(dict(room[0].planes))
     with pytest.raises(FrameError, match="no camera in its file, which pass 'scene_shading' needs"):
         Pipeline([SceneShading(model=str(ROOM / "shading.onnx"))], device, exposure=1.0)(blind)
-    with pytest.raises(ModelError, match="no network of a scene"):
+    with pytest.raises(ModelError, match="no network for pass 'scene_shading': train one by"):
         SceneShading(model=str(ROOM.parents[1] / "models/tonemap.local.onnx"))
     with pytest.raises(PassOptionError, match="finds no model 'missing.onnx'"):
         SceneShading(model="missing.onnx")
-    with pytest.raises(ModelError, match="where pass 'irradiance' has points"):
+    with pytest.raises(ModelError, match="depth, camera, where pass 'irradiance' has points of 3"):
         Irradiance(model=str(ROOM / "shading.onnx"))
     assert SceneShading().skip(postfx.FrameSpec(8, 8, (Role.COLOUR,))) == "no model is given"
 
@@ -233,13 +233,51 @@ def test_a_network_of_points_needs_its_card(tmp_path: Path, room: list[Frame]) -
                                    Role.DEPTH: room[0][Role.DEPTH]})])
 
 
+def test_networks_of_points_are_for_one_pass(tmp_path: Path) -> None:
+    for inputs, kind, message in ((POINT, Irradiance, "points of 9 numbers, where pass"),
+                                  (3, SceneShading, "points of 3 numbers, which is no network")):
+        network, model = Network(inputs, (4,), 3, "gelu"), tmp_path / f"{inputs}.onnx"
+        network.save_onnx(model, network.initial(1))
+        with pytest.raises(ModelError, match=message):
+            kind(model=str(model))
+
+
+def test_networks_are_trained_by_the_words_of_the_pages(postfx, tmp_path: Path) -> None:
+    """On frames with planes, and the light of their references; each then runs as a pass."""
+    noisy, reference = str(ROOM / "noisy.000[1-2].exr"), str(ROOM / "reference.####.exr")
+    for kind, pass_name in (("points", "scene_shading"), ("irradiance", "irradiance")):
+        model = tmp_path / f"{kind}.onnx"
+        train_scene.main([kind, noisy, reference, str(model), "--steps", "2", "--hidden", "8"])
+        done = postfx("run", str(ROOM / "noisy.####.exr"), "-o", kind, "--frames", "1", "--preroll",
+                      "0", "--run-up", "0", "--pass", f"{pass_name},model={model}")
+        assert done.code == 0 and f"ran      {pass_name}" in done.out + done.err
+
+
+@pytest.mark.parametrize(("frames", "reference", "model", "message"), [
+    ("missing.####.exr", ROOM / "reference.####.exr", "a.onnx", "no such file: check the folder"),
+    (ROOM / "noisy.####.exr", "missing.####.exr", "a.onnx", "no such file: check the folder"),
+    (ROOM / "reference.####.exr", ROOM / "reference.####.exr", "a.onnx",
+     "has no normal, diffuse_albedo: render these planes"),
+    (ROOM / "noisy.####.exr", ROOM / "reference.####.exr", "a.pt", "give a file of the kind .onnx"),
+    (ROOM / "noisy.####.exr", ROOM / "reference.####.exr", "gone/a.onnx", "in a folder that is"),
+])
+def test_the_trainer_says_in_a_line_what_it_lacks(
+    frames: Path, reference: Path, model: str, message: str, tmp_path: Path,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        train_scene.main(["irradiance", str(frames), str(reference), str(tmp_path / model)])
+    assert end.value.code == 2 and message in capsys.readouterr().err.splitlines()[-1]
+
+
 def test_passes_stand_on_the_command_line(postfx) -> None:
-    """Before the denoiser, whose result has no planes of the render; the reason says so."""
+    """By themselves before the denoiser, whose result has no planes of the render; elsewhere the
+    reason says so."""
     frames = str(ROOM / "noisy.####.exr")
     alone = "--frames", "1", "--preroll", "0", "--run-up", "0"
     done = postfx("run", frames, "-o", "before", *alone, "--pass",
-                  "occlusion,strength=0.5,before=denoise_upscale")
+                  "occlusion,strength=0.5")
     assert done.code == 0 and "occlusion: network for 1 frame" in done.out + done.err
-    done = postfx("run", frames, "-o", "after", *alone, "--pass", "occlusion")
-    assert ("no plane depth here; those of the render are there with "
-            "before=denoise_upscale" in done.out + done.err)
+    done = postfx("run", frames, "-o", "after", *alone, "--pass", "occlusion,after=denoise_upscale")
+    assert ("no plane depth here: render it, and let the pass run before=denoise_upscale"
+            in done.out + done.err)
