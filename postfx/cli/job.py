@@ -24,6 +24,7 @@ from postfx.cli.interruptions import (
     check_memory,
     check_sizes,
     first_readable,
+    lacks_memory_for_large,
 )
 from postfx.cli.run_options import (
     RUN,
@@ -93,7 +94,7 @@ if TYPE_CHECKING:
 NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
 BACKWARDS = "denoise_upscale backwards"
 RENDER_SIZE_NETWORK = "xl"
-"""Network that a run takes at the render's size, unless another one is asked for."""
+"""Network that a run on a CPU takes at the render's size, unless another one is asked for."""
 """Of the run in reverse order, in the summary."""
 
 
@@ -130,7 +131,7 @@ class Job:
         native = not is_shown(is_picture, **self._values("look"))
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
-        denoising = None if arguments.no_denoise else self._denoiser_options()
+        denoising = None if arguments.no_denoise else self._denoiser_options(device)
         if arguments.both_ways and self._has_flat_albedo():
             arguments.both_ways = False
             self.skips.append(Skip("both_ways",
@@ -199,12 +200,20 @@ class Job:
     def _values(self, part: str) -> dict[str, Any]:
         return RUN.values_for(part, self._arguments)
 
-    def _denoiser_options(self) -> dict[str, Any]:
-        """The denoiser's options. Without --model they name the network that is best at the first
-        frame's output size, unless time or memory is bounded."""
+    def _denoiser_options(self, device: Device) -> dict[str, Any]:
+        """The denoiser's options. Without --model they name the network that is best at the
+        render's size, if frames keep it, and neither time nor memory is bounded. A GPU has not run
+        that network yet."""
         given = self._values("denoiser")
         is_bounded = self._arguments.budget is not None or self._arguments.memory is not None
-        if "model" in given or is_bounded or self._enlargement(given) != 1:
+        if ("model" in given or is_bounded or not device.memory.host_visible
+            or self._enlargement(given) != 1):
+            return given
+        with self.sequence.open(self.first) as files:
+            spec = files.spec()
+        missing = lacks_memory_for_large(spec.width, spec.height)
+        if missing:
+            self.skips.append(Skip(f"model {RENDER_SIZE_NETWORK}", missing))
             return given
         return {**given, "model": RENDER_SIZE_NETWORK}
 
