@@ -60,9 +60,21 @@ def suggest(word: str, known: Iterable[str]) -> str:
     return f": did you mean {near[0]}?" if near else ""
 
 
+def make_printable(text: str, kept: str = "") -> str:
+    """Replace characters that would break a line or control a terminal by question marks, but for
+    those that are to be kept."""
+    if text.isprintable():
+        return text
+    return "".join(letter if letter.isprintable() or letter in kept else "?" for letter in text)
+
+
 class PostfxError(Exception):
     """Base of every error that postfx raises on purpose; the command line prints it as
-    ``error: ...`` and exits 2."""
+    ``error: ...`` and exits 2. Names of files and layers in its text are printable, as a program
+    may show it on a terminal."""
+
+    def __str__(self) -> str:
+        return make_printable(super().__str__())
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The default pickle calls the constructor with the message alone, which fails where it

@@ -108,13 +108,6 @@ def is_utf8(name: str) -> bool:
     return True
 
 
-def make_printable(text: str) -> str:
-    """Replace characters that would break a line or control a terminal by question marks."""
-    if text.isprintable():
-        return text
-    return "".join(letter if letter.isprintable() else "?" for letter in text)
-
-
 def hash_file(path: Path) -> str:
     """SHA-256 of a file, as hexadecimal digits. OSError for what is no file, such as a pipe."""
     if path.exists() and not path.is_file():

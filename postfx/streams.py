@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
+from postfx.errors import make_printable
+
 _STREAMS = (0, 1, 2)
 _KEPT = "\n\t"
 
@@ -27,7 +29,7 @@ class SafeStream:
 
     def write(self, text: str) -> int:
         """Write as much as can be written."""
-        shown = _printable(text) if self._filters else text
+        shown = make_printable(text, _KEPT) if self._filters else text
         try:
             self._stream.write(shown)
         except UnicodeEncodeError:
@@ -67,12 +69,6 @@ def styled(stream: TextIO) -> TextIO:
     """A stream for text that is styled for a terminal, whose author has made the rest of it
     printable."""
     return stream.styled if isinstance(stream, SafeStream) else stream  # type: ignore[return-value]
-
-
-def _printable(text: str) -> str:
-    if text.isprintable():
-        return text
-    return "".join(letter if letter.isprintable() or letter in _KEPT else "?" for letter in text)
 
 
 @contextmanager

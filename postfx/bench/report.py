@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from postfx.files import atomic_file, make_printable
+from postfx.errors import make_printable
+from postfx.files import atomic_file
 from postfx.streams import styled
 
 HIGHER_IS_BETTER = ("psnr", "ssim")

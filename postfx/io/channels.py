@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.files import make_printable
+from postfx.errors import make_printable
 from postfx.frame import Role
 from postfx.io.image_file import ImageFile
 from postfx.io.profile import load_profile, profile_names

@@ -29,8 +29,7 @@ from postfx.colour import (
     round_to_known,
     to_xyz,
 )
-from postfx.errors import ColourError
-from postfx.files import make_printable
+from postfx.errors import ColourError, make_printable
 from postfx.frame import Frame, Role
 
 Decode = Callable[[np.ndarray], np.ndarray]

@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from postfx.caching import Kept
-from postfx.errors import MissingPlaneError, ReadError
-from postfx.files import make_printable
+from postfx.errors import MissingPlaneError, ReadError, make_printable
 from postfx.frame import ColourSource, Role
 from postfx.io.channels import Channel, ChannelIndex, Parts, are_together
 from postfx.io.colours import COLOUR_ATTRIBUTES

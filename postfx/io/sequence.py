@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec
 
 import numpy as np
 
-from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
-from postfx.files import make_printable
+from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError, make_printable
 from postfx.frame import LOG, Frame, Role
 from postfx.io.colours import InputColours, parse_colourspace
 from postfx.io.frame_reader import READ_ALL, FrameFiles

@@ -18,8 +18,8 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.colour.displays import SRGB, Display, parse_display
-from postfx.errors import FrameError, OutputExistsError, WriteError
-from postfx.files import is_utf8, make_printable, output_file, with_slashes
+from postfx.errors import FrameError, OutputExistsError, WriteError, make_printable
+from postfx.files import is_utf8, output_file, with_slashes
 from postfx.frame import LINEAR, TOLD, Frame, Role
 from postfx.io.encoder import cut_pieces, display_of, encode_all, encode_pixel, tag_codes
 from postfx.io.exr import Header
