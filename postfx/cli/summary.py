@@ -166,7 +166,8 @@ class FrameProgress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+        if not self._bar.disable:  # rich before 14 ends a bar that was never there by an empty line
+            self._bar.stop()
 
     def note(self, text: str) -> None:
         """Print a line above the bar."""
