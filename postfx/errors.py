@@ -48,6 +48,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from postfx.streams import make_printable
+
 
 def suggest(word: str, known: Iterable[str]) -> str:
     """': did you mean X?' for a word that is nearly a known one, or begins with one; else
@@ -58,14 +60,6 @@ def suggest(word: str, known: Iterable[str]) -> str:
     begins = sorted((name for name in names if name and word.lower().startswith(name)), key=len)
     near = get_close_matches(word.lower(), names, 1, 0.6) or begins[-1:]
     return f": did you mean {near[0]}?" if near else ""
-
-
-def make_printable(text: str, kept: str = "") -> str:
-    """Replace characters that would break a line or control a terminal by question marks, but for
-    those that are to be kept."""
-    if text.isprintable():
-        return text
-    return "".join(letter if letter.isprintable() or letter in kept else "?" for letter in text)
 
 
 class PostfxError(Exception):

@@ -9,10 +9,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
-from postfx.errors import make_printable
-
 _STREAMS = (0, 1, 2)
 _KEPT = "\n\t"
+
+
+def make_printable(text: str, kept: str = "") -> str:
+    """Replace characters that would break a line or control a terminal by question marks, but for
+    those that are to be kept."""
+    if text.isprintable():
+        return text
+    return "".join(letter if letter.isprintable() or letter in kept else "?" for letter in text)
 
 
 class SafeStream:

@@ -16,14 +16,13 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from postfx.errors import make_printable
 from postfx.frame import Frame, Role
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
 from postfx.masks.cryptomatte import Coverage
 from postfx.plan import Plan, Skip, from_files
 from postfx.repair import Fireflies
-from postfx.streams import styled
+from postfx.streams import make_printable, styled
 from postfx.temporal.reverse_order import RunUp
 
 SHOWN_FRAMES = 3

@@ -29,8 +29,9 @@ from postfx.colour import (
     round_to_known,
     to_xyz,
 )
-from postfx.errors import ColourError, make_printable
+from postfx.errors import ColourError
 from postfx.frame import Frame, Role
+from postfx.streams import make_printable
 
 Decode = Callable[[np.ndarray], np.ndarray]
 
