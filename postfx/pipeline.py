@@ -122,9 +122,9 @@ class Pipeline:
         if cuts not in ("auto", "none"):
             raise CutError(f"cuts '{cuts}': use auto or none, and frame.reset for cuts that are "
                            "known")
-        if device is not None and not isinstance(device, Device):
-            raise DeviceError(f"a pipeline runs on a device, not on {device!r}: give device="
-                              "postfx.Device('cpu'), or another one")
+        if not isinstance(device, Device | str | None):
+            raise DeviceError(f"a pipeline runs on a device, not on {device!r}: give its name, such "
+                              "as 'cpu', or a postfx.Device")
         self.passes = with_tool(_check_passes(passes))
         own = Device(device) if isinstance(device, str) else device
         self.device = own if own is not None else default_device()
