@@ -123,8 +123,8 @@ class Pipeline:
             raise CutError(f"cuts '{cuts}': use auto or none, and frame.reset for cuts that are "
                            "known")
         if not isinstance(device, Device | str | None):
-            raise DeviceError(f"a pipeline runs on a device, not on {device!r}: give its name, such "
-                              "as 'cpu', or a postfx.Device")
+            raise DeviceError(f"a pipeline runs on a device, not on {device!r}: give its name, "
+                              "such as 'cpu', or a postfx.Device")
         self.passes = with_tool(_check_passes(passes))
         own = Device(device) if isinstance(device, str) else device
         self.device = own if own is not None else default_device()
