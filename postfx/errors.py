@@ -48,6 +48,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from postfx.streams import make_printable
+
 
 def suggest(word: str, known: Iterable[str]) -> str:
     """': did you mean X?' for a word that is nearly a known one, or begins with one; else
@@ -62,7 +64,11 @@ def suggest(word: str, known: Iterable[str]) -> str:
 
 class PostfxError(Exception):
     """Base of every error that postfx raises on purpose; the command line prints it as
-    ``error: ...`` and exits 2."""
+    ``error: ...`` and exits 2. Names of files and layers in its text are printable, as a program
+    may show it on a terminal."""
+
+    def __str__(self) -> str:
+        return make_printable(super().__str__())
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The default pickle calls the constructor with the message alone, which fails where it

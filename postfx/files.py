@@ -20,9 +20,9 @@ import socket
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, lru_cache, partial
 from itertools import count
 from pathlib import Path
@@ -106,13 +106,6 @@ def is_utf8(name: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
-
-
-def make_printable(text: str) -> str:
-    """Replace characters that would break a line or control a terminal by question marks."""
-    if text.isprintable():
-        return text
-    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def hash_file(path: Path) -> str:
@@ -248,7 +241,14 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object],
 
 def write_text(path: Path, text: str) -> None:
     """Replace `path` by a UTF-8 file with this text, whole or not at all."""
-    write_atomically(path, lambda file: file.write(text.encode()), durable=True)
+    write_texts({path: text})
+
+
+def write_texts(texts: Mapping[Path, str]) -> None:
+    """Replace UTF-8 files by ones with these texts, all of them whole or none."""
+    with ExitStack() as stack:
+        for path, text in texts.items():
+            stack.enter_context(atomic_file(path)).write_bytes(text.encode())
 
 
 def remove_leftovers(folder: Path, names: Iterable[str], any_host: bool = False) -> None:

@@ -423,6 +423,11 @@ class Frame:
     views: dict[str, Frame] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name in _NAMED_FIELDS:
+            if not isinstance(getattr(self, name), Mapping):
+                raise FrameError(f"frame {self._name()} has {name} of type "
+                                 f"{type(getattr(self, name)).__name__}: give a dict by name, such "
+                                 f"as {_NAMED_FIELDS[name]}")
         if not self.planes:
             raise FrameError(f"frame {self._name()} has no planes")
         self.planes = self._check_all(self.planes, "plane", self.source)
@@ -435,8 +440,9 @@ class Frame:
             self.world_to_camera = self._numbers("world_to_camera", 16).reshape(4, 4)
         for name in ("jitter", "guide_jitter"):
             self._numbers(name, 2)
-        if self.exposure is not None:
-            self._numbers("exposure", 1)
+        for name in ("exposure", "samples", "fov_x"):
+            if getattr(self, name) is not None:
+                self._numbers(name, 1)
 
     @property
     def exposure_factor(self) -> float | None:
@@ -580,6 +586,10 @@ class Frame:
 
 
 _FLOAT32 = np.dtype(np.float32)
+_NAMED_FIELDS = {"planes": "{'colour': array}", "guides": "{'normal': array}",
+                 "parts": "{'key': array}", "metadata": "{'owner': 'me'}",
+                 "views": "{'right': frame}"}
+"""Fields that are dicts, and what one may be."""
 _ORIGIN = ("part_sources", "source", "guide_source", "colour_source")
 """Fields of a frame that tell where it was read from."""
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from postfx.caching import LRUCache, SpareMemory
 from postfx.cuts import CutDetector
-from postfx.errors import CutError, FrameError, PassContractError, PassOptionError
+from postfx.errors import CutError, DeviceError, FrameError, PassContractError, PassOptionError
 from postfx.exposure import ExposureMeter, SmoothExposure, factor_of
 from postfx.frame import GUIDE_ROLES, LOG, Frame, FrameSpec, Role
 from postfx.passes import MOST_SIZES, Downloads, Pass, ResidentFrame, share_planes, spec_of
@@ -122,6 +122,9 @@ class Pipeline:
         if cuts not in ("auto", "none"):
             raise CutError(f"cuts '{cuts}': use auto or none, and frame.reset for cuts that are "
                            "known")
+        if not isinstance(device, Device | str | None):
+            raise DeviceError(f"a pipeline runs on a device, not on {device!r}: give its name, "
+                              "such as 'cpu', or a postfx.Device")
         self.passes = with_tool(_check_passes(passes))
         own = Device(device) if isinstance(device, str) else device
         self.device = own if own is not None else default_device()

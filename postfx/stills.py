@@ -82,7 +82,7 @@ def denoise(
     gpu = _gpu_of(picture)
     place = device if gpu is None or device is not None else f"cuda:{gpu}"
     with _DENOISER_LOCK:
-        pipeline = _pipeline(scale, model, strength, exposure, place, os.getpid())
+        pipeline = _find_pipeline(scale, model, strength, exposure, place)
         pipeline.reset()
         return (_on_host(pipeline, picture, planes) if gpu is None
                 else _on_gpu(pipeline, picture, planes))
@@ -117,6 +117,14 @@ def _gpu_of(array: Any) -> int | None:
         return None
     kind, number = array.__dlpack_device__()
     return int(number) if int(kind) in _GPU_KINDS else None
+
+
+def _find_pipeline(*options: Any) -> Pipeline:
+    """The pipeline of these options."""
+    try:
+        return _pipeline(*options, os.getpid())
+    except TypeError:  # what has no hash is no option: a pipeline of its own says of which
+        return _pipeline.__wrapped__(*options, os.getpid())
 
 
 @lru_cache(maxsize=4)

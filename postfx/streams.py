@@ -13,6 +13,14 @@ _STREAMS = (0, 1, 2)
 _KEPT = "\n\t"
 
 
+def make_printable(text: str, kept: str = "") -> str:
+    """Replace characters that would break a line or control a terminal by question marks, but for
+    those that are to be kept."""
+    if text.isprintable():
+        return text
+    return "".join(letter if letter.isprintable() or letter in kept else "?" for letter in text)
+
+
 class SafeStream:
     """A text stream that loses what cannot be written: its file is closed or full, or its reader
     has gone away.
@@ -27,7 +35,7 @@ class SafeStream:
 
     def write(self, text: str) -> int:
         """Write as much as can be written."""
-        shown = _printable(text) if self._filters else text
+        shown = make_printable(text, _KEPT) if self._filters else text
         try:
             self._stream.write(shown)
         except UnicodeEncodeError:
@@ -67,12 +75,6 @@ def styled(stream: TextIO) -> TextIO:
     """A stream for text that is styled for a terminal, whose author has made the rest of it
     printable."""
     return stream.styled if isinstance(stream, SafeStream) else stream  # type: ignore[return-value]
-
-
-def _printable(text: str) -> str:
-    if text.isprintable():
-        return text
-    return "".join(letter if letter.isprintable() or letter in _KEPT else "?" for letter in text)
 
 
 @contextmanager

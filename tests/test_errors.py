@@ -6,12 +6,14 @@ import os
 import pickle
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import postfx
 from postfx import errors
 from postfx.colour.ocio import file_transform
 from postfx.errors import CommandTimeout
+from postfx.frame import Frame, Role
 from postfx.io.profile import load_profile
 from postfx.report import capture_data
 from postfx.runs.manifest import MANIFEST_NAME, Manifest, Output, verify
@@ -29,6 +31,18 @@ def test_the_docstring_shows_the_tree():
         depth, name = (len(line) - len(line.lstrip()) - 4) // 2, line.split()[0]
         above[depth:] = [name]
         assert depth == 0 or kinds[name].__bases__ == (kinds[above[depth - 1]],)
+
+
+@pytest.mark.parametrize("call", [
+    lambda name: postfx.read_sequence(name),
+    lambda name: postfx.read_sequence(f"{name}/a.####.exr"),
+    lambda name: postfx.write_frame(name, Frame({Role.COLOUR: np.ones((2, 2, 3), np.float32)})),
+    postfx.Library, load_profile])
+def test_names_in_errors_control_no_terminal_of_a_program(call):
+    with pytest.raises(postfx.PostfxError) as caught:
+        call("a\x1b[31m\x1b]0;title\x07\nb.txt")
+    for error in (caught.value, pickle.loads(pickle.dumps(caught.value))):
+        assert str(error).isprintable() and "a?[31m?]0;title??b" in str(error)
 
 
 def test_no_error_for_users_is_defined_elsewhere():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import postfx
-from postfx.errors import FrameError, PassOptionError
+from postfx.errors import DeviceError, FrameError, PassOptionError
 
 PICTURE = np.zeros((8, 8, 3), np.float32)
 
@@ -34,6 +34,22 @@ def test_objects_say_what_they_are(write_exr, tmp_path, monkeypatch):
 def test_a_pipeline_of_something_else_is_refused_in_one_line(passes, said):
     with pytest.raises(PassOptionError, match=said):
         postfx.Pipeline(passes)
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    ({"scale": [2]}, r"scales by 1 to 3, not \[2\]"), ({"model": ["m"]}, "no model"),
+    ({"strength": np.ones(2)}, "give a number"), ({"exposure": None}, "exposure 'None': use auto"),
+    ({"exposure": [1]}, r"exposure '\[1\]': use auto"), ({"device": False}, "no device 'False'"),
+    ({"device": ["cpu"]}, "no device")])
+def test_options_of_other_types_are_refused_in_one_line(options, said):
+    with pytest.raises(postfx.PostfxError, match=said):
+        postfx.denoise(PICTURE, **options)
+
+
+@pytest.mark.parametrize("device", [0, False, ["cpu"]])
+def test_a_pipeline_runs_on_a_device(device):
+    with pytest.raises(DeviceError, match="runs on a device, not on .*: give its name"):
+        postfx.Pipeline([postfx.ToneMap()], device)
 
 
 def test_a_pipeline_is_called_with_a_frame():

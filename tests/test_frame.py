@@ -233,8 +233,11 @@ def test_a_frame_without_colour_is_a_table_in_a_notebook():
 @pytest.mark.parametrize(("field", "value"), [
     ("jitter", None), ("jitter", 0.5), ("jitter", (1, 2, 3)), ("jitter", "ab"),
     ("jitter", ("x", 1)), ("guide_jitter", None), ("world_to_camera", np.eye(3)),
-    ("world_to_camera", "x"), ("exposure", "bright"), ("exposure", (1, 2)),
+    ("world_to_camera", "x"), ("exposure", "bright"), ("exposure", (1, 2)), ("samples", "four"),
+    ("fov_x", [1, 2]), ("planes", np.ones((2, 3, 3), np.float32)), ("planes", True),
+    ("planes", [("colour", np.ones((2, 3, 3), np.float32))]), ("guides", 1.0),
+    ("parts", np.ones((2, 3, 3), np.float32)), ("metadata", None), ("views", ["left"]),
 ])
-def test_fields_that_are_no_numbers_are_refused(field, value):
+def test_fields_of_other_types_are_refused(field, value):
     with pytest.raises(FrameError, match=f"frame 1 has {field} .*: give "):
-        Frame({Role.COLOUR: np.ones((2, 3, 3), np.float32)}, **{field: value})
+        Frame(**{"planes": {Role.COLOUR: np.ones((2, 3, 3), np.float32)}, field: value})

@@ -20,7 +20,6 @@ import postfx
 from postfx import Frame, Pipeline, Role
 from postfx.colour.displays import srgb_decode, srgb_encode
 from postfx.errors import OptionError
-from postfx.files import make_printable
 from postfx.frame import LINEAR
 from postfx.io.pattern import parse_pattern
 
@@ -70,7 +69,7 @@ def _path(kind: str, path: str) -> str:
     found, folder = (os.path.abspath(os.path.join(folder, os.path.expanduser(path))),
                      os.path.abspath(folder))
     if found != folder and not found.startswith(os.path.join(folder, "")):
-        raise OptionError(f"'{make_printable(path)}' is outside of ComfyUI's {kind} folder: give "
+        raise OptionError(f"'{path}' is outside of ComfyUI's {kind} folder: give "
                           f"one inside {folder}")
     return found
 

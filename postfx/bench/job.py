@@ -20,11 +20,11 @@ from postfx.bench.measure import Material, Sources, Task, output_pattern, run_ta
 from postfx.bench.methods import Method, Omission, catalogue, select
 from postfx.bench.report import ablations, choices, compare, front, write_csv
 from postfx.errors import BenchError, WriteError
-from postfx.files import make_printable, write_text
+from postfx.files import write_text
 from postfx.frame import Role
 from postfx.passes.denoise.planes import ABSENT
 from postfx.runtime import Device, Library
-from postfx.streams import styled
+from postfx.streams import make_printable, styled
 from postfx.version import __version__
 
 MEASURING_LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"),

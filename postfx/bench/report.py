@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from postfx.files import atomic_file, make_printable
-from postfx.streams import styled
+from postfx.files import atomic_file
+from postfx.streams import make_printable, styled
 
 HIGHER_IS_BETTER = ("psnr", "ssim")
 COMPARED_FIGURES = ("psnr_late", "ssim_late", "flip_late", "flicker_late")

@@ -90,8 +90,7 @@ def print_text(facts: dict[str, Any], exit_code: int) -> None:
     """Print facts as lines; findings are coloured on a terminal."""
     from rich.console import Console
 
-    from postfx.files import make_printable
-    from postfx.streams import styled
+    from postfx.streams import make_printable, styled
 
     console = Console(file=styled(sys.stdout), highlight=False, soft_wrap=True, markup=False,
                       emoji=False)

@@ -47,6 +47,10 @@ SEEDS = 1009
 """Seeds between two halves of a round, so that no frame has the seed of another one of an earlier
 half, in shots that are not longer."""
 
+ROUND_FACTS = {"more_samples", "most_samples", "samples", "psnr", "render_seconds",
+               "denoise_seconds", "plan", "asked"}
+"""What is known of each round that is done."""
+
 LOOP = Options(Section("", (
     Option(flag="--render", metavar="COMMAND", help="renders what the JSON file {jobs} lists"),
     Option(flag="--output", short="-o", metavar="OUTPUT",
@@ -82,6 +86,23 @@ def execute(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _load_rounds(path: Path) -> list[dict[str, Any]]:
+    """Rounds that an earlier loop wrote down. Raises RunError for a file that holds none."""
+    from postfx.errors import RunError
+    from postfx.files import parse_json, read_text
+
+    if not path.exists():
+        return []
+    try:
+        rounds: list[dict[str, Any]] = parse_json(read_text(path))
+        if not all(one.keys() >= ROUND_FACTS for one in rounds):
+            raise ValueError("a round lacks what was measured of it")
+    except (OSError, ValueError, AttributeError, TypeError) as error:
+        raise RunError(f"{path}: is damaged ({error}): delete it to begin the loop "
+                       "anew") from error
+    return rounds
+
+
 class Loop:
     """A shot that is rendered in rounds. Raises PostfxError where something does not fit together
     or fails."""
@@ -107,8 +128,7 @@ class Loop:
         self._work = Path(arguments.work or pattern.path(1).parent / "loop")
         check_folder(self._work, "work")
         self._state = self._work / "loop.json"
-        self.rounds: list[dict[str, Any]] = (json.loads(self._state.read_text())
-                                             if self._state.exists() else [])
+        self.rounds = _load_rounds(self._state)
         taken = [path for number in self._numbers if (path := pattern.path(number)).exists()]
         if taken and not (arguments.overwrite or self.rounds):
             raise WriteError(f"{taken[0]}: is already there: give --overwrite")

@@ -106,7 +106,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """Process the sequence; returns the exit code."""
     is_plan = arguments.explain or arguments.dry_run
     if arguments.default_files and not arguments.quiet:
-        from postfx.files import make_printable
+        from postfx.streams import make_printable
 
         shown = f"{' '.join(arguments.defaults)} from {', '.join(arguments.default_files)}"
         print(f"defaults {make_printable(shown)}", file=sys.stderr)

@@ -16,14 +16,13 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from postfx.files import make_printable
 from postfx.frame import Frame, Role
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
 from postfx.masks.cryptomatte import Coverage
 from postfx.plan import Plan, Skip, from_files
 from postfx.repair import Fireflies
-from postfx.streams import styled
+from postfx.streams import make_printable, styled
 from postfx.temporal.reverse_order import RunUp
 
 SHOWN_FRAMES = 3
@@ -166,7 +165,8 @@ class FrameProgress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+        if not self._bar.disable:  # rich before 14 ends a bar that was never there by an empty line
+            self._bar.stop()
 
     def note(self, text: str) -> None:
         """Print a line above the bar."""

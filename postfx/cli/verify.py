@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from postfx.files import make_printable
+from postfx.streams import make_printable
 
 if TYPE_CHECKING:
     from postfx.runs.manifest import Verification

@@ -9,17 +9,20 @@ itself.
 from __future__ import annotations
 
 import ctypes
+import errno
 import hashlib
 import importlib.util
 import json
 import os
 import platform
 import re
+import shutil
+import stat
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -167,10 +170,10 @@ def find(folder: Path, digest: str) -> dict[str, Path]:
 
 def _read_index(folder: Path, digest: str) -> dict[str, tuple[str, str]]:
     try:
-        index = json.loads((folder / f"{digest}.json").read_text("utf-8"))
+        index = json.loads(_read(folder / f"{digest}.json"))
         return {level: (name, wanted)
                 for level, (name, wanted) in index.items() if _hash(folder / name) == wanted}
-    except (OSError, ValueError, AttributeError, TypeError):
+    except (OSError, ValueError, AttributeError, TypeError, RecursionError):
         return {}
 
 
@@ -192,9 +195,9 @@ def build(units: Sequence[Path], target: str, folder: Path, levels: Iterable[str
                                                  folder / "objects").items():
                     name = f"{digest}-{path.name}"
                     index[level] = name, _hash(path)
-                    os.replace(path, folder / name)
+                    _put(path, folder / name)
                 (Path(made) / "index").write_text(json.dumps(index), "utf-8")
-                os.replace(Path(made) / "index", folder / f"{digest}.json")
+                _put(Path(made) / "index", folder / f"{digest}.json")
     return {level: folder / name for level, (name, _) in index.items()}
 
 
@@ -250,35 +253,34 @@ class _Compiler:
 
     def make(self, units: Sequence[Path], target: str, levels: Sequence[str],
              objects: Path) -> dict[str, Path]:
-        """Libraries of some levels; what is in the folder of objects already is not compiled
+        """Libraries of some levels; what is whole in the folder of objects is not compiled
         again."""
+        _make_way(objects, stat.S_ISDIR)
         objects.mkdir(exist_ok=True)
-        parts = {(unit, level): objects
-                                / f"{digest_of([unit], target, self._flags)}-{unit.stem}-{level}.o"
-                 for unit in sorted(units, key=lambda unit: -unit.stat().st_size)
-                 for level in levels}
-        kept = [path for path in parts.values() if path.exists()]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            for done in [pool.submit(self._compile, *key, path)
-                         for key, path in parts.items() if path not in kept]:
-                done.result()
+            coming = {(unit, level): pool.submit(
+                          self._find_or_compile, unit, level, objects,
+                          f"{digest_of([unit], target, self._flags)}-{unit.stem}-{level}-")
+                      for unit in sorted(units, key=lambda unit: -unit.stat().st_size)
+                      for level in levels}
+            parts = {key: found.result() for key, found in coming.items()}
         libraries = {level: self._folder / f"{level}{self._target.suffix}" for level in levels}
-        try:
-            for level, library in libraries.items():
-                self._run(level, *LINKED, "-o", library, *(parts[unit, level] for unit in units))
-        except CannotBuild:
-            if not kept:
-                raise
-            for path in kept:  # one may be damaged
-                path.unlink(missing_ok=True)
-            return self.make(units, target, levels, objects)
+        for level, library in libraries.items():
+            self._run(level, *LINKED, "-o", library, *(parts[unit, level] for unit in units))
         return libraries
 
-    def _compile(self, unit: Path, level: str, made: Path) -> None:
-        kept = self._folder / made.name
+    def _find_or_compile(self, unit: Path, level: str, objects: Path, name: str) -> Path:
+        """The object of a file, whose name ends with the hash of its bytes: a damaged one would
+        link."""
+        for kept in objects.glob(f"{name}*.o"):
+            if kept.is_file() and kept.name == f"{name}{_hash(kept)}.o":
+                return kept
+        made = self._folder / f"{name}.o"
         language = ("-x", "c++") if unit.suffix == ".h" else ()
-        self._run(level, *FLAGS, *self._flags, "-I", KERNELS, "-c", "-o", kept, *language, unit)
-        os.replace(kept, made)
+        self._run(level, *FLAGS, *self._flags, "-I", KERNELS, "-c", "-o", made, *language, unit)
+        path = objects / f"{name}{_hash(made)}.o"
+        _put(made, path)
+        return path
 
     def _run(self, level: str, *arguments: str | Path) -> None:
         target = self._target
@@ -293,13 +295,36 @@ class _Compiler:
 
 
 def _hash(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(_read(path)).hexdigest()
+
+
+def _read(path: Path) -> bytes:
+    """A file; OSError where something else has its name, as to read a pipe may take for ever."""
+    if not path.is_file():
+        raise FileNotFoundError(errno.ENOENT, "there is no such file", str(path))
+    return path.read_bytes()
+
+
+def _put(made: Path, path: Path) -> None:
+    """Give a file its name, in place of whatever has it."""
+    _make_way(path, stat.S_ISREG)
+    os.replace(made, path)
+
+
+def _make_way(path: Path, fits: Callable[[int], bool]) -> None:
+    """Remove what has a name and is of another kind than a build leaves there."""
+    if os.path.lexists(path) and not fits(path.lstat().st_mode):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
 
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
     """One process at a time, where the file system has locks; elsewhere all of them write the same
     files."""
+    _make_way(path, stat.S_ISREG)
     with open(path, "ab") as file:
         with suppress(OSError):
             if sys.platform == "win32":

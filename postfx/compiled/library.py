@@ -12,7 +12,6 @@ import ctypes
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import cache, cached_property
 from pathlib import Path
@@ -25,6 +24,7 @@ from postfx.compiled import build
 from postfx.compiled.calls import BoundRows, Form, Kinds, kinds_of
 from postfx.errors import BindingError, DeviceError
 from postfx.system import private_folder
+from postfx.workers import Workers
 
 FOLDER = "native"
 """In the user's cache: libraries of plug-ins, and ours where the package cannot be written to."""
@@ -206,8 +206,8 @@ _parts = cache(build.our_parts)
 
 
 @cache
-def _compilers() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="postfx compiler")
+def _compilers() -> Workers:
+    return Workers(os.cpu_count(), thread_name_prefix="postfx compiler")
 
 
 @cache

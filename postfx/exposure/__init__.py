@@ -153,7 +153,7 @@ def factor_of(stops: str | float) -> float:
 def _fixed_ev(mode: str | float) -> float:
     try:
         ev = float(mode)
-    except ValueError:
+    except (TypeError, ValueError):
         ev = math.nan
     if not abs(ev) <= 64:
         raise ExposureError(

@@ -20,11 +20,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.files import make_printable
 from postfx.frame import Role
 from postfx.io.image_file import ImageFile
 from postfx.io.profile import load_profile, profile_names
 from postfx.io.windows import Part
+from postfx.streams import make_printable
 
 COLOUR_FILES = ("beauty", "rgba", "rgb", "colour", "color", "combined", "image", "noisy")
 """Words that stand for the colour plane where every plane has its own file."""

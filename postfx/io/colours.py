@@ -30,8 +30,8 @@ from postfx.colour import (
     to_xyz,
 )
 from postfx.errors import ColourError
-from postfx.files import make_printable
 from postfx.frame import Frame, Role
+from postfx.streams import make_printable
 
 Decode = Callable[[np.ndarray], np.ndarray]
 

@@ -22,7 +22,7 @@ import OpenImageIO as oiio
 
 from postfx.caching import Kept
 from postfx.errors import MissingFrameError, ReadError
-from postfx.files import is_utf8, make_printable
+from postfx.files import is_utf8
 from postfx.io.exr.container import (
     MAX_SIDE,
     STORAGE_ATTRIBUTES,
@@ -112,7 +112,7 @@ class ImageFile(ExitStack):
             raise MissingFrameError(f"{path}: no such file: render this frame or leave it out with "
                                     "--frames")
         if not is_utf8(str(path)):
-            raise ReadError(f"{make_printable(str(path))}: its name is not UTF-8: rename it")
+            raise ReadError(f"{path}: its name is not UTF-8: rename it")
         claims = None if checked or self._is_still else check_claims(self.path)
         self._container = (self.enter_context(claims) if isinstance(claims, ExrContainer)
                            else None)

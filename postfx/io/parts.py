@@ -105,23 +105,39 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
     found: dict[str, FoundPart] = {}
     for name in options.names:
         matches = _by_profile(index, layout, "*" if name == AUTO_PARTS else name)
-        layers = [] if matches or name == AUTO_PARTS else index.layers_like(name)
-        for layer in layers:
-            refuse_ids(layer, f"--aov {name}")
-            if channels := _channels(index, layer, COLOUR_LETTERS):
-                matches[layer] = FoundPart(Part(layer, "light", NAMED_PARTS), channels)
+        if not matches and name != AUTO_PARTS:
+            matches = _by_name(index, name)
         if not matches:
             raise _missing_error(name, index, layout, path)
-        found |= {layer: part for layer, part in matches.items() if layer not in found}
+        taken = {part.channels for part in found.values()}
+        found |= {layer: part for layer, part in matches.items() if part.channels not in taken}
     for name, kind in options.planes:
-        for layer in index.layers_like(name)[:1] or [name]:
+        for layer in _layers(index, name)[:1] or [name]:
             refuse_ids(layer, f"--aov-denoise {kind}={name}")
             channels = _channels(index, layer,
                                  LETTERS_BY_KIND.get(kind, (*COLOUR_LETTERS, *NUMBER_LETTERS)))
             if not channels:
                 raise _missing_error(name, index, layout, path, f"--aov-denoise {kind}={name}")
+            found = {other: part for other, part in found.items() if part.channels != channels}
             found[layer] = FoundPart(Part(layer, kind), channels)
     return {name: part for name, part in found.items() if _size(part.channels) == size}
+
+
+def _by_name(index: ChannelIndex, name: str) -> dict[str, FoundPart]:
+    """Layers of light by name. Channels that go by two, as those of a layer b beside a channel B
+    do, are one part, by the name that was given."""
+    found: dict[tuple[Channel, ...], str] = {}
+    for layer in _layers(index, name):
+        refuse_ids(layer, f"--aov {name}")
+        if channels := _channels(index, layer, COLOUR_LETTERS):
+            found.setdefault(channels, layer)
+    return {layer: FoundPart(Part(layer, "light", NAMED_PARTS), channels)
+            for channels, layer in found.items()}
+
+
+def _layers(index: ChannelIndex, name: str) -> list[str]:
+    """Layers by name, the one that is written as it was given before others."""
+    return sorted(index.layers_like(name), key=lambda layer: layer != name)
 
 
 def _by_profile(index: ChannelIndex, layout: Layout, name: str) -> dict[str, FoundPart]:

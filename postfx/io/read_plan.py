@@ -19,7 +19,6 @@ import numpy as np
 
 from postfx.caching import Kept
 from postfx.errors import MissingPlaneError, ReadError
-from postfx.files import make_printable
 from postfx.frame import ColourSource, Role
 from postfx.io.channels import Channel, ChannelIndex, Parts, are_together
 from postfx.io.colours import COLOUR_ATTRIBUTES
@@ -40,6 +39,7 @@ from postfx.io.parts import FoundPart, find_parts
 from postfx.io.profile import load_profile
 from postfx.io.read_options import ReadOptions
 from postfx.io.windows import PICTURE_ATTRIBUTE, Part, Window
+from postfx.streams import make_printable
 
 _ALL_BUT_COLOUR = frozenset(Role) - {Role.COLOUR}
 _AXES = {"z": 0, "w": 1}

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec
 import numpy as np
 
 from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
-from postfx.files import make_printable
 from postfx.frame import LOG, Frame, Role
 from postfx.io.colours import InputColours, parse_colourspace
 from postfx.io.frame_reader import READ_ALL, FrameFiles
@@ -35,6 +34,7 @@ from postfx.masks.cryptomatte import Coverage
 from postfx.motion import MOTION_SOURCES
 from postfx.planes import is_finite
 from postfx.repair import Fireflies, clamp_fireflies
+from postfx.streams import make_printable
 
 if TYPE_CHECKING:
     from postfx.motion.estimated import Picture

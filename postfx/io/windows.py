@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -156,8 +157,12 @@ def _is_enlarged(small: Window, large: Window) -> bool:
 
 
 def attributes_of(spec: oiio.ImageSpec) -> dict[str, Any]:
-    """Header attributes of a part, by OpenEXR's names."""
-    found = {EXR_NAMES.get(entry.name, entry.name): entry.value for entry in spec.extra_attribs}
+    """Header attributes of a part, by OpenEXR's names; without those that are no text where
+    OpenImageIO takes them for it, as before 3.2."""
+    found: dict[str, Any] = {}
+    for entry in spec.extra_attribs:
+        with suppress(UnicodeDecodeError):
+            found[EXR_NAMES.get(entry.name, entry.name)] = entry.value
     if "framesPerSecond" in found:
         found["framesPerSecond"] = _quotient(found["framesPerSecond"])
     return found

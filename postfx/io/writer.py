@@ -19,7 +19,7 @@ import OpenImageIO as oiio
 
 from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import FrameError, OutputExistsError, WriteError
-from postfx.files import is_utf8, make_printable, output_file, with_slashes
+from postfx.files import is_utf8, output_file, with_slashes
 from postfx.frame import LINEAR, TOLD, Frame, Role
 from postfx.io.encoder import cut_pieces, display_of, encode_all, encode_pixel, tag_codes
 from postfx.io.exr import Header
@@ -42,6 +42,7 @@ from postfx.io.sequence import Sequence
 from postfx.io.wholeness import has_end
 from postfx.io.windows import Pixels, Window, crop, output_windows
 from postfx.planes import LARGEST_HALF, largest_bits_of
+from postfx.streams import make_printable
 
 LINEAR_FORMATS = (".exr",)
 DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG_SUFFIXES)

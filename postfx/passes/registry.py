@@ -6,7 +6,6 @@ instead, so that a checkout works without being installed; no other package can 
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from functools import cache
@@ -15,6 +14,7 @@ from inspect import Parameter
 from typing import Any, NamedTuple
 
 from postfx.errors import OptionError, PassOptionError, PostfxError, RegistryError, suggest
+from postfx.files import parse_json
 from postfx.passes import Pass
 from postfx.version import __version__
 
@@ -183,7 +183,7 @@ def _value(name: str, key: str, text: str, default: Any) -> Any:
     if isinstance(default, str):
         return text
     try:
-        return None if text == "none" else json.loads(text)
+        return None if text == "none" else parse_json(text)
     except ValueError:
         return text
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from postfx.doctor.inspection import contact_sheet
 from postfx.errors import CommandError, SequenceError, WriteError
-from postfx.files import write_text
+from postfx.files import write_text, write_texts
 from postfx.frame import Frame
 from postfx.io.writer import check_folder
 from postfx.report.capture_data import CAPTURE_FILE, as_dict
@@ -108,14 +108,14 @@ Draw = Callable[[Snapshot], list[dict[str, Any]]]
 def write_capture(capture: Capture, folder: str | Path, title: str) -> Path:
     """Write `folder / capture.html` and `folder / capture.json`; returns the path of the page.
 
-    Raises WriteError if they cannot be written.
+    Raises WriteError if they cannot be written: what was there before then stays.
     """
     folder = Path(folder)
     data = as_dict(capture)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / CAPTURE_FILE, json.dumps(data, indent=1, allow_nan=False))
-        write_text(folder / PAGE, _page(capture, data, title))
+        write_texts({folder / CAPTURE_FILE: json.dumps(data, indent=1, allow_nan=False),
+                     folder / PAGE: _page(capture, data, title)})
     except OSError as error:
         raise WriteError(f"capture in '{folder}' cannot be written: "
                          f"{error.strerror or error}") from error

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from postfx.errors import CheckpointError, ManifestError, WriteError
+from postfx.errors import CheckpointError, ManifestError, RunError, WriteError
 from postfx.files import (
     FILE_PIECE_BYTES,
     despite_readers,
@@ -56,7 +56,8 @@ class RunFolder:
     """Reserves the files of one run in an output folder, and records them there.
 
     names: of the files that the run may write. Raises RunError if another run is writing one of
-    them, OSError if the folder cannot be written, ManifestReadError if its manifest cannot be read.
+    them, or something else has the name of its own folder, OSError if the folder cannot be written,
+    ManifestReadError if its manifest cannot be read.
 
     Attributes:
         before: the manifest of earlier runs.
@@ -70,7 +71,11 @@ class RunFolder:
         self._facts: dict[str, Any] = {}
         self._wrote = False
         self._flushed, self._cost = time.monotonic(), 0.0
-        self._work.mkdir(parents=True, exist_ok=True)
+        try:
+            self._work.mkdir(parents=True, exist_ok=True)
+        except FileExistsError:
+            raise RunError(f"{self._work}: is no folder, and runs need one of that name: delete "
+                           "it") from None
         with FolderLock(self._work / "lock"):
             # who writes the manifest holds the lock: these are of killed runs
             for path in folder.glob(f".{MANIFEST_NAME}.*"):

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from postfx.errors import ManifestError, ManifestReadError
-from postfx.files import hash_file, make_printable, parse_json, read_text, remove, write_atomically
+from postfx.files import hash_file, parse_json, read_text, remove, write_atomically
 from postfx.io.pattern import parse_pattern
 from postfx.runs.locks import FolderLock, is_alive
+from postfx.streams import make_printable
 from postfx.system import is_plain_name
 
 MANIFEST_NAME = "postfx.manifest.json"

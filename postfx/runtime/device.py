@@ -122,7 +122,7 @@ class Device:
         provider: str | Provider | None = None,
         explicit_barriers: bool = False,
     ) -> None:
-        if threads is not None and threads < 1:
+        if threads is not None and not (isinstance(threads, int) and threads >= 1):
             raise DeviceError(f"a device needs at least 1 thread, not {threads}")
         self._arguments = (name, threads, compiled_kernels, kernels, memory, graphs, provider,
                            explicit_barriers)
@@ -513,7 +513,7 @@ _DEVICE_NAME = re.compile(r"(auto|cpu|cuda)(?::(\d+))?")
 def choose(name: str, threads: int, graphs: bool = True) -> tuple[Placement, Memory]:
     """Placement and memory of 'cpu', 'cuda', 'cuda:1' or 'auto'. Raises DeviceError when it is not
     available."""
-    match = _DEVICE_NAME.fullmatch(name)
+    match = _DEVICE_NAME.fullmatch(str(name))
     if match is None or (match[2] and match[1] != "cuda"):
         raise DeviceError(f"no device '{name}': use auto, cpu, cuda or cuda:N")
     index = int(match[2] or 0)

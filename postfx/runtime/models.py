@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from postfx.errors import ModelError, suggest
-from postfx.files import make_printable, parse_json, read_text
+from postfx.files import parse_json, read_text
 from postfx.runtime.model_file import Declaration, ModelFile, Weights, WireError, parse_model
 from postfx.system import is_plain_name, models_dir
 
@@ -221,10 +221,10 @@ def check_model(path: Path, content: bytes, card: Mapping[str, Any], trust: bool
         raise ModelError(f"model '{path}' is damaged or no ONNX file ({error}): get it "
                          "again") from error
     for reason in () if trust else _unknown_work(model):
-        raise ModelError(f"model '{path}' is refused: {make_printable(reason[:MOST_SHOWN])}; if "
+        raise ModelError(f"model '{path}' is refused: {reason[:MOST_SHOWN]}; if "
                          "you know where it comes from, Library(folder, trust=True) loads it")
     for reason in _reasons(model, path, card):
-        raise ModelError(f"model '{path}' is refused: {make_printable(reason[:MOST_SHOWN])}")
+        raise ModelError(f"model '{path}' is refused: {reason[:MOST_SHOWN]}")
 
 
 def _unknown_work(model: ModelFile) -> Iterator[str]:

@@ -468,6 +468,8 @@ def _session(model: bytes, options: ort.SessionOptions) -> ort.InferenceSession:
 def _load_optimised(path: Path, options: ort.SessionOptions) -> ort.InferenceSession | None:
     """A session from a cached file; None if it is missing or damaged."""
     try:
+        if not path.is_file():  # to read a pipe may take for ever
+            return None
         content = path.read_bytes()
         if hashlib.sha256(content[HASH_BYTES:]).digest() != content[:HASH_BYTES]:
             return None

@@ -3,6 +3,7 @@ Mitsuba."""
 
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -54,6 +55,16 @@ def fake(tmp_path: Path, monkeypatch) -> str:
 def loop(tmp_path: Path, render: str, *words: str) -> int:
     return main(["loop", "--render", render, "-o", f"{tmp_path}/clean/####.exr", *words, "--",
                  "--model", "s"])
+
+
+@pytest.mark.parametrize("text", ["", "[" * 100_000, "[3]", "{}x", '[{"plan": {}}]', '"text"'])
+def test_a_damaged_log_of_rounds_is_one_line(tmp_path: Path, fake: str, capsys, text: str):
+    log = tmp_path / "clean" / "loop" / "loop.json"
+    log.parent.mkdir(parents=True)
+    log.write_text(text)
+    assert loop(tmp_path, fake) == 2
+    assert re.fullmatch(rf"error: {log}: is damaged \(.*\): delete it to begin the loop anew\n",
+                        capsys.readouterr().err)
 
 
 def test_only_noisy_tiles_are_rendered_again_and_merged(tmp_path: Path, fake: str, capsys):

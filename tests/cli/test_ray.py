@@ -25,6 +25,9 @@ IMPATIENT = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 300,
              "health_check_failure_threshold": 2}
 """Ray gives a machine up after a second; by default it waits for 15."""
 
+SIZE = (128, 192)
+"""Of frames, 20 of which take longer than a process takes to notice that its machine died."""
+
 
 @pytest.fixture
 def here(monkeypatch) -> None:
@@ -110,9 +113,9 @@ def test_two_machines_of_which_one_dies(postfx, write_exr, tmp_path, monkeypatch
 
     rng = np.random.default_rng(8)
     for number in range(1, 41):
-        planes = {name: rng.exponential(size=(32, 48)) for name in "RGB"}
-        planes |= {"depth.Z": np.full((32, 48), 3.0), "motion.X": np.zeros((32, 48)),
-                   "motion.Y": np.zeros((32, 48))}
+        planes = {name: rng.exponential(size=SIZE) for name in "RGB"}
+        planes |= {"depth.Z": np.full(SIZE, 3.0), "motion.X": np.zeros(SIZE),
+                   "motion.Y": np.zeros(SIZE)}
         write_exr(f"in/shot.{number:04d}.exr", planes)
     cluster = Cluster(initialize_head=True, head_node_args={
         "num_cpus": 1, "include_dashboard": False, "_system_config": IMPATIENT})

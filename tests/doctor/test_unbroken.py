@@ -13,6 +13,7 @@ from postfx.doctor.inspection import Inspection
 from postfx.doctor.plane_checks import COSTS
 from postfx.errors import ReadError
 from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.io.sequence import read_sequence
 from tests.doctor import covers
 
 REPOSITORY = Path(__file__).parent.parent.parent
@@ -75,13 +76,22 @@ def test_pixels_may_be_tall(room, diagnose):
     assert not [found for found in diagnose(tall_room) if found.code.startswith("matrix")]
 
 
-@pytest.mark.parametrize("name", ["garage", "mist", *(
+@pytest.mark.parametrize("name", ["garage", "mist", "water_1x4", "snow_1x16", *(
     pytest.param(name, marks=pytest.mark.soak)
     for name in ("doorway", "living_room", "staircase"))])
 def test_sequences_have_no_error(shared_dir, name):
     folder = shared_dir / "sequences" / name
     guides = folder / "guides.####.exr" if list(folder.glob("guides.*.exr")) else None
     assert bad(folder / "noisy.####.exr", guides) == []
+
+
+def test_wrong_motion_is_found_on_water_all_the_same(shared_dir, diagnose):
+    """What is seen in waves and through them moves otherwise than they do, which is no fault."""
+    water = read_sequence(str(shared_dir / "sequences" / "water_1x4" / "noisy.####.exr"))
+    frames = [water.read(number) for number in water.numbers[:2]]
+    negated = [replace(frame, planes={**frame.planes, Role.MOTION: -frame[Role.MOTION]})
+               for frame in frames]
+    assert "motion-sign" in {finding.code for finding in diagnose(negated)}
 
 
 def clip_of(path: Path) -> list[Frame]:

@@ -12,14 +12,16 @@ import OpenEXR
 import OpenImageIO as oiio
 
 from postfx.io.exr import Header
-from postfx.io.exr.container import ExrContainer, NewPart, write_container
+from postfx.io.exr.container import ExrContainer, NewPart, can_compress, write_container
 
 WIDTH, HEIGHT = 37, 41
 DATE = "2024:05:06 07:08:09"  # else that of now: the same file comes out each time
 COMPRESSIONS = {name: getattr(OpenEXR, f"{name}_COMPRESSION") for name in
                       ("NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB",
                        "HTJ2K256", "HTJ2K32", "LJ2K", "ZSTD")
-                if hasattr(OpenEXR, f"{name}_COMPRESSION")}
+                if hasattr(OpenEXR, f"{name}_COMPRESSION")
+                and can_compress({"NO": "none"}.get(name, name.lower()))}
+"""Those that both libraries know."""
 
 
 def noise_bits(seed: int, kind: str, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from postfx import files as postfx_files
+from postfx.cli.main import main
 from postfx.errors import WriteError
 from postfx.files import PARTIAL, output_file
 from postfx.frame import Frame, Role
@@ -103,6 +104,20 @@ def test_a_full_disk(small_disk: Path, suffix: str, side: int) -> None:
     else:
         assert is_complete(path, side, side)
     assert (small_disk / "before.txt").read_text() == "finished"
+
+
+@pytest.mark.parametrize("page", ["--report", "--capture"])
+def test_pages_on_a_full_disk_stay_what_they_were(small_disk: Path, tmp_path: Path, page: str
+                                                  ) -> None:
+    """A capture has a small file that would fit beside its page, which does not."""
+    before = {name: f"the old {name}" for name in ("shot.html", "capture.html", "capture.json")}
+    for name, text in before.items():
+        (small_disk / name).write_text(text)
+    source, target = write_frame(tmp_path / "in.exr", noise(64, 64)), tmp_path / "out.exr"
+    place = small_disk / "shot.html" if page == "--report" else small_disk
+    assert main(["run", str(source), "-o", str(target), "--no-denoise", "--tonemap", page,
+                 str(place)]) == 2
+    assert {name: (small_disk / name).read_text() for name in names(small_disk)} == before
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

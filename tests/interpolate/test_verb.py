@@ -38,6 +38,7 @@ def shot(scene, tmp_path):
 
 
 def test_numbers_rates_time_codes_and_planes_of_a_sequence(shot, scene, tmp_path, capsys):
+    pytest.importorskip("flip_evaluator", reason="--reference needs the extra 'bench'")
     reference = tmp_path / "rendered"
     for count in range(7):
         write_frame(reference / f"shot.{count + 1:04d}.exr", replace(scene(0), planes={

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.errors import MissingPlaneError
+from postfx.errors import MissingPlaneError, ReadError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 
@@ -209,7 +209,9 @@ def test_camera_space_normals_are_not_read_under_the_base_profiles_name(write_ex
 
 
 def test_luminance_and_chroma_are_no_grey(write_exr) -> None:
-    with pytest.raises(MissingPlaneError, match="no AOV 'colour'.*it holds Y,BY,RY"):
+    # OpenImageIO before 3.2 decodes such channels, and refuses these, which are as many as Y
+    with pytest.raises((MissingPlaneError, ReadError),
+                       match="no AOV 'colour'.*it holds Y,BY,RY|subsampling"):
         read(write_exr("a.exr", flat(["Y", "RY", "BY"], 1, 1, 1)))
 
 

@@ -193,6 +193,21 @@ def test_distances_are_written_as_floats_and_an_unknown_layer_is_named_with_its_
         read_sequence(str(path), aov_denoise="depth=near").open(1)
 
 
+@pytest.mark.parametrize("options", [
+    ("--aov", "a,b"), ("--aov", "b,B,a"), ("--aov", "a", "--aov-denoise", "albedo=b"),
+    ("--aov", "a,B", "--aov-denoise", "albedo=b")])
+def test_layers_named_as_channels_of_the_picture_are_one_part_each(
+        tmp_path: Path, options: tuple[str, ...]) -> None:
+    # names count in any case: the channel B is also a layer, whose channels would be those of b
+    half = np.full((*SIZE, 3), 0.5, np.float32)
+    source = write(tmp_path / "in.0001.exr", {"": 2 * half, "a": half, "b": half})
+    assert main(["run", str(source), "-o", str(tmp_path / "out.exr"), "--model", "s",
+                 *options]) == 0
+    found = read(tmp_path / "out.exr")
+    for name in "ab":
+        assert layer(found, name) == pytest.approx(half, abs=5e-3)
+
+
 def test_plain_layers_are_light_by_name(tmp_path: Path) -> None:
     frame = noisy(1, *SIZE)
     path = write(tmp_path / "a.exr", {"": frame[Role.COLOUR], "key": 0.5 * frame[Role.COLOUR]})

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import PostfxError, ReadError
@@ -104,5 +105,7 @@ def test_v_ray_planes(shared_dir: Path):
 @pytest.mark.parametrize("name", REFUSED)
 def test_refusals_say_why(shared_dir: Path, name: str):
     (path,) = shared_dir.glob(f"exr/*/{name}")
+    if name == "XYZ_YC.exr" and oiio.VERSION < 30200:
+        pytest.skip(f"OpenImageIO {oiio.__version__} makes colours of luminance and chroma")
     with pytest.raises(ReadError, match=rf"{name}: .*{REFUSED[name]}"):
         FrameFiles({"": path})

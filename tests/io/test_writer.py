@@ -13,6 +13,7 @@ from postfx.colour.displays import parse_display, srgb_decode, srgb_encode
 from postfx.errors import OutputExistsError, WriteError
 from postfx.frame import Frame, PartSource, Role
 from postfx.io import writer
+from postfx.io.exr.container import can_compress
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, is_complete, write_frame
 
@@ -295,6 +296,8 @@ def test_exr_headers_are_those_of_openimageio(tmp_path):
 ])
 @pytest.mark.parametrize("half", [True, False])
 def test_the_newest_compressions_are_written(tmp_path, compression, loses, half):
+    if not can_compress(compression):
+        pytest.skip(f"OpenImageIO {oiio.__version__} does not write {compression}")
     ramp = np.linspace(0.1, 4, 300 * 70 * 3, dtype=np.float32).reshape(300, 70, 3)
     light = ramp.astype(np.float16).astype(np.float32) if half else ramp
     bits = 16 if half else 32

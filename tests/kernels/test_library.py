@@ -4,12 +4,14 @@ where it cannot be had."""
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
+import os
 import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -402,11 +404,28 @@ def test_a_change_compiles_the_files_that_it_touches(tmp_path: Path) -> None:
     second = objects()
     assert len(second) == 3 and first < second
     assert {name.split("-")[1] for name in second - first} == {"one"}
-    for path in folder.glob("objects/*.o"):
-        path.write_bytes(b"")
-    for index in folder.glob("*.json"):
-        index.unlink()
-    assert len(objects()) == 3  # damaged ones are made anew
+
+
+@needs_compiler
+@pytest.mark.parametrize("damage", [
+    pytest.param(lambda path: path.write_bytes(b""), id="empty"),
+    pytest.param(lambda path: path.write_text("[" * 100_000), id="nested"),
+    pytest.param(lambda path: (path.unlink(), os.mkfifo(path)), id="pipe"),
+    pytest.param(lambda path: (path.unlink(), path.mkdir()), id="folder"),
+    pytest.param(lambda path: (path.unlink(), path.symlink_to("nowhere/else")), id="dangling")])
+@pytest.mark.skipif(sys.platform == "win32", reason="needs pipes with names")
+def test_whatever_lies_in_its_folder_it_is_made_again(tmp_path: Path,
+                                                      damage: Callable[[Path], object]) -> None:
+    """An object without content links, into a library without kernels."""
+    unit, folder, target = tmp_path / "one.cpp", tmp_path / "made", build.this_target()
+    unit.write_text(HEADER)
+    lowest = next(iter(build.TARGETS[target].levels))
+    made = build.build([unit], target, folder, [lowest])
+    for path in [path for path in folder.rglob("*") if path.is_file()]:
+        damage(path)
+    assert not build.find(folder, build.digest_of([unit], target))
+    assert build.build([unit], target, folder, [lowest]) == made
+    assert ctypes.CDLL(str(made[lowest])).scale_takes
 
 
 def test_without_a_compiler_there_is_one_line_with_the_fix(plug_in: Path,

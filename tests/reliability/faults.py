@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from itertools import count, product
 from pathlib import Path
 
+from postfx.compiled import build
 from postfx.errors import PostfxError
 from postfx.runs.manifest import MANIFEST_NAME, verify
 from postfx.runtime import Device, Library
@@ -269,6 +270,59 @@ def outside_weights(shot: Shot) -> Iterator[Callable[[], None]]:
         yield load
 
 
+def _flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def _put_pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def _put_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def _put_dangling(path: Path) -> None:
+    path.unlink()
+    path.symlink_to("nowhere/else")
+
+
+COMPILED = ("*.json", "*.so", "*.lock", "objects/*.o")
+"""Kinds of files in the folder of compiled kernels."""
+IN_PLACE = (lambda path: path.write_bytes(b""), lambda path: path.write_text("[" * 100_000), _flip,
+            _put_pipe, _put_folder, _put_dangling)
+"""What may have become of one of them."""
+KERNEL = """#include "rows.h"
+static void halve_rows(Long first, Long last, View<const float, 2> given, View<float, 2> made) {
+    for (Long y = first; y < last; y++) made(y)[0] = given(y)[0] / 2;
+}
+EXPORT(halve, halve_rows)
+"""
+
+
+def damaged_kernels(shot: Shot) -> Iterator[Callable[[], None]]:
+    """Compiled kernels of which a file is damaged are made again, to the bit."""
+    target = build.this_target()
+    lowest = next(iter(build.TARGETS[target].levels))
+    for kind, damaged in product(COMPILED, IN_PLACE):
+        def make_again(kind: str = kind, damaged: Callable[[Path], object] = damaged) -> None:
+            folder = shot.new_folder()
+            (folder / "halve.cpp").write_text(KERNEL)
+            units, made = [folder / "halve.cpp"], folder / "made"
+            before = build.build(units, target, made, [lowest])[lowest].read_bytes()
+            for path in made.glob(kind):
+                if path.stat().st_size or damaged is not _flip:
+                    damaged(path)
+            if kind == "objects/*.o":  # so that it is linked again
+                next(made.glob("*.json")).unlink()
+            assert build.build(units, target, made, [lowest])[lowest].read_bytes() == before
+        yield make_again
+
+
 @dataclass(frozen=True)
 class Group:
     """Faults of a kind: `make` gives a function for each, which raises AssertionError where it is
@@ -294,6 +348,7 @@ GROUPS = {
     "model": Group("networks and their cards", damaged=("model", 60)),
     "bomb": Group("files that claim much, or become much", damaged=("bomb", len(BOMBS))),
     "weights": Group("weights of a network outside of its folder", outside_weights),
+    "kernels": Group("files of compiled kernels, in place of which others lie", damaged_kernels),
     "killed": Group("`run` killed, at seven places", killed_runs),
     "disk": Group("reads that fail and full disks", failing_disks),
     "inputs": Group("inputs rewritten while a run reads them", rewritten_inputs),

@@ -195,6 +195,15 @@ def test_pipes_and_dangling_links_among_a_runs_files_hold_nobody_up(tmp_path):
     folder.release()
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
+@pytest.mark.parametrize("make", [
+    Path.touch, os.mkfifo, lambda path: path.symlink_to("nowhere")])
+def test_what_has_the_name_of_a_runs_folder_is_named(tmp_path, make):
+    make(tmp_path / ".postfx")
+    with pytest.raises(RunError, match=r"/\.postfx: is no folder, .*: delete it"):
+        RunFolder(tmp_path, "run", ["a.exr"])
+
+
 def test_process_that_died_while_taking_over(lock):
     lock.write_text(json.dumps(dead().as_dict()))
     lock.with_name("lock.breaking").write_text(json.dumps(dead().as_dict()))

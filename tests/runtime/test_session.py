@@ -1,6 +1,7 @@
 """Networks optimised once and kept: the same bits, never an old or a damaged file, and no file is
 no harm."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,9 @@ def test_file_for_all_that_it_depends_on(folder, monkeypatch):
     lambda file: file.write_bytes(file.read_bytes()[:-1]),
     lambda file: file.write_bytes(b""),
     lambda file: file.write_bytes(bytes([file.read_bytes()[0] ^ 1]) + file.read_bytes()[1:]),
+    pytest.param(lambda file: (file.unlink(), os.mkfifo(file)), marks=pytest.mark.skipif(
+        not hasattr(os, "mkfifo"), reason="there are no named pipes here")),
+    lambda file: (file.unlink(), file.symlink_to("nowhere")),
 ])
 def test_damaged_file_is_made_anew(folder, damage, monkeypatch):
     wanted = results(made(content(), WINDOW))

@@ -2,10 +2,11 @@
 
 python -m training.measure.dissolves
 
-Three shots with vectors dissolve into seven others in eight steps. A row says how far frames
+Three shots with vectors dissolve into eight others in eight steps. A row says how far frames
 between are above the better of both, in dB: on average, at worst, and how many are more than 0.2
 and 1 dB below. Ways: by the two frames alone; with those beside them, by the way alone that
-foretells known frames best; and by all ways as they foretell them, as it is.
+foretells known frames best; and by all ways as they foretell them, as it is. Then the dissolves
+one by one as it is, the worst first.
 """
 
 from __future__ import annotations
@@ -72,6 +73,8 @@ COMING: dict[str, Shot] = {
         0.5 + 0.3 * np.sin((X + 3 * time) / 25)[..., None], 3, axis=2),
     "disc": disc_in(lambda time: (60 - 6 * time, 50 + time), pan(32, -2), 31),
     "fast disc": disc_in(lambda time: (60 + 10 * time, 50 + 4 * time), pan(42, 0), 41),
+    "stripes": lambda time: np.repeat(0.5 + 0.4 * np.sin((X - 5 * time) / 2.2)[..., None], 3,
+                                      axis=2),
 }
 
 
@@ -113,14 +116,24 @@ def gains(going: tuple[Shot, Shot], coming: Shot) -> list[list[float]]:
 
 
 def main() -> None:
-    """Measure, and print a row for each way."""
-    found = np.array([gain for going in GOING.values() for coming in COMING.values()
-                      for gain in gains(going, coming)])
-    names = "by two frames", "the best one alone", "all as they foretell"
-    print(f"{len(found)} frames between | mean | worst | below -0.2 | below -1")
-    for name, gain in zip(names, found.T, strict=True):
-        print(f"{name} | {gain.mean():.2f} dB | {gain.min():.2f} dB | {(gain < -0.2).sum()} | "
-              f"{(gain < -1).sum()}")
+    """Measure, and print a row for each way, then for each dissolve."""
+    found = {f"{name} into {other}": np.array(gains(going, coming))
+             for name, going in GOING.items() for other, coming in COMING.items()}
+    every = np.concatenate([rows for rows in found.values() if len(rows)])
+    ways_by_name = dict(zip(("by two frames", "the best one alone", "all as they foretell"),
+                            every.T, strict=True))
+    print(f"{len(every)} frames between | mean | worst | below -0.2 | below -1")
+    for name, gain in ways_by_name.items():
+        print(f"{name} | {_row(gain)}")
+    print("dissolve | mean | worst | below -0.2 | below -1")
+    as_it_is = {name: rows[:, -1] for name, rows in found.items() if len(rows)}
+    for name, gain in sorted(as_it_is.items(), key=lambda one: one[1].min()):
+        print(f"{name} | {_row(gain)}")
+
+
+def _row(gain: np.ndarray) -> str:
+    return (f"{gain.mean():.2f} dB | {gain.min():.2f} dB | {(gain < -0.2).sum()} | "
+            f"{(gain < -1).sum()}")
 
 
 if __name__ == "__main__":
