@@ -14,8 +14,9 @@ import numpy as np
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.models import usual_network
 from postfx.pipeline import Pipeline
-from postfx.runtime import Device
+from postfx.runtime import Device, default_device
 from postfx.system import host_floats
 
 
@@ -37,7 +38,7 @@ def denoise(
     roughness: SupportsDLPack | None = None,
     depth: SupportsDLPack | None = None,
     scale: float = 1.0,
-    model: str = "m",
+    model: str | None = None,
     strength: float = 1.0,
     exposure: str | float = "auto",
     device: str | None = None,
@@ -60,7 +61,9 @@ def denoise(
         normal: (height, width, 3) in world space.
         roughness: (height, width) or (height, width, 1).
         depth: likewise, along the view axis.
-        scale, model, strength: as for `postfx.DenoiseUpscale`.
+        scale, strength: as for `postfx.DenoiseUpscale`.
+        model: likewise; None for 'xl' at the picture's own size in the host's memory, and 'm' for
+            all else.
         exposure: 'auto', or stops: what the picture is exposed by before the network sees it; the
             result is not.
         device: 'cpu', 'cuda', 'cuda:1' or 'auto'; None for the default device, or the GPU where
@@ -81,11 +84,21 @@ def denoise(
     planes: dict[Role, Any] = {role: plane for role, plane in aids.items() if plane is not None}
     gpu = _gpu_of(picture)
     place = device if gpu is None or device is not None else f"cuda:{gpu}"
+    if model is None:
+        model = _choose_network(picture, scale, place)
     with _DENOISER_LOCK:
         pipeline = _find_pipeline(scale, model, strength, exposure, place)
         pipeline.reset()
         return (_on_host(pipeline, picture, planes) if gpu is None
                 else _on_gpu(pipeline, picture, planes))
+
+
+def _choose_network(picture: Any, scale: float, place: str | None) -> str:
+    """The network for a picture of any library, if nobody chose one."""
+    device = default_device() if place is None else Device(place)
+    shape = getattr(picture, "shape", ())
+    height, width = shape[:2] if len(shape) > 1 else (0, 0)
+    return usual_network((width, height), scale == 1, device.memory.host_visible)
 
 
 def _on_host(pipeline: Pipeline, given: Any, planes: Mapping[Role, Any]) -> np.ndarray:

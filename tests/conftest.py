@@ -128,8 +128,7 @@ def shared_dir() -> Path:
 
 @pytest.fixture(autouse=True)
 def quick_network(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs in this process take `m` at the render's size, too: `xl`, which they would choose by
-    themselves, takes six times as long. Modules with `CHOOSES_NETWORK` test that choice."""
+    """What nobody chose a network for takes `m` in this process, at the render's size too: `xl`
+    takes six times as long. Modules with `CHOOSES_NETWORK` test that choice."""
     if not getattr(request.module, "CHOOSES_NETWORK", False):
-        monkeypatch.setattr("postfx.cli.job.Job._denoiser_options",
-                            lambda job, device: job._values("denoiser"))
+        monkeypatch.setattr("postfx.passes.denoise.models.RENDER_SIZE_NETWORK", "m")

@@ -123,9 +123,11 @@ class Settings(bpy.types.PropertyGroup):
     look: bpy.props.EnumProperty(name="Look", default="NONE", items=LOOKS)
     scale: bpy.props.FloatProperty(name="Scale", default=1.0, min=1.0, max=3.0,
                                    description="Output over render size")
-    model: bpy.props.EnumProperty(name="Network", default="m", description="The presets Preview "
+    model: bpy.props.EnumProperty(name="Network", default="AUTO", description="The presets Preview "
                                   "and Final choose their own", items=[
-        ("s", "Small", "Fastest"), ("m", "Medium", "Recommended"), ("l", "Large", "Better"),
+        ("AUTO", "Automatic", "Extra large at the render's own size, Medium for larger frames and "
+         "on a GPU"),
+        ("s", "Small", "Fastest"), ("m", "Medium", "Fast"), ("l", "Large", "Better"),
         ("xl", "Extra large", "Best at the render's own size, and slowest")])
     strength: bpy.props.FloatProperty(name="Strength", default=1.0, min=0.0, max=1.0)
 
@@ -171,7 +173,8 @@ def options_of(settings, whole: bool) -> list[str]:
     """Options of `postfx run` for what the panel says, for the whole sequence or one frame."""
     options = ["--scale", str(round(settings.scale, 3)),
                "--strength", str(round(settings.strength, 3))]
-    options += ["--model", settings.model] if settings.preset not in OWN_NETWORK else []
+    chosen = settings.model != "AUTO" and settings.preset not in OWN_NETWORK
+    options += ["--model", settings.model] if chosen else []
     options += ["--preset", settings.preset] if settings.preset != "NONE" else []
     options += ["--aov", "auto"] if settings.parts else []
     options += (["--clamp-fireflies", str(round(settings.fireflies, 3))] if settings.fireflies

@@ -163,8 +163,6 @@ def check_sizes(frame: Frame, first: FrameSpec, sized: bool) -> None:
 NETWORK_PIXEL_BYTES = 900
 """Least memory that a network takes for each pixel of a render: 970 to 1100 measured at 1x, 840 at
 2x, on a CPU."""
-LARGE_NETWORK_PIXEL_BYTES = 2400
-"""The same for `xl`: 2,270 measured at 1280x720, 2,440 at 1920x1080."""
 
 
 def check_memory(plan: Plan, sequence: Sequence) -> None:
@@ -177,15 +175,6 @@ def check_memory(plan: Plan, sequence: Sequence) -> None:
         raise OptionError(f"{sequence.pattern}: to denoise {size.width}x{size.height} takes "
                           f"{needs >> 30} GB and more, this machine has {there >> 30} GB: give "
                           f"--memory {max(1, there * 6 // 10 >> 30)}G, which works in tiles")
-
-
-def lacks_memory_for_large(width: int, height: int) -> str | None:
-    """Why this machine cannot run `xl` on whole frames of this size; None if it can."""
-    needs, there = LARGE_NETWORK_PIXEL_BYTES * width * height, usable_memory()
-    if needs <= there:
-        return None
-    return (f"frames of {width}x{height} take {needs >> 30} GB, this machine has {there >> 30} GB: "
-            "m runs; --model xl with --memory works in tiles")
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)

@@ -24,7 +24,6 @@ from postfx.cli.interruptions import (
     check_memory,
     check_sizes,
     first_readable,
-    lacks_memory_for_large,
 )
 from postfx.cli.run_options import (
     RUN,
@@ -71,6 +70,7 @@ from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
 from postfx.passes.denoise import NO_HISTORY_REMARK
+from postfx.passes.denoise.models import RENDER_SIZE_NETWORK, lacks_memory, usual_network
 from postfx.passes.denoise.options import output_size
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
@@ -93,8 +93,6 @@ if TYPE_CHECKING:
 
 NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
 BACKWARDS = "denoise_upscale backwards"
-RENDER_SIZE_NETWORK = "xl"
-"""Network that a run on a CPU takes at the render's size, unless another one is asked for."""
 """Of the run in reverse order, in the summary."""
 
 
@@ -202,20 +200,19 @@ class Job:
 
     def _denoiser_options(self, device: Device) -> dict[str, Any]:
         """The denoiser's options. Without --model they name the network that is best at the
-        render's size, if frames keep it, and neither time nor memory is bounded. A GPU has not run
-        that network yet."""
+        output's size, unless time or memory is bounded."""
         given = self._values("denoiser")
         is_bounded = self._arguments.budget is not None or self._arguments.memory is not None
-        if ("model" in given or is_bounded or not device.memory.host_visible
-            or self._enlargement(given) != 1):
+        if "model" in given or is_bounded:
             return given
         with self.sequence.open(self.first) as files:
             spec = files.spec()
-        missing = lacks_memory_for_large(spec.width, spec.height)
+        size, keeps_size = (spec.width, spec.height), self._enlargement(given) == 1
+        on_host = device.memory.host_visible
+        missing = lacks_memory(size) if keeps_size and on_host else None
         if missing:
             self.skips.append(Skip(f"model {RENDER_SIZE_NETWORK}", missing))
-            return given
-        return {**given, "model": RENDER_SIZE_NETWORK}
+        return {**given, "model": usual_network(size, keeps_size, on_host)}
 
     def _has_flat_albedo(self) -> bool:
         """Whether the first frame's diffuse albedo is one grey or colour: a default, or an override

@@ -1,6 +1,7 @@
 """Postfx against the five ways of Open Image Denoise, by kind of content, samples and size.
 
-    python -m training.measure.table FOLDER [--ways 'm:;both:--both-ways;s:--model s'] [--json FILE]
+    python -m training.measure.table FOLDER [--ways 'xl:;both:--both-ways;s:--model s']
+        [--json FILE]
 
 FOLDER holds one folder for each kind, as `training/measure/validation/render_scenes.py` writes
 them: noisy.SPP.####.exr at the references' size, half.SPP.####.exr at half of it, and
@@ -48,7 +49,7 @@ SIZES = {"1x": ("noisy", 1), "2x": ("half", 2)}
 RAYS = "same rays"
 PIXELS = 4
 """Times as many pixels at full size as at half: so many more samples at half for the same rays."""
-DEFAULT_WAYS = "m:"
+DEFAULT_WAYS = "m:--model m"
 
 Row = dict[str, Any]
 Scores = dict[str, float | None]
@@ -297,7 +298,8 @@ def main(argv: list[str] | None = None) -> int:
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="holds a folder for each kind")
     parser.add_argument("--ways", type=parse_ways, default=parse_ways(DEFAULT_WAYS),
-                        help="NAME:OPTIONS of postfx run, separated by semicolons (default: m:)")
+                        help="NAME:OPTIONS of postfx run, separated by semicolons (default: "
+                        f"{DEFAULT_WAYS})")
     parser.add_argument("--kinds", type=words, default=[], help="default: all")
     parser.add_argument("--sizes", type=words, default=list(SIZES), help="1x, 2x (default: both)")
     parser.add_argument("--samples", type=numbers, default=[], help="default: all")

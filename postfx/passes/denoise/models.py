@@ -14,6 +14,7 @@ from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY
 from postfx.passes.denoise.tiling import PYRAMID_LEVELS
 from postfx.runtime import Device, Library, PipelineState
 from postfx.runtime.convolutions import Head
+from postfx.system import usable_memory
 
 PASS = "denoise_upscale"
 HEADS = {"raw_fine": Head("fine", FINE, BLEND, MEMORY, side=2)} | {
@@ -30,6 +31,11 @@ SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has th
 """Endings of the names of networks that are chosen automatically, and when."""
 CLASSIC = "classic"
 """Tag, and name in place of a model, of the classical filter, which runs without a network."""
+RENDER_SIZE_NETWORK, USUAL_NETWORK = "xl", "m"
+"""The network for the render's size where nobody chose one, and the one for all else."""
+RENDER_SIZE_PIXEL_BYTES = 2400
+"""Memory that the first of them takes for each pixel on a CPU: 2,270 measured at 1280x720, 2,440 at
+1920x1080."""
 STAND_INS = {"l": "m", "xl": "m"}
 """Networks without a variant for the render size, or with one that filters no parts, and the
 network whose variant is taken there."""
@@ -40,6 +46,26 @@ ENLARGING_STAND_INS = {"xl": "l"}
 def exact(tag: str) -> str:
     """The tag with its precision; float32 if it has none: 'm' -> 'm.fp32'."""
     return tag if "." in tag else f"{tag}{EXACT_SUFFIX}"
+
+
+def usual_network(size: tuple[int, int], keeps_size: bool, on_host: bool) -> str:
+    """The network for frames of a (width, height) where nobody chose one.
+
+    A GPU has not run the one for the render's size yet, nor does every machine hold its frames.
+    """
+    fits = lacks_memory(size) is None
+    return RENDER_SIZE_NETWORK if keeps_size and on_host and fits else USUAL_NETWORK
+
+
+def lacks_memory(size: tuple[int, int]) -> str | None:
+    """Why this machine cannot run the network for the render's size on whole frames of a (width,
+    height); None if it can."""
+    width, height = size
+    needs, there = RENDER_SIZE_PIXEL_BYTES * width * height, usable_memory()
+    if needs <= there:
+        return None
+    return (f"frames of {width}x{height} take {needs >> 30} GB, this machine has {there >> 30} GB: "
+            f"{USUAL_NETWORK} runs; --model {RENDER_SIZE_NETWORK} with --memory works in tiles")
 
 
 def split_ending(name: str) -> tuple[str, str]:

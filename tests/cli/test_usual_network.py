@@ -1,0 +1,43 @@
+"""The network that a run takes where nobody chose one."""
+
+import numpy as np
+import pytest
+
+import postfx
+from postfx.passes.denoise import models
+
+CHOOSES_NETWORK = True
+RUN = ("run", "in/shot.####.exr", "-o", "out/", "--overwrite", "--device", "cpu")
+
+
+@pytest.mark.parametrize(("options", "network"), (
+    ((), "xl"), (("--scale", "1"), "xl"), (("--denoise-only",), "xl"), (("--scale", "2"), "m"),
+    (("--budget", "5000"), "m"), (("--memory", "2G"), "m"), (("--model", "s"), "s"),
+    (("--preset", "preview"), "s"),
+))
+def test_a_run_takes_the_best_network_at_the_renders_size(postfx, shot, tmp_path, options, network):
+    shot(1)
+    assert postfx(*RUN, *options).code == 0
+    found = (tmp_path / "out" / "postfx.manifest.json").read_text()
+    assert f"denoise_upscale.{network}" in found
+
+
+def test_frames_that_are_too_large_for_it_take_the_usual_one(postfx, shot, tmp_path, monkeypatch):
+    shot(1)
+    monkeypatch.setattr(models, "usable_memory", lambda: 1 << 20)
+    done = postfx(*RUN)
+    assert done.code == 0
+    line = next(line for line in done.err.splitlines() if "model xl" in line)
+    assert line.startswith("skipped  model xl: frames of ")
+    assert "m runs; --model xl with --memory works in tiles" in line
+    found = (tmp_path / "out" / "postfx.manifest.json").read_text()
+    assert "denoise_upscale.m" in found
+
+
+def test_a_still_takes_the_same():
+    color = np.random.default_rng(1).random((24, 32, 3), np.float32)
+    chosen = [postfx.denoise(color, model=model) for model in (None, "xl", "m")]
+    np.testing.assert_array_equal(chosen[0], chosen[1])
+    assert np.abs(chosen[0] - chosen[2]).max() > 1e-3
+    enlarged = [postfx.denoise(color, model=model, scale=2) for model in (None, "m")]
+    np.testing.assert_array_equal(*enlarged)
