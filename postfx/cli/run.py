@@ -37,10 +37,9 @@ examples:
   postfx run shot/ -o out/ --skip-existing                             # go on after a stop
 
 PSNR in dB to the best of Open Image Denoise for the same rays, at 4, 16 and 64 samples a pixel:
-  postfx run, the render's size                    -0.91, -0.78, -0.78
-  postfx run --model l                             +0.14, +0.05, -0.24
-  postfx run --model xl, part of --preset final    +0.40, +0.37, +0.03
-  postfx run --model xl --with oidn                +0.57, +0.54, +0.31
+  postfx run, the render's size                    +0.53, +0.52, +0.21
+  postfx run --with oidn                           +0.65, +0.63, +0.38
+  postfx run --model m, a sixth of the time        -0.91, -0.78, -0.78
   postfx run --scale 2, half size, 4x the samples  -2.23: only for what cannot be rendered larger
 
 A video of the pictures: ffmpeg -framerate 24 -i out/picture.%04d.png -pix_fmt yuv420p shot.mp4

@@ -255,8 +255,8 @@ DENOISING = Section("denoising and size", (
            convert=_find_network, excludes=_FOR_DENOISER,
            help="network of the denoiser: s (the fastest), m, l, or xl (the cleanest). m.fp32 is m "
            "in full precision, FILE.onnx one of your own with its card beside it, and classic a "
-           "filter without a network. Default: xl at the render's size, and m for larger frames, "
-           "on a GPU, and with --budget or --memory. 'postfx models' lists all"),
+           "filter without a network. Default: xl at the render's size; m for larger frames, on a "
+           "GPU, and with --budget or --memory"),
     Option(flag="--both-ways", basic=True,
            excludes={
                **_FOR_DENOISER,

@@ -27,8 +27,8 @@ def test_frames_that_are_too_large_for_it_take_the_usual_one(postfx, shot, tmp_p
     monkeypatch.setattr(models, "usable_memory", lambda: 1 << 20)
     done = postfx(*RUN)
     assert done.code == 0
-    line = next(line for line in done.err.splitlines() if "model xl" in line)
-    assert line.startswith("skipped  model xl: frames of ")
+    line = next(line for line in done.err.splitlines() if "network for this size" in line)
+    assert line.startswith("skipped  the network for this size: frames of ")
     assert "m runs; --model xl with --memory works in tiles" in line
     found = (tmp_path / "out" / "postfx.manifest.json").read_text()
     assert "denoise_upscale.m" in found
