@@ -143,10 +143,10 @@ def test_figures_that_are_repeated_are_those_of_their_page(page: Path) -> None:
 
 
 def test_the_figures_of_the_help_are_measured() -> None:
-    runs = [load("kinds"), load("kinds_with_oidn"), load("kinds_l"), load("kinds_xl")]
+    runs = [load("kinds"), load("kinds_with_oidn"), load("kinds_xl")]
     figures = [figure for line in EXAMPLES.splitlines() if line.startswith("  postfx run")
                for figure in CELL.findall(line)]
-    assert len(figures) == 13
+    assert len(figures) == 10
     assert all(any(made.has(figure) for made in runs) for figure in figures)
 
 

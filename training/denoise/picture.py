@@ -431,8 +431,11 @@ def albedo_in_even_light(light: Tensor, albedo: Tensor) -> Tensor:
 
 
 def local_mean(plane: Tensor) -> Tensor:
-    """The mean of a plane (N, C, h, w) around each pixel."""
-    return F.avg_pool2d(plane, EVEN_SIDE_PX, 1, EVEN_SIDE_PX // 2, count_include_pad=False)
+    """The mean of a plane (N, C, h, w) around each pixel: along rows, then along columns, which
+    takes a third of the time of squares."""
+    side, reach = EVEN_SIDE_PX, EVEN_SIDE_PX // 2
+    rows = F.avg_pool2d(plane, (1, side), 1, (0, reach), count_include_pad=False)
+    return F.avg_pool2d(rows, (side, 1), 1, (reach, 0), count_include_pad=False)
 
 
 def beside(coarser: Tensor, skip: Tensor) -> Tensor:

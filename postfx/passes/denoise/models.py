@@ -329,11 +329,11 @@ def name_models(device: Device, models: Iterable[str]) -> None:
         device.name_model(*find_model(model))
 
 
-FAMILY = {CLASSIC: 0.5, "s": 1.0, "m": 3.5, "l": 5.0, "xl": 18.0}
+FAMILY = {CLASSIC: 0.5, "s": 1.0, "m": 3.5, "l": 5.0, "xl": 22.0}
 """The classical filter and networks by size, fastest first, and about how many times as long as 's'
 each takes in float32."""
 
-FAST = {CLASSIC: 0.5, "s": 1.0, "m": 2.1, "l": 2.8, "xl": 18.0}
+FAST = {CLASSIC: 0.5, "s": 1.0, "m": 2.1, "l": 2.8, "xl": 22.0}
 """The same in integers or half precision."""
 
 ROOM = 0.85
