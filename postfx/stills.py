@@ -96,8 +96,8 @@ def denoise(
 def _choose_network(picture: Any, scale: float, place: str | None) -> str:
     """The network for a picture of any library, if nobody chose one."""
     device = default_device() if place is None else Device(place)
-    shape = getattr(picture, "shape", ())
-    height, width = shape[:2] if len(shape) > 1 else (0, 0)
+    shape: tuple[int, ...] = getattr(picture, "shape", ())
+    height, width = (shape[0], shape[1]) if len(shape) > 1 else (0, 0)
     return usual_network((width, height), scale == 1, device.memory.host_visible)
 
 

@@ -253,10 +253,10 @@ DENOISING = Section("denoising and size", (
            help="do not denoise or enlarge"),
     Option(flag="--model", basic=True, metavar="TAG|FILE", sets="denoiser.model",
            convert=_find_network, excludes=_FOR_DENOISER,
-           help="network of the denoiser: s (the fastest), m, l, or xl (the cleanest). m.fp32 is m "
-           "in full precision, FILE.onnx one of your own with its card beside it, and classic a "
-           "filter without a network. Default: xl at the render's size; m for larger frames, on a "
-           "GPU, and with --budget or --memory"),
+           help="network of the denoiser: s (the fastest), m, l, or xl (the cleanest); m.fp32 is m "
+           "in full precision. Or FILE.onnx with its card beside it, or classic, a filter without "
+           "a network. Default: xl at the render's size; m for larger frames, on a GPU, and with "
+           "--budget or --memory"),
     Option(flag="--both-ways", basic=True,
            excludes={
                **_FOR_DENOISER,

@@ -93,7 +93,8 @@ def test_kernels_around_half_precision_on_a_gpu(
                                                   "denoise_pools"}
 
 
-def test_a_network_for_1x_shares_the_weights_of_its_own(folder: Path, tmp_path: Path) -> None:
+def test_a_network_for_1x_shares_the_weights_of_its_own(folder: Path, tmp_path: Path,
+                                                        small_models: Path) -> None:
     name = "denoise_upscale.small.1x"
     shutil.copy(folder / f"{NAMES[0]}.onnx", tmp_path / f"{name}.onnx")
     card = fp16.make_fp16(name, tmp_path)

@@ -260,7 +260,7 @@ def test_file_where_the_run_folder_should_be(runs):
     runs.folder.mkdir()
     (runs.folder / ".postfx").write_text("a file where the folder should be")
     code, said = runs()
-    assert code == 2 and "out.0001.exr: cannot be written" in said and "Traceback" not in said
+    assert code == 2 and "/.postfx: is no folder" in said and "Traceback" not in said
     assert runs.files() == {}
 
 

@@ -167,8 +167,8 @@ def test_shipped_model_for_1x_is_the_plain_one_with_other_weights(path: Path) ->
     card = json.loads(path.with_suffix(".json").read_text())
     if "picture" in card["outputs"]:  # a layout of its own
         made = layout_from(card["config"])
-        assert replace(made, gated=False) in (PictureConfig(),
-                                              replace(LARGE, gated=False, detailed=False))
+        added = {"gated": False, "detailed": False, "deep": False}
+        assert replace(made, **added) in (PictureConfig(), replace(LARGE, **added))
         assert card["training"]["start"].startswith("Open Image Denoise")
         return
     plain = json.loads(path.with_name(f"{path.stem.removesuffix('.1x')}.json").read_text())
