@@ -24,7 +24,7 @@ of 'postfx run' go after --.
 
 Frames that exist already come first. A shot's first frames are noisier than with 'postfx run',
 which also uses the frames after them. Make final frames with 'postfx run': watch writes no
-manifest, replaces outputs and looks colours up (--fast-look).
+manifest, replaces outputs, looks colours up (--fast-look) and takes the network m.
 """
 EXAMPLES = """\
 examples:
@@ -102,6 +102,7 @@ def _make_job(arguments: argparse.Namespace, pattern: Pattern, first: int) -> Jo
     from postfx.cli.main import make_parser
     from postfx.cli.run_options import RUN
     from postfx.errors import OptionError
+    from postfx.passes.denoise.models import USUAL_NETWORK
 
     words = [str(pattern), "-o", arguments.output, "--overwrite", f"--frames={first}",
              *arguments.forwarded]
@@ -119,6 +120,8 @@ def _make_job(arguments: argparse.Namespace, pattern: Pattern, first: int) -> Jo
                               "far: leave it out")
     given.run_up = given.run_up or 0
     given.fast_look = True
+    if not given.no_denoise:
+        given.model = given.model or USUAL_NETWORK
     return Job(given)
 
 

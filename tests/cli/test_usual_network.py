@@ -41,3 +41,14 @@ def test_a_still_takes_the_same():
     assert np.abs(chosen[0] - chosen[2]).max() > 1e-3
     enlarged = [postfx.denoise(color, model=model, scale=2) for model in (None, "m")]
     np.testing.assert_array_equal(*enlarged)
+
+
+def test_watch_makes_previews_with_the_quick_network(postfx, shot, tmp_path):
+    shot(1)
+    made = {}
+    for name, options in (("plain", ()), ("m", ("--model", "m")), ("xl", ("--model", "xl"))):
+        done = postfx("watch", "in/shot.####.exr", "-o", f"{name}/shot.####.exr", "--until", "1",
+                      "--", "--device", "cpu", *options)
+        assert done.code == 0
+        made[name] = (tmp_path / name / "shot.0001.exr").read_bytes()
+    assert made["plain"] == made["m"] != made["xl"]

@@ -32,9 +32,9 @@ from pathlib import Path
 
 import numpy as np
 
-from training.denoise.dataset import grey_factor
 from postfx.oidn import OpenImageDenoise
 from training.datagen.clip_file import to_half
+from training.denoise.dataset import grey_factor
 
 BLOCK_PX = 32  # side of the blocks whose light is compared
 LEAST_BLOCK_RATIO = 0.25  # of the light of a block to that of the same block
