@@ -53,8 +53,8 @@ def soak(folder: Path, frames: int, kills: int, capsys) -> None:
                                                                             manifest.name])
 
 
-def test_soak_of_200_frames(tmp_path, capsys):
-    soak(tmp_path, frames=200, kills=4, capsys=capsys)
+def test_soak_of_100_frames(tmp_path, capsys):
+    soak(tmp_path, frames=100, kills=4, capsys=capsys)
 
 
 @pytest.mark.soak

@@ -167,6 +167,7 @@ def test_a_network_is_trained_and_runs_in_a_command_buffer(rendered: Path, tmp_p
     assert 0.5 < worth < 64 and (tmp_path / "a.png").stat().st_size > 20000
 
 
+@pytest.mark.soak
 def test_the_room_s_amplifier_is_worth_more_than_the_stack(tmp_path: Path) -> None:
     """At half the size that it has learnt from."""
     pytest.importorskip("matplotlib")
