@@ -33,6 +33,9 @@ GUIDES = PLANES[1:6]
 CHANNELS = sum(channels for _, channels in PLANES)
 # samples a pixel whose mean albedo is taken for the true one: beside a render of fewer, or alone
 SOME, MANY = 32, 256
+MOST_TRIES = 5
+"""NumPy parses the headers of arrays as Python. The parser of Python 3.11 counts its recursion for
+all threads together, and now and then finds that it did not come back to where it began."""
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
@@ -283,11 +286,16 @@ class ClipPool:
             self.training.setdefault(tuple(clip.reference.shape), []).append(weighted)
 
     def _load(self, path: Path) -> Clip | None:
-        try:
-            return load(path, self.device, self.guides, self.pairs, self.blank_volumes)
-        except ValueError as fault:
-            print(f"left out: {fault}", flush=True)
-            return None
+        for _ in range(MOST_TRIES):
+            try:
+                return load(path, self.device, self.guides, self.pairs, self.blank_volumes)
+            except ValueError as fault:
+                print(f"left out: {fault}", flush=True)
+                return None
+            except SystemError:  # see MOST_TRIES
+                continue
+        print(f"left out: {path}: cannot be read beside others", flush=True)
+        return None
 
     @staticmethod
     def _number(path: Path) -> int:
