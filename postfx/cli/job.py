@@ -63,7 +63,7 @@ from postfx.exposure import (
     measure,
 )
 from postfx.files import WriteBehind, read_ahead, read_patiently
-from postfx.frame import Frame, Part, Role
+from postfx.frame import Frame, FrameSpec, Part, Role
 from postfx.io.parts import group_parts
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence, read_sequence
@@ -205,9 +205,7 @@ class Job:
         is_bounded = self._arguments.budget is not None or self._arguments.memory is not None
         if "model" in given or is_bounded:
             return given
-        with self.sequence.open(self.first) as files:
-            spec = files.spec()
-        size = spec.width, spec.height
+        size = self._first_spec.width, self._first_spec.height
         # frames of any size come to a given one
         keeps_size = "size" not in given and self._enlargement(given) == 1
         on_host = device.memory.host_visible
@@ -649,9 +647,14 @@ class Job:
 
     def _enlargement(self, denoising: Mapping[str, Any]) -> float:
         """Output over render width, by the denoiser's options and the first frame."""
-        with self.sequence.open(self.first) as files:
-            spec = files.spec()
+        spec = self._first_spec
         return output_size(spec, denoising.get("scale"), denoising.get("size")).width / spec.width
+
+    @cached_property
+    def _first_spec(self) -> FrameSpec:
+        """The first frame's spec, before it is known what is left out of it: for its sizes."""
+        with self.sequence.open(self.first) as files:
+            return files.spec()
 
     def _find_parts(self) -> tuple[Part, ...]:
         """Parts of the picture that --aov and --aov-denoise ask for; none where the output cannot

@@ -36,7 +36,7 @@ from postfx.oidn import OpenImageDenoise
 from training.datagen.clip_file import to_half
 from training.denoise.dataset import grey_factor
 
-BLOCK_PX = 32  # side of the blocks whose light is compared
+BLOCK_PX = 32  # side of the blocks whose light is compared, or the picture's if that is smaller
 LEAST_BLOCK_RATIO = 0.25  # of the light of a block to that of the same block
 DARK_BLOCK = 0.02  # behind x / (1 + x): darker blocks count as equal
 MOST_DIFFERENT_BLOCKS = 0.1  # of a frame
@@ -98,9 +98,10 @@ def is_whole(arrays: Arrays) -> bool:
 def block_codes(light: np.ndarray, exposure: float) -> np.ndarray:
     """The mean light of blocks (T, rows, columns) behind x / (1 + x)."""
     frames, height, width, _ = light.shape
-    rows, columns = height // BLOCK_PX, width // BLOCK_PX
-    cut = light[:, :rows * BLOCK_PX, :columns * BLOCK_PX].mean(-1)
-    exposed = exposure * cut.reshape(frames, rows, BLOCK_PX, columns, BLOCK_PX).mean((2, 4)).clip(0)
+    side = min(BLOCK_PX, height, width)
+    rows, columns = height // side, width // side
+    cut = light[:, :rows * side, :columns * side].mean(-1)
+    exposed = exposure * cut.reshape(frames, rows, side, columns, side).mean((2, 4)).clip(0)
     return exposed / (1 + exposed)
 
 

@@ -34,8 +34,8 @@ CHANNELS = sum(channels for _, channels in PLANES)
 # samples a pixel whose mean albedo is taken for the true one: beside a render of fewer, or alone
 SOME, MANY = 32, 256
 MOST_TRIES = 5
-"""NumPy parses the headers of arrays as Python. The parser of Python 3.11 counts its recursion for
-all threads together, and now and then finds that it did not come back to where it began."""
+"""How often a clip is read. NumPy parses the headers of arrays as Python code. The parser of Python
+3.11 is not quite safe in threads: now and then it raises SystemError for code that is right."""
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 

@@ -21,7 +21,7 @@ set -euo pipefail
 network=$1 work=$2 minutes=$3 checkpoint=${4:-}
 case $network in
     l) layout=() rates=(--published-rate 0.01 --rate 3e-4) share=0.4 newer=0.75 ;;
-    xl) layout=(--large) rates=(--clean-planes 2 --published-rate 0.02 --rate 4e-4) share=0.85 newer=0.5 ;;
+    xl) layout=(--large) rates=(--clean-planes 2 --published-rate 0.03 --rate 4e-4) share=0.85 newer=0.5 ;;
     *) echo "$0: there are the networks l and xl, not '$network'" >&2; exit 2 ;;
 esac
 blender=${BLENDER:-blender/run} library=${LIBRARY:-library} seed=${SEED:-1} processes=${PROCESSES:-26}

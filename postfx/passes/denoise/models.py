@@ -31,10 +31,12 @@ SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has th
 """Endings of the names of networks that are chosen automatically, and when."""
 CLASSIC = "classic"
 """Tag, and name in place of a model, of the classical filter, which runs without a network."""
-RENDER_SIZE_NETWORK, USUAL_NETWORK = "xl", "m"
-"""The network for the render's size where nobody chose one, and the one for all else."""
+RENDER_SIZE_NETWORK = "xl"
+"""The network for the render's size, on a CPU, where nobody chose one."""
+USUAL_NETWORK = "m"
+"""The network for all else where nobody chose one."""
 RENDER_SIZE_PIXEL_BYTES = 2400
-"""Memory that the first of them takes for each pixel on a CPU: 2,270 measured at 1280x720, 2,440 at
+"""Memory that `xl` takes for each pixel on a CPU: 2,270 measured at 1280x720, 2,440 at
 1920x1080."""
 STAND_INS = {"l": "m", "xl": "m"}
 """Networks without a variant for the render size, or with one that filters no parts, and the

@@ -86,3 +86,9 @@ def test_a_clip_with_a_black_picture_is_left_out(tmp_path: Path, name: str, fram
     assert "left out: clip.00000.npz" in capsys.readouterr().out
     assert not list(raw.iterdir())
     assert not list(folder.iterdir())
+
+
+def test_pictures_smaller_than_a_block_are_compared_too() -> None:
+    light = np.random.default_rng(6).random((FRAMES, 20, 28, 3)).astype(np.float32) + 0.1
+    assert clean_references.is_whole({"reference": light, "v0_colour": 0.9 * light})
+    assert not clean_references.is_whole({"reference": light, "v0_colour": 0.1 * light})
