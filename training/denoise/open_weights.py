@@ -27,6 +27,7 @@ from training.denoise.picture import LARGE, PictureConfig
 
 NETWORK = "rt_hdr_alb_nrm"
 LARGE_NETWORK = "rt_hdr_calb_cnrm_large"  # for albedo and normal without noise
+ALBEDO_NETWORK = "rt_alb"  # for an albedo alone
 SOURCE = "Open Image Denoise 2.5.1, Apache License 2.0, network {network}"
 MAGIC = 0x41D7  # of a TZA archive
 TYPES = {"f": "<f4", "h": "<f2"}
@@ -118,6 +119,10 @@ def main(argv: list[str] | None = None) -> None:
     try:
         network, config = (LARGE_NETWORK, LARGE) if args.large else (NETWORK, PictureConfig())
         weights = {PREFIX + name: values.half() for name, values in published(network).items()}
+        if config.filtered:
+            weights |= {f"{PREFIX}alone.{name}": values.half()
+                        for name, values in published(ALBEDO_NETWORK).items()}
+            network = f"{network} and {ALBEDO_NETWORK}"
         notes = {"start": SOURCE.format(network=network)}
         save({"config": config.as_dict(), "weights": weights, "notes": notes}, args.output)
     except (OSError, ValueError) as fault:

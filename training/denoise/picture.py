@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
+from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from torch import Tensor, nn
 
 from postfx.kernels import denoise as layout
@@ -61,19 +62,23 @@ HISTORY = FURTHER_INPUTS - 3  # where the codes of the last output begin among t
 VALID = 21  # the feature that says where a pixel has a history
 JUDGE = 24  # channels of what compares the picture with the history
 DETAIL = 24  # channels of what compares the picture with the albedo's texture
+ALONE = 24  # channels of what compares the albedo with one that was filtered alone
 EVEN_SIDE_PX = 7  # side of the windows in which light is taken as even
 LEAST_LIGHT = 1e-5  # whose code still has a small gradient
 LEAST_ALBEDO = 0.01  # is added, so that ratios of black surfaces stay small
 DETAIL_BEGINS = -3.0  # logit of the share of the albedo's texture: 5 %
 LEVELS = 4
 DEEPEST = 96  # channels at 1/8 of the size in a deep branch
-ADDED_LAYERS = ("correct", "enter", "join", "gate", "detail", "coarser")
+PUBLISHED = ("enc_", "dec_", "alone.")
+"""How the names of layers begin that published networks have."""
+ADDED_LAYERS = ("correct", "enter", "join", "gate", "detail", "coarser", "choose")
 """Layers that add to a published network: without them it is that network, but for gates, which are
 nearly closed then."""
 COARSER_BEGINS = (-3.0, -1.0, -1.0)
 """Logits of the share of the next coarser planes at 1, 1/2 and 1/4 of the size: 5 % and 27 %."""
 BLEND_BEGINS = 1.5  # logit of the new picture's share beside the history
 DISTRUST_BEGINS = -2.0  # logit
+ALONE_BEGINS = -3.0  # logit of the share of an albedo that was filtered alone: 5 %
 GATE_BEGINS = -3.0  # logit of a share of the history in the colour that is read: 5 %
 HEAD_STD = 0.01
 # Channels of the controls: as the last ones of a fine head, of which the mix is the blend here.
@@ -115,6 +120,7 @@ class PictureConfig:
         detailed: fine detail may come from the albedo instead of the picture.
         deep: the branch has further convolutions, and a level at 1/8 of the size.
         averaged: the branch mixes coarser albedo and normal into those that are read.
+        filtered: a published network filters the albedo alone, and the branch chooses where.
     """
 
     picture: bool = True
@@ -127,6 +133,7 @@ class PictureConfig:
     detailed: bool = False
     deep: bool = False
     averaged: bool = False
+    filtered: bool = False
     trust: bool = False
     guides: bool = False
     mirrored: bool = True
@@ -200,6 +207,8 @@ class PictureConfig:
         """Multiplications of the network a render pixel."""
         levels = BRANCH_LEVELS | {name: layer.level
                                   for name, layer in self.published_layers().items()}
+        levels |= {f"alone.{name}": layer.level
+                   for name, layer in PictureConfig().published_layers().items()}
         return sum(module.weight.numel() / 4 ** levels.get(name, 0)
                    for name, module in PictureNetwork(self).named_modules()
                    if isinstance(module, nn.Conv2d))
@@ -215,9 +224,9 @@ class Layer(NamedTuple):
 
 
 LARGE = PictureConfig(down=(64, 96, 128, 192, 256), up=(64, 96, 128, 192), last=64, large=True,
-                      gated=True, detailed=True, deep=True, averaged=True)
+                      gated=True, detailed=True, deep=True, averaged=True, filtered=True)
 """The layout of Open Image Denoise's large networks, with a gate for the history, one for detail,
-a deep branch, and planes from a pyramid."""
+a deep branch, planes from a pyramid, and a filter for the albedo alone."""
 BRANCH_LEVELS = {"branch.half_down": 1, "branch.half_up": 1, "branch.half_more": 1,
                  "branch.quarter_in": 2, "branch.quarter_out": 2, "branch.eighth_in": 3,
                  "branch.eighth_out": 3, "branch.quarter_more": 3,
@@ -259,6 +268,10 @@ class PictureNetwork(nn.Module):
             self.detail = conv(DETAIL, 1)
         if self.config.averaged:
             self.coarser = nn.ModuleList(conv(channels, 2) for channels in self.config.beside)
+        if self.config.filtered:
+            self.alone = AlbedoFilter()
+            self.compare_alone = conv(known + 9, ALONE)
+            self.choose = conv(ALONE, 1)
         self.judge = nn.Sequential(conv(last + known + 6, JUDGE), nn.ReLU())
         self.controls = nn.Conv2d(JUDGE, CONTROLS, 1)
         self.error = nn.Conv2d(JUDGE, 1, 1)
@@ -282,6 +295,8 @@ class PictureNetwork(nn.Module):
         if self.config.averaged:
             planes = self.averaged_planes(planes, (known, half, quarter))
         corrected = torch.cat((colour, planes), 1) + self.correct(known)
+        if self.config.filtered:
+            corrected = self.with_filtered_albedo(corrected, guided[:, 3:6], known)
         way_down = self.large_way_down if self.config.large else self.way_down
         stream = self.way_up(*way_down(corrected, known), corrected) + self.join(known)
         stream = F.relu(self.dec_conv1b(F.relu(stream)))
@@ -325,6 +340,21 @@ class PictureNetwork(nn.Module):
             logits = self.coarser[level](streams[0].float()) + COARSER_BEGINS[level]
             shares = torch.sigmoid(logits).repeat_interleave(3, 1)
             return torch.lerp(planes, smooth, shares)
+
+    def with_filtered_albedo(self, inputs: Tensor, noisy: Tensor, known: Tensor) -> Tensor:
+        """The nine inputs of the published network, their albedo in part replaced by that of
+        `AlbedoFilter`.
+
+        It takes more noise out than the branch does, but takes fine print for noise, too.
+        """
+        alone = self.alone(noisy)
+        albedo = inputs[:, 3:6]
+        compared = torch.cat((albedo, alone - albedo, noisy - albedo), 1)
+        seen = F.relu(self.convolve(self.compare_alone, known, compared))
+        with torch.autocast(inputs.device.type, enabled=False):
+            share = torch.sigmoid(self.choose(seen.float()) + ALONE_BEGINS)
+            chosen = torch.lerp(albedo.float(), alone, share)
+        return torch.cat((inputs[:, :3], chosen, inputs[:, 6:]), 1)
 
     def with_detail(self, codes: Tensor, noisy: Tensor, albedo: Tensor, known: Tensor) -> Tensor:
         """The codes of the picture (N, 3, h, w), in part replaced by `albedo_in_even_light`.
@@ -380,7 +410,37 @@ class PictureNetwork(nn.Module):
     def published(self) -> list[nn.Parameter]:
         """Weights that a published network has, too."""
         return [weight
-                for name, weight in self.named_parameters() if name.startswith(("enc_", "dec_"))]
+                for name, weight in self.named_parameters() if name.startswith(PUBLISHED)]
+
+
+class AlbedoFilter(nn.Module):
+    """Albedo with noise (N, 3, h, w) in [0, 1] -> without noise.
+
+    It has the layers of Open Image Denoise's network for an albedo alone (`rt_alb`), and reads and
+    gives albedo behind the sRGB curve, as that one does.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name, layer in PictureConfig().published_layers().items():
+            inputs = layer.inputs - {"enc_conv0": 6, "dec_conv1a": 6}.get(name, 0)
+            setattr(self, name, conv(inputs, layer.outputs))
+
+    def forward(self, albedo: Tensor) -> Tensor:
+        with torch.autocast(albedo.device.type, enabled=False):
+            shown = linear_rgb_to_rgb(albedo.float().clamp(0.0, 1.0))
+        skips = [shown]
+        x = F.relu(self.enc_conv0(shown))
+        for level in range(1, LEVELS + 1):
+            x = F.max_pool2d(F.relu(getattr(self, f"enc_conv{level}")(x)), 2)
+            skips.append(x)
+        x = F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(x))))
+        for level in range(LEVELS, 0, -1):
+            joined = beside(x, skips[level - 1])
+            x = F.relu(getattr(self, f"dec_conv{level}a")(joined))
+            x = F.relu(getattr(self, f"dec_conv{level}b")(x))
+        with torch.autocast(albedo.device.type, enabled=False):
+            return rgb_to_linear_rgb(self.dec_conv0(x.float()).clamp(0.0, 1.0))
 
 
 class Branch(nn.Module):

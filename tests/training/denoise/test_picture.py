@@ -25,6 +25,7 @@ from training.denoise.picture import (
     LARGE,
     MOST_LIGHT,
     VALID,
+    AlbedoFilter,
     Branch,
     DeepBranch,
     PictureConfig,
@@ -37,7 +38,7 @@ from training.denoise.picture import (
 from training.denoise.train import parse, rate_groups
 
 SMALL = PictureConfig(down=(8, 8, 8, 8, 8), up=(8, 8, 8, 8), last=8, gated=True,
-                      detailed=True, averaged=True)
+                      detailed=True, averaged=True, filtered=True)
 SIZE = 40, 56
 EXPOSURE_STOPS = 1.0
 JITTER = 0.25, -0.125
@@ -239,6 +240,48 @@ def test_noise_of_planes_goes_where_means_are_chosen_and_texture_stays_elsewhere
             spreads.append(float(found.std() / noise.std()))
     assert spreads[0] == pytest.approx(1.0, abs=1e-4)
     assert all(after < 0.6 * before for before, after in pairwise(spreads))
+
+
+def test_an_albedo_is_filtered_alone_as_its_library_does():
+    pytest.importorskip("pyoidn")
+    import pyoidn
+
+    rng = np.random.default_rng(5)
+    albedo = rng.uniform(0.1, 0.9, (48, 64, 3)).astype(np.float32)
+    device = pyoidn.Device(pyoidn.OIDN_DEVICE_TYPE_CPU)
+    device.commit()
+    plane = pyoidn.Buffer(device, albedo.nbytes, pyoidn.OIDN_STORAGE_DEVICE)
+    plane.write(0, albedo.nbytes, albedo)
+    library = pyoidn.Filter(device, pyoidn.OIDN_FILTER_TYPE_RT)
+    for name in ("albedo", "output"):
+        library.set_image(name, plane, pyoidn.OIDN_FORMAT_FLOAT3, 64, 48)
+    library.set_quality(pyoidn.OIDN_QUALITY_BALANCED)
+    library.commit()
+    library.execute()
+    device.wait()
+    expected = np.empty_like(albedo)
+    plane.read(0, expected.nbytes, expected)
+    network = AlbedoFilter()
+    network.load_state_dict(open_weights.published(open_weights.ALBEDO_NETWORK))
+    with torch.no_grad():
+        found = network(image(albedo))[0].permute(1, 2, 0).numpy()
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_the_filtered_albedo_is_taken_where_it_is_chosen():
+    torch.manual_seed(6)
+    network = PictureNetwork(SMALL)
+    inputs = torch.rand(1, 9, 32, 48)
+    known = torch.rand(1, SMALL.beside[0], 32, 48)
+    noisy = inputs[:, 3:6]
+    with torch.no_grad():
+        kept = network.with_filtered_albedo(inputs, noisy, known)
+        network.choose.bias.fill_(30.0)
+        found = network.with_filtered_albedo(inputs, noisy, known)
+        filtered = network.alone(noisy)
+    torch.testing.assert_close(kept, inputs, rtol=0.0, atol=0.06)
+    torch.testing.assert_close(found[:, 3:6], filtered)
+    torch.testing.assert_close(found[:, [0, 1, 2, 6, 7, 8]], inputs[:, [0, 1, 2, 6, 7, 8]])
 
 
 def test_a_deep_branch_begins_as_the_other_one():
