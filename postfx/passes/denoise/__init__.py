@@ -82,6 +82,14 @@ REPEATS = "repeats "
 """In a history, names of what noise that repeats is found by begin so."""
 
 
+def network_name(tag: str, model: str) -> str:
+    """What users call the network of a model that runs for their short tag: the tag, or its size
+    replaced by that of a stand-in."""
+    asked, dot, precision = tag.partition(".")
+    size = short_tag(model).partition(".")[0]
+    return tag if size == asked else f"{size}{dot}{precision}"
+
+
 class DenoiseUpscale(Pass):
     """Denoises, and enlarges where asked, reusing earlier frames along their motion.
 
@@ -326,7 +334,10 @@ class DenoiseUpscale(Pass):
         return self._savings.lines() if self.strength else ()
 
     def choice(self) -> str | None:
-        return self._used if self.budget else None
+        """The network of the last frame that took one."""
+        model = (self._ready.models.get(self._used)
+                 if self._used and isinstance(self._ready, ReadyNetwork) else None)
+        return network_name(self._used, model) if self._used and model else None
 
     def notice(self) -> str | None:
         told, self._notice = self._notice, None
@@ -547,11 +558,20 @@ class DenoiseUpscale(Pass):
         return names
 
     def _notes(self, spec: FrameSpec) -> tuple[str, ...]:
-        notes = [f"stays {self.size} where frames change their size"] if self.size else []
+        notes = [self._network_note(spec)] if self.strength else []
+        notes += [f"stays {self.size} where frames change their size"] if self.size else []
         notes += [f"own filters: {', '.join(self._own)}"] if self.strength and self._own else []
         notes += (["smooth reflections move by their hit distance"]
                   if self.strength and can_follow(spec) else [])
         return tuple(notes)
+
+    def _network_note(self, spec: FrameSpec) -> str:
+        """Which network runs for frames of a spec."""
+        if self._tag == CLASSIC:
+            return "the classical filter, no network"
+        faster = ", or a faster one to keep the budget" if self.budget else ""
+        model = model_of(self._tag, self._ending(spec), filters=bool(self._parts))
+        return f"network {network_name(short_tag(self._tag), model)}{faster}"
 
     def _output_size(self, spec: FrameSpec) -> Size:
         return output_size(spec, self.scale, self.size)
