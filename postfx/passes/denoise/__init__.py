@@ -225,7 +225,8 @@ class DenoiseUpscale(Pass):
         alone = f"{NO_HISTORY_REMARK}: {remedy}"
         found = [NO_NETWORKS] if self._is_fallback else []
         found += [] if spec.has(Role.MOTION) else [alone]
-        found += [f"no {' and no '.join(lost)}: results are blurrier"] if lost else []
+        listed = " or ".join(filter(None, (", ".join(lost[:-1]), *lost[-1:])))
+        found += [f"no {listed}: results are blurrier"] if lost else []
         if self._is_render_size(spec):
             found += unscaled_remarks(self._tag)
             found += filter_remarks(self._tag) if self._parts else []
