@@ -100,8 +100,8 @@ FILES_WRITTEN = Section("files that are written", (
     Option(flag="--compression", metavar="NAME", default="zip", sets="writer.compression",
            help="compression of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, "
            "dwab, htj2k256, htj2k32, lj2k or zstd. Both kinds of dwa also have a level, as "
-           "dwaa:45. Those that lose a little: pxr24, b44, dwa, lj2k. Few programs read the last "
-           "four yet (default: zip, the fastest of those that shrink files)"),
+           "dwaa:45. Lossy are pxr24, b44, dwa and lj2k. Few programs read the last four yet "
+           "(default: zip, the fastest of those that shrink files)"),
 ))
 
 
@@ -255,8 +255,8 @@ DENOISING = Section("denoising and size", (
            convert=_find_network, excludes=_FOR_DENOISER,
            help="network of the denoiser: s (the fastest), m, l, or xl (the cleanest); m.fp32 is m "
            "in full precision. Or FILE.onnx with its card beside it, or classic, a filter without "
-           "a network. Default: xl at the render's size; m for larger frames, on a GPU, and with "
-           "--budget or --memory"),
+           "a network. Default: xl at the render's size; m to enlarge, on a GPU, and with --budget "
+           "or --memory"),
     Option(flag="--both-ways", basic=True,
            excludes={
                **_FOR_DENOISER,

@@ -104,7 +104,9 @@ class DenoiseUpscale(Pass):
             or with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own
             network, 'nets/mine.onnx', with its card beside it, and mine.guides.onnx and
             mine.1x.onnx if they exist; or 'classic', a filter without a network, on a CPU and for
-            frames without parts. 'xl' is for the render size; 'l' enlarges in its place.
+            frames without parts. 'xl' is for the render size; 'l' enlarges in its place. The
+            default here is 'm'. `postfx run` and `postfx.denoise` take 'xl' by themselves for
+            frames of the render's size on a CPU: it is cleaner, and takes seven times as long.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit. Where `model`
