@@ -98,6 +98,7 @@ FILES_WRITTEN = Section("files that are written", (
            "--aov-denoise depth or position); PNG: 8 (default) or 16 (default in HDR); TIFF: 8 or "
            "16 (default)"),
     Option(flag="--compression", metavar="NAME", default="zip", sets="writer.compression",
+           type=str.lower,
            help="compression of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, "
            "dwab, htj2k256, htj2k32, lj2k or zstd. Both kinds of dwa also have a level, as "
            "dwaa:45. Lossy are pxr24, b44, dwa and lj2k. Few programs read the last four yet "

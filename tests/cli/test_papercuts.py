@@ -64,6 +64,16 @@ def test_missing_aovs_are_listed_as_one_writes_them(here, write_exr, capsys, cha
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("verb", [RUN, ("interpolate", "in/", "-o", "out/shot.####.exr")])
+@pytest.mark.parametrize("name", ["DWAA:60", "Zip"])
+def test_a_compression_is_known_however_it_is_written(here, verb, name):
+    import OpenImageIO as oiio
+
+    assert main([*verb, *(QUICK[:1] if verb == RUN else ()), "--compression", name]) == 0
+    found = oiio.ImageBuf("out/shot.0001.exr").spec().get_string_attribute("compression")
+    assert found.startswith(name[:3].lower())
+
+
 @pytest.mark.parametrize("verb", ["chunks", "watch"])
 def test_options_of_run_go_behind_two_dashes(here, capsys, verb):
     with pytest.raises(SystemExit):
