@@ -497,11 +497,11 @@ READING = Section("reading and running", (
     *FILES,
     Option(flag="--cuts", once=True, metavar="auto|none|FRAMES", default="auto",
            sets="sequence.cuts", convert=parse_cuts,
-           help="where shots begin; no frame then uses those of another shot: auto, found by "
-           "headers and pictures (default); none; or frame numbers, e.g. 1,48,90"),
+           help="where shots begin: auto, found by headers and pictures (default); none; or frame "
+           "numbers, e.g. 1,48,90. No frame uses those of another shot"),
     Option(flag="--wrap", choices=("auto", "x", "none"), default="auto", off="auto",
-           help="panoramas, whose left and right edge meet without a seam: x; none, for other "
-           "pictures; auto, as the header says (default)"),
+           help="whether the left and the right edge meet, as in panoramas: x, without a seam; "
+           "none; auto, as the header says (default)"),
     Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto", sets="device.name",
            help="where to run"),
     Option(flag="--provider", once=True, metavar="NAME[,OPTION=VALUE...]", sets="device.provider",
@@ -531,8 +531,8 @@ REPORTS = Section("reports", (
            help="check everything as a run would, show what would be read, run and written, then "
            "stop"),
     Option(flag="--explain", once=True, changes="nothing",
-           help="show what would run on the first frame, and what is skipped and why, then stop; "
-           "needs no OUTPUT"),
+           help="show what would run on the first frame, with which network, and what is skipped "
+           "and why, then stop; needs no OUTPUT"),
     Option(flag="--quiet", short="-q", either="words", changes="nothing",
            help="print warnings and errors only"),
     Option(flag="--verbose", short="-v", either="words", changes="nothing",
