@@ -661,8 +661,8 @@ class Job:
         hold them."""
         if self.sequence.options.parts is None:
             return ()
-        if ((self.outputs is not None and self.outputs.display)
-            or any(self._values("look").values())):
+        is_picture = self.outputs is not None and self.outputs.display
+        if is_shown(is_picture, **self._values("look")):
             self.skips.append(Skip("light groups and passes",
                                    "they are scene-linear, the output is not"))
             self.sequence.options = self.sequence.options.without_parts()
