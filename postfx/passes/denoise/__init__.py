@@ -522,9 +522,14 @@ class DenoiseUpscale(Pass):
             raise PassOptionError("strength 0 runs no network, so none predicts the error: leave "
                                   "one of the two out")
         for tag in self._tags_for(spec):
-            if not predicts_error(model_of(tag, self._ending(spec), filters=bool(self._parts))):
-                raise PassOptionError(f"model '{short_tag(tag)}' does not predict its error at "
-                                      f"this size: {self._error_remedy()}")
+            if predicts_error(model_of(tag, self._ending(spec), filters=bool(self._parts))):
+                continue
+            if predicts_error(model_of(tag, self._ending(spec))):
+                raise PassOptionError(f"model '{short_tag(tag)}' predicts the error of the picture "
+                                      "alone, not beside light groups and passes: leave them or "
+                                      "the error out")
+            raise PassOptionError(f"model '{short_tag(tag)}' does not predict its error at this "
+                                  f"size: {self._error_remedy()}")
 
     def _check_enlargement(self, spec: FrameSpec) -> None:
         """PassOptionError where frames of this spec are enlarged and a network gives the picture
