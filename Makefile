@@ -55,8 +55,9 @@ windows: export PYTHONPATH = tests/windows
 windows: $(VENV)/installed-dev
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 tests/files tests/io tests/cli tests/reliability
 
-# Wheels and sdist in dist/, conda-forge's recipe in build/recipe.yaml; needs no PyTorch. This machine's wheel and the
-# sdist are installed and run in a fresh environment of every Python in PYTHONS. The kernels of all targets are compiled here; the first time, Windows takes some minutes.
+# Wheels and sdist in dist/, conda-forge's recipe in build/recipe.yaml; needs no PyTorch. This machine's wheel, if it is
+# among the TARGETS, and the sdist are installed and run in a fresh environment of every Python in PYTHONS. The kernels of
+# all targets are compiled here; the first time, Windows takes some minutes.
 release: $(VENV)/installed-release
 	rm -rf dist
 	for target in $(TARGETS); do POSTFX_TARGET=$$target $(BIN)/python -m hatchling build -t wheel -d dist || exit 1; done

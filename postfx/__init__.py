@@ -2,7 +2,7 @@
 
     import postfx
 
-    passes = postfx.Pipeline([postfx.DenoiseUpscale()])
+    passes = postfx.Pipeline([postfx.DenoiseUpscale(model="xl")])  # without it: m, which is faster
     for frame in postfx.read_sequence("shot/noisy.####.exr"):
         postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(frame))
 

@@ -455,9 +455,13 @@ class Pipeline:
             self.plan = plan
             LOG.info("ready for frames of %dx%d: %s", spec.width, spec.height,
                      ", ".join(step.name for step in plan.steps) or "no pass has anything to do")
-            for remark in plan.remarks:
+            for remark in self._told_remarks(plan):
                 LOG.info("%s", remark)
         return self.plan
+
+    def _told_remarks(self, plan: Plan) -> list[str]:
+        """Remarks on a plan that are worth a line in the log."""
+        return list(plan.remarks)
 
     def _make_ready(self, step: Step, before: FrameSpec | None) -> None:
         """Compile a pass, if it is not ready as it is, and cannot go on with frames of another

@@ -35,6 +35,12 @@ class Step:
         return tuple(role for role in self.input.roles if role in wanted)
 
     @property
+    def resizes(self) -> bool:
+        """Whether its output is of another size than its input."""
+        after = self.reflection.output
+        return (self.input.width, self.input.height) != (after.width, after.height)
+
+    @property
     def uses_guides(self) -> tuple[Role, ...]:
         """Guides it reads here, in the order of `Role`."""
         return tuple(role
@@ -114,11 +120,11 @@ class Plan:
         return "\n".join(f"{head:<8}{text}" for head, text in lines)
 
     def _guides_text(self) -> list[str]:
-        """Whether planes at output size are used; nothing where there are none and no pass asks for
-        any."""
+        """Whether planes at output size are used; nothing where there are none and no pass that
+        enlarges asks for any."""
         offered, read = self.available.guides, from_files(self.guides)
         if offered is None or not from_files(offered.roles):
-            wanted = any(step.reflection.may_read_guides for step in self.steps)
+            wanted = any(step.resizes and step.reflection.may_read_guides for step in self.steps)
             return [NO_GUIDES] if wanted else []
         used = f"used: {_names(read)}" if read else "not used"
         return [f"{offered.width}x{offered.height}, {used}"]
@@ -231,8 +237,8 @@ def _restrict(spec: FrameSpec, roles: Sequence[Role], guides: Sequence[Role],
 
 def _step_text(step: Step) -> str:
     before, after = step.input, step.reflection.output
-    changes = [f"{before.width}x{before.height} -> {after.width}x{after.height}"]
-    changes = changes if (before.width, before.height) != (after.width, after.height) else []
+    sizes = f"{before.width}x{before.height} -> {after.width}x{after.height}"
+    changes = [sizes] if step.resizes else []
     changes += ([f"{before.encoding} -> {after.encoding}"] if before.encoding != after.encoding
                 else [])
     text = f"{step.name}: reads {_names(step.uses)}; writes {_names(step.reflection.writes)}"

@@ -13,9 +13,10 @@ import numpy as np
 
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
-from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise import NO_HISTORY_REMARK, DenoiseUpscale
 from postfx.passes.denoise.models import usual_network
 from postfx.pipeline import Pipeline
+from postfx.plan import Plan
 from postfx.runtime import Device, default_device
 from postfx.system import host_floats
 
@@ -140,12 +141,19 @@ def _find_pipeline(*options: Any) -> Pipeline:
         return _pipeline.__wrapped__(*options, os.getpid())
 
 
+class _Stills(Pipeline):
+    """Frames that belong to no sequence, so that nothing is missed without motion."""
+
+    def _told_remarks(self, plan: Plan) -> list[str]:
+        return [remark for remark in plan.remarks if NO_HISTORY_REMARK not in remark]
+
+
 @lru_cache(maxsize=4)
 def _pipeline(scale: float, model: str, strength: float, exposure: str | float, device: str | None,
               process: int) -> Pipeline:
     """A pipeline with these options, of this process: threads do not survive a fork."""
-    return Pipeline([DenoiseUpscale(scale=scale, model=model, strength=strength)],
-                    None if device is None else Device(device), exposure)
+    return _Stills([DenoiseUpscale(scale=scale, model=model, strength=strength)],
+                   None if device is None else Device(device), exposure)
 
 
 _DENOISER_LOCK = threading.Lock()

@@ -7,6 +7,7 @@ import pytest
 from postfx.errors import MissingPlaneError, PassContractError
 from postfx.frame import FrameSpec, GuideSpec, Role
 from postfx.passes import Pass, Reflection
+from postfx.passes.denoise import DenoiseUpscale
 from postfx.plan import Skip, make_plan
 from tests import toys
 
@@ -212,6 +213,13 @@ def test_text_says_whether_guides_are_used(guides, line):
     assert any("uses the guides" in text for text in lines) == (guides == GUIDES)
     assert not any(text.startswith("guides")
                    for text in str(make_plan([toys.Sum()], SPEC)).splitlines())
+
+
+@pytest.mark.parametrize(("scale", "is_told"), ((1, False), (2, True)))
+def test_text_misses_guides_only_where_a_frame_is_enlarged(scale, is_told):
+    """At the render's size the AOVs have it already."""
+    text = str(make_plan([DenoiseUpscale(scale)], FrameSpec(64, 32, (Role.COLOUR,))))
+    assert ("would make edges sharper (--guides)" in text) == is_told
 
 
 def test_json_of_guides():

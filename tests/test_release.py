@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import runpy
 import shutil
@@ -132,6 +133,16 @@ def test_the_recipe_of_conda_forge_has_what_the_package_needs() -> None:
     assert recipe["build"]["python"]["entry_points"] == ["postfx = postfx.cli.main:main"]
     with pytest.raises(ValueError, match=r"'a; b' has no form for conda"):
         made["conda_name"]("a; b")
+
+
+def test_the_notice_names_networks_that_began_with_weights_of_others():
+    """Those that give the picture have the layers of Open Image Denoise, and began with its
+    weights."""
+    notice = " ".join((ROOT / "NOTICE").read_text("utf-8").split())
+    (said,) = [text for text in re.split(r"(?<=added\.) ", notice) if "rt_hdr_alb_nrm" in text]
+    names = [card.stem for card in sorted((ROOT / "models").glob("*.json"))
+             if "picture" in json.loads(card.read_text("utf-8")).get("outputs", {})]
+    assert names == re.findall(r"models/([\w.]+)\.onnx", said) and len(names) > 1
 
 
 def test_the_container_has_what_a_wheel_is_built_of() -> None:

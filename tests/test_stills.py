@@ -75,8 +75,8 @@ def test_networks_are_loaded_once():
     (COLOUR, {"normal": NORMAL.astype(int)}, "plane 'normal' of frame 1 is int64"),
     (COLOUR, {"scale": 9}, "scale"),
     (COLOUR, {"model": "none.onnx"}, "no such file"),
-    (COLOUR, {"model": "x"}, "no model 'denoise_upscale.x' in .*: give s, m, l, xl, classic or "
-     "FILE.onnx; 'postfx models' lists all$"),
+    (COLOUR, {"model": "tiny"}, "no model 'denoise_upscale.tiny' in .*: give s, m, l, xl, classic "
+     "or FILE.onnx; 'postfx models' lists all$"),
     (COLOUR, {"device": "tpu"}, "no device 'tpu': use auto, cpu"),
     (COLOUR, {"exposure": "bright"}, "exposure 'bright'"),
 ])
@@ -98,6 +98,14 @@ def test_the_log_tells_what_happens(caplog):
             "frame 7: 1 pixels of AOV 'colour' were no finite numbers and were repaired") in told
     assert "frame 7: milliseconds by pass: {'denoise_upscale': " in "".join(text
                                                                             for _, text in told)
+
+
+def test_a_still_hears_nothing_of_motion(caplog):
+    """It cannot have any; what it could have is named."""
+    caplog.set_level(logging.INFO, "postfx")
+    postfx.denoise(COLOUR[:20], model="s", device="cpu")
+    told = " ".join(record.getMessage() for record in caplog.records)
+    assert "results are blurrier" in told and "motion" not in told and "flicker" not in told
 
 
 def test_a_program_without_logging_sees_nothing(capfd):

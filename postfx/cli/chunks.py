@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Cut a sequence into chunks that machines process side by side, and print for each the frames that it
-reads and its command. Frames before a chunk run first, without being written, so that no seam is
-seen (docs/howto/farm.md). Nothing is processed here. Options of 'postfx run' go after --.
+reads and its command. Frames before a chunk run first, without being written, so that no seam
+shows (docs/howto/farm.md). Nothing is processed here. Options of 'postfx run' go after --.
 """
 EXAMPLES = """\
 examples:

@@ -160,6 +160,7 @@ class Interpolation:
         self._times: Times = parse_times(arguments.times, arguments.fps)
         values = INTERPOLATE.values_for("sequence", arguments)
         self._sequence: Sequence = read_sequence(arguments.input, arguments.frames, **values)
+        self._sequence.refuse_none()
         existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
         self._outputs: OutputFiles = OutputFiles(arguments.output, self._sequence, existing)
         if self._outputs.display:
@@ -363,9 +364,15 @@ class Interpolation:
             return
         from postfx.bench.metrics import grey_factor, psnr
         from postfx.colour.views import to_codes
+        from postfx.errors import FrameError
         from postfx.frame import Role
 
         wanted = self._reference.read(moment.number)[Role.COLOUR]
+        if wanted.shape != frame[Role.COLOUR].shape:
+            height, width, _ = frame[Role.COLOUR].shape
+            raise FrameError(f"{self._reference.pattern}: references are {wanted.shape[1]}x"
+                             f"{wanted.shape[0]}, the frames {width}x{height}: give them at the "
+                             "frames' size")
         factor = frame.exposure_factor or grey_factor(wanted)
         shown = [to_codes(colour, factor) for colour in (frame[Role.COLOUR], wanted)]
         self.summary.psnr[moment.number] = round(psnr(*shown), 3)

@@ -126,6 +126,7 @@ def first_readable(sequence: Sequence, policy: OnError) -> int:
 
     Where none can be, raises the error of the last one that is there.
     """
+    sequence.refuse_none()
     errors: list[PostfxError] = []
     for number in sequence.numbers:
         try:

@@ -71,7 +71,7 @@ from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
 from postfx.passes.denoise import NO_HISTORY_REMARK
 from postfx.passes.denoise.models import lacks_memory, usual_network
-from postfx.passes.denoise.options import output_size
+from postfx.passes.denoise.options import output_size, validate_size
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
 from postfx.passes.partner import Partner
@@ -648,7 +648,8 @@ class Job:
     def _enlargement(self, denoising: Mapping[str, Any]) -> float:
         """Output over render width, by the denoiser's options and the first frame."""
         spec = self._first_spec
-        return output_size(spec, denoising.get("scale"), denoising.get("size")).width / spec.width
+        scale, size = denoising.get("scale"), denoising.get("size")
+        return output_size(spec, scale, validate_size(size, scale)).width / spec.width
 
     @cached_property
     def _first_spec(self) -> FrameSpec:
@@ -661,8 +662,8 @@ class Job:
         hold them."""
         if self.sequence.options.parts is None:
             return ()
-        if ((self.outputs is not None and self.outputs.display)
-            or any(self._values("look").values())):
+        is_picture = self.outputs is not None and self.outputs.display
+        if is_shown(is_picture, **self._values("look")):
             self.skips.append(Skip("light groups and passes",
                                    "they are scene-linear, the output is not"))
             self.sequence.options = self.sequence.options.without_parts()

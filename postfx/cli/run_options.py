@@ -98,10 +98,11 @@ FILES_WRITTEN = Section("files that are written", (
            "--aov-denoise depth or position); PNG: 8 (default) or 16 (default in HDR); TIFF: 8 or "
            "16 (default)"),
     Option(flag="--compression", metavar="NAME", default="zip", sets="writer.compression",
+           type=str.lower,
            help="compression of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, "
            "dwab, htj2k256, htj2k32, lj2k or zstd. Both kinds of dwa also have a level, as "
-           "dwaa:45. Those that lose a little: pxr24, b44, dwa, lj2k. Few programs read the last "
-           "four yet (default: zip, the fastest of those that shrink files)"),
+           "dwaa:45. Lossy are pxr24, b44, dwa and lj2k. Few programs read the last four yet "
+           "(default: zip, the fastest of those that shrink files)"),
 ))
 
 
@@ -255,8 +256,8 @@ DENOISING = Section("denoising and size", (
            convert=_find_network, excludes=_FOR_DENOISER,
            help="network of the denoiser: s (the fastest), m, l, or xl (the cleanest); m.fp32 is m "
            "in full precision. Or FILE.onnx with its card beside it, or classic, a filter without "
-           "a network. Default: xl at the render's size; m for larger frames, on a GPU, and with "
-           "--budget or --memory"),
+           "a network. Default: xl at the render's size; m to enlarge, on a GPU, and with --budget "
+           "or --memory"),
     Option(flag="--both-ways", basic=True,
            excludes={
                **_FOR_DENOISER,
@@ -496,11 +497,11 @@ READING = Section("reading and running", (
     *FILES,
     Option(flag="--cuts", once=True, metavar="auto|none|FRAMES", default="auto",
            sets="sequence.cuts", convert=parse_cuts,
-           help="where shots begin; no frame then uses those of another shot: auto, found by "
-           "headers and pictures (default); none; or frame numbers, e.g. 1,48,90"),
+           help="where shots begin: auto, found by headers and pictures (default); none; or frame "
+           "numbers, e.g. 1,48,90. No frame uses those of another shot"),
     Option(flag="--wrap", choices=("auto", "x", "none"), default="auto", off="auto",
-           help="panoramas, whose left and right edge meet without a seam: x; none, for other "
-           "pictures; auto, as the header says (default)"),
+           help="whether the left and the right edge meet, as in panoramas: x, without a seam; "
+           "none; auto, as the header says (default)"),
     Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto", sets="device.name",
            help="where to run"),
     Option(flag="--provider", once=True, metavar="NAME[,OPTION=VALUE...]", sets="device.provider",
@@ -530,8 +531,8 @@ REPORTS = Section("reports", (
            help="check everything as a run would, show what would be read, run and written, then "
            "stop"),
     Option(flag="--explain", once=True, changes="nothing",
-           help="show what would run on the first frame, and what is skipped and why, then stop; "
-           "needs no OUTPUT"),
+           help="show what would run on the first frame, with which network, and what is skipped "
+           "and why, then stop; needs no OUTPUT"),
     Option(flag="--quiet", short="-q", either="words", changes="nothing",
            help="print warnings and errors only"),
     Option(flag="--verbose", short="-v", either="words", changes="nothing",

@@ -117,11 +117,9 @@ class SamplesJob:
         if not (arguments.output or arguments.json or arguments.pictures):
             raise WriteError("nowhere to write: give -o OUTPUT, --pictures DIR or --json")
         values = SAMPLE_OPTIONS.values_for("sequence", arguments)
-        self._sequence = read_sequence(arguments.input, arguments.frames, arguments.profile,
-                                       **values).first_view()
-        others = ([read_sequence(arguments.halves, profile=arguments.profile, **values)
-                   .first_view()]
-            if arguments.halves else [])
+        self._sequence = read_sequence(arguments.input, arguments.frames, **values).first_view()
+        others = ([read_sequence(arguments.halves, **values).first_view()] if arguments.halves
+                  else [])
         self._halves = [self._sequence, *others]
         given = arguments.denoised or []
         names = [given] if isinstance(given, str) else given

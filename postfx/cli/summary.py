@@ -400,7 +400,7 @@ class Report:
 
     def summary(self) -> str:
         """The report in a few lines."""
-        lines = [f"{self.frames} of {self.total} frames in {self.seconds:.1f} s{self._speed()}"]
+        lines = [f"{self.frames} of {_frames(self.total)} in {self.seconds:.1f} s{self._speed()}"]
         if kernels := self.preparation.kernels:
             lines.append(f"compiled {kernels} files of kernels in "
                          f"{self.preparation.compile_seconds:.1f} s, which is not in these times; "

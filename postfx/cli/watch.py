@@ -24,7 +24,7 @@ of 'postfx run' go after --.
 
 Frames that exist already come first. A shot's first frames are noisier than with 'postfx run',
 which also uses the frames after them. Make final frames with 'postfx run': watch writes no
-manifest, replaces outputs, looks colours up (--fast-look) and takes the network m.
+manifest, replaces outputs, takes the quick form of a look (--fast-look) and takes the network m.
 """
 EXAMPLES = """\
 examples:

@@ -284,7 +284,8 @@ class FrameFiles(ExitStack):
         guide_planes = self._read_guides(guide_matches, scratch) if guide_matches else {}
         if alone:
             strength = alone.strength(planes, scratch)
-            planes = {role: strength if role is Role.STRENGTH else planes[role] for role in wanted}
+            planes[Role.STRENGTH] = strength
+            planes = {role: planes[role] for role in wanted if role in planes}
         frame = self._frame(number, planes, guide_planes, next(iter(matches.values())).channels[0])
         if self.parts and Role.COLOUR in planes:
             frame.parts = read_parts(self.files, self.parts)

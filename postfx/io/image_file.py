@@ -45,8 +45,8 @@ from postfx.io.windows import (
 READABLE = (".exr", ".hdr")
 """Endings of files that are looked for in folders."""
 STILLS = (".tif", ".tiff", ".pfm")
-"""Endings of files that are read where they are named, if they hold floats; pictures for displays
-end so, too."""
+"""Endings of files that are read where they are named, or where a folder holds no others, if they
+hold floats; pictures for displays end so, too."""
 _STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}
 _STALE_ATTRIBUTES = ("Orientation", "hdr:exposure", "oiio:Gamma")
 """OpenImageIO's attributes of a Radiance file that are no longer true of pixels as they are read

@@ -18,7 +18,7 @@ from fileseq.frameset import FrameSet
 from postfx.errors import SequenceError
 from postfx.files import with_slashes
 from postfx.io.channels import COLOUR_FILES, is_plane_word
-from postfx.io.image_file import READABLE
+from postfx.io.image_file import READABLE, STILLS
 
 PLANE_FIELD = "{plane}"
 VIEW_FIELD = "{view}"
@@ -374,7 +374,9 @@ def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
     wild = wild.replace(PLANE_FIELD, "*").replace(VIEW_FIELD, "*")
     found = sorted(map(Path, _glob(wild)))
     folders = [path for path in found if os.path.isdir(path)]  # False without the right to look
-    paths = [path for path in found if os.path.isfile(path) and path.suffix.lower() in READABLE]
+    files = [path for path in found if os.path.isfile(path)]
+    paths = ([path for path in files if path.suffix.lower() in READABLE]
+             or [path for path in files if path.suffix.lower() in STILLS])
     if not paths and len(folders) == 1:
         return _folder_pattern(folders[0]), None
     if not paths:
@@ -392,7 +394,7 @@ def _gather_files(paths: list[Path], source: str) -> tuple[Pattern, list[int] | 
 
 
 def _folder_pattern(folder: Path) -> Pattern:
-    patterns = patterns_in(folder, READABLE)
+    patterns = patterns_in(folder, READABLE) or patterns_in(folder, STILLS)
     if not patterns:
         raise SequenceError(f"{folder}: holds no OpenEXR file")
     return _one_sequence(patterns, str(folder))

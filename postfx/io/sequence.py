@@ -208,14 +208,9 @@ class Sequence:
 
     def refuse_holes(self, numbers: Iterable[int]) -> None:
         """MissingFrameError that names all of these frames that are not on the disk."""
+        self.refuse_none()
         numbers = list(numbers)
         missing = sorted({number for number in numbers if not self.holds(number)})
-        there = self.present()
-        if there and not {*self.numbers} & {*there}:
-            raise MissingFrameError(
-                f"{self.pattern}: there are frames {format_frames(there)}, none of "
-                f"{format_frames(self.numbers)}: give --frames that are there"
-            )
         if len(missing) == 1:
             self.inputs(missing[0])
         elif missing:
@@ -229,6 +224,15 @@ class Sequence:
                 f"{pattern}: {len(missing)} of {len(numbers)} frames are missing: "
                 f"{format_frames(missing)}: render them, leave them out with --frames, or give "
                 "--on-error skip"
+            )
+
+    def refuse_none(self) -> None:
+        """MissingFrameError that names what is on the disk where none of the wanted frames is."""
+        there = self.present()
+        if there and not {*self.numbers} & {*there}:
+            raise MissingFrameError(
+                f"{self.pattern}: there are frames {format_frames(there)}, none of "
+                f"{format_frames(self.numbers)}: give --frames that are there"
             )
 
     def all_files(self) -> list[Path]:
@@ -488,7 +492,7 @@ class Sequence:
         others = ", ".join(view for view in views[1:] if view not in self._known_views)
         if others:
             self.warn(
-                f"view {views[0]} is read, {others} at most copied: --view all denoises all of them"
+                f"only view {views[0]} is denoised, not {others}: --view all denoises all of them"
             )
 
     def _warn_of_overlooked(self) -> None:

@@ -67,6 +67,7 @@ class Library:
             raise ModelError(f"no model '{name}' in {where}: no *.onnx is there")
         alike = [other for other in known if other.split(".")[0] == name.split(".")[0]] or known
         tags = {other.partition(".")[2] for other in alike}
+        tags |= {tag.partition(".")[0] for tag in tags}  # a tag may have models of its kinds alone
         meant = suggest(name.partition(".")[2], tags) if name.split(".")[0] in alike[0] else ""
         raise ModelError(f"no model '{name}' in {where}{meant or ':'} there are {', '.join(alike)}")
 

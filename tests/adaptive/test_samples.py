@@ -244,6 +244,8 @@ def test_the_plane_error_of_a_file_counts(tmp_path: Path, capsys):
     (region,) = facts["frames"][0]["regions"]
     assert region | {"samples": 0} == {"x": 0, "y": 32, "width": 32, "height": 32, "samples": 0}
     assert region["samples"] == 4 * MOST_SAMPLES_FACTOR
+    assert main([*words[:2], "--profile", "generic", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["frames"] == facts["frames"]
     with ImageFile(tmp_path / "map/0001.exr") as file:
         found = file.read(file.parts[0], {"samples.Y": 0, "error.Y": 0, "after.Y": 0})
     assert (found["samples.Y"][40, 3] == 4 * MOST_SAMPLES_FACTOR
@@ -263,6 +265,8 @@ def test_two_halves_of_a_shot_are_one_with_all_samples(tmp_path: Path, capsys):
     facts = json.loads(capsys.readouterr().out)
     assert (facts["error_from"] == ["two halves of the samples"]
             and facts["frames"][0]["samples"] == 16)
+    assert main([*words, "--profile", "generic"]) == 0
+    assert json.loads(capsys.readouterr().out)["frames"] == facts["frames"]
     assert main([*words, "--denoised", names[0], names[1]]) == 2
     assert "with --halves three" in capsys.readouterr().err
     assert main([*words, "--error", names[0]]) == 2

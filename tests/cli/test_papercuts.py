@@ -28,6 +28,8 @@ def here(shot, tmp_path, monkeypatch) -> Path:
     (("--scale", "9"), "scales by 1 to 3, not 9"),
     (("--frames", "100-200"),
      "there are frames 1-3, none of 100-200: give --frames that are there"),
+    (("--model", "XL"), "did you mean xl? give s, m, l"),
+    (("--model", "large"), "did you mean l? give s, m, l"),
 ])
 def test_a_wrong_value_is_told_before_files_that_are_there(here, capsys, words, said):
     assert main([*RUN, *QUICK]) == 0
@@ -36,6 +38,40 @@ def test_a_wrong_value_is_told_before_files_that_are_there(here, capsys, words, 
     told = capsys.readouterr().err
     assert (said in told and "already there" not in told and told.count("\n") == 1
             and len(told) < 250)
+
+
+@pytest.mark.parametrize("frames", ["0", "4", "9-12"])
+@pytest.mark.parametrize("more", [(), ("--explain",), ("--dry-run",), ("--on-error", "skip")])
+def test_frames_that_are_not_there_are_told_which_are(here, capsys, frames, more):
+    assert main([*RUN, "--frames", frames, *more]) == 2
+    assert f"there are frames 1-3, none of {frames}: give" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("numbers", "said"),
+                         [("2", "1 of 1 frame in "), ("2-3", "2 of 2 frames in ")])
+def test_frames_are_counted_in_words(here, capsys, numbers, said):
+    assert main([*RUN, *QUICK, "--frames", numbers]) == 0
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("channels", "said"), [
+    (("Z",), "no diffuse albedo or normal: results are blurrier"),
+    ((), "no diffuse albedo, normal or depth: results are blurrier"),
+])
+def test_missing_aovs_are_listed_as_one_writes_them(here, write_exr, capsys, channels, said):
+    write_exr("in/a.exr", {name: np.full((32, 48), 0.5) for name in (*"RGB", *channels)})
+    assert main(["run", "in/a.exr", "-o", "out/a.exr", "--device", "cpu"]) == 0
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", [RUN, ("interpolate", "in/", "-o", "out/shot.####.exr")])
+@pytest.mark.parametrize("name", ["DWAA:60", "Zip"])
+def test_a_compression_is_known_however_it_is_written(here, verb, name):
+    import OpenImageIO as oiio
+
+    assert main([*verb, *(QUICK[:1] if verb == RUN else ()), "--compression", name]) == 0
+    found = oiio.ImageBuf("out/shot.0001.exr").spec().get_string_attribute("compression")
+    assert found.startswith(name[:3].lower())
 
 
 @pytest.mark.parametrize("verb", ["chunks", "watch"])

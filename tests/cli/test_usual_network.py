@@ -17,9 +17,27 @@ RUN = ("run", "in/shot.####.exr", "-o", "out/", "--overwrite", "--device", "cpu"
 ))
 def test_a_run_takes_the_best_network_at_the_renders_size(postfx, shot, tmp_path, options, network):
     shot(1)
-    assert postfx(*RUN, *options).code == 0
+    done = postfx(*RUN, *options)
+    assert done.code == 0
     found = (tmp_path / "out" / "postfx.manifest.json").read_text()
     assert f"denoise_upscale.{network}" in found
+    told = done.err.split("chose    denoise_upscale: ")[1].splitlines()[0]
+    if "--budget" not in options:  # a budget begins with the fastest network
+        assert told == f"{network} for 1 frame"
+    assert f"; network {network}" in postfx(*RUN, *options, "--explain").out
+
+
+@pytest.mark.parametrize(("options", "said"), (
+    (("--model", "xl", "--scale", "2"), "network l"), (("--model", "m.fp32"), "network m.fp32"),
+    (("--budget", "5000"), "network m, or a faster one to keep the budget"),
+    (("--model", "classic"), "the classical filter, no network"),
+))
+def test_a_plan_says_which_network_runs(postfx, shot, options, said):
+    """That of a stand-in, where the one that was asked for cannot run."""
+    shot(1)
+    (line,) = [line for line in postfx(*RUN, *options, "--explain").out.splitlines()
+               if ": reads " in line and "denoise_upscale" in line]
+    assert line.endswith(f"; {said}")
 
 
 def test_frames_that_are_too_large_for_it_take_the_usual_one(postfx, shot, tmp_path, monkeypatch):

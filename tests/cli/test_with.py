@@ -65,6 +65,19 @@ def test_the_preset_for_final_frames_takes_it_where_it_is_installed(
     assert alone.code == 0 and "runs oidn" not in alone.out and "both_ways" in alone.out
 
 
+@needs_oidn
+@pytest.mark.parametrize("words", [("--with", "oidn"), ("--preset", "final")])
+def test_it_runs_where_the_output_s_size_is_given(postfx: Callable, noise: Path,
+                                                  words: tuple[str, ...]) -> None:
+    run = (*RUN[:4], *words, "--frames", "1-2", "--run-up", "0")
+    made = {}
+    for name, size in (("by size", ("--size", "96x64")), ("by scale", ("--scale", "2"))):
+        assert postfx(*run, *size, "-o", f"{name}/a.####.exr").code == 0
+        made[name] = pixels(noise / f"{name}/a.0002.exr")
+    assert made["by size"].shape == (64, 96, 3)
+    np.testing.assert_array_equal(made["by size"], made["by scale"])
+
+
 def test_what_is_not_installed_is_one_line(postfx: Callable, noise: Path,
                                            monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(oidn, "find_spec", lambda name: None)

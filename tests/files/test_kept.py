@@ -11,7 +11,7 @@ import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
-from postfx.cli.main import make_parser
+from postfx.cli.main import main, make_parser
 from postfx.cli.run_options import explain_kept
 from postfx.errors import ReadError
 from postfx.frame import Frame, Role
@@ -402,3 +402,24 @@ def test_both_views_one_after_the_other(tmp_path: Path, names: tuple[str, str]) 
     for part, before in zip(found, views, strict=True):
         for name, plane in before.items():
             np.testing.assert_array_equal(part.channels[name].pixels, plane * np.float16(0.5))
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_other_primaries_leave_a_file_that_openexr_opens(tmp_path: Path, place: int) -> None:
+    """It has them once, so that all parts say them, whichever holds the picture."""
+    parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage},
+                          {f"{name}.Combined.{letter}": plane
+                           for letter, plane in picture(seed=seed).items()}, f"{name}.Combined")
+             for seed, name in enumerate(("Back", "Main", "Front"))]
+    OpenEXR.File(parts).write(str(tmp_path / "a.exr"))
+    name = ("Back", "Main", "Front")[place]
+    assert main(["run", str(tmp_path / "a.exr"), "-o", str(tmp_path / "out.exr"), "--model", "s",
+                 "--layer", name, "--colourspace", "acescg"]) == 0
+    written = OpenEXR.File(str(tmp_path / "out.exr"), separate_channels=True).parts
+    assert [part.header["name"] for part in written] == ["Back.Combined", "Main.Combined",
+                                                         "Front.Combined"]
+    for other, (found, given) in enumerate(zip(written, parts, strict=True)):
+        assert found.header["chromaticities"][0] == pytest.approx(0.713)
+        light, noise = (part.channels[f"{given.name().split('.')[0]}.Combined.R"].pixels
+                        for part in (found, given))
+        assert np.array_equal(light, noise) == (other != place)

@@ -92,6 +92,7 @@ def test_given_overlays_are_put_over_all_frames(shot, tmp_path):
     (["-o", "out/f.####.png"], "is for a display: write EXR"), ([], "give -o OUTPUT"),
     (["-o", "in/shot.####.exr"], "would be a frame of the input|is an input"),
     (["-o", "out/", "--frames", "2"], "one frame is not enough"),
+    (["-o", "out/", "--frames", "5-8"], "there are frames 1-4, none of 5-8: give --frames"),
     (["-o", "out/", "--overlays", "x", "--composited"], "leave --composited out")])
 def test_what_cannot_be_is_one_line(shot, tmp_path, options, message, monkeypatch, capsys):
     shot()
@@ -100,6 +101,18 @@ def test_what_cannot_be_is_one_line(shot, tmp_path, options, message, monkeypatc
     error = capsys.readouterr().err
     assert (re.search(message, error) and error.count("\n") == 1
             and Path("in/shot.0004.exr").is_file())
+
+
+def test_references_of_another_size_are_refused(shot, tmp_path, capsys):
+    """The first frame, which needs none, is there by then."""
+    write_frame(tmp_path / "true.0002.exr",
+                Frame({Role.COLOUR: np.ones((24, 32, 3), np.float32)}, 2))
+    words = ["interpolate", shot(), "-o", f"{tmp_path}/out/"]
+    assert main([*words, "--reference", f"{tmp_path}/true.####.exr"]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("error: ") and error.endswith(
+        f"true.####.exr: references are 32x24, the frames {OTHER.shape[1]}x{OTHER.shape[0]}: give "
+        "them at the frames' size")
 
 
 def test_cryptomattes_come_from_the_nearest_pixel_bit_for_bit(scene, tmp_path):

@@ -162,6 +162,16 @@ def test_a_sequence_estimates_motion_whatever_was_read_before(walk: str) -> None
         read_sequence(walk, motion="guess")
 
 
+@pytest.mark.parametrize("motion", ["auto", "estimate"])
+def test_motion_is_estimated_beside_what_is_left_alone(walk: str, motion: str) -> None:
+    """What is left alone is found in the AOVs as they are read, which lack the motion."""
+    plain = read_sequence(walk, motion=motion).read(3)
+    masked = read_sequence(walk, motion=motion, leave="auto").read(3)
+    assert {*masked.planes} == {*plain.planes, Role.STRENGTH}
+    np.testing.assert_array_equal(masked[Role.MOTION], plain[Role.MOTION])
+    assert np.abs(masked[Role.MOTION]).mean() > 1
+
+
 def test_a_frame_that_is_written_again_is_looked_at_again(walk: str) -> None:
     """As by a renderer, while `postfx watch` shows the frames."""
     shot, folder = read_sequence(walk, motion="auto"), Path(walk).parent

@@ -10,7 +10,7 @@ import pytest
 
 from postfx.cli.main import main
 from postfx.errors import ReadError
-from postfx.frame import Role
+from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import write_frame
 
@@ -65,6 +65,23 @@ def test_the_command_denoises_them(tmp_path, capsys):
     assert one.std() < 0.7 * LIGHT.std()
     told = capsys.readouterr().err
     assert "results are blurrier" in told and "may flicker" not in told  # a still cannot
+
+
+@pytest.mark.parametrize("source", ["", "a.####.pfm", "a.*.pfm", "a.000?.pfm", "*"])
+def test_a_sequence_of_them_is_found(tmp_path, source):
+    """By a pattern, by wildcards, and in a folder that holds nothing else."""
+    for number in (1, 2, 3):
+        write_pfm(tmp_path / f"a.{number:04d}.pfm", LIGHT * number)
+    frames = list(read_sequence(str(tmp_path / source)))
+    assert [frame.number for frame in frames] == [1, 2, 3]
+    np.testing.assert_array_equal(frames[2][Role.COLOUR], LIGHT * 3)
+
+
+def test_renders_in_exr_come_before_pictures_beside_them(tmp_path):
+    write_frame(tmp_path / "b.0001.exr", Frame({Role.COLOUR: LIGHT}))
+    write_tiff(tmp_path / "a.0001.tif", LIGHT / 8, "uint8")
+    for source in (tmp_path, tmp_path / "*"):
+        assert str(read_sequence(str(source)).pattern).endswith("b.####.exr")
 
 
 def test_a_picture_for_a_display_is_no_light(tmp_path):

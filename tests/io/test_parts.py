@@ -247,6 +247,21 @@ def test_pictures_for_a_display_have_no_parts(cycles: Path, tmp_path: Path,
     assert "parts   ViewLayer.Combined_key" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("words", [
+    ("--fast-look",), ("--no-tonemap",), ("--preset", "preview"), ("--fast-look", "--no-tonemap")])
+def test_options_of_pictures_leave_the_groups_of_scene_linear_files_alone(
+    cycles: Path, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    plain, found = tmp_path / "plain.exr", tmp_path / "found.exr"
+    run = ["run", str(cycles), "--aov", "auto", "--model", "s", "--run-up", "0"]
+    assert main([*run, "-o", str(plain)]) == 0
+    assert main([*run, "-o", str(found), *words]) == 0
+    expected, denoised = read(plain), read(found)
+    assert expected.keys() == denoised.keys()
+    for name, plane in expected.items():
+        np.testing.assert_array_equal(denoised[name], plane, err_msg=name)
+
+
 def test_parts_add_up_to_the_picture_of_both_ways(tmp_path: Path) -> None:
     for number in (1, 2, 3):
         frame = noisy(number, *SIZE)

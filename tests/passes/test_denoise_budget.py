@@ -179,8 +179,9 @@ def test_strength_0_runs_no_network_and_chooses_none() -> None:
     assert upscaler.choice() is None
 
 
-def test_without_a_budget_one_network_runs_and_none_is_told() -> None:
+def test_without_a_budget_one_network_runs_and_is_told() -> None:
     chain = Pipeline([upscaler := DenoiseUpscale(model="s")], Device("cpu", threads=2),
                      exposure=0.0)
-    assert np.isfinite(chain(noisy(1))[Role.COLOUR]).all()
     assert upscaler.choice() is None
+    assert np.isfinite(chain(noisy(1))[Role.COLOUR]).all()
+    assert upscaler.choice() == "s"

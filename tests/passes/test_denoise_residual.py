@@ -11,7 +11,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import MemoryBudgetError, PassOptionError
-from postfx.frame import Frame, Role
+from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.sequence import read_sequence
 from postfx.passes.denoise import DenoiseUpscale, models
 from postfx.pipeline import Pipeline
@@ -213,6 +213,14 @@ def test_a_picture_for_a_display_holds_none(postfx, exported_models: Path) -> No
     assert (done.code and done.err.strip() == (
         "error: out/a.####.png: pictures for a display hold no AOV 'error': write EXR, or leave "
         "error out of --aov"))
+
+
+def test_beside_parts_no_network_predicts_the_error() -> None:
+    """They need filters, which another network predicts."""
+    spec = FrameSpec(32, 24, (Role.COLOUR,), parts={"key": 3})
+    DenoiseUpscale(model="xl", error=True).reflect(spec)
+    with pytest.raises(PassOptionError, match="of the picture alone, not beside light groups"):
+        DenoiseUpscale(model="xl", error=True, parts=["key"]).reflect(spec)
 
 
 @pytest.mark.usefixtures("noise")

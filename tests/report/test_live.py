@@ -102,6 +102,15 @@ def test_a_viewer_gets_the_frames_that_are_written(shot, tmp_path, monkeypatch):
         np.testing.assert_allclose(images[name], colour, rtol=1e-3)  # files hold halves
 
 
+def test_packets_are_those_of_tev_s_own_client():
+    """The module that tev's author publishes makes the same bytes."""
+    packet = pytest.importorskip("tevclient").packet
+    colour = np.random.default_rng(3).random((7, 5, 3), np.float32)
+    made = list(packets("a frame.exr", Frame({Role.COLOUR: colour})))
+    assert made == [packet.create_image("a frame.exr", 5, 7, ["R", "G", "B"], False),
+                    packet.update_image("a frame.exr", colour, ["R", "G", "B"])]
+
+
 def test_a_display_s_codes_are_sent_as_light():
     codes = np.random.default_rng(0).random((3, 5, 3), np.float32)
     viewer = Tev.__new__(Tev)

@@ -268,9 +268,12 @@ class Merge:
         header = Header(dict(self._source.headers[part].attributes))
         for name in SHARED_ATTRIBUTES:
             own, shared = header.attributes.get(name), picture.attributes.get(name)
-            if own is not None and own != shared:
+            if own == shared:
+                continue
+            if own is not None:
                 header.attributes[RENDER + name] = header.attributes.pop(name)
-                header.attributes |= {name: shared} if shared else {}
+            if shared is not None:  # OpenEXR refuses a file whose first part alone lacks it
+                header.attributes[name] = shared
         if PICTURE_ATTRIBUTE in header.attributes:  # of a picture that was processed again
             header.attributes[RENDER + PICTURE_ATTRIBUTE] = header.attributes.pop(PICTURE_ATTRIBUTE)
         return header

@@ -82,6 +82,14 @@ REPEATS = "repeats "
 """In a history, names of what noise that repeats is found by begin so."""
 
 
+def network_name(tag: str, model: str) -> str:
+    """What users call the network of a model that runs for their short tag: the tag, or its size
+    replaced by that of a stand-in."""
+    asked, dot, precision = tag.partition(".")
+    size = short_tag(model).partition(".")[0]
+    return tag if size == asked else f"{size}{dot}{precision}"
+
+
 class DenoiseUpscale(Pass):
     """Denoises, and enlarges where asked, reusing earlier frames along their motion.
 
@@ -96,7 +104,9 @@ class DenoiseUpscale(Pass):
             or with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own
             network, 'nets/mine.onnx', with its card beside it, and mine.guides.onnx and
             mine.1x.onnx if they exist; or 'classic', a filter without a network, on a CPU and for
-            frames without parts. 'xl' is for the render size; 'l' enlarges in its place.
+            frames without parts. 'xl' is for the render size; 'l' enlarges in its place. The
+            default here is 'm'. `postfx run` and `postfx.denoise` take 'xl' by themselves for
+            frames of the render's size on a CPU: it is cleaner, and takes seven times as long.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit. Where `model`
@@ -217,7 +227,8 @@ class DenoiseUpscale(Pass):
         alone = f"{NO_HISTORY_REMARK}: {remedy}"
         found = [NO_NETWORKS] if self._is_fallback else []
         found += [] if spec.has(Role.MOTION) else [alone]
-        found += [f"no {' and no '.join(lost)}: results are blurrier"] if lost else []
+        listed = " or ".join(filter(None, (", ".join(lost[:-1]), *lost[-1:])))
+        found += [f"no {listed}: results are blurrier"] if lost else []
         if self._is_render_size(spec):
             found += unscaled_remarks(self._tag)
             found += filter_remarks(self._tag) if self._parts else []
@@ -326,7 +337,10 @@ class DenoiseUpscale(Pass):
         return self._savings.lines() if self.strength else ()
 
     def choice(self) -> str | None:
-        return self._used if self.budget else None
+        """The network of the last frame that took one."""
+        model = (self._ready.models.get(self._used)
+                 if self._used and isinstance(self._ready, ReadyNetwork) else None)
+        return network_name(self._used, model) if self._used and model else None
 
     def notice(self) -> str | None:
         told, self._notice = self._notice, None
@@ -508,9 +522,14 @@ class DenoiseUpscale(Pass):
             raise PassOptionError("strength 0 runs no network, so none predicts the error: leave "
                                   "one of the two out")
         for tag in self._tags_for(spec):
-            if not predicts_error(model_of(tag, self._ending(spec), filters=bool(self._parts))):
-                raise PassOptionError(f"model '{short_tag(tag)}' does not predict its error at "
-                                      f"this size: {self._error_remedy()}")
+            if predicts_error(model_of(tag, self._ending(spec), filters=bool(self._parts))):
+                continue
+            if predicts_error(model_of(tag, self._ending(spec))):
+                raise PassOptionError(f"model '{short_tag(tag)}' predicts the error of the picture "
+                                      "alone, not beside light groups and passes: leave them or "
+                                      "the error out")
+            raise PassOptionError(f"model '{short_tag(tag)}' does not predict its error at this "
+                                  f"size: {self._error_remedy()}")
 
     def _check_enlargement(self, spec: FrameSpec) -> None:
         """PassOptionError where frames of this spec are enlarged and a network gives the picture
@@ -547,11 +566,20 @@ class DenoiseUpscale(Pass):
         return names
 
     def _notes(self, spec: FrameSpec) -> tuple[str, ...]:
-        notes = [f"stays {self.size} where frames change their size"] if self.size else []
+        notes = [self._network_note(spec)] if self.strength else []
+        notes += [f"stays {self.size} where frames change their size"] if self.size else []
         notes += [f"own filters: {', '.join(self._own)}"] if self.strength and self._own else []
         notes += (["smooth reflections move by their hit distance"]
                   if self.strength and can_follow(spec) else [])
         return tuple(notes)
+
+    def _network_note(self, spec: FrameSpec) -> str:
+        """Which network runs for frames of a spec."""
+        if self._tag == CLASSIC:
+            return "the classical filter, no network"
+        faster = ", or a faster one to keep the budget" if self.budget else ""
+        model = model_of(self._tag, self._ending(spec), filters=bool(self._parts))
+        return f"network {network_name(short_tag(self._tag), model)}{faster}"
 
     def _output_size(self, spec: FrameSpec) -> Size:
         return output_size(spec, self.scale, self.size)
