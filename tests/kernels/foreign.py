@@ -56,7 +56,7 @@ NODE = _find_node()
 
 @dataclass(frozen=True)
 class Call:
-    """A kernel, its rows, and its arrays, all of them, as Python's calls have them."""
+    """A kernel, its first row and the one after its last, and all of its arrays."""
 
     name: str
     rows: int
@@ -95,32 +95,25 @@ def with_kernels(names: Sequence[str], target: str, processor: str, folder: Path
     return folder / "program"
 
 
-def windows_library(level: str, folder: Path) -> Path:
-    """The library that a wheel for Windows brings, compiled once for all runs from the same
-    sources."""
-    home = private_folder("tests") or folder
-    return build.build(build.our_units(), "windows-x86_64", home / "windows", [level])[level]
+def windows_libraries(folder: Path, level: str) -> tuple[list[Path], Path]:
+    """What a wheel for Windows brings for a level: its files and, of these, the kernels' library.
+    They are compiled once for all runs from the same sources."""
+    target, home = "windows-x86_64", (private_folder("tests") or folder) / "windows"
+    lowest = next(iter(build.TARGETS[target].levels))
+    probe = build.build(build.PROBE, target, home, [lowest])[lowest]
+    library = build.build(build.our_units(), target, home, [level])[level]
+    indices = [home / f"{build.digest_of(units, target)}.json"
+               for units in (build.PROBE, build.our_units())]
+    return [probe, library, *indices], library
 
 
-# Runs
+def windows_path(path: Path) -> str:
+    """The name by which programs for Windows find a file of this system."""
+    return f"Z:{path}".replace("/", "\\")
 
 
-def run_in_qemu(program: Path, calls: Iterable[Call]) -> list[list[np.ndarray]]:
-    """The arrays of calls as kernels for arm64 left them."""
-    return _run([QEMU, program], b"", calls)
-
-
-def run_in_node(program: Path, calls: Iterable[Call]) -> list[list[np.ndarray]]:
-    """The arrays of calls as kernels in wasm left them."""
-    return _run([NODE, "--no-warnings", "-e", IN_NODE, program], b"", calls)
-
-
-def run_in_wine(library: Path, calls: Iterable[Call], folder: Path) -> list[list[np.ndarray]]:
-    """The arrays of calls as kernels of a library for Windows left them."""
-    program = folder / "program.exe"
-    if not program.exists():
-        _compile("x86_64-windows-gnu", "baseline", "start",
-                 ["-e", "start", "-o", program, PROGRAM, "-lkernel32"])
+def wine_settings(folder: Path) -> dict[str, str]:
+    """Of the environment, for programs whose system lies in a folder."""
     windows = folder / "windows"
     (windows / "drive_c/windows/system32").mkdir(parents=True, exist_ok=True)
     (windows / "dosdevices").mkdir(exist_ok=True)
@@ -129,12 +122,34 @@ def run_in_wine(library: Path, calls: Iterable[Call], folder: Path) -> list[list
             (windows / "dosdevices" / drive).symlink_to(place)
     (windows / ".update-timestamp").write_text("disable\n")
     # Wine's own libraries serve as they lie: to fill a system's folder takes half a minute
-    settings = {"WINEPREFIX": str(windows), "WINEBOOTSTRAPMODE": "1", "WINEDEBUG": "-all"}
-    path = f"Z:{library}".replace("/", "\\").encode().ljust(LONGEST_NAME_BYTES, b"\0")
-    return _run([WINE, program], path, calls, os.environ | settings)
+    return {"WINEPREFIX": str(windows), "WINEBOOTSTRAPMODE": "1", "WINEDEBUG": "-all"}
 
 
-def _run(command: Sequence[str | Path | None], begin: bytes, calls: Iterable[Call],
+# Runs
+
+
+def run_in_qemu(program: Path, calls: Iterable[Call]) -> list[list[np.ndarray]]:
+    """The arrays of calls as kernels for arm64 left them."""
+    return _run([QEMU or "", program], b"", calls)
+
+
+def run_in_node(program: Path, calls: Iterable[Call]) -> list[list[np.ndarray]]:
+    """The arrays of calls as kernels in wasm left them."""
+    return _run([NODE or "", "--no-warnings", "-e", IN_NODE, program], b"", calls)
+
+
+def run_in_wine(library: Path, calls: Iterable[Call], folder: Path) -> list[list[np.ndarray]]:
+    """The arrays of calls as kernels of a library for Windows left them."""
+    program = folder / "program.exe"
+    if not program.exists():
+        _compile("x86_64-windows-gnu", "baseline", "start",
+                 ["-e", "start", "-o", program, PROGRAM, "-lkernel32"])
+    path = windows_path(library).encode().ljust(LONGEST_NAME_BYTES, b"\0")
+    return _run([WINE or "", program], path, calls,
+                os.environ | wine_settings(folder))
+
+
+def _run(command: Sequence[str | Path], begin: bytes, calls: Iterable[Call],
          environment: Mapping[str, str] | None = None) -> list[list[np.ndarray]]:
     calls = list(calls)
     given = begin + b"".join(_given(call) for call in calls)
@@ -152,7 +167,7 @@ def _run(command: Sequence[str | Path | None], begin: bytes, calls: Iterable[Cal
 
 
 def _given(call: Call) -> bytes:
-    found = call.name.encode().ljust(LONGEST_NAME_BYTES, b"\0") + struct.pack("<3q", 0, call.rows,
+    found = call.name.encode().ljust(LONGEST_NAME_BYTES, b"\0") + struct.pack("<3q", *call.rows,
                                                                         len(call.arrays))
     for array in call.arrays:
         found += (struct.pack(f"<{2 + array.ndim}q", array.ndim, array.nbytes, *array.shape)

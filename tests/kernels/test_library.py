@@ -38,7 +38,7 @@ from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_
 from postfx.kernels.occlusion import FIND_SURFACE, LOOK
 from postfx.runtime import ArgumentTable, Device
 from tests.conftest import REPOSITORY
-from tests.kernels import denoise_cases, foreign, host_cuda
+from tests.kernels import denoise_cases, foreign, host_cuda, recorded_calls
 from tests.kernels.denoise_cases import ODD, arguments, case_for, run, shape
 from tests.kernels.test_denoise_kernels import FROM_CODES, codes_of
 
@@ -179,36 +179,33 @@ def test_a_checkout_compiles_only_what_is_used(plug_in: Path, monkeypatch: pytes
     library._compiled_parts.clear()
 
 
-def calls_elsewhere(level: str, most: int) -> tuple[list[foreign.Call], list[list[np.ndarray]]]:
-    """Calls of kernels in C++, and what a level of this processor writes."""
-    calls, wanted = [], []
+def calls_elsewhere(most: int) -> list[foreign.Call]:
+    """Calls of kernels in C++: on cases, and as frames make them."""
+    calls = []
     for kernel in IN_CPP:
         for case, inputs in inputs_of(kernel, most):
-            written = at_level(kernel, level, inputs, case)
+            made = {name: np.zeros(shape(kernel, name, case), kernel.types.get(name, "float32"))
+                    for name in kernel.writes}
             name, axis = kernel.row_axis
-            rows = written[kernel.writes.index(name)].shape[axis]
-            empty = [np.zeros_like(one) for one in written]
-            calls.append(foreign.Call(kernel.rows.name, rows, [*inputs.values(), *empty]))
-            wanted.append(written)
-    for name, read, made in other_rows():
-        rows = rows_of(name, made)
-        written = [np.zeros_like(array) for array in made]
-        Rows(name, level=level)(0, rows, *read, *written)
-        calls.append(foreign.Call(name, rows, [*read, *made]))
-        wanted.append(written)
-    return calls, wanted
+            rows = (0, made[name].shape[axis])
+            calls.append(foreign.Call(kernel.rows.name, rows, [*inputs.values(), *made.values()]))
+    calls += [foreign.Call(name, (0, rows_of(name, made)), [*read, *made])
+              for name, read, made in other_rows()]
+    return calls + recorded_calls.of_frames()
 
 
 def names_of(calls: list[foreign.Call]) -> list[str]:
     """Of the kernels that are called."""
-    return list(dict.fromkeys(call.name for call in calls))
+    return sorted({call.name for call in calls})
 
 
 def check_same_bits(calls: list[foreign.Call], found: list[list[np.ndarray]],
-                    wanted: list[list[np.ndarray]]) -> None:
-    """All that is written, whatever it is."""
-    for call, arrays, expected in zip(calls, found, wanted, strict=True):
-        for one, other in zip(arrays[-len(expected):], expected, strict=True):
+                    level: str) -> None:
+    """As those of a level here."""
+    for call, arrays in zip(calls, found, strict=True):
+        wanted = [array.copy() for array in call.arrays]
+        Rows(call.name, level=level)(*call.rows, *wanted)
+        for one, other in zip(arrays, wanted, strict=True):
             np.testing.assert_array_equal(one, other, call.name)
 
 
@@ -220,9 +217,9 @@ elsewhere = pytest.mark.parametrize("most", [2, pytest.param(6, marks=pytest.mar
 @elsewhere
 def test_arm64_gives_the_same_bits_too(tmp_path: Path, most: int) -> None:
     """An emulator runs the kernels compiled for it."""
-    calls, wanted = calls_elsewhere(FUSED[-1], most)
+    calls = calls_elsewhere(most)
     program = foreign.with_kernels(names_of(calls), "aarch64-linux-musl", "generic", tmp_path)
-    check_same_bits(calls, foreign.run_in_qemu(program, calls), wanted)
+    check_same_bits(calls, foreign.run_in_qemu(program, calls), FUSED[-1])
 
 
 @needs_compiler
@@ -230,9 +227,9 @@ def test_arm64_gives_the_same_bits_too(tmp_path: Path, most: int) -> None:
 @elsewhere
 def test_wasm_gives_the_bits_of_a_processor_without_fused_products(tmp_path: Path,
                                                                    most: int) -> None:
-    calls, wanted = calls_elsewhere("baseline", most)
+    calls = calls_elsewhere(most)
     program = foreign.with_kernels(names_of(calls), "wasm32-wasi", "generic+simd128", tmp_path)
-    check_same_bits(calls, foreign.run_in_node(program, calls), wanted)
+    check_same_bits(calls, foreign.run_in_node(program, calls), "baseline")
 
 
 @needs_compiler
@@ -241,9 +238,9 @@ def test_wasm_gives_the_bits_of_a_processor_without_fused_products(tmp_path: Pat
     FUSED[-1],
     *(pytest.param(level, marks=pytest.mark.soak) for level in library.levels()[:-1])])
 def test_the_library_for_windows_gives_the_same_bits(tmp_path: Path, level: str) -> None:
-    calls, wanted = calls_elsewhere(level, 2)
-    made = foreign.windows_library(level, tmp_path)
-    check_same_bits(calls, foreign.run_in_wine(made, calls, tmp_path), wanted)
+    calls = calls_elsewhere(2)
+    _, made = foreign.windows_libraries(tmp_path, level)
+    check_same_bits(calls, foreign.run_in_wine(made, calls, tmp_path), level)
 
 
 CODED = {coded for _, coded in FROM_CODES}
