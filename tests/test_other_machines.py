@@ -19,6 +19,10 @@ from tests.kernels import foreign
 
 ROOM = windows_python.REPOSITORY / "samples/room/noisy.####.exr"
 NUMBERS = (1, 2, 3)
+MOST_OFF = {"exr": 1e-2, "png": 1.01 / 255}
+"""Between pixels on arm64 and here, by the ending of files."""
+MOST_CHANGED = 0.01
+"""Share of numbers that are not the same there."""
 needs_wine = pytest.mark.skipif(foreign.WINE is None, reason="needs wine64")
 needs_same_python = pytest.mark.skipif(sys.version_info[:2] != windows_python.VERSION,
                                        reason="needs Python 3.11")
@@ -41,11 +45,13 @@ def machine(request: pytest.FixtureRequest,
 @pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="needs ziglang")
 @pytest.mark.parametrize("model", ["s", "m", "xl"])
 def test_the_command_writes_the_same_pixels(machine: tuple[ModuleType, Path], tmp_path: Path,
-                                           model: str) -> None:
-    """Denoised with history, and tone-mapped. The same bytes only on Windows: ISA-L compresses
-    otherwise on arm64."""
+                                            model: str) -> None:
+    """Denoised with history, and tone-mapped. All of them on Windows; on arm64 networks round
+    otherwise in few places."""
     python, folder = machine
-    for ending in ("exr", "png"):
+    if python is arm64_python and model == "xl":
+        pytest.skip("takes a quarter of an hour in the emulator")
+    for ending, most in MOST_OFF.items():
         words = ("-m", "postfx", "run", ROOM, "--frames", f"{NUMBERS[0]}-{NUMBERS[-1]}",
                  "--run-up", "0", "--model", model)
         here, there = tmp_path / f"here/a.####.{ending}", tmp_path / f"there/a.####.{ending}"
@@ -54,7 +60,11 @@ def test_the_command_writes_the_same_pixels(machine: tuple[ModuleType, Path], tm
         assert done.returncode == 0, done.stderr
         for number in NUMBERS:
             name = f"a.{number:04}.{ending}"
-            np.testing.assert_array_equal(pixels(there.parent / name), pixels(here.parent / name))
+            found, wanted = pixels(there.parent / name), pixels(here.parent / name)
+            apart = np.abs(found - wanted)
+            print(f"{name}: {np.count_nonzero(apart)} of {apart.size}, at most {apart.max():.2g}")
+            assert apart.max() <= (most if python is arm64_python else 0), name
+            assert np.count_nonzero(apart) <= MOST_CHANGED * apart.size, name
     done = python.run(folder, "-m", "postfx", "verify", tmp_path / "there")
     assert done.returncode == 0, done.stderr
 
