@@ -136,6 +136,10 @@ GUIDE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUG
 OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY, Role.LATER)
 """Planes that may come at output size: as guides."""
 
+KEY = 0.18
+"""Light of middle grey: what exposure puts the mean of a picture at."""
+
+
 def factor_of_stops(stops: float) -> float:
     """2 ** stops: infinite or 0 where no number holds it, NaN for NaN."""
     return float(np.exp2(np.float64(stops)))

@@ -104,6 +104,19 @@ def find_crowded_lines(sources: list[Source]) -> Places:
     return {place: names for place, names in found.items() if len(names) > 1}
 
 
+def count_kernel_lines(repository: Path = PACKAGE.parent) -> dict[str, str]:
+    """Lines of kernels by the language that they are written in."""
+    forms = {"C++": ("postfx", (".h", ".cpp")), "CUDA": ("postfx", (".cuh", ".cu")),
+             "PyTorch": ("training/kernels", (".py",))}
+    found = {}
+    for language, (folder, endings) in forms.items():
+        texts = [path.read_text("utf-8") for path in (repository / folder).rglob("*")
+                 if path.suffix in endings]
+        found[language] = sum(len(text.splitlines()) for text in texts)
+    return {"lines of kernels": f"{sum(found.values())}",
+            **{f"lines of kernels in {language}": f"{lines}" for language, lines in found.items()}}
+
+
 def measure_frame() -> dict[str, str]:
     """What a steady frame of the sample room passes on its way into an EXR."""
     from tests.test_frame_path import OUTPUTS, counted, watch_run
@@ -153,7 +166,8 @@ def main() -> None:
                       find_crowded_lines(sources)):
             for key, values in found.items():
                 print(f"{key}  {', '.join(values)}")
-    for what, value in (make_table(sources) | (measure_frame() if arguments.frame else {})).items():
+    table = make_table(sources) | count_kernel_lines()
+    for what, value in (table | (measure_frame() if arguments.frame else {})).items():
         print(f"{what:<44}{value:>14}")
 
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from tests.code_table import make_table, read_sources
+from tests.code_table import count_kernel_lines, make_table, read_sources
 
 NEAR = ('NEAR = 1\nSTEP, MOST = 2, 3\nNAMES[NEAR] = 4\n\ndef f(a, b, c, d, e, f, g, *rest, h=1):\n'
         '    SMALL = 4\n    return SMALL\n')
@@ -22,3 +22,15 @@ def test_the_table_counts_what_it_says(tmp_path: Path) -> None:
         "constants named in several modules": "1",
         "lines with several constants": "1",
     }
+
+
+def test_lines_of_kernels_are_counted_by_language(tmp_path: Path) -> None:
+    for name, lines in (("postfx/kernels/a.h", 2), ("postfx/kernels/denoise/a.cpp", 3),
+                        ("postfx/interpolate/a.cu", 5), ("postfx/kernels/a.py", 7),
+                        ("training/kernels/a.py", 11)):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(lines * "one\n")
+    assert count_kernel_lines(tmp_path) == {
+        "lines of kernels": "21", "lines of kernels in C++": "5", "lines of kernels in CUDA": "5",
+        "lines of kernels in PyTorch": "11"}

@@ -14,8 +14,7 @@ import numpy as np
 from skimage.metrics import structural_similarity
 
 from postfx.colour.views import to_codes
-from postfx.exposure import KEY
-from postfx.frame import Frame, Role
+from postfx.frame import KEY, Frame, Role
 from postfx.sampling import bilinear, motion_at
 
 LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])

@@ -11,7 +11,7 @@ import numpy as np
 
 from postfx.cli.summary import FrameResult, Report
 from postfx.colour.displays import srgb_decode
-from postfx.doctor.inspection import Inspection
+from postfx.doctor.inspection import Inspection, contact_sheet
 from postfx.errors import ReportError
 from postfx.exposure import ExposureMeter, measure
 from postfx.frame import Frame, Role
@@ -96,7 +96,7 @@ class RunReport:
         name = Path(str(self._sequence.pattern)).name
         write_report(self._path, f"postfx report: {name}", self._log,
                      {view: one.facts() for view, one in inspected.items()},
-                     {view: one.frames[0] for view, one in inspected.items()},
+                     {view: contact_sheet(one.frames[0]) for view, one in inspected.items()},
                      {**report.as_dict(), "plan": plan})
         return report
 
@@ -163,7 +163,7 @@ def write_inspection(inspection: Inspection, path: str) -> None:
     _check(Path(path))
     name = Path(str(inspection.sequence.pattern)).name
     write_report(Path(path), f"postfx inspect: {name}", log, {"": inspection.facts()},
-                 {"": inspection.frames[0]})
+                 {"": contact_sheet(inspection.frames[0])})
 
 
 def _label(name: str, view: str | None) -> str:

@@ -17,13 +17,12 @@ import numpy as np
 
 from postfx.errors import ExposureError, PostfxError
 from postfx.files import read_ahead
-from postfx.frame import Frame, Role, factor_of_stops
+from postfx.frame import KEY, Frame, Role, factor_of_stops
 from postfx.kernels.statistics import block_means
 
 if TYPE_CHECKING:
     from postfx.io.sequence import Sequence as FrameSequence
 
-KEY = 0.18
 LIMITS_EV = (-40.0, 40.0)
 """Beyond them light is not finite in what follows; the darkest that is not black needs 22."""
 PERCENTILES = (2.0, 98.0)

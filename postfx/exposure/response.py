@@ -18,8 +18,8 @@ import OpenImageIO as oiio
 from postfx.colour.displays import SRGB
 from postfx.colour.views import luma, neutral
 from postfx.errors import ExposureError
-from postfx.exposure import KEY, USED_EXPOSURE_ATTRIBUTE
-from postfx.frame import Frame, Role
+from postfx.exposure import USED_EXPOSURE_ATTRIBUTE
+from postfx.frame import KEY, Frame, Role
 from postfx.io.image_file import reason_of
 from postfx.io.pattern import describe_absence, locate
 from postfx.io.writer import write_frame

@@ -11,8 +11,7 @@ from typing import ClassVar, Literal, Never
 import numpy as np
 
 from postfx.errors import ExposureError
-from postfx.exposure import KEY
-from postfx.frame import FrameSpec, Role
+from postfx.frame import KEY, FrameSpec, Role
 from postfx.kernels.image import CHECKERBOARD, OVER, OVER_ALPHA, turns
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import CommandBuffer, Device

@@ -13,10 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from postfx.doctor.inspection import contact_sheet
 from postfx.errors import CommandError, SequenceError, WriteError
 from postfx.files import write_text, write_texts
-from postfx.frame import Frame
 from postfx.io.writer import check_folder
 from postfx.report.capture_data import CAPTURE_FILE, as_dict
 from postfx.report.charts import charts
@@ -69,12 +67,13 @@ REPORT_SCRIPTS = ("report_light.js", "report_viewer.js", "report_charts.js", "re
 
 def write_report(
     path: Path, title: str, log: FrameLog, facts: Mapping[str, dict[str, Any]],
-    firsts: Mapping[str, Frame], run: dict[str, Any] | None = None,
+    sheets: Mapping[str, list[dict[str, Any]]], run: dict[str, Any] | None = None,
 ) -> None:
     """Write the page. Raises WriteError.
 
     log: data of the frames. facts: view ('' if there is only one) -> facts about the input, as
-    `postfx inspect --json` prints them. firsts: view -> the input's first frame with all planes.
+    `postfx inspect --json` prints them. sheets: view -> pictures of all planes of the input's first
+    frame, by `postfx.doctor.inspection.contact_sheet`.
     run: as `postfx run --json` prints it, with 'plan', the text of --explain.
     """
     data = {
@@ -88,8 +87,7 @@ def write_report(
         "readings": {row.number: row.readings for row in log.rows},
         "facts": next(iter(facts.values())),
         "views": facts,
-        "sheet": [{**one, "view": view} for view, first in firsts.items()
-                  for one in contact_sheet(first)],
+        "sheet": [{**one, "view": view} for view, planes in sheets.items() for one in planes],
         "run": run,
     }
     try:

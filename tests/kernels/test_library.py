@@ -38,7 +38,7 @@ from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_
 from postfx.kernels.occlusion import FIND_SURFACE, LOOK
 from postfx.runtime import ArgumentTable, Device
 from tests.conftest import REPOSITORY
-from tests.kernels import denoise_cases, foreign, host_cuda
+from tests.kernels import denoise_cases, foreign, host_cuda, recorded_calls
 from tests.kernels.denoise_cases import ODD, arguments, case_for, run, shape
 from tests.kernels.test_denoise_kernels import FROM_CODES, codes_of
 
@@ -132,15 +132,19 @@ def other_rows() -> Iterator[tuple[str, list[np.ndarray], list[np.ndarray]]]:
     yield "occlusion_looks", [surface, camera, noisy, noisy, np.float32([3])], [points]
 
 
+def rows_of(name: str, written: list[np.ndarray]) -> int:
+    """How many rows are asked for."""
+    return (len(written[0]) if written[0].ndim > 1 and name != "halve_pixels"
+            else written[0].shape[-1])
+
+
 @pytest.mark.parametrize(("name", "read", "written"), [*other_rows()],
                          ids=lambda value: value if isinstance(value, str) else "")
 def test_other_rows_give_the_same_bits_at_every_level(name: str, read: list[np.ndarray],
                                                       written: list[np.ndarray]) -> None:
     """Without fused products, too, but where a logarithm has them; what is no number stays where it
     is."""
-    rows = (len(written[0]) if written[0].ndim > 1 and name != "halve_pixels"
-            else written[0].shape[-1])
-    found = {}
+    rows, found = rows_of(name, written), {}
     for level in library.levels():
         found[level] = [np.zeros_like(array) for array in written]
         Rows(name, level=level)(0, rows, *read, *found[level])
@@ -175,21 +179,68 @@ def test_a_checkout_compiles_only_what_is_used(plug_in: Path, monkeypatch: pytes
     library._compiled_parts.clear()
 
 
+def calls_elsewhere(most: int) -> list[foreign.Call]:
+    """Calls of kernels in C++: on cases, and as frames make them."""
+    calls = []
+    for kernel in IN_CPP:
+        for case, inputs in inputs_of(kernel, most):
+            made = {name: np.zeros(shape(kernel, name, case), kernel.types.get(name, "float32"))
+                    for name in kernel.writes}
+            name, axis = kernel.row_axis
+            rows = (0, made[name].shape[axis])
+            calls.append(foreign.Call(kernel.rows.name, rows, [*inputs.values(), *made.values()]))
+    calls += [foreign.Call(name, (0, rows_of(name, made)), [*read, *made])
+              for name, read, made in other_rows()]
+    return calls + recorded_calls.of_frames()
+
+
+def names_of(calls: list[foreign.Call]) -> list[str]:
+    """Of the kernels that are called."""
+    return sorted({call.name for call in calls})
+
+
+def check_same_bits(calls: list[foreign.Call], found: list[list[np.ndarray]],
+                    level: str) -> None:
+    """As those of a level here."""
+    for call, arrays in zip(calls, found, strict=True):
+        wanted = [array.copy() for array in call.arrays]
+        Rows(call.name, level=level)(*call.rows, *wanted)
+        for one, other in zip(arrays, wanted, strict=True):
+            np.testing.assert_array_equal(one, other, call.name)
+
+
+elsewhere = pytest.mark.parametrize("most", [2, pytest.param(6, marks=pytest.mark.soak)])
+
+
 @needs_compiler
-@pytest.mark.skipif(foreign.EMULATOR is None, reason="needs qemu-aarch64")
-@pytest.mark.parametrize("most", [2, pytest.param(6, marks=pytest.mark.soak)])
+@pytest.mark.skipif(foreign.QEMU is None, reason="needs qemu-aarch64")
+@elsewhere
 def test_arm64_gives_the_same_bits_too(tmp_path: Path, most: int) -> None:
     """An emulator runs the kernels compiled for it."""
-    program = foreign.make_program([kernel.rows.name for kernel in IN_CPP], tmp_path)
-    for number, kernel in enumerate(IN_CPP):
-        for case, inputs in inputs_of(kernel, most=most):
-            wanted = at_level(kernel, FUSED[-1], inputs, case)
-            written = [np.zeros_like(one) for one in wanted]
-            name, axis = kernel.row_axis
-            rows = written[kernel.writes.index(name)].shape[axis]
-            found = foreign.run(program, number, rows, [*inputs.values(), *written])[len(inputs):]
-            for one, other in zip(found, wanted, strict=True):
-                np.testing.assert_array_equal(one, other, f"{kernel.name} {case}")
+    calls = calls_elsewhere(most)
+    program = foreign.with_kernels(names_of(calls), "aarch64-linux-musl", "generic", tmp_path)
+    check_same_bits(calls, foreign.run_in_qemu(program, calls), FUSED[-1])
+
+
+@needs_compiler
+@pytest.mark.skipif(foreign.NODE is None, reason=f"needs Node.js {foreign.OLDEST_NODE}")
+@elsewhere
+def test_wasm_gives_the_bits_of_a_processor_without_fused_products(tmp_path: Path,
+                                                                   most: int) -> None:
+    calls = calls_elsewhere(most)
+    program = foreign.with_kernels(names_of(calls), "wasm32-wasi", "generic+simd128", tmp_path)
+    check_same_bits(calls, foreign.run_in_node(program, calls), "baseline")
+
+
+@needs_compiler
+@pytest.mark.skipif(foreign.WINE is None, reason="needs wine64")
+@pytest.mark.parametrize("level", [
+    FUSED[-1],
+    *(pytest.param(level, marks=pytest.mark.soak) for level in library.levels()[:-1])])
+def test_the_library_for_windows_gives_the_same_bits(tmp_path: Path, level: str) -> None:
+    calls = calls_elsewhere(2)
+    _, made = foreign.windows_libraries(tmp_path, level)
+    check_same_bits(calls, foreign.run_in_wine(made, calls, tmp_path), level)
 
 
 CODED = {coded for _, coded in FROM_CODES}

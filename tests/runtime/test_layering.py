@@ -77,6 +77,22 @@ def test_files_know_neither_kernels_nor_what_is_made_of_frames():
         assert name != "postfx.motion" or "postfx.io" not in found
 
 
+def test_no_two_rooms_import_each_other():
+    """A room is a folder of the package."""
+    pairs = set()
+    for module, found in import_graph(PACKAGE).items():
+        for one in found:
+            pairs.add((room_of(module), room_of(one)))
+    both = {(one, other) for one, other in pairs if one != other and (other, one) in pairs}
+    assert not {pair for pair in both if None not in pair}
+
+
+def room_of(module: str) -> str | None:
+    """The folder that a module lies in; None for one that lies in none."""
+    name = module.split(".")[1] if "." in module else ""
+    return name if (PACKAGE / name / "__init__.py").exists() and name else None
+
+
 def test_no_imports_run_in_a_circle():
     TopologicalSorter(import_graph(PACKAGE)).prepare()
 
