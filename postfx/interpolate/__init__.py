@@ -54,11 +54,12 @@ from postfx.interpolate.timing import (
     settle_sparks,
 )
 from postfx.interpolate.ways import (
+    CLEARLY_BETTER,
     FLOW_HANDICAP,
     Ways,
     compare_ways,
-    foretelling_error,
     shares_of,
+    unevenness,
 )
 from postfx.motion.flow import (
     bring_to_time,
@@ -354,14 +355,6 @@ class Between:
         motion, _ = self._cells_of(self.after)
         return compare_ways(*self._small, self._enlarge(self._estimated[1]), motion)
 
-    @cached_property
-    def _share_of_mean(self) -> float:
-        """How much the mean of both frames counts, 0 to 1: all where one of them is black, as
-        nothing shows how its light changed."""
-        if not self._all_lit:
-            return 1.0
-        return 0.0 if self._ways is None else self._ways.share_of_mean
-
     @property
     def _all_lit(self) -> bool:
         return all(picture.any() for picture in self._pictures)
@@ -375,28 +368,47 @@ class Between:
         return Between(*frames, **self._options)
 
     @cached_property
-    def _shares(self) -> tuple[float, float, float] | None:
+    def _shares(self) -> tuple[float, float, float]:
         """How much the picture by vectors, the one by estimated motion and the mean of both frames
-        count, where the mean would count and a frame beside the two shows more; None elsewhere."""
+        count. The mean alone does where one frame is black, as nothing shows how its light
+        changed."""
         ways = self._ways
-        if ways is None or not self._all_lit or not ways.share_of_mean:
-            return None
+        if not self._all_lit:
+            return 0.0, 0.0, 1.0
+        if ways is None or (ways.vectors_fit and not ways.in_doubt
+                            and not ways.vectors_stand_still):
+            return 1.0, 0.0, 0.0
+        row = self._row
+        if ways.vectors_stand_still and (self._both_have(Role.DEPTH)
+                                         or (ways.vectors_fit and len(row) == 2)):
+            return 1.0, 0.0, 0.0  # light may change, and goes on through four frames
+        first = row.index(self.before)
+        colours = [_finite(frame[Role.COLOUR]) for frame in row]
+        other, scale = self._without_vectors, np.float32(self._scale)
+        flow = scale * other._enlarge(other._estimated[1])
+        fields = [flow, np.zeros_like(flow)]
+        if ways.vectors_fit:
+            motion = scale * self._cells_of(self.after)[0]
+            fields.append(np.where(np.isnan(motion), flow, motion))
+        uneven = [unevenness(colours, first, field, float(self._level)) for field in fields]
+        uneven[0] *= FLOW_HANDICAP
+        if ways.vectors_fit and ways.vectors_stand_still:
+            if uneven[0] > CLEARLY_BETTER * uneven[2]:
+                return 1.0, 0.0, 0.0
+            uneven[1] = math.inf  # the mean is what such vectors show
+        flowing, mean, *given = shares_of(uneven)
+        return (given[0] if given else 0.0), flowing, mean
+
+    @cached_property
+    def _row(self) -> list[Frame]:
+        """Both frames, and those beside them of this shot and size that are known."""
         row = [self.before, self.after]
         if self._earlier is not None and not self.before.reset:
             row.insert(0, self._earlier)
         if self._later is not None and not self._later.reset:
             row.append(self._later)
-        if len(row) == 2 or any(frame[Role.COLOUR].shape[:2] != self._size for frame in row):
-            return None
-        other = self._without_vectors
-        shown = [_at_cells(tone(_finite(frame[Role.COLOUR]), self._level, MARGIN), self._scale)
-                 for frame in row]
-        motion, _ = self._cells_of(self.after)
-        flow = other._enlarge(other._estimated[1])
-        errors = [foretelling_error(shown, way)
-                  for way in (flow, np.zeros_like(flow), *([motion] if ways.vectors_fit else ()))]
-        flowing, mean, *given = shares_of([FLOW_HANDICAP * errors[0], *errors[1:]])
-        return (given[0] if given else 0.0), flowing, mean
+        is_even = all(frame[Role.COLOUR].shape[:2] == self._size for frame in row)
+        return row if is_even else [self.before, self.after]
 
     @cached_property
     def _has_depth(self) -> bool:
@@ -594,7 +606,7 @@ class Between:
     def _weigh(self, t: float, made: Pair, stacks: list[Pair]) -> Pair:
         """The picture of a time and planes that are mixed like it, by all ways as they count;
         `made` along paths. stacks: of both frames, planes that are mixed and that are taken."""
-        shares = self._shares or (1 - self._share_of_mean, 0.0, self._share_of_mean)
+        shares = self._shares
         if shares[0] == 1:
             return made
         flowing: tuple[np.ndarray, ...] = made
