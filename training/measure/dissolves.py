@@ -107,8 +107,9 @@ def gains(going: tuple[Shot, Shot], coming: Shot) -> list[list[float]]:
         row = [Between(before, after)]
         row += [Between(before, after, later, last=Between(earlier, before)) for _ in range(2)]
         shares = []
-        for between, power in zip(row, (ways.UNEVEN_POWER, BEST_ALONE_POWER, ways.UNEVEN_POWER), strict=True):
-            ways.UNEVEN_POWER, usual = power, ways.UNEVEN_POWER
+        usual = ways.UNEVEN_POWER
+        for between, power in zip(row, (usual, BEST_ALONE_POWER, usual), strict=True):
+            ways.UNEVEN_POWER = power
             shares.append(psnr(between.frame(0.5)[Role.COLOUR], wanted) - best)
             ways.UNEVEN_POWER = usual
         found.append(shares)
