@@ -534,8 +534,7 @@ def between_lamps(number: int, on_the_camera: bool) -> Frame:
 
 @pytest.mark.parametrize(("on_the_camera", "filters", "least", "most"), [
     (False, "picture", 0.0, 0.006), (True, "picture", 0.05, 0.1), (True, "own", 0.0, 0.025)])
-def test_light_that_passes_from_part_to_part_is_late(device, on_the_camera,
-                                                                        filters, least, most):
+def test_light_that_passes_from_part_to_part_is_late(device, on_the_camera, filters, least, most):
     """By one to two frames of 0.06 each: the picture shows nothing of it, and parts trust earlier
     frames where the picture does."""
     pipeline = Pipeline([DenoiseUpscale(model="s", scale=1, parts=("key", "fill"),
