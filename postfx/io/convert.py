@@ -59,7 +59,7 @@ class Camera:
 
 _NO_VECTOR = 65000.0
 """Stored motion from here on is unknown, as NaN is: renderers write the largest half float, or
-1e10."""
+1e10. So is what is longer than the picture, as 9999."""
 
 
 def convert(
@@ -80,8 +80,9 @@ def convert(
     if missed is not None:
         plane[missed] = 0
     if is_known is not None:
-        plane = _motion_pixels(plane, rule, camera,
-                               *(camera.display_size or (plane.shape[1], height)))
+        size = camera.display_size or (plane.shape[1], height)
+        plane = _motion_pixels(plane, rule, camera, *size)
+        is_known &= (np.abs(plane) <= max(size)).all(axis=-1)
         if not is_known.all():
             plane[~is_known] = np.nan
     if rule.role is Role.NORMAL and rule.space != "world":
