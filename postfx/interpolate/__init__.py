@@ -56,9 +56,13 @@ from postfx.interpolate.timing import (
 from postfx.interpolate.ways import (
     CLEARLY_BETTER,
     FLOW_HANDICAP,
+    REST_HANDICAP,
     Ways,
     compare_ways,
+    rests,
     shares_of,
+    straight_course,
+    toned,
     unevenness,
 )
 from postfx.motion.flow import (
@@ -88,6 +92,8 @@ MOST_COUNTED_LIGHT = np.float32(1e18)
 MOST_GROWN_PX = 64
 """Pixels by which an overlay that was found in the picture is grown, at most."""
 Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
+BY_VECTORS = 1.0, 0.0, 0.0, 0.0
+"""Shares of pictures where that along the vectors is the only one."""
 OVERLAYS = ("mix", "hold")
 CAMERA_ATTRIBUTES = ("worldToCamera", "worldToNDC")
 """Attributes of a camera, of which the first one is made for the time."""
@@ -368,36 +374,38 @@ class Between:
         return Between(*frames, **self._options)
 
     @cached_property
-    def _shares(self) -> tuple[float, float, float]:
-        """How much the picture by vectors, the one by estimated motion and the mean of both frames
-        count. The mean alone does where one frame is black, as nothing shows how its light
-        changed."""
+    def _shares(self) -> tuple[float, float, float, float]:
+        """How much the picture by vectors, the one by estimated motion, the mean of both frames and
+        `_over_still` count. The mean alone does where one frame is black, as nothing shows how its
+        light changed."""
         ways = self._ways
         if not self._all_lit:
-            return 0.0, 0.0, 1.0
+            return 0.0, 0.0, 1.0, 0.0
         if ways is None or (ways.vectors_fit and not ways.in_doubt
                             and not ways.vectors_stand_still):
-            return 1.0, 0.0, 0.0
+            return BY_VECTORS
         row = self._row
         if ways.vectors_stand_still and (self._both_have(Role.DEPTH)
                                          or (ways.vectors_fit and len(row) == 2)):
-            return 1.0, 0.0, 0.0  # light may change, and goes on through four frames
+            return BY_VECTORS  # light may change, and goes on through four frames
         first = row.index(self.before)
-        colours = [_finite(frame[Role.COLOUR]) for frame in row]
+        colours = [toned(_finite(frame[Role.COLOUR]), float(self._level)) for frame in row]
         other, scale = self._without_vectors, np.float32(self._scale)
         flow = scale * other._enlarge(other._estimated[1])
-        fields = [flow, np.zeros_like(flow)]
+        flowing = FLOW_HANDICAP * unevenness(colours, first, flow)
+        mean = unevenness(colours, first, np.zeros_like(flow))
+        over_still = given = math.inf
+        if ways.vectors_stand_still and len(row) == 4:
+            over_still = REST_HANDICAP * unevenness(rests(colours), first, flow)
         if ways.vectors_fit:
             motion = scale * self._cells_of(self.after)[0]
-            fields.append(np.where(np.isnan(motion), flow, motion))
-        uneven = [unevenness(colours, first, field, float(self._level)) for field in fields]
-        uneven[0] *= FLOW_HANDICAP
+            given = unevenness(colours, first, np.where(np.isnan(motion), flow, motion))
         if ways.vectors_fit and ways.vectors_stand_still:
-            if uneven[0] > CLEARLY_BETTER * uneven[2]:
-                return 1.0, 0.0, 0.0
-            uneven[1] = math.inf  # the mean is what such vectors show
-        flowing, mean, *given = shares_of(uneven)
-        return (given[0] if given else 0.0), flowing, mean
+            if min(flowing, over_still) > CLEARLY_BETTER * given:
+                return BY_VECTORS
+            mean = math.inf  # it is what such vectors show
+        found = shares_of((given, flowing, mean, over_still))
+        return found[0], found[1], found[2], found[3]
 
     @cached_property
     def _row(self) -> list[Frame]:
@@ -591,15 +599,15 @@ class Between:
         return ({role: plane for role, plane in made.items() if isinstance(role, Role)},
                 {name: plane for name, plane in made.items() if not isinstance(name, Role)})
 
-    def _compose(self, t: float, previous: float, light: Pair,
-                 data: Pair) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray | None]:
+    def _compose(self, t: float, previous: float, light: Pair, data: Pair,
+                 pictures: Pair | None = None) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray | None]:
         """What `compose` makes of both frames along paths, of planes that are mixed and of those
         that are taken; then the last two of `_choose`."""
         cells, own, marks = self._choose(t)
         # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and
         # 1
         back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
-        planes = Planes(self._lit(t), self._known, self._depths, light, data)
+        planes = Planes(pictures or self._lit(t), self._known, self._depths, light, data)
         mixture = Mixture(t, self._scale, float(self._level), self._masked, back)
         return compose(cells, planes, mixture, Role.MOTION in self.after), own, marks
 
@@ -607,18 +615,34 @@ class Between:
         """The picture of a time and planes that are mixed like it, by all ways as they count;
         `made` along paths. stacks: of both frames, planes that are mixed and that are taken."""
         shares = self._shares
-        if shares[0] == 1:
+        if shares == BY_VECTORS:
             return made
-        flowing: tuple[np.ndarray, ...] = made
-        if shares[1]:
-            flowing = self._without_vectors._compose(t, 0.0, *stacks)[0][:2]
-        paths_count, flow_counts, mean_counts = map(np.float32, shares)
-        picture, mixed = (
-            paths_count * along + flow_counts * flow + mean_counts
-            * (one + np.float32(t) * (other - one))
-            for along, flow, (one, other) in zip(made, flowing, (self._pictures, stacks[0]),
-                                                 strict=True))
+        ways: list[tuple[np.ndarray, ...]] = [
+            made, made, (_mean_at(self._pictures, t), _mean_at(stacks[0], t)), made]
+        if shares[1] or shares[3]:
+            ways[1] = self._without_vectors._compose(t, 0.0, *stacks)[0][:2]
+        if shares[3]:
+            ways[3] = self._over_still(t), ways[1][1]
+        picture, mixed = np.zeros_like(made[0]), np.zeros_like(made[1])
+        for share, way in zip(shares, ways, strict=True):
+            if share:
+                picture += np.float32(share) * way[0]
+                mixed += np.float32(share) * way[1]
         return picture, mixed
+
+    def _over_still(self, t: float) -> np.ndarray:
+        """The picture of a shot that stands still and goes over into one that moves, or the
+        reverse: the straight course of each pixel, and what is beside it along estimated motion."""
+        row = [_finite(frame[Role.COLOUR]) for frame in self._row]
+        mean, growth = straight_course(row)
+        before, after = rests(row)[1:3]
+        least = min(before.min(), after.min())  # pictures are not below 0
+        other = self._without_vectors
+        none = np.empty((*self._size, 0), np.float32)
+        moved = other._compose(t, 0.0, (none, none), (none, none),
+                               (before - least, after - least))[0][0]
+        found: np.ndarray = mean + np.float32(t - 0.5) * growth + moved + least
+        return found
 
     def _overlay_at(self, t: float) -> np.ndarray:
         one, other = self._overlays
@@ -689,6 +713,12 @@ class Interpolator:
         """Likewise, at a time in the unit of `push`, counted from the first frame's delta on."""
         first, last = self._times
         return self.frame((time - first) / (last - first), number)
+
+
+def _mean_at(pair: Pair, t: float) -> np.ndarray:
+    """The mean of a plane of both frames, by time."""
+    mean: np.ndarray = pair[0] + np.float32(t) * (pair[1] - pair[0])
+    return mean
 
 
 def _at_cells(toned: np.ndarray, scale: int) -> np.ndarray:

@@ -50,6 +50,8 @@ UNEVEN_POWER = 4
 FLOW_HANDICAP = 1.1
 """By how much that of estimated motion counts as larger: it was found in the very pictures that it
 is compared by."""
+REST_HANDICAP = 1.5
+"""The same of what moves before a shot that stands still: half of it was fitted."""
 CLEARLY_BETTER = 0.9
 """Unevenness of the flow, in that of vectors that stand still, below which it counts beside them.
 Of noise the flow makes 1.1 to 1.8."""
@@ -122,7 +124,15 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
     return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()))
 
 
-def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level: float) -> float:
+def toned(picture: np.ndarray, level: float) -> np.ndarray:
+    """Colours (h, w, 3) of the range 0 to 1, in which differences are about as visible in the dark
+    as in the light. level: light that is toned to about the middle."""
+    light = np.maximum(picture, 0)
+    found: np.ndarray = np.sqrt(light / (light + np.float32(level)))
+    return found
+
+
+def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray) -> float:
     """How unevenly the colours of frames in a row go on along a way: by how much frames differ from
     the mean of those next to them, or, of two frames, by how much they differ.
 
@@ -130,10 +140,9 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level:
     shots may look alike in grey.
 
     Args:
-        row: (h, w, 3) two to four frames.
+        row: (h, w, 3) two to four frames, toned.
         first: number of the one before the time between, 0 or 1.
         motion: (rows, columns, 2) to the frame before in pixels of the pictures, for cells of them.
-        level: light that is toned to about the middle.
     """
     h, w = row[0].shape[:2]
     step = max(1, min(motion.shape[:2]) // COMPARED_ROWS)
@@ -147,8 +156,7 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level:
         since = np.float32(first + 0.5 - number)
         x, y = across + since * moved[..., 0], down + since * moved[..., 1]
         is_seen &= is_inside(picture, x, y)
-        toned = bilinear(picture, x.ravel(), y.ravel(), lambda light: _toned(light, level))
-        shown.append(toned.reshape(rows, columns, 3))
+        shown.append(bilinear(picture, x.ravel(), y.ravel()).reshape(rows, columns, 3))
     if not is_seen.any():
         is_seen[:] = True
     seen = [one[is_seen] for one in shown]
@@ -156,6 +164,20 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level:
         return _size_of(seen[0] - seen[1])
     return float(np.mean([_size_of((one + other) / 2 - middle) ** 2 for one, middle, other in
                           zip(seen, seen[1:], seen[2:], strict=False)]) ** 0.5)
+
+
+def straight_course(row: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The straight line through each pixel's numbers in four frames (h, w, 3) that is nearest to
+    them: their mean, and what they grow by from frame to frame."""
+    mean = sum(row[1:], row[0]) / np.float32(4)
+    growth = (np.float32(0.3) * (row[3] - row[0]) + np.float32(0.1) * (row[2] - row[1]))
+    return mean, growth
+
+
+def rests(row: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """What four frames (h, w, 3) show beside `straight_course`."""
+    mean, growth = straight_course(row)
+    return [one - mean - np.float32(number - 1.5) * growth for number, one in enumerate(row)]
 
 
 def shares_of(uneven: Sequence[float]) -> list[float]:
@@ -168,13 +190,6 @@ def shares_of(uneven: Sequence[float]) -> list[float]:
 def _misfit(one: np.ndarray, other: np.ndarray) -> float:
     """Mean difference of toned light."""
     return float(np.minimum(np.abs(one - other), MOST_APART).mean())
-
-
-def _toned(light: np.ndarray, level: float) -> np.ndarray:
-    """Light of the range 0 to 1, in which differences are about as visible in the dark."""
-    positive = np.maximum(light, 0)
-    toned: np.ndarray = np.sqrt(positive / (positive + np.float32(level)))
-    return toned
 
 
 def _size_of(difference: np.ndarray) -> float:
