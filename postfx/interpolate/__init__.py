@@ -600,9 +600,10 @@ class Between:
                 {name: plane for name, plane in made.items() if not isinstance(name, Role)})
 
     def _compose(self, t: float, previous: float, light: Pair, data: Pair,
-                 pictures: Pair | None = None) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray | None]:
+                 pictures: Pair | None = None
+                 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray | None]:
         """What `compose` makes of both frames along paths, of planes that are mixed and of those
-        that are taken; then the last two of `_choose`."""
+        that are taken; then the last two of `_choose`. pictures: in place of the colours."""
         cells, own, marks = self._choose(t)
         # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and
         # 1
