@@ -59,10 +59,9 @@ from postfx.interpolate.ways import (
     REST_HANDICAP,
     Ways,
     compare_ways,
-    rests,
+    rest_of,
     shares_of,
     straight_course,
-    toned,
     unevenness,
 )
 from postfx.motion.flow import (
@@ -389,17 +388,18 @@ class Between:
                                          or (ways.vectors_fit and len(row) == 2)):
             return BY_VECTORS  # light may change, and goes on through four frames
         first = row.index(self.before)
-        colours = [toned(_finite(frame[Role.COLOUR]), float(self._level)) for frame in row]
+        colours = [_finite(frame[Role.COLOUR]) for frame in row]
+        measure = partial(unevenness, colours, first, level=float(self._level))
         other, scale = self._without_vectors, np.float32(self._scale)
         flow = scale * other._enlarge(other._estimated[1])
-        flowing = FLOW_HANDICAP * unevenness(colours, first, flow)
-        mean = unevenness(colours, first, np.zeros_like(flow))
+        flowing = FLOW_HANDICAP * measure(flow)
+        mean = measure(np.zeros_like(flow))
         over_still = given = math.inf
         if ways.vectors_stand_still and len(row) == 4:
-            over_still = REST_HANDICAP * unevenness(rests(colours), first, flow)
+            over_still = REST_HANDICAP * measure(flow, rests=True)
         if ways.vectors_fit:
             motion = scale * self._cells_of(self.after)[0]
-            given = unevenness(colours, first, np.where(np.isnan(motion), flow, motion))
+            given = measure(np.where(np.isnan(motion), flow, motion))
         if ways.vectors_fit and ways.vectors_stand_still:
             if min(flowing, over_still) > CLEARLY_BETTER * given:
                 return BY_VECTORS
@@ -636,7 +636,7 @@ class Between:
         reverse: the straight course of each pixel, and what is beside it along estimated motion."""
         row = [_finite(frame[Role.COLOUR]) for frame in self._row]
         mean, growth = straight_course(row)
-        before, after = rests(row)[1:3]
+        before, after = (rest_of(row, number) for number in (1, 2))
         least = min(before.min(), after.min())  # pictures are not below 0
         other = self._without_vectors
         none = np.empty((*self._size, 0), np.float32)

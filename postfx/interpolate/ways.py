@@ -124,15 +124,8 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
     return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()))
 
 
-def toned(picture: np.ndarray, level: float) -> np.ndarray:
-    """Colours (h, w, 3) of the range 0 to 1, in which differences are about as visible in the dark
-    as in the light. level: light that is toned to about the middle."""
-    light = np.maximum(picture, 0)
-    found: np.ndarray = np.sqrt(light / (light + np.float32(level)))
-    return found
-
-
-def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray) -> float:
+def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level: float,
+               rests: bool = False) -> float:
     """How unevenly the colours of frames in a row go on along a way: by how much frames differ from
     the mean of those next to them, or, of two frames, by how much they differ.
 
@@ -140,9 +133,11 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray) -> flo
     shots may look alike in grey.
 
     Args:
-        row: (h, w, 3) two to four frames, toned.
+        row: (h, w, 3) two to four frames.
         first: number of the one before the time between, 0 or 1.
         motion: (rows, columns, 2) to the frame before in pixels of the pictures, for cells of them.
+        level: light that is toned to about the middle.
+        rests: whether what four frames show beside `straight_course` is looked at.
     """
     h, w = row[0].shape[:2]
     step = max(1, min(motion.shape[:2]) // COMPARED_ROWS)
@@ -156,28 +151,32 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray) -> flo
         since = np.float32(first + 0.5 - number)
         x, y = across + since * moved[..., 0], down + since * moved[..., 1]
         is_seen &= is_inside(picture, x, y)
-        shown.append(bilinear(picture, x.ravel(), y.ravel()).reshape(rows, columns, 3))
+        seen = [bilinear(one, x.ravel(), y.ravel(), lambda light: _toned(light, level))
+                for one in (row if rests else [picture])]
+        colours = rest_of(seen, number) if rests else seen[0]
+        shown.append(colours.reshape(rows, columns, 3))
     if not is_seen.any():
         is_seen[:] = True
-    seen = [one[is_seen] for one in shown]
-    if len(seen) == 2:
-        return _size_of(seen[0] - seen[1])
+    kept = [one[is_seen] for one in shown]
+    if len(kept) == 2:
+        return _size_of(kept[0] - kept[1])
     return float(np.mean([_size_of((one + other) / 2 - middle) ** 2 for one, middle, other in
-                          zip(seen, seen[1:], seen[2:], strict=False)]) ** 0.5)
+                          zip(kept, kept[1:], kept[2:], strict=False)]) ** 0.5)
 
 
 def straight_course(row: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """The straight line through each pixel's numbers in four frames (h, w, 3) that is nearest to
-    them: their mean, and what they grow by from frame to frame."""
+    """The straight line through each number of four arrays of a shape that is nearest to them:
+    their mean, and by what they grow from one to the next."""
     mean = sum(row[1:], row[0]) / np.float32(4)
-    growth = (np.float32(0.3) * (row[3] - row[0]) + np.float32(0.1) * (row[2] - row[1]))
+    growth = np.float32(0.3) * (row[3] - row[0]) + np.float32(0.1) * (row[2] - row[1])
     return mean, growth
 
 
-def rests(row: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """What four frames (h, w, 3) show beside `straight_course`."""
+def rest_of(row: Sequence[np.ndarray], number: int) -> np.ndarray:
+    """What one of four arrays is beside `straight_course`."""
     mean, growth = straight_course(row)
-    return [one - mean - np.float32(number - 1.5) * growth for number, one in enumerate(row)]
+    rest: np.ndarray = row[number] - mean - np.float32(number - 1.5) * growth
+    return rest
 
 
 def shares_of(uneven: Sequence[float]) -> list[float]:
@@ -190,6 +189,14 @@ def shares_of(uneven: Sequence[float]) -> list[float]:
 def _misfit(one: np.ndarray, other: np.ndarray) -> float:
     """Mean difference of toned light."""
     return float(np.minimum(np.abs(one - other), MOST_APART).mean())
+
+
+def _toned(light: np.ndarray, level: float) -> np.ndarray:
+    """Light of the range 0 to 1, in which differences are about as visible in the dark as in the
+    light."""
+    positive = np.maximum(light, 0)
+    toned: np.ndarray = np.sqrt(positive / (positive + np.float32(level)))
+    return toned
 
 
 def _size_of(difference: np.ndarray) -> float:

@@ -6,7 +6,7 @@ import pytest
 from postfx import Between, Frame, Role
 from postfx.cuts import CutDetector
 from postfx.interpolate.lost import motion_of_lost
-from postfx.interpolate.ways import toned, unevenness
+from postfx.interpolate.ways import unevenness
 
 HEIGHT, WIDTH, PAN, FLY = 96, 160, 3.0, (7.0, 2.0)
 Y, X = np.mgrid[:HEIGHT, :WIDTH] + 0.5
@@ -185,18 +185,18 @@ def test_colours_tell_a_way_that_grey_pictures_do_not_show():
     colour = (0.5 + np.stack([red, green, np.zeros_like(red)], -1)).astype(np.float32)
     still = np.zeros((HEIGHT // 2, WIDTH // 2, 2), np.float32)
     for count in (2, 3, 4):
-        row = [toned(colour, 0.5)] * count
-        assert unevenness(row, int(count > 2), still) < 1e-6
-        assert unevenness(row, int(count > 2), still + np.float32(5)) > 0.01
+        row = [colour] * count
+        assert unevenness(row, int(count > 2), still, 0.5) < 1e-6
+        assert unevenness(row, int(count > 2), still + np.float32(5), 0.5) > 0.01
 
 
 def test_what_goes_over_evenly_is_no_sign_of_another_way():
     """Of frames beside the two, where those are known: light that grows along the right way."""
-    row = [toned((light * texture(X + 3 * time, Y, 3)).astype(np.float32), 0.5)
+    row = [(light * texture(X + 3 * time, Y, 3)).astype(np.float32)
            for time, light in zip(range(-1, 3), (0.4, 0.5, 0.6, 0.7), strict=True)]
     motion = np.zeros((HEIGHT, WIDTH, 2), np.float32) + np.float32((3, 0))
-    assert unevenness(row, 1, motion) < 0.2 * unevenness(row[1:3], 0, motion)
-    assert unevenness(row, 1, motion) < 0.2 * unevenness(row, 1, 0 * motion)
+    assert unevenness(row, 1, motion, 0.5) < 0.2 * unevenness(row[1:3], 0, motion, 0.5)
+    assert unevenness(row, 1, motion, 0.5) < 0.2 * unevenness(row, 1, 0 * motion, 0.5)
 
 
 @pytest.mark.parametrize(("shot", "least"), [("stripes", -1), ("pan", 8)])
