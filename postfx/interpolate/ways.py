@@ -35,6 +35,11 @@ vectors that fit."""
 LEAD_APART = 0.5
 """Difference of what both ways show, in that of standing still, from which they may: up to 0.48 in
 renders, 0.63 to 1.2 in dissolves."""
+CLEARLY_WORSE = 1.45
+"""Misfit of vectors, in that of the flow, from which less is enough for other ways to count."""
+FAR_APART = 0.27
+"""The product of how far ways lead apart and of the share of vectors that differ, from which it is:
+up to 0.21 in water."""
 LIKE_STILL = 0.98
 """Misfit of vectors, in that of standing still, from which nothing moves by them."""
 DIFFERENT_WAY_CELLS = 0.5
@@ -55,6 +60,8 @@ REST_HANDICAP = 1.5
 CLEARLY_BETTER = 0.9
 """Unevenness of the flow, in that of vectors that stand still, below which it counts beside them.
 Of noise the flow makes 1.1 to 1.8."""
+ALONE = 0.3
+"""How much differences count that cells beside have not in common: noise, and finest detail."""
 LEAST_SHARE = 0.1
 """Ways that would count less do not count."""
 LEAST_UNEVEN = 1e-5
@@ -94,7 +101,10 @@ class Ways:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether neither way explains much, and each leads another way, as in a dissolve."""
+        """Whether each leads another way, and neither explains much, or vectors explain much less,
+        as in a dissolve."""
+        if self.motion >= CLEARLY_WORSE * self.flow:
+            return self.between * self.different >= FAR_APART * self.still
         return (min(self.flow, self.motion) >= LITTLE_EXPLAINED * self.still
                 and self.between >= LEAD_APART * self.still
                 and self.different >= DIFFERENT_VECTOR_SHARE)
@@ -130,7 +140,8 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level:
     the mean of those next to them, or, of two frames, by how much they differ.
 
     In a dissolve, what moves along the right way goes over evenly. Colours are compared, as two
-    shots may look alike in grey.
+    shots may look alike in grey. Noise counts less, as it differs from cell to cell: differences
+    are multiplied with those beside and below.
 
     Args:
         row: (h, w, 3) two to four frames.
@@ -140,28 +151,35 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level:
         rests: whether what four frames show beside `straight_course` is looked at.
     """
     h, w = row[0].shape[:2]
-    step = max(1, min(motion.shape[:2]) // COMPARED_ROWS)
-    moved = np.nan_to_num(motion[::step, ::step])
-    rows, columns = moved.shape[:2]
-    down, across = np.meshgrid((np.arange(rows) * step + 0.5) * h / motion.shape[0] - 0.5,
-                               (np.arange(columns) * step + 0.5) * w / motion.shape[1] - 0.5,
-                               indexing="ij")
-    is_seen, shown = np.ones(moved.shape[:2], np.bool_), []
-    for number, picture in enumerate(row):
-        since = np.float32(first + 0.5 - number)
-        x, y = across + since * moved[..., 0], down + since * moved[..., 1]
-        is_seen &= is_inside(picture, x, y)
-        seen = [bilinear(one, x.ravel(), y.ravel(), lambda light: _toned(light, level))
-                for one in (row if rests else [picture])]
-        colours = rest_of(seen, number) if rests else seen[0]
-        shown.append(colours.reshape(rows, columns, 3))
+    side, step = h / motion.shape[0], max(1, min(motion.shape[:2]) // COMPARED_ROWS)
+    moved = np.nan_to_num(motion[:-1:step, :-1:step]).reshape(-1, 2)
+    cells = np.mgrid[:motion.shape[0] - 1:step, :motion.shape[1] - 1:step].reshape(2, -1)
+    down, across = (cells + 0.5) * side - 0.5
+    since = [np.float32(first + 0.5 - number) for number in range(len(row))]
+    places = [(across + time * moved[:, 0], down + time * moved[:, 1]) for time in since]
+    is_seen = np.logical_and.reduce([is_inside(row[0], *place) for place in places])
     if not is_seen.any():
         is_seen[:] = True
-    kept = [one[is_seen] for one in shown]
-    if len(kept) == 2:
-        return _size_of(kept[0] - kept[1])
-    return float(np.mean([_size_of((one + other) / 2 - middle) ** 2 for one, middle, other in
-                          zip(kept, kept[1:], kept[2:], strict=False)]) ** 0.5)
+    here, beside, below = (
+        _differences(row, [(x[is_seen] + right, y[is_seen] + lower) for x, y in places], level,
+                     rests)
+        for right, lower in ((0, 0), (side, 0), (0, side)))
+    common = max(float(np.mean(here * (beside + below))) / 2, 0.0)
+    return float((common + ALONE * (float(np.mean(here * here)) - common)) ** 0.5)
+
+
+def _differences(row: Sequence[np.ndarray], places: Sequence[tuple[np.ndarray, np.ndarray]],
+                 level: float, rests: bool) -> np.ndarray:
+    """The differences of `unevenness` at places (x, y) in each frame, (..., 3)."""
+    shown = []
+    for number, (x, y) in enumerate(places):
+        seen = [bilinear(one, x, y, lambda light: _toned(light, level))
+                for one in (row if rests else row[number:number + 1])]
+        shown.append(rest_of(seen, number) if rests else seen[0])
+    if len(shown) == 2:
+        return shown[0] - shown[1]
+    return np.stack([(one + other) / 2 - middle for one, middle, other in
+                     zip(shown, shown[1:], shown[2:], strict=False)])
 
 
 def straight_course(row: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -197,8 +215,3 @@ def _toned(light: np.ndarray, level: float) -> np.ndarray:
     positive = np.maximum(light, 0)
     toned: np.ndarray = np.sqrt(positive / (positive + np.float32(level)))
     return toned
-
-
-def _size_of(difference: np.ndarray) -> float:
-    """Root of the mean square."""
-    return float(np.sqrt(np.mean(np.square(difference))))
