@@ -177,7 +177,7 @@ def _differences(row: Sequence[np.ndarray], places: Sequence[tuple[np.ndarray, n
                 for one in (row if rests else row[number:number + 1])]
         shown.append(rest_of(seen, number) if rests else seen[0])
     if len(shown) == 2:
-        return shown[0] - shown[1]
+        return np.asarray(shown[0] - shown[1])
     return np.stack([(one + other) / 2 - middle for one, middle, other in
                      zip(shown, shown[1:], shown[2:], strict=False)])
 
