@@ -173,6 +173,7 @@ def _picture(frame: Frame) -> Picture | None:
     if Role.MOTION in planes:
         motion = planes[Role.MOTION][block // 2 :: block,
                                      block // 2 :: block][:rows, :columns].astype(float) / block
+        motion[np.abs(motion).max(-1) > max(rows, columns)] = np.nan  # stands for none
     return Picture(_band(light.transpose(1, 2, 0)), guides, motion, (block / height, block / width))
 
 

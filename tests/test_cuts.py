@@ -149,9 +149,11 @@ def test_motion_vectors_that_are_wrong_are_no_cuts(room):
     assert cuts(wrong) == []
 
 
-def test_unknown_vectors_are_no_cuts_and_a_join_is_found(picture):
-    """Compared as frames without vectors, also where some are known."""
-    known = np.full((180, 320, 2), np.nan, np.float32)
+@pytest.mark.parametrize("none", [np.nan, 9999.0, -400.0])
+def test_unknown_vectors_are_no_cuts_and_a_join_is_found(picture, none):
+    """Compared as frames without vectors, also where some are known; what is longer than the
+    picture is not."""
+    known = np.full((180, 320, 2), none, np.float32)
     known[:40, :40] = 60, 0
     frames = [Frame({Role.COLOUR: picture[100:280, at : at + 320], Role.MOTION: known})
               for at in range(0, 320, 60)]

@@ -41,6 +41,8 @@ examples:
   openjd run job.json --step Verify --run-dependencies    # runs all of that job on this machine
   postfx verify out/ --frames 1-200
 """
+_NETWORK = ("all chunks run network {}, chosen for this machine: --model NAME (after --) chooses "
+            "another")
 _UNEVEN = {
     "both_ways": "--both-ways works in parts of 32 frames that begin with each chunk: seams may be "
     "seen; leave it out",
@@ -87,7 +89,7 @@ def execute(arguments: argparse.Namespace) -> int:
     facts: dict[str, Any] = {
         "input": str(cut.sequence.pattern), "output": arguments.output, "frames": cut.frames,
         "chunks": [{**chunk.as_dict(), "command": cut.command(chunk)} for chunk in cut.chunks],
-        "verify": cut.verify, "notes": cut.notes}
+        "verify": cut.verify, "notes": cut.notes, "network": cut.network}
     print(json.dumps(facts, indent=2) if arguments.json else "\n".join(_lines(facts)))
     return 0
 
@@ -99,6 +101,7 @@ class Cut(NamedTuple):
         frames: numbers of all frames, as text.
         run: command of a chunk, without its frames; verify: of the check of all chunks together.
         notes: what may be seen at seams, and what takes long.
+        network: the denoiser's, where nobody chose one; else None.
     """
 
     sequence: Sequence
@@ -107,6 +110,7 @@ class Cut(NamedTuple):
     run: list[str]
     verify: list[str]
     notes: list[str]
+    network: str | None = None
 
     def command(self, chunk: Chunk) -> list[str]:
         """Command of a chunk."""
@@ -139,6 +143,8 @@ def cut_up(words: Words[str], given: argparse.Namespace, size: int,
     chunks = list(make_chunks(sequence, size, _frames_ahead(given, sequence)))
     own = [] if given.preroll is not None else ["--preroll", "auto"]
     own += [] if given.overwrite or given.skip_existing else ["--skip-existing"]
+    network = _network(given, sequence)
+    own += [] if network is None else ["--model", network]
     folder = (Path(given.output) if with_slashes(given.output).endswith("/")
               else Path(given.output).parent)
     whole = format_frames(sequence.numbers)
@@ -148,7 +154,31 @@ def cut_up(words: Words[str], given: argparse.Namespace, size: int,
                "and --preroll 32 is enough for most shots"]
               if before > len(sequence) // 2 else [])
     verify = ["postfx", "verify", str(folder), f"--frames={whole}"]
-    return Cut(sequence, chunks, whole, ["postfx", *words, *given.defaults, *own], verify, notes)
+    return Cut(sequence, chunks, whole, ["postfx", *words, *given.defaults, *own], verify, notes,
+               network)
+
+
+def _network(given: argparse.Namespace, sequence: Sequence) -> str | None:
+    """The network of all chunks, where nobody chose one: as this machine would. Each machine would
+    choose by its own memory and device, and seams would show. None where --model, --budget or
+    --memory decide, or nothing is denoised."""
+    from postfx.cli.interruptions import OnError, first_readable
+    from postfx.cli.run_options import RUN
+    from postfx.passes.denoise.models import usual_network
+    from postfx.passes.denoise.options import output_size
+    from postfx.runtime import Device
+
+    options = RUN.values_for("denoiser", given)
+    is_bounded = given.budget is not None or given.memory is not None
+    if given.no_denoise or is_bounded or "model" in options:
+        return None
+    with sequence.open(first_readable(sequence, OnError(given.on_error))) as files:
+        spec = files.spec()
+    wanted = output_size(spec, options.get("scale"), options.get("size"))
+    keeps_size = "size" not in options and wanted.width == spec.width
+    on_host = given.device == "cpu" or (given.device == "auto"
+                                        and Device().memory.host_visible)
+    return usual_network((spec.width, spec.height), keeps_size, on_host)
 
 
 def _open(given: argparse.Namespace, frames: str | None) -> Sequence:
@@ -188,8 +218,9 @@ def _notes(given: argparse.Namespace, output: str) -> list[str]:
 def _lines(facts: dict[str, Any]) -> list[str]:
     join = subprocess.list2cmdline if os.name == "nt" else shlex.join
     lines = [f"{join(chunk['command'])}  # reads {chunk['reads']}" for chunk in facts["chunks"]]
+    notes = [*facts["notes"], *([_NETWORK.format(facts["network"])] if facts["network"] else [])]
     return [*lines, f"{join(facts['verify'])}  # after all of them",
-            *(f"# {note}" for note in facts["notes"])]
+            *(f"# {note}" for note in notes)]
 
 
 # Names of the task's and of the job's parameter of an Open Job Description.

@@ -491,14 +491,15 @@ class Job:
         return list(dict.fromkeys([*others[:1], *others[len(others) // 2 :][:1], *others[-1:]]))
 
     def _planes_of_later_frames(self, numbers: list[int]) -> list[str]:
-        """A warning for planes that the first frame lacks and these have: the plan is made for the
-        first."""
+        """A warning for planes that the first frame lacks and these have, or the reverse: the plan
+        is made for the first."""
         for number in numbers:
             try:
                 with self.sequence.reader().open(number) as files:
-                    more = {*self.pipeline.explain(files.spec()).planes} - {*self.plan.planes,
-                                                                            Role.MOTION}
+                    planes = {*self.pipeline.explain(files.spec()).planes}
+                    more = planes - {*self.plan.planes, Role.MOTION}
                     more |= {*files.layout.planes} & {Role.MOTION} - {*self._channels}
+                    fewer = {*self.plan.planes} & {*self._channels} - planes - {Role.MOTION}
             except PostfxError:  # which is told where the frame's turn comes
                 continue
             if more:
@@ -506,6 +507,10 @@ class Job:
                 return [f"frame {self.first} has no {names}, frame {number} does: no frame is "
                         "denoised with it; render it for all frames, or choose frames that have "
                         "it (--frames)"]
+            if fewer:
+                names = " and ".join(sorted(map(str, fewer)))
+                return [f"frame {number} has no {names}, frame {self.first} does: it cannot be "
+                        "denoised; render it again, or choose other frames (--frames)"]
         return []
 
     @cached_property

@@ -54,11 +54,15 @@ from postfx.interpolate.timing import (
     settle_sparks,
 )
 from postfx.interpolate.ways import (
+    CLEARLY_BETTER,
     FLOW_HANDICAP,
+    REST_HANDICAP,
     Ways,
     compare_ways,
-    foretelling_error,
+    rest_of,
     shares_of,
+    straight_course,
+    unevenness,
 )
 from postfx.motion.flow import (
     bring_to_time,
@@ -87,6 +91,8 @@ MOST_COUNTED_LIGHT = np.float32(1e18)
 MOST_GROWN_PX = 64
 """Pixels by which an overlay that was found in the picture is grown, at most."""
 Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
+BY_VECTORS = 1.0, 0.0, 0.0, 0.0
+"""Shares of pictures where that along the vectors is the only one."""
 OVERLAYS = ("mix", "hold")
 CAMERA_ATTRIBUTES = ("worldToCamera", "worldToNDC")
 """Attributes of a camera, of which the first one is made for the time."""
@@ -354,14 +360,6 @@ class Between:
         motion, _ = self._cells_of(self.after)
         return compare_ways(*self._small, self._enlarge(self._estimated[1]), motion)
 
-    @cached_property
-    def _share_of_mean(self) -> float:
-        """How much the mean of both frames counts, 0 to 1: all where one of them is black, as
-        nothing shows how its light changed."""
-        if not self._all_lit:
-            return 1.0
-        return 0.0 if self._ways is None else self._ways.share_of_mean
-
     @property
     def _all_lit(self) -> bool:
         return all(picture.any() for picture in self._pictures)
@@ -375,28 +373,50 @@ class Between:
         return Between(*frames, **self._options)
 
     @cached_property
-    def _shares(self) -> tuple[float, float, float] | None:
-        """How much the picture by vectors, the one by estimated motion and the mean of both frames
-        count, where the mean would count and a frame beside the two shows more; None elsewhere."""
+    def _shares(self) -> tuple[float, float, float, float]:
+        """How much the picture by vectors, the one by estimated motion, the mean of both frames and
+        `_over_still` count. The mean alone does where one frame is black, as nothing shows how its
+        light changed."""
         ways = self._ways
-        if ways is None or not self._all_lit or not ways.share_of_mean:
-            return None
+        if not self._all_lit:
+            return 0.0, 0.0, 1.0, 0.0
+        if ways is None or (ways.vectors_fit and not ways.in_doubt
+                            and not ways.vectors_stand_still):
+            return BY_VECTORS
+        row = self._row
+        if ways.vectors_stand_still and (self._both_have(Role.DEPTH)
+                                         or (ways.vectors_fit and len(row) == 2)):
+            return BY_VECTORS  # light may change, and goes on through four frames
+        first = row.index(self.before)
+        colours = [_finite(frame[Role.COLOUR]) for frame in row]
+        measure = partial(unevenness, colours, first, level=float(self._level))
+        other, scale = self._without_vectors, np.float32(self._scale)
+        flow = scale * other._enlarge(other._estimated[1])
+        flowing = FLOW_HANDICAP * measure(flow)
+        mean = measure(np.zeros_like(flow))
+        over_still = given = math.inf
+        if ways.vectors_stand_still and len(row) == 4:
+            over_still = REST_HANDICAP * measure(flow, rests=True)
+        if ways.vectors_fit:
+            motion = scale * self._cells_of(self.after)[0]
+            given = measure(np.where(np.isnan(motion), flow, motion))
+        if ways.vectors_fit and ways.vectors_stand_still:
+            if min(flowing, over_still) > CLEARLY_BETTER * given:
+                return BY_VECTORS
+            mean = math.inf  # it is what such vectors show
+        found = shares_of((given, flowing, mean, over_still))
+        return found[0], found[1], found[2], found[3]
+
+    @cached_property
+    def _row(self) -> list[Frame]:
+        """Both frames, and those beside them of this shot and size that are known."""
         row = [self.before, self.after]
         if self._earlier is not None and not self.before.reset:
             row.insert(0, self._earlier)
         if self._later is not None and not self._later.reset:
             row.append(self._later)
-        if len(row) == 2 or any(frame[Role.COLOUR].shape[:2] != self._size for frame in row):
-            return None
-        other = self._without_vectors
-        shown = [_at_cells(tone(_finite(frame[Role.COLOUR]), self._level, MARGIN), self._scale)
-                 for frame in row]
-        motion, _ = self._cells_of(self.after)
-        flow = other._enlarge(other._estimated[1])
-        errors = [foretelling_error(shown, way)
-                  for way in (flow, np.zeros_like(flow), *([motion] if ways.vectors_fit else ()))]
-        flowing, mean, *given = shares_of([FLOW_HANDICAP * errors[0], *errors[1:]])
-        return (given[0] if given else 0.0), flowing, mean
+        is_even = all(frame[Role.COLOUR].shape[:2] == self._size for frame in row)
+        return row if is_even else [self.before, self.after]
 
     @cached_property
     def _has_depth(self) -> bool:
@@ -579,34 +599,51 @@ class Between:
         return ({role: plane for role, plane in made.items() if isinstance(role, Role)},
                 {name: plane for name, plane in made.items() if not isinstance(name, Role)})
 
-    def _compose(self, t: float, previous: float, light: Pair,
-                 data: Pair) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray | None]:
+    def _compose(self, t: float, previous: float, light: Pair, data: Pair,
+                 pictures: Pair | None = None
+                 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray | None]:
         """What `compose` makes of both frames along paths, of planes that are mixed and of those
-        that are taken; then the last two of `_choose`."""
+        that are taken; then the last two of `_choose`. pictures: in place of the colours."""
         cells, own, marks = self._choose(t)
         # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and
         # 1
         back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
-        planes = Planes(self._lit(t), self._known, self._depths, light, data)
+        planes = Planes(pictures or self._lit(t), self._known, self._depths, light, data)
         mixture = Mixture(t, self._scale, float(self._level), self._masked, back)
         return compose(cells, planes, mixture, Role.MOTION in self.after), own, marks
 
     def _weigh(self, t: float, made: Pair, stacks: list[Pair]) -> Pair:
         """The picture of a time and planes that are mixed like it, by all ways as they count;
         `made` along paths. stacks: of both frames, planes that are mixed and that are taken."""
-        shares = self._shares or (1 - self._share_of_mean, 0.0, self._share_of_mean)
-        if shares[0] == 1:
+        shares = self._shares
+        if shares == BY_VECTORS:
             return made
-        flowing: tuple[np.ndarray, ...] = made
-        if shares[1]:
-            flowing = self._without_vectors._compose(t, 0.0, *stacks)[0][:2]
-        paths_count, flow_counts, mean_counts = map(np.float32, shares)
-        picture, mixed = (
-            paths_count * along + flow_counts * flow + mean_counts
-            * (one + np.float32(t) * (other - one))
-            for along, flow, (one, other) in zip(made, flowing, (self._pictures, stacks[0]),
-                                                 strict=True))
+        ways: list[tuple[np.ndarray, ...]] = [
+            made, made, (_mean_at(self._pictures, t), _mean_at(stacks[0], t)), made]
+        if shares[1] or shares[3]:
+            ways[1] = self._without_vectors._compose(t, 0.0, *stacks)[0][:2]
+        if shares[3]:
+            ways[3] = self._over_still(t), ways[1][1]
+        picture, mixed = np.zeros_like(made[0]), np.zeros_like(made[1])
+        for share, way in zip(shares, ways, strict=True):
+            if share:
+                picture += np.float32(share) * way[0]
+                mixed += np.float32(share) * way[1]
         return picture, mixed
+
+    def _over_still(self, t: float) -> np.ndarray:
+        """The picture of a shot that stands still and goes over into one that moves, or the
+        reverse: the straight course of each pixel, and what is beside it along estimated motion."""
+        row = [_finite(frame[Role.COLOUR]) for frame in self._row]
+        mean, growth = straight_course(row)
+        before, after = (rest_of(row, number) for number in (1, 2))
+        least = min(before.min(), after.min())  # pictures are not below 0
+        other = self._without_vectors
+        none = np.empty((*self._size, 0), np.float32)
+        moved = other._compose(t, 0.0, (none, none), (none, none),
+                               (before - least, after - least))[0][0]
+        found: np.ndarray = mean + np.float32(t - 0.5) * growth + moved + least
+        return found
 
     def _overlay_at(self, t: float) -> np.ndarray:
         one, other = self._overlays
@@ -677,6 +714,12 @@ class Interpolator:
         """Likewise, at a time in the unit of `push`, counted from the first frame's delta on."""
         first, last = self._times
         return self.frame((time - first) / (last - first), number)
+
+
+def _mean_at(pair: Pair, t: float) -> np.ndarray:
+    """The mean of a plane of both frames, by time."""
+    mean: np.ndarray = pair[0] + np.float32(t) * (pair[1] - pair[0])
+    return mean
 
 
 def _at_cells(toned: np.ndarray, scale: int) -> np.ndarray:

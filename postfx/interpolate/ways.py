@@ -1,10 +1,9 @@
 """How well vectors and estimated motion explain two pictures, beside standing still.
 
 Where vectors explain much less than estimated motion does, they are not used: those of frames that
-are held, of a wrong sign or unit, of the shot that goes in a dissolve. In the middle of a dissolve
-neither explains much, and each leads another way: the mean of both frames is better then than
-either. Where frames beside the two are known, ways count there as they foretell a known frame
-from those next to it.
+are held, of a wrong sign or unit, of the shot that goes in a dissolve. In a dissolve neither
+explains much, and each leads another way. There all ways count, the mean of both frames is one of
+them, by how evenly colours go on along them through the frames around.
 """
 
 from __future__ import annotations
@@ -30,28 +29,43 @@ LEAST_EXPLAINED = 0.5
 those of half the motion 0.27 to 0.48."""
 MUCH_WORSE = 2.2
 """Misfit beyond which they are not used whatever they explain."""
-LIKE_STILL = 0.5, 0.55
-"""Misfit of the better one, in that of standing still, from which the mean of both frames begins to
-count, and from which it does in full. Both numbers below are ranges likewise."""
-LEAD_APART = 0.5, 0.6
-"""Difference of what both ways show, in that of standing still: up to 0.48 in renders, 0.63 to 1.2
-in dissolves."""
+LITTLE_EXPLAINED = 0.5
+"""Misfit of the better one, in that of standing still, from which other ways may count beside
+vectors that fit."""
+LEAD_APART = 0.5
+"""Difference of what both ways show, in that of standing still, from which they may: up to 0.48 in
+renders, 0.63 to 1.2 in dissolves."""
+CLEARLY_WORSE = 1.45
+"""Misfit of vectors, in that of the flow, from which less is enough for other ways to count."""
+FAR_APART = 0.27
+"""The product of how far ways lead apart and of the share of vectors that differ, from which it is:
+up to 0.21 in water."""
+LIKE_STILL = 0.98
+"""Misfit of vectors, in that of standing still, from which nothing moves by them."""
 DIFFERENT_WAY_CELLS = 0.5
 """Cells by which ways differ."""
+DIFFERENT_VECTOR_SHARE = 0.5
+"""Share of pixels whose vectors must differ for other ways to count beside them: 0.33 where it
+snows, which has 0.62 of the next one."""
 DIFFERENT_WAY_SHARE = 0.5
 """Share of pixels whose ways must differ for vectors not to fit."""
-DIFFERENT_VECTOR_SHARES = 0.5, 0.8
-"""Share of pixels whose vectors differ: 0.33 where it snows, which has 0.62 of the former."""
 
-FORETOLD_POWER = 4
-"""Power of their errors by which ways count."""
-FLOW_HANDICAP = 1.5
-"""By how much the error of estimated motion counts as larger: it was found in the very pictures
-that it foretells."""
+UNEVEN_POWER = 4
+"""Power of their unevenness by which ways count."""
+FLOW_HANDICAP = 1.1
+"""By how much that of estimated motion counts as larger: it was found in the very pictures that it
+is compared by."""
+REST_HANDICAP = 1.5
+"""The same of what moves before a shot that stands still: half of it was fitted."""
+CLEARLY_BETTER = 0.9
+"""Unevenness of the flow, in that of vectors that stand still, below which it counts beside them.
+Of noise the flow makes 1.1 to 1.8."""
+ALONE = 0.3
+"""How much differences count that cells beside have not in common: noise, and finest detail."""
 LEAST_SHARE = 0.1
 """Ways that would count less do not count."""
-LEAST_ERROR = 1e-5
-"""Toned light that is added to errors: frames that are all alike have none."""
+LEAST_UNEVEN = 1e-5
+"""Toned light that is added: frames that are all alike have none."""
 
 
 @dataclass(frozen=True)
@@ -86,13 +100,19 @@ class Ways:
                 or explained >= LEAST_EXPLAINED * (self.still - self.flow))
 
     @property
-    def share_of_mean(self) -> float:
-        """How much the mean of both frames should count, 0 to 1."""
-        if self.still <= 0:
-            return 0.0
-        better = min(self.flow, self.motion) / self.still
-        return (_ramp(better, LIKE_STILL) * _ramp(self.between / self.still, LEAD_APART)
-                * _ramp(self.different, DIFFERENT_VECTOR_SHARES))
+    def in_doubt(self) -> bool:
+        """Whether each leads another way, and neither explains much, or vectors explain much less,
+        as in a dissolve."""
+        if self.motion >= CLEARLY_WORSE * self.flow:
+            return self.between * self.different >= FAR_APART * self.still
+        return (min(self.flow, self.motion) >= LITTLE_EXPLAINED * self.still
+                and self.between >= LEAD_APART * self.still
+                and self.different >= DIFFERENT_VECTOR_SHARE)
+
+    @property
+    def vectors_stand_still(self) -> bool:
+        """Whether nothing moves by the vectors."""
+        return self.motion >= LIKE_STILL * self.still and self.different < DIFFERENT_VECTOR_SHARE
 
 
 def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
@@ -114,23 +134,72 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
     return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()))
 
 
-def foretelling_error(row: Sequence[np.ndarray], motion: np.ndarray) -> float:
-    """How far frames in a row, grey pictures (h, w), are from the mean of those next to them along
-    a field of motion (h, w, 2) to the frame before, which all of them share, in pixels; NaN is 0.
+def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level: float,
+               rests: bool = False) -> float:
+    """How unevenly the colours of frames in a row go on along a way: by how much frames differ from
+    the mean of those next to them, or, of two frames, by how much they differ.
+
+    In a dissolve, what moves along the right way goes over evenly. Colours are compared, as two
+    shots may look alike in grey. Noise counts less, as it differs from cell to cell: differences
+    are multiplied with those beside and below.
+
+    Args:
+        row: (h, w, 3) two to four frames.
+        first: number of the one before the time between, 0 or 1.
+        motion: (rows, columns, 2) to the frame before in pixels of the pictures, for cells of them.
+        level: light that is toned to about the middle.
+        rests: whether what four frames show beside `straight_course` is looked at.
     """
-    step = max(2, min(row[0].shape) // COMPARED_ROWS)
-    y, x = (place.ravel() for place in np.mgrid[:row[0].shape[0]:step, :row[0].shape[1]:step])
-    across, down = np.nan_to_num(motion[::step, ::step]).reshape(-1, 2).T
-    errors = []
-    for before, shown, after in zip(row, row[1:], row[2:], strict=False):
-        one, other = bilinear(before, x + across, y + down), bilinear(after, x - across, y - down)
-        errors.append(np.abs((one + other) / 2 - shown[y, x]).mean())
-    return float(np.mean(errors))
+    h, w = row[0].shape[:2]
+    side, step = h / motion.shape[0], max(1, min(motion.shape[:2]) // COMPARED_ROWS)
+    moved = np.nan_to_num(motion[:-1:step, :-1:step]).reshape(-1, 2)
+    cells = np.mgrid[:motion.shape[0] - 1:step, :motion.shape[1] - 1:step].reshape(2, -1)
+    down, across = (cells + 0.5) * side - 0.5
+    since = [np.float32(first + 0.5 - number) for number in range(len(row))]
+    places = [(across + time * moved[:, 0], down + time * moved[:, 1]) for time in since]
+    is_seen = np.logical_and.reduce([is_inside(row[0], *place) for place in places])
+    if not is_seen.any():
+        is_seen[:] = True
+    here, beside, below = (
+        _differences(row, [(x[is_seen] + right, y[is_seen] + lower) for x, y in places], level,
+                     rests)
+        for right, lower in ((0, 0), (side, 0), (0, side)))
+    common = max(float(np.mean(here * (beside + below))) / 2, 0.0)
+    return float((common + ALONE * (float(np.mean(here * here)) - common)) ** 0.5)
 
 
-def shares_of(errors: Sequence[float]) -> list[float]:
-    """How much ways should count whose errors these are; the sum is 1."""
-    counts = [(error + LEAST_ERROR) ** -FORETOLD_POWER for error in errors]
+def _differences(row: Sequence[np.ndarray], places: Sequence[tuple[np.ndarray, np.ndarray]],
+                 level: float, rests: bool) -> np.ndarray:
+    """The differences of `unevenness` at places (x, y) in each frame, (..., 3)."""
+    shown = []
+    for number, (x, y) in enumerate(places):
+        seen = [bilinear(one, x, y, lambda light: _toned(light, level))
+                for one in (row if rests else row[number:number + 1])]
+        shown.append(rest_of(seen, number) if rests else seen[0])
+    if len(shown) == 2:
+        return np.asarray(shown[0] - shown[1])
+    return np.stack([(one + other) / 2 - middle for one, middle, other in
+                     zip(shown, shown[1:], shown[2:], strict=False)])
+
+
+def straight_course(row: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The straight line through each number of four arrays of a shape that is nearest to them:
+    their mean, and by what they grow from one to the next."""
+    mean = sum(row[1:], row[0]) / np.float32(4)
+    growth = np.float32(0.3) * (row[3] - row[0]) + np.float32(0.1) * (row[2] - row[1])
+    return mean, growth
+
+
+def rest_of(row: Sequence[np.ndarray], number: int) -> np.ndarray:
+    """What one of four arrays is beside `straight_course`."""
+    mean, growth = straight_course(row)
+    rest: np.ndarray = row[number] - mean - np.float32(number - 1.5) * growth
+    return rest
+
+
+def shares_of(uneven: Sequence[float]) -> list[float]:
+    """How much ways should count that are so uneven; the sum is 1."""
+    counts = [(one + LEAST_UNEVEN) ** -UNEVEN_POWER for one in uneven]
     counts = [count if count >= LEAST_SHARE * sum(counts) else 0.0 for count in counts]
     return [count / sum(counts) for count in counts]
 
@@ -140,6 +209,9 @@ def _misfit(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.minimum(np.abs(one - other), MOST_APART).mean())
 
 
-def _ramp(value: float, ends: tuple[float, float]) -> float:
-    """0 up to the first end, 1 from the last one on."""
-    return min(max((value - ends[0]) / (ends[1] - ends[0]), 0.0), 1.0)
+def _toned(light: np.ndarray, level: float) -> np.ndarray:
+    """Light of the range 0 to 1, in which differences are about as visible in the dark as in the
+    light."""
+    positive = np.maximum(light, 0)
+    toned: np.ndarray = np.sqrt(positive / (positive + np.float32(level)))
+    return toned

@@ -18,6 +18,7 @@ from postfx.motion.camera import (
     fit_camera,
     skew_of,
 )
+from postfx.planes import largest_bits_of
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Camera:
 
 _NO_VECTOR = 65000.0
 """Stored motion from here on is unknown, as NaN is: renderers write the largest half float, or
-1e10."""
+1e10. So is what is longer than the picture, as 9999."""
 
 
 def convert(
@@ -75,15 +76,17 @@ def convert(
     if rule.role is Role.DEPTH:
         return _depth(plane, rule, camera, first, height)
     missed = (plane == 0).all(axis=-1) if rule.role is Role.NORMAL and any(rule.offset) else None
-    is_known = (np.abs(plane) < _NO_VECTOR).all(axis=-1) if rule.role is Role.MOTION else None
+    is_none = _not_below(plane, _NO_VECTOR) if rule.role is Role.MOTION else None
     plane = _affine(plane, rule)
     if missed is not None:
         plane[missed] = 0
-    if is_known is not None:
-        plane = _motion_pixels(plane, rule, camera,
-                               *(camera.display_size or (plane.shape[1], height)))
-        if not is_known.all():
-            plane[~is_known] = np.nan
+    if rule.role is Role.MOTION:
+        size = camera.display_size or (plane.shape[1], height)
+        plane = _motion_pixels(plane, rule, camera, *size)
+        is_longer = _not_below(plane, max(size) + 1)
+        for unknown in (is_none, is_longer):
+            if unknown is not None:
+                plane[unknown] = np.nan
     if rule.role is Role.NORMAL and rule.space != "world":
         assert camera.world_to_camera is not None, ("the AOV is not used without a worldToCamera "
                                                     "header")
@@ -170,6 +173,15 @@ def _motion_pixels(plane: np.ndarray, rule: PlaneRule, camera: Camera, width: in
     frames = (camera.shutter or 1.0) if rule.per == "shutter" else 1.0
     factors = [size / frames for size in sizes[rule.unit]]
     return plane if factors == [1, 1] else plane * np.asarray(factors, np.float32)
+
+
+def _not_below(motion: np.ndarray, limit: float) -> np.ndarray | None:
+    """Pixels of motion (height, width, 2) with a channel that is NaN, or from the limit on without
+    its sign; None where there are none, which takes little time to tell."""
+    if largest_bits_of(motion) < np.float32(limit).view(np.uint32):
+        return None
+    unknown: np.ndarray = ~(np.abs(motion) < limit).all(axis=-1)
+    return unknown
 
 
 # Motion of the background -------------------------------------------------------------------------

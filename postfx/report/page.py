@@ -106,7 +106,8 @@ Draw = Callable[[Snapshot], list[dict[str, Any]]]
 def write_capture(capture: Capture, folder: str | Path, title: str) -> Path:
     """Write `folder / capture.html` and `folder / capture.json`; returns the path of the page.
 
-    Raises WriteError if they cannot be written: what was there before then stays.
+    Raises WriteError if they cannot be written: what was there before then stays, and what this
+    capture kept of tensors is removed. Else what captures before kept is.
     """
     folder = Path(folder)
     data = as_dict(capture)
@@ -115,8 +116,10 @@ def write_capture(capture: Capture, folder: str | Path, title: str) -> Path:
         write_texts({folder / CAPTURE_FILE: json.dumps(data, indent=1, allow_nan=False),
                      folder / PAGE: _page(capture, data, title)})
     except OSError as error:
+        capture.discard()
         raise WriteError(f"capture in '{folder}' cannot be written: "
                          f"{error.strerror or error}") from error
+    capture.remove_older()
     return folder / PAGE
 
 
@@ -254,6 +257,9 @@ class FrameCapture:
                 yield
         except CommandError:  # then the capture is needed most
             self._write(capture, number)
+            raise
+        except BaseException:
+            capture.discard()
             raise
         if capture.buffers:
             self._write(capture, number)

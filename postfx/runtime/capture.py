@@ -4,11 +4,14 @@ each wrote."""
 from __future__ import annotations
 
 import json
+import os
 import re
+import secrets
+import shutil
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -17,6 +20,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 import numpy as np
 
 from postfx.errors import CaptureError, CommandError, ModelError
+from postfx.files import is_process_alive
 from postfx.runtime.encoders import Barrier, ConsumerBarrier, Dispatch, EncoderBarrier, Record
 from postfx.runtime.heap import Heap
 from postfx.runtime.memory import Ranges
@@ -43,6 +47,12 @@ from postfx.version import pip_install
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto, TensorProto
 
+TENSORS_FOLDER = "tensors"
+"""Where the files of tensors are, in the folder of a capture."""
+_KEPT_BY = re.compile(r"(?P<process>\d{1,9})-[0-9a-f]{8}")
+"""Name of the folder of one capture's tensors."""
+_FLAT = re.compile(r"\d{4}\..+\.npy")
+"""Name of a tensor of version 0.2.0 and before, which kept all captures in one place."""
 KEPT_TENSORS = ("thumbnails", "none", "all")
 """What a capture keeps of tensors: figures and small pictures, nothing, or also the whole content
 in files."""
@@ -151,6 +161,8 @@ class Capture:
     Attributes:
         buffers: the buffers in the order of commit.
         tensors, folder, network: what it keeps, see `Device.capture`.
+        kept_in: where files of tensors are, relative to the folder. Each capture has a place of its
+            own, so what another one kept stays until `report.page.write_capture` is done.
     """
 
     def __init__(self, device: CapturableDevice, tensors: str, folder: str | Path | None,
@@ -170,6 +182,7 @@ class Capture:
         self.folder = None if folder is None else Path(folder)
         self.network = network
         self.buffers: list[CapturedBuffer] = []
+        self.kept_in = f"{TENSORS_FOLDER}/{os.getpid()}-{secrets.token_hex(4)}"
         self.written = Ranges()
         self.failure: Exception | None = None
         self._recorders: list[Recorder] = []
@@ -191,8 +204,16 @@ class Capture:
         for recorder in self._recorders:
             recorder.done.wait()
         if self.failure is not None:
+            self.discard()
             raise CaptureError("the capture is not complete: "
                                f"{first_line(self.failure)}") from self.failure
+
+    def discard(self) -> None:
+        """Remove the files of tensors that it wrote."""
+        if self.folder is not None:
+            shutil.rmtree(self.folder / self.kept_in, ignore_errors=True)
+            with suppress(OSError):  # others may lie there
+                (self.folder / TENSORS_FOLDER).rmdir()
 
     def record(self, commands: CapturableCommands) -> Recorder:
         """Start recording a buffer; its commit calls this, under the commit lock."""
@@ -211,7 +232,7 @@ class Capture:
         if self.tensors == "none":
             return None
         return take(content(tensor), Pictures(MOST_SLICES if self.folder else 3), self.folder,
-                    _file(number, tensor.name))
+                    self._file(number, tensor.name))
 
     def value(self, index: int, array: np.ndarray, name: str,
               figures_only: bool) -> Snapshot | None:
@@ -219,12 +240,27 @@ class Capture:
         it."""
         if figures_only:
             return take(array, Pictures(0))
-        return take(array, NODE_PICTURES, self.folder, _file(f"{index:04d}", name))
+        return take(array, NODE_PICTURES, self.folder, self._file(f"{index:04d}", name))
 
+    def remove_older(self) -> None:
+        """Remove tensors that captures before kept in the same folder, also those of processes
+        that were killed; not those of another living process."""
+        if self.folder is None:
+            return
+        for path in (self.folder / TENSORS_FOLDER).glob("*"):
+            made = _KEPT_BY.fullmatch(path.name)
+            if path == self.folder / self.kept_in or path.is_symlink():
+                continue
+            if path.is_dir() and made and (int(made["process"]) == os.getpid()
+                                           or not is_process_alive(int(made["process"]))):
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.is_file() and _FLAT.fullmatch(path.name):
+                with suppress(OSError):
+                    path.unlink()
 
-def _file(number: str, name: str) -> str:
-    name = re.sub(r"[^\w.-]+", "_", name)[:60]
-    return f"tensors/{number}.{name}.npy"
+    def _file(self, number: str, name: str) -> str:
+        name = re.sub(r"[^\w.-]+", "_", name)[:60]
+        return f"{self.kept_in}/{number}.{name}.npy"
 
 
 def _capture_dispatch(index: int, dispatch: Dispatch) -> CapturedDispatch:

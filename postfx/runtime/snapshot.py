@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -193,7 +194,9 @@ def take(array: np.ndarray, wanted: Pictures, folder: Path | None = None,
         return None
     if folder is not None:
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / file, lambda output: np.save(output, array))
+        # by `write` alone NumPy does not take the error of a full disk for its own
+        write_atomically(folder / file,
+                         lambda output: np.save(SimpleNamespace(write=output.write), array))
     planes = as_planes(array)
     values = array.ravel().tolist() if array.size <= MOST_KEPT_VALUES else None
     pictures = [] if planes is None else [_small(plane, wanted) for plane in planes[: wanted.most]]

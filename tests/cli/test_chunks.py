@@ -14,8 +14,11 @@ import pytest
 
 from postfx.cli.chunks import describe_job
 from postfx.io.sequence import Sequence, read_sequence
+from postfx.passes.denoise import models
 from postfx.runs.schedule import Chunk, find_preroll, make_chunks
 
+CHOOSES_NETWORK = True
+"""For `quick_network`."""
 RUN = ("--scale", "1", "--model", "s", "--threads", "1")
 
 
@@ -108,6 +111,37 @@ def test_what_does_not_join_is_said(postfx, noise):
     assert "--exposure smooth meters each chunk" in notes("--tonemap", "--exposure", "smooth")
     assert "pictures are exposed as their chunk" in notes(output="out/a.####.png")
     assert notes("--exposure", "0", output="out/a.####.png") == ""
+
+
+@pytest.mark.parametrize("words", [(), ("--scale", "2"), ("--device", "cpu"), ("--preset", "final"),
+                                   ("--no-denoise",), ("--memory", "2G"), ("--model", "s")])
+def test_machines_of_any_memory_run_one_network(postfx, noise, monkeypatch, words):
+    """That of the machine that cuts: others are larger or smaller, and would choose by that."""
+    def cut(memory: int) -> dict:
+        monkeypatch.setattr(models, "usable_memory", lambda: memory)
+        return postfx("chunks", "in/shot.####.exr", "--size", "3", "--json", "--", *words).json
+
+    large, small = cut(1 << 40), cut(1 << 10)
+    wanted = {(): ("xl", "m"), ("--device", "cpu"): ("xl", "m"), ("--scale", "2"): ("m", "m")}
+    assert (large["network"], small["network"]) == wanted.get(words, (None, None))
+    monkeypatch.setattr(models, "usable_memory", lambda: 1 << 10)
+    for facts in (large, small):
+        for chunk in facts["chunks"]:
+            command = chunk["command"]
+            assert command.count("--model") == (words != ("--no-denoise",) and not (
+                {"--memory", "--preset"} & {*words}))
+            if facts["network"]:
+                assert command[command.index("--model") + 1] == facts["network"]
+
+
+def test_a_large_machines_chunk_keeps_its_network_on_a_small_one(postfx, noise, monkeypatch):
+    monkeypatch.setattr(models, "usable_memory", lambda: 1 << 40)
+    chunk = postfx("chunks", "in/shot.####.exr", "--size", "1", "--frames", "1-2", "--json", "--",
+                   "--device", "cpu").json["chunks"][0]
+    monkeypatch.setattr(models, "usable_memory", lambda: 1 << 10)
+    assert postfx(*chunk["command"][1:]).code == 0
+    (run,) = json.loads((noise / "out" / "postfx.manifest.json").read_text())["runs"].values()
+    assert run["settings"]["model"] == "xl"
 
 
 @pytest.mark.parametrize(("words", "message"), [

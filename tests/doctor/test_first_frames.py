@@ -141,6 +141,26 @@ def test_a_run_tells_of_planes_that_come_later(write_exr, tmp_path, capsys):
     assert "no diffuse_albedo" not in capsys.readouterr().err
 
 
+def test_a_run_tells_at_once_of_planes_that_later_frames_lack(write_exr, tmp_path, capsys):
+    """And not after a night, when the frame's turn comes."""
+    from postfx.cli.main import main
+
+    random = np.random.default_rng(3)
+    for number in range(1, 6):
+        planes = {name: random.random((24, 32), np.float32) for name in "RGB"}
+        planes |= {f"albedo.{name}": random.random((24, 32), np.float32)
+                   for name in ("RGB" if number < 5 else "")}
+        write_exr(f"in/shot.{number:04d}.exr", planes)
+    run = ["run", str(tmp_path / "in"), "-o", str(tmp_path / "out/"), "--model", "s", "--device",
+           "cpu"]
+    assert main(run) == 2
+    told = capsys.readouterr().err
+    line = "frame 5 has no diffuse_albedo, frame 1 does: it cannot be denoised"
+    assert 0 < told.find(line) < told.find("1/5 ") and "shot.0005.exr: no AOV '" in told
+    assert main([*run, "--frames", "1-4", "--overwrite"]) == 0
+    assert "has no diffuse_albedo" not in capsys.readouterr().err
+
+
 def test_a_still_needs_no_motion_and_hears_each_warning_once(write_exr, tmp_path, capsys):
     from postfx.cli.main import main
 

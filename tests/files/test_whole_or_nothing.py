@@ -120,6 +120,24 @@ def test_pages_on_a_full_disk_stay_what_they_were(small_disk: Path, tmp_path: Pa
     assert {name: (small_disk / name).read_text() for name in names(small_disk)} == before
 
 
+def test_all_tensors_on_a_full_disk_leave_the_older_capture(small_disk: Path, tmp_path: Path,
+                                                            capsys: pytest.CaptureFixture[str]
+                                                            ) -> None:
+    """Tensors are many files, some of which fit; before, they took the place of older ones."""
+    before = {"capture.html": "the old page", "capture.json": "the old list",
+              "tensors/0000.0.colour.npy": "an old tensor"}
+    (small_disk / "tensors").mkdir()
+    for name, text in before.items():
+        (small_disk / name).write_text(text)
+    source, target = write_frame(tmp_path / "in.exr", noise(128, 128)), tmp_path / "out.exr"
+    assert main(["run", str(source), "-o", str(target), "--no-denoise", "--tonemap", "--capture",
+                 str(small_disk), "--capture-tensors", "all"]) == 2
+    assert "No space left on device" in capsys.readouterr().err
+    found = {str(path.relative_to(small_disk)): path.read_text()
+             for path in small_disk.rglob("*") if path.is_file()}
+    assert found == before and len(list((small_disk / "tensors").iterdir())) == 1
+
+
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_disk_that_fails_late(tmp_path: Path, suffix: str,
                                 monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ import pytest
 from postfx import Between, Frame, Role
 from postfx.cuts import CutDetector
 from postfx.interpolate.lost import motion_of_lost
+from postfx.interpolate.ways import unevenness
 
 HEIGHT, WIDTH, PAN, FLY = 96, 160, 3.0, (7.0, 2.0)
 Y, X = np.mgrid[:HEIGHT, :WIDTH] + 0.5
@@ -126,8 +127,8 @@ SHOTS = {
 
 @pytest.mark.parametrize("kind", SHOTS)
 def test_a_dissolve_is_no_worse_than_without_vectors_or_than_a_mean(kind):
-    """To another shot, in seven steps, with the vectors of the one that goes. The worst was 23 dB
-    below; flow that is lost in the middle is still up to 1.8 dB below that of others."""
+    """To another shot, in seven steps, with the vectors of the one that goes, by two frames alone.
+    The worst was 23 dB below; where neither way is right, the worst is still 1.4 dB below."""
     def shown(time):
         return picture(time)[0] * (1 - time / 7) + SHOTS[kind](time) * time / 7
 
@@ -142,7 +143,7 @@ def test_a_dissolve_is_no_worse_than_without_vectors_or_than_a_mean(kind):
         mean = sum(one[Role.COLOUR] for one in pairs[True]) / 2
         wanted = shown(time + 0.5)
         worse.append(max(psnr(flow, wanted), psnr(mean, wanted)) - psnr(found, wanted))
-    assert max(worse) < 0.8, worse
+    assert max(worse) < 1.5, worse
 
 
 @pytest.mark.parametrize("kind", ["one that pans fast", "one that stands still"])
@@ -170,6 +171,77 @@ def test_frames_beside_a_dissolve_tell_which_way_counts(kind):
         gained.append(psnr(between.frame(0.5)[Role.COLOUR], wanted)
                       - max(psnr(flow, wanted), psnr(mean, wanted)))
     assert min(gained) > -1 and gained[1] > 3, gained
+
+
+def stripes(time: float) -> np.ndarray:
+    """A grey pattern that moves fast."""
+    return np.repeat(0.5 + 0.4 * np.sin((X - 5 * time) / 2.2)[..., None], 3, 2)
+
+
+def test_colours_tell_a_way_that_grey_pictures_do_not_show():
+    """Red and green of equal luminance stand still: a way that leads elsewhere is uneven."""
+    green = 0.2 * (texture(X, Y, 3)[..., 0] - 0.5)
+    red = -green * 0.7152 / 0.2126
+    colour = (0.5 + np.stack([red, green, np.zeros_like(red)], -1)).astype(np.float32)
+    still = np.zeros((HEIGHT // 2, WIDTH // 2, 2), np.float32)
+    for count in (2, 3, 4):
+        row = [colour] * count
+        assert unevenness(row, int(count > 2), still, 0.5) < 1e-6
+        assert unevenness(row, int(count > 2), still + np.float32(5), 0.5) > 0.008
+
+
+def test_what_goes_over_evenly_is_no_sign_of_another_way():
+    """Of frames beside the two, where those are known: light that grows along the right way."""
+    row = [(light * texture(X + 3 * time, Y, 3)).astype(np.float32)
+           for time, light in zip(range(-1, 3), (0.4, 0.5, 0.6, 0.7), strict=True)]
+    motion = np.zeros((HEIGHT, WIDTH, 2), np.float32) + np.float32((3, 0))
+    assert unevenness(row, 1, motion, 0.5) < 0.2 * unevenness(row[1:3], 0, motion, 0.5)
+    assert unevenness(row, 1, motion, 0.5) < 0.2 * unevenness(row, 1, 0 * motion, 0.5)
+
+
+def test_noise_hides_less_of_which_way_is_right():
+    """Its differences are not those of the cells beside. By their size alone, the right way was
+    0.70 times as uneven as standing still."""
+    random = np.random.default_rng(3)
+    row = [(texture(X + 4 * time, Y, 3)
+            * random.gamma(4, 1 / 4, (HEIGHT, WIDTH, 3))).astype(np.float32) for time in range(4)]
+    motion = np.zeros((HEIGHT // 2, WIDTH // 2, 2), np.float32) + np.float32((4, 0))
+    assert unevenness(row, 1, motion, 0.5) < 0.65 * unevenness(row, 1, 0 * motion, 0.5)
+
+
+@pytest.mark.parametrize(("shot", "least"), [("stripes", -2), ("pan", 7)])
+def test_a_shot_that_stands_still_goes_over_into_one_that_moves(shot, least):
+    """What stands still is told from what moves: neither estimated motion nor a blend follows both.
+    Stripes were 5.2 dB below the better one, the pan 0.6."""
+    move = {"stripes": stripes, "pan": lambda time: texture(X - 4 * time, Y + time, 11)}[shot]
+    first = {"stripes": 1, "pan": 2}[shot]
+    row = []
+    for time in range(first, first + 4):
+        colour = (1 - time / 8) * texture(X, Y, 3) + time / 8 * move(time)
+        row.append(Frame({Role.COLOUR: colour.astype(np.float32),
+                          Role.MOTION: np.zeros((HEIGHT, WIDTH, 2), np.float32)}, number=time + 1))
+    part = (first + 1.5) / 8
+    wanted = (1 - part) * texture(X, Y, 3) + part * move(first + 1.5)
+    found = Between(*row[1:], last=Between(*row[:2])).frame(0.5)[Role.COLOUR]
+    mean = (row[1][Role.COLOUR] + row[2][Role.COLOUR]) / 2
+    flow = Between(*(Frame({Role.COLOUR: one[Role.COLOUR]}, number=one.number)
+                     for one in row[1:3])).frame(0.5)[Role.COLOUR]
+    assert psnr(found, wanted) > max(psnr(mean, wanted), psnr(flow, wanted)) + least
+
+
+def test_where_vectors_do_not_fit_light_does_not_change_along_them_either():
+    """At the end of a dissolve into stripes the picture is that of estimated motion alone. It was
+    6.7 dB below: light that changes had been sought along the vectors of the shot that went."""
+    def at(time: float, vectors: bool) -> Frame:
+        planes = {Role.COLOUR: (1 - time / 8) * texture(X, Y, 3) + time / 8 * stripes(time)}
+        if vectors:
+            planes[Role.MOTION] = np.zeros((HEIGHT, WIDTH, 2))
+        return Frame({role: plane.astype(np.float32) for role, plane in planes.items()}, number=1)
+
+    wanted = 0.5 / 8 * texture(X, Y, 3) + 7.5 / 8 * stripes(7.5)
+    found, flow = (Between(at(7, vectors), at(8, vectors)).frame(0.5)[Role.COLOUR]
+                   for vectors in (True, False))
+    assert psnr(found, wanted) > psnr(flow, wanted) - 0.1
 
 
 def wire(time: float, vectors: bool) -> Frame:

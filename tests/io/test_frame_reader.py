@@ -254,7 +254,7 @@ def test_channel_names_are_shown_short(write_exr, ramp):
     assert shown == {Role.COLOUR: "R,G,B", Role.DIFFUSE_ALBEDO: "albedo.R,G,B"}
 
 
-@pytest.mark.parametrize("none", [np.nan, np.inf, 1e10, -65504.0, (np.nan, 3.0)])
+@pytest.mark.parametrize("none", [np.nan, np.inf, 1e10, -65504.0, (np.nan, 3.0), 9999.0, -999.0])
 def test_vectors_that_stand_for_none_are_unknown(write_exr, ramp, none):
     channels = ramp("R", "G", "B", "motion.X", "motion.Y")
     channels["motion.X"][1, 2], channels["motion.Y"][1, 2] = (none if isinstance(none, tuple)

@@ -512,3 +512,37 @@ def test_what_a_pixel_filter_leaves_below_0_costs_no_layer(device: Device) -> No
     part[::8] = 1
     part[0, 0] = -0.02
     assert not lies_below(part)
+
+
+def between_lamps(number: int, on_the_camera: bool) -> Frame:
+    """A wall that pans by three pixels a frame, in the light of two lamps that is the same
+    everywhere together. Each one's light grows across the screen, or across the wall."""
+    height, width = 64, 96
+    y, x = np.mgrid[:height, :width] + 0.5
+    wall = x + 3 * number
+    light = 0.5 + 0.2 * np.sin(0.35 * wall) * np.cos(0.3 * y)
+    share = x / 120 if on_the_camera else wall / 150
+    random = np.random.default_rng(number)
+    parts = {name: (light * part)[..., None] * random.gamma(64, 1 / 64, (height, width, 3))
+             for name, part in (("key", share), ("fill", 1 - share))}
+    planes = {Role.COLOUR: sum(parts.values()), Role.DEPTH: np.full((height, width, 1), 5.0),
+              Role.MOTION: np.zeros((height, width, 2)) + (3.0, 0.0)}
+    return Frame({role: plane.astype(np.float32) for role, plane in planes.items()},
+                 number=number + 1, parts={name: part.astype(np.float32)
+                                           for name, part in parts.items()})
+
+
+@pytest.mark.parametrize(("on_the_camera", "filters", "least", "most"), [
+    (False, "picture", 0.0, 0.006), (True, "picture", 0.05, 0.1), (True, "own", 0.0, 0.025)])
+def test_light_that_passes_from_part_to_part_is_late(device, on_the_camera, filters, least, most):
+    """By one to two frames of 0.06 each: the picture shows nothing of it, and parts trust earlier
+    frames where the picture does."""
+    pipeline = Pipeline([DenoiseUpscale(model="s", scale=1, parts=("key", "fill"),
+                                        part_filters=filters)], device)
+    for number in range(6):
+        given = between_lamps(number, on_the_camera)
+        shown = pipeline(given)
+    off = max(abs(float(shown.parts[name].mean() / part.mean()) - 1)
+              for name, part in given.parts.items())
+    assert least <= off <= most
+    assert_adds_up(shown, ("key", "fill"))

@@ -31,7 +31,7 @@ def test_what_is_not_survived_is_counted_and_told(monkeypatch: pytest.MonkeyPatc
             raise AssertionError("half a file")
         return [lambda: None, half_a_file]
 
-    monkeypatch.setattr(faults, "Shot", lambda folder: "no shot")
+    monkeypatch.setattr(faults, "Shot", lambda folder, passes: "no shot")
     monkeypatch.setitem(faults.GROUPS, "some", faults.Group("some", lose))
     assert faults.main(["some"], 1, 1) == 1
     said = capsys.readouterr().out

@@ -106,6 +106,32 @@ def test_all_has_a_picture_for_each_channel_and_each_input_once(tmp_path):
             and len(data["pictures"]) == 2)
 
 
+def test_a_new_capture_takes_the_place_of_an_older_one(make_capture, tmp_path):
+    """Once it is whole; another program's files stay, and what a killed process left goes."""
+    folder = tmp_path / "look"
+
+    def files():
+        return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+    def kept():
+        commands = json.loads((folder / "capture.json").read_text())["commands"]
+        return {entry["file"] for command in commands
+                for entry in command["reads"] + command["writes"] if entry.get("file")}
+
+    own = {"capture.html", "capture.json"}
+    write_capture(make_capture(tensors="all", folder=folder), folder, "first")
+    first = kept()
+    assert first and files() == own | first
+    for name in ("tensors/0000.0.y.npy", "tensors/999999999-0123abcd/0000.0.y.npy",
+                 "tensors/notes.txt"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("left")
+    capture = make_capture(tensors="all", folder=folder)
+    assert first < files()
+    write_capture(capture, folder, "second")
+    assert not first & kept() and files() == own | kept() | {"tensors/notes.txt"}
+
+
 def test_folders_that_cannot_be_written(make_capture, tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(WriteError, match="cannot be written: "):

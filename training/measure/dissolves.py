@@ -4,9 +4,9 @@ python -m training.measure.dissolves
 
 Three shots with vectors dissolve into eight others in eight steps. A row says how far frames
 between are above the better of both, in dB: on average, at worst, and how many are more than 0.2
-and 1 dB below. Ways: by the two frames alone; with those beside them, by the way alone that
-foretells known frames best; and by all ways as they foretell them, as it is. Then the dissolves
-one by one as it is, the worst first.
+and 1 dB below. Ways: by the two frames alone; with those beside them, by the most even way alone;
+and by all ways as even as they are, as it is. Then the dissolves one by one as it is, the worst
+first.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ HEIGHT, WIDTH, STEPS = 96, 160, 8
 SEEN_DB = 52
 """Frames that are better than that by either way are left out: nobody sees a difference."""
 BEST_ALONE_POWER = 60
-"""Power of errors by which next to only the best way counts."""
+"""Power of unevenness by which next to only the best way counts."""
 Y, X = np.mgrid[:HEIGHT, :WIDTH] + 0.5
 Shot = Callable[[float], np.ndarray]
 
@@ -107,10 +107,11 @@ def gains(going: tuple[Shot, Shot], coming: Shot) -> list[list[float]]:
         row = [Between(before, after)]
         row += [Between(before, after, later, last=Between(earlier, before)) for _ in range(2)]
         shares = []
-        for between, power in zip(row, (4, BEST_ALONE_POWER, ways.FORETOLD_POWER), strict=True):
-            ways.FORETOLD_POWER, usual = power, ways.FORETOLD_POWER
+        usual = ways.UNEVEN_POWER
+        for between, power in zip(row, (usual, BEST_ALONE_POWER, usual), strict=True):
+            ways.UNEVEN_POWER = power
             shares.append(psnr(between.frame(0.5)[Role.COLOUR], wanted) - best)
-            ways.FORETOLD_POWER = usual
+            ways.UNEVEN_POWER = usual
         found.append(shares)
     return found
 
@@ -120,7 +121,7 @@ def main() -> None:
     found = {f"{name} into {other}": np.array(gains(going, coming))
              for name, going in GOING.items() for other, coming in COMING.items()}
     every = np.concatenate([rows for rows in found.values() if len(rows)])
-    ways_by_name = dict(zip(("by two frames", "the best one alone", "all as they foretell"),
+    ways_by_name = dict(zip(("by two frames", "the most even one alone", "all as even as they are"),
                             every.T, strict=True))
     print(f"{len(every)} frames between | mean | worst | below -0.2 | below -1")
     for name, gain in ways_by_name.items():
