@@ -95,10 +95,16 @@ def denoise(
 
 def _choose_network(picture: Any, scale: float, place: str | None) -> str:
     """The network for a picture of any library, if nobody chose one."""
-    device = default_device() if place is None else Device(place)
     shape: tuple[int, ...] = getattr(picture, "shape", ())
     height, width = (shape[0], shape[1]) if len(shape) > 1 else (0, 0)
-    return usual_network((width, height), scale == 1, device.memory.host_visible)
+    return _network_at((width, height), scale == 1, None if place is None else str(place))
+
+
+@lru_cache(maxsize=64)
+def _network_at(size: tuple[int, int], keeps_size: bool, place: str | None) -> str:
+    """What was chosen for a size stays: a GPU has less free memory while earlier pipelines hold
+    theirs."""
+    return usual_network(size, keeps_size, default_device() if place is None else Device(place))
 
 
 def _on_host(pipeline: Pipeline, given: Any, planes: Mapping[Role, Any]) -> np.ndarray:

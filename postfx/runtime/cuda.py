@@ -85,6 +85,12 @@ class CudaMemory:
         self._producer: Event | None = None
         self._next = itertools.count()
 
+    def free_bytes(self) -> int:
+        """Bytes of the GPU's memory that no program holds now."""
+        self._enter()
+        free, _ = check_result(driver().cuMemGetInfo())
+        return int(free)
+
     def stream_beside(self) -> int:
         """A stream for commands that run beside others; a few are used in turn."""
         with self._hold():
@@ -473,4 +479,4 @@ def check_result(result: tuple[Any, ...]) -> Any:
     failure."""
     if int(result[0]):
         raise DeviceError(f"CUDA: {result[0].name}")
-    return result[1] if len(result) == 2 else None
+    return result[1] if len(result) == 2 else result[1:] or None
