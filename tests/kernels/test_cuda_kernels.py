@@ -13,7 +13,6 @@ from postfx.kernels.denoise.alpha import NEAR_ALPHA
 from postfx.kernels.denoise.output import DETAIL, JUDGE, TILE
 from postfx.kernels.denoise.pyramid import FILTER_MIXED, FILTER_SHADED, POOLS
 from postfx.runtime import Device
-from postfx.runtime.device import cuda_fault
 from tests.kernels import host_cuda, tonemap_cases
 from tests.kernels.denoise_cases import (
     IN_ROWS_ALONE,
@@ -53,17 +52,6 @@ def test_cuda_kernels_compute_what_the_compiled_rows_do(kernel: Kernel, compiled
         inputs = arguments(kernel, case, bad=bad)
         found = by_cuda(kernel, inputs, {name: shape(kernel, name, case) for name in kernel.writes})
         assert_same(in_frame(kernel, found, case), run(kernel, compiled, inputs, case),
-                    f"{case} {bad}")
-
-
-@pytest.mark.gpu
-@pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
-@pytest.mark.parametrize("kernel", IN_HALF.values(), ids=lambda kernel: kernel.name)
-def test_kernels_in_half_precision_on_a_gpu(kernel: Kernel, compiled: Device) -> None:
-    gpu = Device("cuda")
-    for case, bad in runs_of(kernel):
-        inputs = arguments(kernel, case, bad=bad)
-        assert_same(run(kernel, gpu, inputs, case), run(kernel, compiled, inputs, case),
                     f"{case} {bad}")
 
 
