@@ -420,8 +420,8 @@ def kernels(models: list[str], scale: float, sizes: list[str], device_name: str)
             for _ in range(runs):
                 pipeline.on_device(next(planes), exposure=0.0)
             torch.cuda.synchronize()
-        rows = [(event.device_time_total / runs, event.count / runs, event.key)
-                for event in profiled.key_averages() if event.device_time_total]
+        rows = [(event.self_device_time_total / runs, event.count / runs, event.key)
+                for event in profiled.key_averages() if event.self_device_time_total]
         rows.sort(reverse=True)
         print(f"{name} at {scale:g}x: {sum(row[0] for row in rows):.0f} us in "
               f"{sum(row[1] for row in rows):.0f} launches")
