@@ -8,7 +8,7 @@ work=$(mktemp -d); trap 'rm -rf "$work"' EXIT
 mkdir -p "$work/source" "$work/real/environments"
 for archive in "$scenes"/*.tar.xz; do [ -e "$archive" ] && tar -C "$work/source" -xf "$archive"; done
 for folder in "$scenes"/*/; do [ -d "$folder" ] && cp -r "$folder" "$work/source/"; done
-python3 -m training.datagen.scenes.convert "$work/source" "$work/real"
+"${PYTHON:-python3}" -m training.datagen.scenes.convert "$work/source" "$work/real"
 install -m 644 "$environments"/*.hdr "$work/real/environments/"
 tar -C "$work" -cf - real | xz -6 -T0 >"$out"
 ls -la "$out"

@@ -67,9 +67,11 @@ LEAST_ALBEDO = 0.01  # is added, so that ratios of black surfaces stay small
 DETAIL_BEGINS = -3.0  # logit of the share of the albedo's texture: 5 %
 LEVELS = 4
 DEEPEST = 96  # channels at 1/8 of the size in a deep branch
-ADDED_LAYERS = ("correct", "enter", "join", "gate", "detail")
+ADDED_LAYERS = ("correct", "enter", "join", "gate", "detail", "coarser")
 """Layers that add to a published network: without them it is that network, but for gates, which are
 nearly closed then."""
+COARSER_BEGINS = (-3.0, -1.0, -1.0)
+"""Logits of the share of the next coarser planes at 1, 1/2 and 1/4 of the size: 5 % and 27 %."""
 BLEND_BEGINS = 1.5  # logit of the new picture's share beside the history
 DISTRUST_BEGINS = -2.0  # logit
 GATE_BEGINS = -3.0  # logit of a share of the history in the colour that is read: 5 %
@@ -112,6 +114,7 @@ class PictureConfig:
         gated: the branch mixes the history into the colour that is read.
         detailed: fine detail may come from the albedo instead of the picture.
         deep: the branch has further convolutions, and a level at 1/8 of the size.
+        averaged: the branch mixes coarser albedo and normal into those that are read.
     """
 
     picture: bool = True
@@ -123,6 +126,7 @@ class PictureConfig:
     gated: bool = False
     detailed: bool = False
     deep: bool = False
+    averaged: bool = False
     trust: bool = False
     guides: bool = False
     mirrored: bool = True
@@ -211,13 +215,14 @@ class Layer(NamedTuple):
 
 
 LARGE = PictureConfig(down=(64, 96, 128, 192, 256), up=(64, 96, 128, 192), last=64, large=True,
-                      gated=True, detailed=True, deep=True)
+                      gated=True, detailed=True, deep=True, averaged=True)
 """The layout of Open Image Denoise's large networks, with a gate for the history, one for detail,
-and a deep branch."""
+a deep branch, and planes from a pyramid."""
 BRANCH_LEVELS = {"branch.half_down": 1, "branch.half_up": 1, "branch.half_more": 1,
                  "branch.quarter_in": 2, "branch.quarter_out": 2, "branch.eighth_in": 3,
-                 "branch.eighth_out": 3, "branch.quarter_more": 3}
-"""Levels of convolutions of the branch below the render size."""
+                 "branch.eighth_out": 3, "branch.quarter_more": 3,
+                 "coarser.1": 1, "coarser.2": 2}
+"""Levels below the render size of convolutions that add to a published network."""
 
 
 def conv(inputs: int, outputs: int) -> nn.Conv2d:
@@ -252,6 +257,8 @@ class PictureNetwork(nn.Module):
         if self.config.detailed:
             self.compare_detail = conv(known + 12, DETAIL)
             self.detail = conv(DETAIL, 1)
+        if self.config.averaged:
+            self.coarser = nn.ModuleList(conv(channels, 2) for channels in self.config.beside)
         self.judge = nn.Sequential(conv(last + known + 6, JUDGE), nn.ReLU())
         self.controls = nn.Conv2d(JUDGE, CONTROLS, 1)
         self.error = nn.Conv2d(JUDGE, 1, 1)
@@ -268,11 +275,13 @@ class PictureNetwork(nn.Module):
 
     def forward(self, features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         guided, further = network_inputs(features, mirrored)
-        known = self.branch(torch.cat((guided, further), 1))
-        corrected = guided + self.correct(known)
+        known, half, quarter = self.branch(torch.cat((guided, further), 1))
+        colour, planes = guided[:, :3], guided[:, 3:]
         if self.config.gated:
-            corrected = torch.cat((corrected[:, :3] + self.mixed_in(guided, further, known),
-                                   corrected[:, 3:]), 1)
+            colour = colour + self.mixed_in(guided, further, known)
+        if self.config.averaged:
+            planes = self.averaged_planes(planes, (known, half, quarter))
+        corrected = torch.cat((colour, planes), 1) + self.correct(known)
         way_down = self.large_way_down if self.config.large else self.way_down
         stream = self.way_up(*way_down(corrected, known), corrected) + self.join(known)
         stream = F.relu(self.dec_conv1b(F.relu(stream)))
@@ -297,6 +306,25 @@ class PictureNetwork(nn.Module):
         accumulated = further[:, ACCUMULATED:HISTORY] - colour
         history = further[:, HISTORY:] - colour
         return shares[:, :1] * accumulated + shares[:, 1:] * history
+
+    def averaged_planes(self, planes: Tensor, streams: tuple[Tensor, ...]) -> Tensor:
+        """Albedo and normal (N, 6, h, w), in part replaced by means over larger cells.
+
+        Noise that a convolution takes out pixel by pixel has to pass through all its channels. A
+        share of a mean takes it out at once, out of focus and in motion blur, and leaves texture
+        where the share is 0. The ``streams`` of the branch at 1, 1/2 and 1/4 of the size give the
+        shares of the next coarser level, for albedo and normal.
+        """
+        with torch.autocast(planes.device.type, enabled=False):
+            planes = planes.float()
+            coarse = F.avg_pool2d(planes, 2)
+            if len(streams) > 1:
+                coarse = self.averaged_planes(coarse, streams[1:])
+            smooth = F.interpolate(coarse, scale_factor=2.0, mode="bilinear", align_corners=False)
+            level = len(self.coarser) - len(streams)
+            logits = self.coarser[level](streams[0].float()) + COARSER_BEGINS[level]
+            shares = torch.sigmoid(logits).repeat_interleave(3, 1)
+            return torch.lerp(planes, smooth, shares)
 
     def with_detail(self, codes: Tensor, noisy: Tensor, albedo: Tensor, known: Tensor) -> Tensor:
         """The codes of the picture (N, 3, h, w), in part replaced by `albedo_in_even_light`.
@@ -356,7 +384,8 @@ class PictureNetwork(nn.Module):
 
 
 class Branch(nn.Module):
-    """All inputs (N, C, h, w) -> what the branch knows of each pixel, (N, K, h, w).
+    """All inputs (N, C, h, w) -> what the branch knows of each pixel, (N, K, h, w), and its streams
+    at 1/2 and 1/4 of the size.
 
     It sees about 20 pixels around each.
     """
@@ -371,13 +400,13 @@ class Branch(nn.Module):
         self.half_up = conv(three + two, two)
         self.known = conv(two + one, one)
 
-    def forward(self, inputs: Tensor) -> Tensor:
+    def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         full = self.further_full(F.relu(self.full(inputs)))
         half = self.further_half(F.relu(self.half_down(F.max_pool2d(full, 2))))
         quarter = F.relu(self.quarter_in(F.max_pool2d(half, 2)))
         quarter = self.further_quarter(F.relu(self.quarter_out(quarter)))
         half = F.relu(self.half_up(beside(quarter, half)))
-        return F.relu(self.known(beside(half, full)))
+        return F.relu(self.known(beside(half, full))), half, quarter
 
     def further_full(self, full: Tensor) -> Tensor:
         """The stream of the whole size, before the coarser levels."""

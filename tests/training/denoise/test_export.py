@@ -167,7 +167,7 @@ def test_shipped_model_for_1x_is_the_plain_one_with_other_weights(path: Path) ->
     card = json.loads(path.with_suffix(".json").read_text())
     if "picture" in card["outputs"]:  # a layout of its own
         made = layout_from(card["config"])
-        added = {"gated": False, "detailed": False, "deep": False}
+        added = {"gated": False, "detailed": False, "deep": False, "averaged": False}
         assert replace(made, **added) in (PictureConfig(), replace(LARGE, **added))
         assert card["training"]["start"].startswith("Open Image Denoise")
         return

@@ -3,6 +3,7 @@ pass."""
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -36,7 +37,7 @@ from training.denoise.picture import (
 from training.denoise.train import parse, rate_groups
 
 SMALL = PictureConfig(down=(8, 8, 8, 8, 8), up=(8, 8, 8, 8), last=8, gated=True,
-                      detailed=True)
+                      detailed=True, averaged=True)
 SIZE = 40, 56
 EXPOSURE_STOPS = 1.0
 JITTER = 0.25, -0.125
@@ -221,6 +222,25 @@ def test_detail_of_black_surfaces_has_small_gradients():
     assert albedo.grad.abs().max() < 1e3
 
 
+def test_noise_of_planes_goes_where_means_are_chosen_and_texture_stays_elsewhere():
+    """A closed level keeps what is finer, also where the coarser ones are open."""
+    torch.manual_seed(4)
+    network = PictureNetwork(SMALL)
+    noise = torch.rand(1, 6, 64, 64)
+    streams = tuple(torch.zeros(1, channels, 64 >> level, 64 >> level)
+                    for level, channels in enumerate(SMALL.beside))
+    spreads = []
+    with torch.no_grad():
+        for opened in range(len(streams) + 1):
+            for level, layer in enumerate(network.coarser):
+                layer.bias.fill_(30.0 if level < opened else -30.0)
+            found = network.averaged_planes(noise, streams)
+            torch.testing.assert_close(found.mean((2, 3)), noise.mean((2, 3)), rtol=0.02, atol=0.0)
+            spreads.append(float(found.std() / noise.std()))
+    assert spreads[0] == pytest.approx(1.0, abs=1e-4)
+    assert all(after < 0.6 * before for before, after in pairwise(spreads))
+
+
 def test_a_deep_branch_begins_as_the_other_one():
     torch.manual_seed(3)
     shallow = Branch(9, SMALL.beside)
@@ -229,8 +249,9 @@ def test_a_deep_branch_begins_as_the_other_one():
     inputs = torch.rand(1, 9, 32, 48)
     with torch.no_grad():
         torch.testing.assert_close(deep(inputs), shallow(inputs))
+        before = deep(inputs)[0]
         deep.quarter_more.bias.fill_(1.0)
-        assert not torch.allclose(deep(inputs), shallow(inputs))
+        assert not torch.allclose(deep(inputs)[0], before)
 
 
 def test_it_keeps_the_size(denoiser):

@@ -25,26 +25,27 @@ from . import scene as parts
 from .scene import Rng
 
 KINDS = {  # how often each is drawn for training
-    "fog": 0.09,
-    "indirect": 0.08,
-    "foliage": 0.08,
-    "fur": 0.08,
-    "glass": 0.09,
+    "fog": 0.07,
+    "indirect": 0.07,
+    "foliage": 0.07,
+    "fur": 0.06,
+    "glass": 0.07,
     "dof": 0.06,
-    "motion_blur": 0.06,
-    "interior": 0.11,
-    "outdoor": 0.06,
-    "product": 0.06,
+    "motion_blur": 0.10,
+    "interior": 0.08,
+    "outdoor": 0.05,
+    "product": 0.05,
     "text": 0.07,
-    "water": 0.08,
+    "water": 0.10,
     "snow": 0.03,
     "lamps": 0.04,
     "fire": 0.04,
-    "cloth": 0.05,
+    "cloth": 0.04,
 }
 
 
 HALFTONES = 0.4  # share of pages that are printed in dots
+BLURRED = 0.06  # share of the other kinds' scenes in which motion is blurred
 
 # The library: things that were modelled by others
 
@@ -147,7 +148,7 @@ def build(kind: str, library: Library, frames: int, width: int, rng: Rng) -> Sho
     shot.facts["camera"] = parts.move_camera(camera, shot.target, frames, width, rng)
     if kind == "dof" or (kind not in ("motion_blur", "text") and rng.random() < 0.08):
         focus(camera, shot, rng, strong=kind == "dof")
-    blur = kind == "motion_blur" or rng.random() < 0.03
+    blur = kind == "motion_blur" or rng.random() < BLURRED
     bpy.context.scene.render.use_motion_blur = blur
     bpy.context.scene.render.motion_blur_shutter = rng.uniform(0.3, 1.0)
     shot.facts["blur"] = blur

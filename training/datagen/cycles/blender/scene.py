@@ -18,6 +18,9 @@ from mathutils import Matrix, Vector
 Rng = np.random.Generator
 Colour = tuple[float, float, float]
 
+OPEN_WATER = 0.6  # share of clear water that shadow rays pass
+OPEN_GLASS = 0.25  # share of glass that shadow rays pass
+
 
 def clear() -> bpy.types.Scene:
     """An empty scene that Cycles renders."""
@@ -243,6 +246,8 @@ def material(rng: Rng, kind: str | None = None) -> bpy.types.Material:
         shader.inputs["IOR"].default_value = rng.uniform(1.3, 1.6)
         tint = 0.85 + 0.15 * rng.random(3) if rng.random() < 0.7 else rng.random(3)
         shader.inputs["Base Color"].default_value = (*tint, 1)
+        if rng.random() < OPEN_GLASS:
+            open_to_light(tree, shader, tint)
         return made
     if kind == "coat":
         shader.inputs["Coat Weight"].default_value = rng.uniform(0.5, 1)
@@ -485,8 +490,25 @@ def water_material(rng: Rng) -> bpy.types.Material:
         shader.inputs["Base Color"].default_value = (*(rng.uniform(0.005, 0.1, 3)), 1)
         return made
     shader.inputs["Transmission Weight"].default_value = 1.0
-    shader.inputs["Base Color"].default_value = (*(1 - rng.uniform(0, 0.35) * rng.random(3)), 1)
+    tint = 1 - rng.uniform(0, 0.35) * rng.random(3)
+    shader.inputs["Base Color"].default_value = (*tint, 1)
+    if rng.random() < OPEN_WATER:
+        open_to_light(made.node_tree, shader, tint)
     return made
+
+
+def open_to_light(tree: bpy.types.NodeTree, shader: bpy.types.Node, tint: np.ndarray) -> None:
+    """Let shadow rays pass, in the colour ``tint`` (3,), as artists do: a path tracer hardly finds
+    lamps through refraction."""
+    path = tree.nodes.new("ShaderNodeLightPath")
+    clear = tree.nodes.new("ShaderNodeBsdfTransparent")
+    clear.inputs["Color"].default_value = (*tint, 1)
+    both = tree.nodes.new("ShaderNodeMixShader")
+    tree.links.new(path.outputs["Is Shadow Ray"], both.inputs[0])
+    tree.links.new(shader.outputs[0], both.inputs[1])
+    tree.links.new(clear.outputs[0], both.inputs[2])
+    output = next(node for node in tree.nodes if node.type == "OUTPUT_MATERIAL")
+    tree.links.new(both.outputs[0], output.inputs["Surface"])
 
 
 def thin_material(rng: Rng) -> bpy.types.Material:
