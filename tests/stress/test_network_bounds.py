@@ -50,7 +50,8 @@ SEEN = [*6 * [(0, 2)], *3 * [(-1, 1)], (0, 1), (0, 1)]
 FEATURES = np.array([*9 * [(0, LOUD)], *SEEN, (-1, 1), (0, 1), (0, 1), *2 * [(-0.5, 0.5)],
                      (0, FAST), (0, 1), *8 * [(-1, 1)]])
 RANGES = {"features": FEATURES, "first_features": FEATURES[:32], "last_features": FEATURES[32:],
-          "guides": np.array(4 * SEEN), "lowres": np.array(3 * [(0, 1)])}
+          "guides": np.array(4 * SEEN), "mirrored": np.array([*3 * [(0, 1)], *3 * [(-1, 1)]]),
+          "lowres": np.array(3 * [(0, 1)])}
 """Input -> least and greatest of each of its channels: what the kernels make of a frame, whatever
 that holds."""
 VALUES = ("random", "denormal", "greatest", "fireflies")
