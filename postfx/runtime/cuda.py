@@ -462,8 +462,12 @@ class CudaGraphs:
         if int(status):
             LOG.debug("commands cannot be one CUDA graph: %s", status)
             return None
-        graph = Graph(captured, result, kept)
-        return graph if result is not None else None
+        if result is None:
+            # what was captured before the error has marks whose events are gone: making it
+            # executable would read them
+            driver().cuGraphDestroy(captured)
+            return None
+        return Graph(captured, result, kept)
 
 
 @cache

@@ -75,11 +75,13 @@ def test_what_cannot_be_captured_runs_one_by_one(driver: Driver) -> None:
     graphs = CudaGraphs(STREAM)
 
     def enqueue() -> None:
-        raise RuntimeError("operation not permitted when stream is capturing")
+        mark = Event(STREAM, graphs.capturing)
+        raise RuntimeError(f"operation not permitted when stream is capturing, after {mark}")
 
     assert [graphs.replay("frame", None, enqueue) for _ in range(4)] == [None] * 4
     assert driver.count("cuStreamBeginCapture") == 1 and driver.count("cuGraphLaunch") == 0
     assert driver.count("cuStreamEndCapture") == 1, "the stream has to leave its capture"
+    assert driver.count("cuGraphInstantiate") == 0 and driver.count("cuGraphDestroy") == 1
     assert not graphs.capturing
 
 
