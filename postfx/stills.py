@@ -62,8 +62,8 @@ def denoise(
         roughness: (height, width) or (height, width, 1).
         depth: likewise, along the view axis.
         scale, strength: as for `postfx.DenoiseUpscale`.
-        model: likewise; None for 'xl' at the picture's own size in the host's memory, and 'm' for
-            all else.
+        model: likewise; None for 'xl' at the picture's own size where memory is enough for it, and
+            'm' for all else.
         exposure: 'auto', or stops: what the picture is exposed by before the network sees it; the
             result is not.
         device: 'cpu', 'cuda', 'cuda:1' or 'auto'; None for the default device, or the GPU where

@@ -42,18 +42,15 @@ def on_a_gpu(free: int | None) -> SimpleNamespace:
     return SimpleNamespace(memory=SimpleNamespace(host_visible=False), gpu=gpu)
 
 
-def test_a_gpu_takes_it_where_that_is_switched_on_and_its_free_memory_is_enough(monkeypatch):
+def test_a_gpu_takes_it_where_its_free_memory_is_enough():
     size, each = (1920, 1080), models.RENDER_SIZE_GPU_PIXEL_BYTES
     enough = each * size[0] * size[1]
-    monkeypatch.setattr(models, "RENDER_SIZE_ON_GPUS", True)
     assert models.usual_network(size, True, on_a_gpu(enough)) == "xl"
     assert models.usual_network(size, True, on_a_gpu(enough - 1)) == "m"
     assert models.usual_network(size, False, on_a_gpu(enough)) == "m"
     assert models.usual_network(size, True, on_a_gpu(None)) == "m"
     assert models.lacks_memory(size, on_a_gpu(1 << 30)).startswith(
         f"frames of 1920x1080 take {enough >> 30} GB, this GPU has 1 GB free: m runs; ")
-    monkeypatch.setattr(models, "RENDER_SIZE_ON_GPUS", False)
-    assert models.usual_network(size, True, on_a_gpu(enough)) == "m"
 
 
 def test_a_still_takes_the_same():
