@@ -467,7 +467,20 @@ class CudaGraphs:
             # executable would read them
             driver().cuGraphDestroy(captured)
             return None
+        if _calls_host(captured):
+            LOG.debug("commands call the host once they are done: no CUDA graph")
+            driver().cuGraphDestroy(captured)
+            return None
         return Graph(captured, result, kept)
+
+
+def _calls_host(graph: Any) -> bool:
+    """Whether a captured graph has functions of the host. ONNX Runtime puts one on a stream to free
+    memory after a copy from the host, once: a graph that is replayed would free it again."""
+    _, count = check_result(driver().cuGraphGetNodes(graph))
+    nodes, _ = check_result(driver().cuGraphGetNodes(graph, count)) if count else ((), 0)
+    host = driver().CUgraphNodeType.CU_GRAPH_NODE_TYPE_HOST
+    return any(int(check_result(driver().cuGraphNodeGetType(node))) == int(host) for node in nodes)
 
 
 @cache
