@@ -229,7 +229,10 @@ __device__ inline void accumulate(View colour, View diffuse_albedo, View specula
                        before.z + (b - before.z) * alpha, fminf(1.0f / alpha, MAX_COUNT)};
     // What is broken is this frame's colour alone, and nothing that the next one knows.
     const float total = size_of(mean) + size_of(hidden[0]) + size_of(hidden[1]) + fabsf(importance);
-    const bool whole = total <= MOST_STATE;
+    // Light beyond all bounds takes this frame's with it when it is rounded, also where it counts
+    // nothing.
+    const float kept_light = fabsf(before.x) + fabsf(before.y) + fabsf(before.z);
+    const bool whole = total <= MOST_STATE && kept_light <= MOST_STATE;
     // Nor is what lies at the part's edge, where the frame goes on.
     const bool edge = (y == 0 && part.top > 0) || (x == 0 && part.left > 0) ||
         (y == past.size[0] - 1 && part.top + y + 1 < colour.size[0]) ||
