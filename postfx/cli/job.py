@@ -70,7 +70,7 @@ from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
 from postfx.passes.denoise import NO_HISTORY_REMARK
-from postfx.passes.denoise.models import lacks_memory, usual_network
+from postfx.passes.denoise.models import lacks_memory, runs_render_size, usual_network
 from postfx.passes.denoise.options import output_size, validate_size
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
@@ -208,11 +208,11 @@ class Job:
         size = self._first_spec.width, self._first_spec.height
         # frames of any size come to a given one
         keeps_size = "size" not in given and self._enlargement(given) == 1
-        on_host = device.memory.host_visible
-        missing = lacks_memory(size) if keeps_size and on_host else None
+        could = keeps_size and runs_render_size(device)
+        missing = lacks_memory(size, device) if could else None
         if missing:
             self.skips.append(Skip("the network for this size", missing))
-        return {**given, "model": usual_network(size, keeps_size, on_host)}
+        return {**given, "model": usual_network(size, keeps_size, device)}
 
     def _has_flat_albedo(self) -> bool:
         """Whether the first frame's diffuse albedo is one grey or colour: a default, or an override

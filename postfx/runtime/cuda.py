@@ -85,6 +85,12 @@ class CudaMemory:
         self._producer: Event | None = None
         self._next = itertools.count()
 
+    def free_bytes(self) -> int:
+        """Bytes of the GPU's memory that no program holds now."""
+        self._enter()
+        free, _ = check_result(driver().cuMemGetInfo())
+        return int(free)
+
     def stream_beside(self) -> int:
         """A stream for commands that run beside others; a few are used in turn."""
         with self._hold():
@@ -456,8 +462,25 @@ class CudaGraphs:
         if int(status):
             LOG.debug("commands cannot be one CUDA graph: %s", status)
             return None
-        graph = Graph(captured, result, kept)
-        return graph if result is not None else None
+        if result is None:
+            # what was captured before the error has marks whose events are gone: making it
+            # executable would read them
+            driver().cuGraphDestroy(captured)
+            return None
+        if _calls_host(captured):
+            LOG.debug("commands call the host once they are done: no CUDA graph")
+            driver().cuGraphDestroy(captured)
+            return None
+        return Graph(captured, result, kept)
+
+
+def _calls_host(graph: Any) -> bool:
+    """Whether a captured graph has functions of the host. ONNX Runtime puts one on a stream to free
+    memory after a copy from the host, once: a graph that is replayed would free it again."""
+    _, count = check_result(driver().cuGraphGetNodes(graph))
+    nodes, _ = check_result(driver().cuGraphGetNodes(graph, count)) if count else ((), 0)
+    host = driver().CUgraphNodeType.CU_GRAPH_NODE_TYPE_HOST
+    return any(int(check_result(driver().cuGraphNodeGetType(node))) == int(host) for node in nodes)
 
 
 @cache
@@ -473,4 +496,4 @@ def check_result(result: tuple[Any, ...]) -> Any:
     failure."""
     if int(result[0]):
         raise DeviceError(f"CUDA: {result[0].name}")
-    return result[1] if len(result) == 2 else None
+    return result[1] if len(result) == 2 else result[1:] or None

@@ -1,5 +1,7 @@
 """The network that a run takes where nobody chose one."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,23 @@ def test_frames_that_are_too_large_for_it_take_the_usual_one(postfx, shot, tmp_p
     assert "m runs; --model xl with --memory works in tiles" in line
     found = (tmp_path / "out" / "postfx.manifest.json").read_text()
     assert "denoise_upscale.m" in found
+
+
+def on_a_gpu(free: int | None) -> SimpleNamespace:
+    """A device that is a GPU with so many bytes free; None for one whose kernels are not ours."""
+    gpu = None if free is None else SimpleNamespace(free_bytes=lambda: free)
+    return SimpleNamespace(memory=SimpleNamespace(host_visible=False), gpu=gpu)
+
+
+def test_a_gpu_takes_it_where_its_free_memory_is_enough():
+    size, each = (1920, 1080), models.RENDER_SIZE_GPU_PIXEL_BYTES
+    enough = each * size[0] * size[1]
+    assert models.usual_network(size, True, on_a_gpu(enough)) == "xl"
+    assert models.usual_network(size, True, on_a_gpu(enough - 1)) == "m"
+    assert models.usual_network(size, False, on_a_gpu(enough)) == "m"
+    assert models.usual_network(size, True, on_a_gpu(None)) == "m"
+    assert models.lacks_memory(size, on_a_gpu(1 << 30)).startswith(
+        f"frames of 1920x1080 take {enough >> 30} GB, this GPU has 1 GB free: m runs; ")
 
 
 def test_a_still_takes_the_same():

@@ -19,16 +19,22 @@ class Driver:
 
     CUstreamCaptureMode = SimpleNamespace(CU_STREAM_CAPTURE_MODE_RELAXED=2)
     CUevent_record_flags = SimpleNamespace(CU_EVENT_RECORD_EXTERNAL=1)
+    CUgraphNodeType = SimpleNamespace(CU_GRAPH_NODE_TYPE_KERNEL=0, CU_GRAPH_NODE_TYPE_HOST=3)
 
     def __init__(self) -> None:
         self.calls: list[tuple] = []
         self.made = 0
         self.end_status = 0
+        self.nodes = [0, 0]
 
     def __getattr__(self, name: str):
         def call(*arguments: object) -> tuple:
             self.calls.append((name, *arguments))
             self.made += 1
+            if name == "cuGraphGetNodes":
+                return 0, [*range(len(self.nodes))] if arguments[1:] else [], len(self.nodes)
+            if name == "cuGraphNodeGetType":
+                return 0, self.nodes[arguments[0]]
             if name == "cuStreamEndCapture":
                 return self.end_status, self.made
             return ((0, self.made) if name
@@ -75,11 +81,13 @@ def test_what_cannot_be_captured_runs_one_by_one(driver: Driver) -> None:
     graphs = CudaGraphs(STREAM)
 
     def enqueue() -> None:
-        raise RuntimeError("operation not permitted when stream is capturing")
+        mark = Event(STREAM, graphs.capturing)
+        raise RuntimeError(f"operation not permitted when stream is capturing, after {mark}")
 
     assert [graphs.replay("frame", None, enqueue) for _ in range(4)] == [None] * 4
     assert driver.count("cuStreamBeginCapture") == 1 and driver.count("cuGraphLaunch") == 0
     assert driver.count("cuStreamEndCapture") == 1, "the stream has to leave its capture"
+    assert driver.count("cuGraphInstantiate") == 0 and driver.count("cuGraphDestroy") == 1
     assert not graphs.capturing
 
 
@@ -87,6 +95,14 @@ def test_a_capture_that_the_driver_gave_up(driver: Driver) -> None:
     graphs, driver.end_status = CudaGraphs(STREAM), 901
     assert [graphs.replay("frame", None, lambda: "done") for _ in range(3)] == [None] * 3
     assert driver.count("cuGraphInstantiate") == 0
+
+
+def test_what_calls_the_host_runs_one_by_one(driver: Driver) -> None:
+    """Memory that such a call frees would be freed at every launch of the graph."""
+    graphs, driver.nodes = CudaGraphs(STREAM), [0, 3, 0]
+    assert [graphs.replay("frame", None, lambda: "done") for _ in range(3)] == [None] * 3
+    assert driver.count("cuStreamBeginCapture") == 1 and driver.count("cuGraphInstantiate") == 0
+    assert driver.count("cuGraphDestroy") == 1
 
 
 def test_graphs_of_long_ago_are_dropped_and_made_anew(driver: Driver) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from postfx.frame import Frame, Role
 from postfx.kernels import Kernel
+from postfx.kernels.denoise import DISTRUST
 from postfx.kernels.denoise.prepare import ACCUMULATE
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED
 from postfx.passes.tonemap import ToneMap
@@ -103,6 +104,19 @@ def test_all_definitions_forget_alike(kernel: Kernel, name: str, device: Device)
     assert all(np.isfinite(value).all() for value in wanted.values())
     for found in others:
         assert_same(found, wanted)
+
+
+@pytest.mark.parametrize("value", BROKEN, ids=str)
+def test_light_is_this_frames_where_a_broken_one_counts_nothing(value: float,
+                                                               device: Device) -> None:
+    """The network's distrust is 1 there, as rounding in half precision makes it."""
+    inputs = denoise_cases.arguments(ACCUMULATE, CASE)
+    inputs["fine"][:, DISTRUST] = 1.0
+    inputs["past"][..., :3] = 0.0
+    wanted = by_all(ACCUMULATE, inputs, device)
+    inputs["past"][..., :3] = value
+    for found, fresh in zip(by_all(ACCUMULATE, inputs, device), wanted, strict=True):
+        np.testing.assert_allclose(found["level"][:3], fresh["level"][:3], rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("kernel", [UPSAMPLE, UPSAMPLE_GUIDED], ids=lambda kernel: kernel.name)

@@ -90,7 +90,8 @@ def run(command: list[str]) -> str:
     done = subprocess.run(words, cwd=ROOT, env=os.environ | {"PYTHONPATH": paths},
                           capture_output=True, text=True)
     if done.returncode:
-        raise SystemExit(f"{shlex.join(command)}: exit code {done.returncode}\n{done.stderr}")
+        raise SystemExit(f"{shlex.join(command)}: exit code {done.returncode}\n"
+                         f"{done.stdout}{done.stderr}")
     return done.stdout
 
 

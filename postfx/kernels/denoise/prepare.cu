@@ -173,9 +173,9 @@ __device__ inline Colour doubted(const Colour& own, const View& means, int v, in
 
 // Running mean of demodulated colour: colour, diffuse_albedo and specular_albedo (h, w, 3), means
 // (cells, cells, 3), one cell where planes are not doubted, depth (h, w, 1), past (th, tw, 4), fine
-// (1, 80, hp, wp), params (4,), window (8,) -> next_state (th, tw, 12), next_depth (th, tw, 1),
-// level (4, hp, wp), which is the mean with its importance, and factor (th, tw, 3), the
-// reflectance. All are zero beyond the frame.
+// (1, 80, hp, wp) or its last channels, params (4,), window (8,) -> next_state (th, tw, 12),
+// next_depth (th, tw, 1), level (4, hp, wp), which is the mean with its importance, and factor (th,
+// tw, 3), the reflectance. All are zero beyond the frame.
 __device__ inline float size_of(const Four& value) {
     return fabsf(value.x) + fabsf(value.y) + fabsf(value.z) + fabsf(value.w);
 }
@@ -209,7 +209,8 @@ __device__ inline void accumulate(View colour, View diffuse_albedo, View specula
     }
     const size_t source = size_t(part.top + y) * colour.size[1] + part.left + x;
     const float* rgb = colour.at + 3 * source;
-    const Number* head = numbers<Number>(fine) + here;
+    // of a head with fewer channels they are the last ones
+    const Number* head = numbers<Number>(fine) + here - size_t(FINE - fine.size[1]) * plane;
     const float exposure = params.at[EXPOSURE], z = depth.at[source];
     const float distrust = as_float(head[DISTRUST * plane]),
                 importance = as_float(head[IMPORTANCE * plane]);
@@ -228,7 +229,10 @@ __device__ inline void accumulate(View colour, View diffuse_albedo, View specula
                        before.z + (b - before.z) * alpha, fminf(1.0f / alpha, MAX_COUNT)};
     // What is broken is this frame's colour alone, and nothing that the next one knows.
     const float total = size_of(mean) + size_of(hidden[0]) + size_of(hidden[1]) + fabsf(importance);
-    const bool whole = total <= MOST_STATE;
+    // Light beyond all bounds takes this frame's with it when it is rounded, also where it counts
+    // nothing.
+    const float kept_light = fabsf(before.x) + fabsf(before.y) + fabsf(before.z);
+    const bool whole = total <= MOST_STATE && kept_light <= MOST_STATE;
     // Nor is what lies at the part's edge, where the frame goes on.
     const bool edge = (y == 0 && part.top > 0) || (x == 0 && part.left > 0) ||
         (y == past.size[0] - 1 && part.top + y + 1 < colour.size[0]) ||

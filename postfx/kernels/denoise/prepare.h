@@ -60,6 +60,10 @@ FN Accumulated<F> accumulate(const Light<F>& light, const F (&past)[4], F distru
         found.state[c] = past[c] + (light.rgb[c] - past[c]) * alpha;
         total += size_of<F>(found.state[c]);
     }
+    // Light beyond all bounds takes this frame's with it when it is rounded, also where it counts
+    // nothing.
+    const F kept = size_of<F>(past[0]) + size_of<F>(past[1]) + size_of<F>(past[2]);
+    total += kept <= MOST_STATE ? zero : kept;
     for (int c = 0; c < 3; c++)
         found.level[c] = total <= MOST_STATE ? found.state[c] : light.rgb[c];
     found.importance = total <= MOST_STATE ? importance : one;
