@@ -164,7 +164,8 @@ def _network(given: argparse.Namespace, sequence: Sequence) -> str | None:
     --memory decide, or nothing is denoised."""
     from postfx.cli.interruptions import OnError, first_readable
     from postfx.cli.run_options import RUN
-    from postfx.passes.denoise.models import usual_network
+    from postfx.errors import DeviceError
+    from postfx.passes.denoise.models import USUAL_NETWORK, usual_network
     from postfx.passes.denoise.options import output_size
     from postfx.runtime import Device
 
@@ -176,9 +177,11 @@ def _network(given: argparse.Namespace, sequence: Sequence) -> str | None:
         spec = files.spec()
     wanted = output_size(spec, options.get("scale"), options.get("size"))
     keeps_size = "size" not in options and wanted.width == spec.width
-    on_host = given.device == "cpu" or (given.device == "auto"
-                                        and Device().memory.host_visible)
-    return usual_network((spec.width, spec.height), keeps_size, on_host)
+    try:
+        device = Device() if given.device == "auto" else Device(given.device)
+    except DeviceError:  # nobody knows here how much memory the farm's GPUs have
+        return USUAL_NETWORK
+    return usual_network((spec.width, spec.height), keeps_size, device)
 
 
 def _open(given: argparse.Namespace, frames: str | None) -> Sequence:
