@@ -39,7 +39,7 @@ examples:
 PSNR in dB to the best of Open Image Denoise for the same rays, at 4, 16 and 64 samples a pixel:
   postfx run, the render's size                    +0.67, +0.53, +0.24
   postfx run --with oidn                           +0.68, +0.61, +0.37
-  postfx run --model m, a seventh of the time      -0.91, -0.78, -0.78
+  postfx run --model m, a tenth of the time        -0.91, -0.78, -0.78
   postfx run --scale 2, half size, 4x the samples  -2.23: only for what cannot be rendered larger
 
 A video of the pictures: ffmpeg -framerate 24 -i out/picture.%04d.png -pix_fmt yuv420p shot.mp4

@@ -344,7 +344,7 @@ def name_models(device: Device, models: Iterable[str]) -> None:
         device.name_model(*find_model(model))
 
 
-FAMILY = {CLASSIC: 0.5, "s": 1.0, "m": 3.5, "l": 5.0, "xl": 22.0}
+FAMILY = {CLASSIC: 0.5, "s": 1.0, "m": 3.5, "l": 5.0, "xl": 26.0}
 """The classical filter and networks by size, fastest first, and about how many times as long as 's'
 each takes in float32."""
 
