@@ -47,7 +47,7 @@ def test_a_lost_frame_is_made_anew_to_the_bit(lost, postfx, dynamic, tmp_path):
 
 def test_explain_tells(postfx, dynamic):
     told = postfx(*RUN[:2], "--size", "72x48", "--explain").out
-    assert "48x32 -> 72x48; stays 72x48 where frames change their size" in told
+    assert "48x32 -> 72x48; network m; stays 72x48 where frames change their size" in told
 
 
 def test_inspect_tells(postfx, dynamic):

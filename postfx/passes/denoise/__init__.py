@@ -7,7 +7,7 @@ import os
 import warnings
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import ClassVar, Never
 
@@ -82,6 +82,7 @@ REPEATS = "repeats "
 """In a history, names of what noise that repeats is found by begin so."""
 
 
+@lru_cache  # a run asks with every frame
 def network_name(tag: str, model: str) -> str:
     """What users call the network of a model that runs for their short tag: the tag, or its size
     replaced by that of a stand-in."""
