@@ -164,19 +164,17 @@ def _network(given: argparse.Namespace, sequence: Sequence) -> str | None:
     --memory decide, or nothing is denoised."""
     from postfx.cli.interruptions import OnError, first_readable
     from postfx.cli.run_options import RUN
+    from postfx.cli.usual_network import is_chosen, keeps_render_size
     from postfx.errors import DeviceError
     from postfx.passes.denoise.models import USUAL_NETWORK, usual_network
-    from postfx.passes.denoise.options import output_size
     from postfx.runtime import Device
 
     options = RUN.values_for("denoiser", given)
-    is_bounded = given.budget is not None or given.memory is not None
-    if given.no_denoise or is_bounded or "model" in options:
+    if given.no_denoise or is_chosen(given, options):
         return None
     with sequence.open(first_readable(sequence, OnError(given.on_error))) as files:
         spec = files.spec()
-    wanted = output_size(spec, options.get("scale"), options.get("size"))
-    keeps_size = "size" not in options and wanted.width == spec.width
+    keeps_size = keeps_render_size(spec, options)
     try:
         device = Device() if given.device == "auto" else Device(given.device)
     except DeviceError:  # nobody knows here how much memory the farm's GPUs have

@@ -7,7 +7,7 @@ import dataclasses
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack, nullcontext
 from functools import cached_property, partial
 from math import log2
@@ -50,6 +50,7 @@ from postfx.cli.summary import (
     warn_of_budget,
 )
 from postfx.cli.told import Told
+from postfx.cli.usual_network import is_chosen, keeps_render_size
 from postfx.compiled.library import CompileWatch
 from postfx.cuts import CutDetector
 from postfx.errors import OptionError, PostfxError, WriteError
@@ -71,7 +72,7 @@ from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
 from postfx.passes.denoise import NO_HISTORY_REMARK
 from postfx.passes.denoise.models import lacks_memory, runs_render_size, usual_network
-from postfx.passes.denoise.options import output_size, validate_size
+from postfx.passes.denoise.options import enlargement
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
 from postfx.passes.partner import Partner
@@ -202,12 +203,10 @@ class Job:
         """The denoiser's options. Without --model they name the network that is best at the
         output's size, unless time or memory is bounded."""
         given = self._values("denoiser")
-        is_bounded = self._arguments.budget is not None or self._arguments.memory is not None
-        if "model" in given or is_bounded:
+        if is_chosen(self._arguments, given):
             return given
         size = self._first_spec.width, self._first_spec.height
-        # frames of any size come to a given one
-        keeps_size = "size" not in given and self._enlargement(given) == 1
+        keeps_size = keeps_render_size(self._first_spec, given)
         could = keeps_size and runs_render_size(device)
         missing = lacks_memory(size, device) if could else None
         if missing:
@@ -638,7 +637,8 @@ class Job:
         if denoising is not None and partner:
             strength = denoising.get("strength")
             passes.append(create("mix_partner", strength=1.0 if strength is None else strength,
-                                 scale=self._enlargement(denoising), both_ways=both_ways, **parts))
+                                 scale=enlargement(self._first_spec, denoising),
+                                 both_ways=both_ways, **parts))
         passes += [create("overlay")] if self._arguments.overlay == "composite" else []
         is_picture = self.outputs is not None and self.outputs.display
         shown, not_shown = make_display_passes(is_picture, **self._values("look"))
@@ -649,12 +649,6 @@ class Job:
                               f"pass '{chain[0].name}': let the pass run after=denoise_upscale, or "
                               "leave --both-ways out")
         return chain, skips + not_shown
-
-    def _enlargement(self, denoising: Mapping[str, Any]) -> float:
-        """Output over render width, by the denoiser's options and the first frame."""
-        spec = self._first_spec
-        scale, size = denoising.get("scale"), denoising.get("size")
-        return output_size(spec, scale, validate_size(size, scale)).width / spec.width
 
     @cached_property
     def _first_spec(self) -> FrameSpec:

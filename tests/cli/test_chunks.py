@@ -20,6 +20,7 @@ from postfx.runs.schedule import Chunk, find_preroll, make_chunks
 CHOOSES_NETWORK = True
 """For `quick_network`."""
 RUN = ("--scale", "1", "--model", "s", "--threads", "1")
+SIZED = ("--size", "96x64")
 
 
 @pytest.fixture
@@ -113,8 +114,9 @@ def test_what_does_not_join_is_said(postfx, noise):
     assert notes("--exposure", "0", output="out/a.####.png") == ""
 
 
-@pytest.mark.parametrize("words", [(), ("--scale", "2"), ("--device", "cpu"), ("--preset", "final"),
-                                   ("--no-denoise",), ("--memory", "2G"), ("--model", "s")])
+@pytest.mark.parametrize("words", [(), ("--scale", "2"), SIZED, ("--device", "cpu"),
+                                   ("--preset", "final"), ("--no-denoise",), ("--memory", "2G"),
+                                   ("--model", "s")])
 def test_machines_of_any_memory_run_one_network(postfx, noise, monkeypatch, words):
     """That of the machine that cuts: others are larger or smaller, and would choose by that."""
     def cut(memory: int) -> dict:
@@ -122,7 +124,8 @@ def test_machines_of_any_memory_run_one_network(postfx, noise, monkeypatch, word
         return postfx("chunks", "in/shot.####.exr", "--size", "3", "--json", "--", *words).json
 
     large, small = cut(1 << 40), cut(1 << 10)
-    wanted = {(): ("xl", "m"), ("--device", "cpu"): ("xl", "m"), ("--scale", "2"): ("m", "m")}
+    wanted = {(): ("xl", "m"), ("--device", "cpu"): ("xl", "m"), ("--scale", "2"): ("m", "m"),
+              SIZED: ("m", "m")}
     assert (large["network"], small["network"]) == wanted.get(words, (None, None))
     monkeypatch.setattr(models, "usable_memory", lambda: 1 << 10)
     for facts in (large, small):

@@ -116,6 +116,9 @@ HALO = 80
 """Render pixels around a window of a network of the render size: on four sequences with the network
 `l` the result then differs from the whole frame's by at most 3e-5, with 64 pixels by 2e-3
 (docs/lab/denoiser.md)."""
+FILTERED_HALO = 112
+"""The same where a filter for the albedo runs before: with `xl` by at most 4e-5, with 80 pixels by
+1.5e-3."""
 
 
 # Kernel -> its torch definition, and the sizes to trace with: 21x33 pixels of a picture of 25x45,
@@ -377,7 +380,8 @@ def _manners(config: Layout) -> dict[str, Any]:
     its own."""
     if isinstance(config, TrunkConfig):
         return {}
-    return {"blanks_volumes": False, "halo": min(HALO, config.sees)}
+    halo = FILTERED_HALO if isinstance(config, PictureConfig) and config.filtered else HALO
+    return {"blanks_volumes": False, "halo": min(halo, config.sees)}
 
 
 def _output(config: Layout, name: str) -> dict[str, Any]:

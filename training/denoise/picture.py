@@ -161,13 +161,14 @@ class PictureConfig:
         return cls(**{name: tuple(value) if isinstance(value, list) else value
                       for name, value in known.items()})
 
-    def published_layers(self) -> dict[str, Layer]:
-        """The convolutions that a published network has, by their names there."""
+    def published_layers(self, inputs: int = GUIDED_INPUTS) -> dict[str, Layer]:
+        """The convolutions that a published network with so many inputs has, by their names
+        there."""
         one, two, three, four, five = self.down
         up_one, up_two, up_three, up_four = self.up
         if self.large:
             way_down = {
-                "enc_conv1a": Layer(GUIDED_INPUTS, one, 0),
+                "enc_conv1a": Layer(inputs, one, 0),
                 "enc_conv1b": Layer(one, one, 0),
                 "enc_conv2a": Layer(one, two, 1),
                 "enc_conv2b": Layer(two, two, 1),
@@ -178,7 +179,7 @@ class PictureConfig:
             }
         else:
             way_down = {
-                "enc_conv0": Layer(GUIDED_INPUTS, one, 0),
+                "enc_conv0": Layer(inputs, one, 0),
                 "enc_conv1": Layer(one, one, 0),
                 "enc_conv2": Layer(one, two, 1),
                 "enc_conv3": Layer(two, three, 2),
@@ -193,7 +194,7 @@ class PictureConfig:
             "dec_conv3b": Layer(up_three, up_three, 2),
             "dec_conv2a": Layer(up_three + one, up_two, 1),
             "dec_conv2b": Layer(up_two, up_two, 1),
-            "dec_conv1a": Layer(up_two + GUIDED_INPUTS, up_one, 0),
+            "dec_conv1a": Layer(up_two + inputs, up_one, 0),
             "dec_conv1b": Layer(up_one, self.last, 0),
             self.picture_layer: Layer(self.last, 3, 0),
         }
@@ -238,7 +239,40 @@ def conv(inputs: int, outputs: int) -> nn.Conv2d:
     return nn.Conv2d(inputs, outputs, 3, padding=1)
 
 
-class PictureNetwork(nn.Module):
+class PublishedNetwork(nn.Module):
+    """What networks with published weights share: their layers, by their names there, and the way
+    through them."""
+
+    def __init__(self, layers: dict[str, Layer]) -> None:
+        super().__init__()
+        for name, layer in layers.items():
+            setattr(self, name, conv(layer.inputs, layer.outputs))
+
+    def way_down(self, stream: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The streams at 1/2, 1/4, 1/8 and 1/16 of the size, each before its level's convolutions;
+        the last one after them. ``stream`` is that of the first convolution."""
+        x = F.relu(stream)
+        first = F.max_pool2d(F.relu(self.enc_conv1(x)), 2)
+        second = F.max_pool2d(F.relu(self.enc_conv2(first)), 2)
+        third = F.max_pool2d(F.relu(self.enc_conv3(second)), 2)
+        x = F.max_pool2d(F.relu(self.enc_conv4(third)), 2)
+        return first, second, third, F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(x))))
+
+    def way_up(self, first: Tensor, second: Tensor, third: Tensor, coarsest: Tensor,
+               inputs: Tensor) -> Tensor:
+        """The finest level's stream before its last convolutions."""
+        x = F.relu(self.dec_conv4b(F.relu(self.dec_conv4a(beside(coarsest, third)))))
+        x = F.relu(self.dec_conv3b(F.relu(self.dec_conv3a(beside(x, second)))))
+        x = F.relu(self.dec_conv2b(F.relu(self.dec_conv2a(beside(x, first)))))
+        return self.convolve(self.dec_conv1a, enlarge(x), inputs)
+
+    @staticmethod
+    def convolve(layer: nn.Conv2d, *inputs: Tensor) -> Tensor:
+        """A convolution over several tensors beside each other."""
+        return layer(torch.cat(inputs, 1))
+
+
+class PictureNetwork(PublishedNetwork):
     """Features (N, 35, h, w) and planes of mirrors (N, 6, h, w), h and w multiples of 16 -> four
     tensors of that size.
 
@@ -250,11 +284,10 @@ class PictureNetwork(nn.Module):
     """
 
     def __init__(self, config: PictureConfig | None = None):
-        super().__init__()
-        self.config = config or PictureConfig()
-        self.align = self.config.align
-        for name, layer in self.config.published_layers().items():
-            setattr(self, name, conv(layer.inputs, layer.outputs))
+        config = config or PictureConfig()
+        super().__init__(config.published_layers())
+        self.config = config
+        self.align = config.align
         up_one, last, known = self.config.up[0], self.config.last, self.config.beside[0]
         branch = DeepBranch if self.config.deep else Branch
         self.branch = branch(GUIDED_INPUTS + FURTHER_INPUTS, self.config.beside)
@@ -297,8 +330,11 @@ class PictureNetwork(nn.Module):
         corrected = torch.cat((colour, planes), 1) + self.correct(known)
         if self.config.filtered:
             corrected = self.with_filtered_albedo(corrected, guided[:, 3:6], known)
-        way_down = self.large_way_down if self.config.large else self.way_down
-        stream = self.way_up(*way_down(corrected, known), corrected) + self.join(known)
+        if self.config.large:
+            streams = self.large_way_down(self.enc_conv1a(corrected) + self.enter(known))
+        else:
+            streams = self.way_down(self.enc_conv0(corrected) + self.enter(known))
+        stream = self.way_up(*streams, corrected) + self.join(known)
         stream = F.relu(self.dec_conv1b(F.relu(stream)))
         # a step of bfloat16 in a code is 2 % of the light
         with torch.autocast(stream.device.type, enabled=False):
@@ -374,38 +410,14 @@ class PictureNetwork(nn.Module):
             share = torch.sigmoid(self.detail(seen.float()) + DETAIL_BEGINS)
             return torch.lerp(codes, textured, share)
 
-    def way_down(self, guided: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """The streams at 1/2, 1/4, 1/8 and 1/16 of the size, each before its level's convolutions;
-        the last one after them."""
-        x = F.relu(self.enc_conv0(guided) + self.enter(known))
-        first = F.max_pool2d(F.relu(self.enc_conv1(x)), 2)
-        second = F.max_pool2d(F.relu(self.enc_conv2(first)), 2)
-        third = F.max_pool2d(F.relu(self.enc_conv3(second)), 2)
-        x = F.max_pool2d(F.relu(self.enc_conv4(third)), 2)
-        return first, second, third, F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(x))))
-
-    def large_way_down(self, guided: Tensor,
-                       known: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """The same with two convolutions a level."""
-        x = F.relu(self.enc_conv1a(guided) + self.enter(known))
+    def large_way_down(self, stream: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """`way_down` with two convolutions a level."""
+        x = F.relu(stream)
         first = F.max_pool2d(F.relu(self.enc_conv1b(x)), 2)
         second = F.max_pool2d(F.relu(self.enc_conv2b(F.relu(self.enc_conv2a(first)))), 2)
         third = F.max_pool2d(F.relu(self.enc_conv3b(F.relu(self.enc_conv3a(second)))), 2)
         x = F.max_pool2d(F.relu(self.enc_conv4b(F.relu(self.enc_conv4a(third)))), 2)
         return first, second, third, F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(x))))
-
-    def way_up(self, first: Tensor, second: Tensor, third: Tensor, coarsest: Tensor,
-               guided: Tensor) -> Tensor:
-        """The finest level's stream before its last convolutions."""
-        x = F.relu(self.dec_conv4b(F.relu(self.dec_conv4a(beside(coarsest, third)))))
-        x = F.relu(self.dec_conv3b(F.relu(self.dec_conv3a(beside(x, second)))))
-        x = F.relu(self.dec_conv2b(F.relu(self.dec_conv2a(beside(x, first)))))
-        return self.convolve(self.dec_conv1a, enlarge(x), guided)
-
-    @staticmethod
-    def convolve(layer: nn.Conv2d, *inputs: Tensor) -> Tensor:
-        """A convolution over several tensors beside each other."""
-        return layer(torch.cat(inputs, 1))
 
     def published(self) -> list[nn.Parameter]:
         """Weights that a published network has, too."""
@@ -413,7 +425,7 @@ class PictureNetwork(nn.Module):
                 for name, weight in self.named_parameters() if name.startswith(PUBLISHED)]
 
 
-class AlbedoFilter(nn.Module):
+class AlbedoFilter(PublishedNetwork):
     """Albedo with noise (N, 3, h, w) in [0, 1] -> without noise.
 
     It has the layers of Open Image Denoise's network for an albedo alone (`rt_alb`), and reads and
@@ -421,26 +433,15 @@ class AlbedoFilter(nn.Module):
     """
 
     def __init__(self) -> None:
-        super().__init__()
-        for name, layer in PictureConfig().published_layers().items():
-            inputs = layer.inputs - {"enc_conv0": 6, "dec_conv1a": 6}.get(name, 0)
-            setattr(self, name, conv(inputs, layer.outputs))
+        super().__init__(PictureConfig().published_layers(inputs=3))
 
     def forward(self, albedo: Tensor) -> Tensor:
         with torch.autocast(albedo.device.type, enabled=False):
             shown = linear_rgb_to_rgb(albedo.float().clamp(0.0, 1.0))
-        skips = [shown]
-        x = F.relu(self.enc_conv0(shown))
-        for level in range(1, LEVELS + 1):
-            x = F.max_pool2d(F.relu(getattr(self, f"enc_conv{level}")(x)), 2)
-            skips.append(x)
-        x = F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(x))))
-        for level in range(LEVELS, 0, -1):
-            joined = beside(x, skips[level - 1])
-            x = F.relu(getattr(self, f"dec_conv{level}a")(joined))
-            x = F.relu(getattr(self, f"dec_conv{level}b")(x))
+        streams = self.way_down(self.enc_conv0(shown))
+        stream = F.relu(self.dec_conv1b(F.relu(self.way_up(*streams, shown))))
         with torch.autocast(albedo.device.type, enabled=False):
-            return rgb_to_linear_rgb(self.dec_conv0(x.float()).clamp(0.0, 1.0))
+            return rgb_to_linear_rgb(self.dec_conv0(stream.float()).clamp(0.0, 1.0))
 
 
 class Branch(nn.Module):

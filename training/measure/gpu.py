@@ -1,7 +1,7 @@
 """What a GPU makes of frames, and what it needs for it.
 
-    python -m training.measure.gpu same [--size 640x360] [--frames 6] [--only 'xl 1x,l 1x']
-    python -m training.measure.gpu memory [--model xl] [--sizes 1920x1080,3840x2160]
+    python -m training.measure.gpu same [--size 640x360] [--frames 6] [--only 'xl 1x;l 1x']
+    python -m training.measure.gpu memory [--models xl] [--sizes 1920x1080,3840x2160]
     python -m training.measure.gpu calls [--models s,m,xl] [--scale 1]
     python -m training.measure.gpu sharing
     python -m training.measure.gpu between
@@ -35,6 +35,7 @@ import numpy as np
 
 import postfx
 from postfx import Device, DeviceInterpolator, Frame, Pipeline, Role
+from postfx.cli.options import parse_size
 from postfx.passes.denoise.models import CLASSIC
 
 ROOM = Path(__file__).resolve().parents[2] / "samples/room/noisy.####.exr"
@@ -252,7 +253,7 @@ def on_card(size: tuple[int, int], model: str, scale: float,
 def calls(models: list[str], scale: float, sizes: list[str], runs: int, device_name: str) -> None:
     def one(name: str) -> str:
         model, size = name.split(" ")
-        pipeline, planes = on_card(pair(size), model, scale, Device(device_name))
+        pipeline, planes = on_card(parse_size(size), model, scale, Device(device_name))
         device_times: list[float] = []
 
         def call() -> None:
@@ -412,7 +413,7 @@ def kernels(models: list[str], scale: float, sizes: list[str], device_name: str)
     torch.zeros(1).cuda()
     for name in [f"{model} {size}" for model in models for size in sizes]:
         model, size = name.split(" ")
-        pipeline, planes = on_card(pair(size), model, scale, Device(device_name))
+        pipeline, planes = on_card(parse_size(size), model, scale, Device(device_name))
         for _ in range(8):
             pipeline.on_device(next(planes), exposure=0.0)
         runs = 10
@@ -427,11 +428,6 @@ def kernels(models: list[str], scale: float, sizes: list[str], device_name: str)
               f"{sum(row[1] for row in rows):.0f} launches")
         for taken, launches, key in rows[:30]:
             print(f"    {taken:8.1f} us {launches:5.1f} launches  {key[:100]}")
-
-
-def pair(size: str) -> tuple[int, int]:
-    width, height = size.split("x")
-    return int(width), int(height)
 
 
 def main() -> None:
@@ -450,12 +446,12 @@ def main() -> None:
     models, sizes = given.models.split(","), given.sizes.split(",")
     only = [name for name in given.only.split(";") if name]
     ways: dict[str, Callable[[], None]] = {
-        "same": lambda: same(pair(given.size), given.frames, only, given.device),
+        "same": lambda: same(parse_size(given.size), given.frames, only, given.device),
         "memory": lambda: memory(models, sizes, given.device),
-        "memory of one": lambda: memory_of(models[0], pair(sizes[0]), given.device),
+        "memory of one": lambda: memory_of(models[0], parse_size(sizes[0]), given.device),
         "calls": lambda: calls(models, given.scale, sizes, given.runs, given.device),
         "sharing": lambda: sharing(given.device),
-        "between": lambda: between(pair(given.size), given.runs, given.device),
+        "between": lambda: between(parse_size(given.size), given.runs, given.device),
         "card": card,
         "kernels": lambda: kernels(models, given.scale, sizes, given.device),
     }

@@ -107,7 +107,8 @@ class DenoiseUpscale(Pass):
             mine.1x.onnx if they exist; or 'classic', a filter without a network, on a CPU and for
             frames without parts. 'xl' is for the render size; 'l' enlarges in its place. The
             default here is 'm'. `postfx run` and `postfx.denoise` take 'xl' by themselves for
-            frames of the render's size on a CPU: it is cleaner, and takes ten times as long.
+            frames of the render's size that fit into memory: it is cleaner, and on a CPU takes ten
+            times as long.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit. Where `model`

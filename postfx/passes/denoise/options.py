@@ -4,9 +4,9 @@ time, and how the reactive mask is made."""
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import FrameSpec, GuideSpec, Role
@@ -72,6 +72,13 @@ def output_size(spec: FrameSpec, scale: float | None, size: Size | None) -> Size
     scaled = Size(round(spec.height * (scale or USUAL_SCALE)),
                   round(spec.width * (scale or USUAL_SCALE)))
     return _guided(spec, spec.guides, scale, scaled) if spec.guides else scaled
+
+
+def enlargement(spec: FrameSpec, options: Mapping[str, Any]) -> float:
+    """Output over render width, by the options `scale` and `size` of the denoiser. Raises what
+    `validate_size` and `output_size` do."""
+    scale, size = options.get("scale"), options.get("size")
+    return output_size(spec, scale, validate_size(size, scale)).width / spec.width
 
 
 def _fixed(spec: FrameSpec, size: Size) -> Size:

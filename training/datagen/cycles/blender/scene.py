@@ -383,14 +383,9 @@ def let_light_through(tree: bpy.types.NodeTree, shader: bpy.types.Node, colour: 
                       share: float) -> None:
     """Replace a ``share`` of a surface by one that scatters light to its other side, in this
     ``colour``."""
-    through, mix = (tree.nodes.new("ShaderNodeBsdfTranslucent"),
-                    tree.nodes.new("ShaderNodeMixShader"))
+    through = tree.nodes.new("ShaderNodeBsdfTranslucent")
     through.inputs["Color"].default_value = (*colour, 1)
-    mix.inputs[0].default_value = share
-    out = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL")
-    tree.links.new(shader.outputs[0], mix.inputs[1])
-    tree.links.new(through.outputs[0], mix.inputs[2])
-    tree.links.new(mix.outputs[0], out.inputs["Surface"])
+    mix_surfaces(tree, shader, through).inputs[0].default_value = share
 
 
 def empty_volume(name: str) -> tuple[bpy.types.Material, bpy.types.Node]:
@@ -503,12 +498,19 @@ def open_to_light(tree: bpy.types.NodeTree, shader: bpy.types.Node, tint: np.nda
     path = tree.nodes.new("ShaderNodeLightPath")
     clear = tree.nodes.new("ShaderNodeBsdfTransparent")
     clear.inputs["Color"].default_value = (*tint, 1)
-    both = tree.nodes.new("ShaderNodeMixShader")
-    tree.links.new(path.outputs["Is Shadow Ray"], both.inputs[0])
-    tree.links.new(shader.outputs[0], both.inputs[1])
-    tree.links.new(clear.outputs[0], both.inputs[2])
+    mix = mix_surfaces(tree, shader, clear)
+    tree.links.new(path.outputs["Is Shadow Ray"], mix.inputs[0])
+
+
+def mix_surfaces(tree: bpy.types.NodeTree, shader: bpy.types.Node,
+                 other: bpy.types.Node) -> bpy.types.Node:
+    """Mix another surface into a material; the first input of the node is its share."""
+    mix = tree.nodes.new("ShaderNodeMixShader")
     output = next(node for node in tree.nodes if node.type == "OUTPUT_MATERIAL")
-    tree.links.new(both.outputs[0], output.inputs["Surface"])
+    tree.links.new(shader.outputs[0], mix.inputs[1])
+    tree.links.new(other.outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], output.inputs["Surface"])
+    return mix
 
 
 def thin_material(rng: Rng) -> bpy.types.Material:
