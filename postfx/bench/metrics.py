@@ -2,6 +2,10 @@
 
 Pictures are compared as people see them: exposed, brought to 0..1 by x / (1 + x), and sRGB-encoded.
 relMSE compares linear light. Colours are (height, width, 3), scene-linear Rec.709, float32.
+
+A reference has noise of its own. At 64 samples a pixel, one of 1,024 may be further from the truth
+than a denoised picture. With a second reference of other noise, the squared error is the mean of
+the product of both differences: the noise of the two is independent, so its mean is zero there.
 """
 
 from __future__ import annotations
@@ -19,6 +23,7 @@ from postfx.sampling import bilinear, motion_at
 
 LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
 TRIMMED = 0.999
+LEAST_ERROR = 1e-12  # squared: 120 dB
 FOLLOWED_DIFFERENCE = 0.1
 FIGURES = ("psnr", "ssim", "flip", "relmse", "flicker")
 """Names of the figures. More is better for psnr (dB) and ssim (up to 1), less for flip (0..1),
@@ -34,7 +39,13 @@ def grey_factor(colour: np.ndarray) -> float:
 
 def psnr(picture: np.ndarray, reference: np.ndarray) -> float:
     """Peak signal to noise ratio of code values 0..1, in dB, at most 120."""
-    return float(-10 * np.log10(np.square(picture - reference).mean() + 1e-12))
+    return psnr_of_two(picture, reference, reference)
+
+
+def psnr_of_two(picture: np.ndarray, reference: np.ndarray, second: np.ndarray) -> float:
+    """`psnr` from two references whose noise is independent: their noise does not count."""
+    error = ((picture - reference) * (picture - second)).mean()
+    return float(-10 * np.log10(max(error, 0.0) + LEAST_ERROR))
 
 
 def ssim(picture: np.ndarray, reference: np.ndarray) -> float:
@@ -101,19 +112,24 @@ class SequenceScore:
         self._factor: float | None = None
         self._before: Pictures | None = None
 
-    def add(self, result: np.ndarray, reference: Frame, noisy: Frame) -> None:
+    def add(self, result: np.ndarray, reference: Frame, noisy: Frame,
+            second: Frame | None = None) -> None:
         """Score a result (H, W, 3) against the reference's colour; `noisy` gives motion, cuts and
         the frame number.
 
         The exposure is the reference's, or else the one that makes the first reference mid grey.
+        With a `second` reference, PSNR is that of both, and the other figures compare with their
+        mean.
         """
-        target = reference[Role.COLOUR]
-        self._factor = self._factor or grey_factor(target)
+        first = reference[Role.COLOUR]
+        other = first if second is None else second[Role.COLOUR]
+        self._factor = self._factor or grey_factor(first)
         factor = reference.exposure_factor or self._factor
+        target = (first + other) / 2
         now = Pictures(to_codes(result, factor), to_codes(target, factor))
         self.frames.append({
             "frame": noisy.number,
-            "psnr": psnr(now.result, now.reference),
+            "psnr": psnr_of_two(now.result, to_codes(first, factor), to_codes(other, factor)),
             "ssim": ssim(now.result, now.reference),
             "flip": flip(now.result, now.reference),
             "relmse": relmse(result, target, factor),

@@ -33,6 +33,27 @@ def test_psnr_of_a_tenth():
     assert metrics.psnr(one, one) == pytest.approx(120.0)
 
 
+def test_noise_of_two_references_does_not_count():
+    noise = np.random.default_rng(4).normal(0, 0.05, (2, 200, 200, 3))
+    truth = np.full((200, 200, 3), 0.5)
+    picture = truth + 0.02
+    assert metrics.psnr(picture, truth + noise[0]) < 26
+    error = metrics.psnr_of_two(picture, truth + noise[0], truth + noise[1])
+    assert error == pytest.approx(metrics.psnr(picture, truth), abs=0.3)
+
+
+def test_a_second_reference_is_part_of_a_sequence():
+    rng = np.random.default_rng(5)
+    colour = np.full((64, 64, 3), 0.5, np.float32)
+    noisy = frame(colour)
+    references = [frame(colour + rng.normal(0, 0.05, colour.shape)) for _ in range(2)]
+    alone, both = metrics.SequenceScore(), metrics.SequenceScore()
+    alone.add(colour + np.float32(0.01), references[0], noisy)
+    both.add(colour + np.float32(0.01), references[0], noisy, references[1])
+    assert both.frames[0]["psnr"] > alone.frames[0]["psnr"] + 6
+    assert both.frames[0]["flip"] < alone.frames[0]["flip"]
+
+
 def test_relmse_leaves_the_worst_pixels_out():
     reference = np.ones((40, 50, 3), np.float32)
     result = reference + 0.1

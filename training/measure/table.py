@@ -5,7 +5,9 @@
 
 FOLDER holds one folder for each kind, as `training/measure/validation/render_scenes.py` writes
 them: noisy.SPP.####.exr at the references' size, half.SPP.####.exr at half of it, and
-reference.####.exr. A way is a name, and options of `postfx run`. There are three comparisons:
+reference.####.exr. Frames that also have a second.####.exr, a reference with other noise, are
+measured without the noise of references. A way is a name, and options of `postfx run`. There are
+three comparisons:
 
     1x           both on the full size
     2x           both on half the size; OIDN is enlarged by cubic interpolation
@@ -79,9 +81,14 @@ class Shot:
     def reference(self) -> str:
         return str(self.folder / "reference.####.exr")
 
+    @property
+    def second(self) -> str:
+        """References of some frames, with other noise."""
+        return str(self.folder / "second.####.exr")
+
     def stamp(self) -> list[list[Any]]:
         """Name, size and time of its files: results of others are not its own."""
-        parts = [SIZES[self.size][0] + f".{self.samples}", "reference"]
+        parts = [SIZES[self.size][0] + f".{self.samples}", "reference", "second"]
         files = sorted(path for part in parts for path in self.folder.glob(f"{part}.*.exr"))
         return [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in files]
 
@@ -110,13 +117,16 @@ class Judge:
         self.noisy = Sequence(shot.noisy)
         self.frames = [self.noisy.read(number) for number in self.noisy.numbers]
         self._targets = [references.read(frame.number, [Role.COLOUR]) for frame in self.frames]
+        others = Sequence(shot.second) if any(shot.folder.glob("second.*.exr")) else None
+        self._seconds = {number: others.read(number, [Role.COLOUR])
+                         for number in (others.numbers if others else ())}
         self.size = self._targets[0][Role.COLOUR].shape[:2]
 
     def score(self, pictures: list[np.ndarray]) -> Scores:
         """Means over the second half of the frames."""
         scores = SequenceScore()
         for picture, target, frame in zip(pictures, self._targets, self.frames, strict=True):
-            scores.add(picture, target, frame)
+            scores.add(picture, target, frame, self._seconds.get(frame.number))
         summary = scores.summary()
         return {figure: summary[f"{figure}_late"] for figure in FIGURES}
 

@@ -4,8 +4,10 @@
 
 For each kind and frame writes DIR/KIND/noisy.SPP.####.exr and DIR/KIND/reference.####.exr, the crop
 in the middle of the picture, and DIR/KIND/half.SPP.####.exr: the same crop at half the size, with
-the rays of a full size of a quarter of the samples. Where motion is blurred, Blender 5 writes no
-vectors, and so these files have none. Goes on after a scene that fails; keeps files that exist.
+the rays of a full size of a quarter of the samples. With --second it also writes
+DIR/KIND/second.####.exr, references with other noise: with two, the noise of references leaves the
+figures (postfx/bench/metrics.py). Where motion is blurred, Blender 5 writes no vectors, and so
+these files have none. Goes on after a scene that fails; keeps files that exist.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 from training.measure.validation import scenes  # noqa: E402
 
 BOUNCES = 8
+REFERENCES = ("reference", "second")
 
 
 @dataclass(frozen=True)
@@ -100,11 +103,14 @@ def shots(folder: Path, args: argparse.Namespace) -> list[Shot]:
     if args.reference:
         for frame in args.frames:
             found.append(Shot(folder / f"reference.{frame:04}.exr", frame, args.reference))
+    if args.second:
+        for frame in args.frames:
+            found.append(Shot(folder / f"second.{frame:04}.exr", frame, args.second))
     return found
 
 
 def render_shot(scene: bpy.types.Scene, shot: Shot, size: tuple[int, int], blurred: bool) -> None:
-    reference = shot.path.name.startswith("reference")
+    reference = shot.path.name.startswith(REFERENCES)
     scene.render.use_motion_blur = blurred
     choose_passes(scene.view_layers[0], reference, not blurred and not reference)
     scale = 2 if shot.half else 1
@@ -158,6 +164,8 @@ def main() -> int:
     parser.add_argument("--half", type=numbers, default=[4, 16, 64],
                         help="samples at half the size; default 4,16,64; '' for none")
     parser.add_argument("--reference", type=int, default=1024, help="0: no references")
+    parser.add_argument("--second", type=int, default=0,
+                        help="samples of further references with other noise; default 0: none")
     parser.add_argument("--frames", type=frame_numbers, default=[1, 2, 3], help="default 1-3")
     parser.add_argument("--size", type=pair, default=(640, 360), help="default 640x360")
     parser.add_argument("--crop", type=pair, default=(320, 180), help="default 320x180")
