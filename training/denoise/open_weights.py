@@ -2,7 +2,6 @@
 
     python -m training.denoise.open_weights -o start.pt
     python -m training.denoise.open_weights --large -o start.pt
-    python -m training.denoise.open_weights --beside training/checkpoints/xl.1x.pt -o start.pt
 
 The package pyoidn (pip install 'pyoidn==2.5.1.0') holds Open Image Denoise 2.5.1 and its weights,
 both under the Apache License 2.0. The library stores each network as a TZA archive: a table of
@@ -23,23 +22,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from training.denoise.checkpoint import PREFIX, read, save
-from training.denoise.picture import (
-    LARGE,
-    PUBLISHED,
-    USUAL,
-    PictureConfig,
-    PictureDenoiser,
-    PictureNetwork,
-)
+from training.denoise.checkpoint import PREFIX, save
+from training.denoise.picture import LARGE, PictureConfig
 
-NETWORK = "rt_hdr_calb_cnrm"  # for albedo and normal without noise, as the next one
-LARGE_NETWORK = "rt_hdr_calb_cnrm_large"
+NETWORK = "rt_hdr_alb_nrm"
+LARGE_NETWORK = "rt_hdr_calb_cnrm_large"  # for albedo and normal without noise
 ALBEDO_NETWORK = "rt_alb"  # for an albedo alone
 SOURCE = "Open Image Denoise 2.5.1, Apache License 2.0, network {network}"
-ADAPTED = ("enter.", "join.")
-"""How the names of layers begin that fit one published network alone."""
-JUDGED = "judge.0.weight"
 MAGIC = 0x41D7  # of a TZA archive
 TYPES = {"f": "<f4", "h": "<f2"}
 SYMBOLS = 11  # type of an ELF section: the dynamic symbol table
@@ -115,36 +104,11 @@ def published(name: str = NETWORK) -> dict[str, Tensor]:
     return {key: torch.from_numpy(values.astype(np.float32)) for key, values in found}
 
 
-def layers_beside(weights: dict[str, Tensor], config: PictureConfig) -> dict[str, Tensor]:
-    """What a picture network of another size has learnt beside its published layers, for a network
-    of this layout: its branch cleans albedo and normal here, too.
-
-    What depends on the published layers' channels begins anew. The layer that judges the picture
-    reads the stream of the finest level first: those weights begin as zero.
-    """
-    own = PictureDenoiser(PictureNetwork(config)).state_dict()
-    found = {}
-    for name, values in weights.items():
-        word = name.removeprefix(PREFIX)
-        if name not in own or word.startswith(PUBLISHED + ADAPTED):
-            continue
-        if word == JUDGED:
-            others = values.shape[1] - (own[name].shape[1] - config.last)
-            kept = values[:, others:]
-            values = torch.cat((kept.new_zeros(len(kept), config.last, 3, 3), kept), 1)
-        if values.shape == own[name].shape:
-            found[name] = values
-    return found
-
-
 def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--large", action="store_true",
                         help="the large network, for albedo and normal without noise")
-    parser.add_argument("--beside", type=Path, metavar="FILE",
-                        help="also begin with what this picture network, of any size, has learnt "
-                             "beside its published layers")
     parser.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
     return parser
 
@@ -153,14 +117,12 @@ def main(argv: list[str] | None = None) -> None:
     parser = options()
     args = parser.parse_args(argv)
     try:
-        network, config = (LARGE_NETWORK, LARGE) if args.large else (NETWORK, USUAL)
+        network, config = (LARGE_NETWORK, LARGE) if args.large else (NETWORK, PictureConfig())
         weights = {PREFIX + name: values.half() for name, values in published(network).items()}
         if config.filtered:
             weights |= {f"{PREFIX}alone.{name}": values.half()
                         for name, values in published(ALBEDO_NETWORK).items()}
             network = f"{network} and {ALBEDO_NETWORK}"
-        if args.beside:
-            weights |= layers_beside(read(args.beside)["weights"], config)
         notes = {"start": SOURCE.format(network=network)}
         save({"config": config.as_dict(), "weights": weights, "notes": notes}, args.output)
     except (OSError, ValueError) as fault:

@@ -228,9 +228,6 @@ LARGE = PictureConfig(down=(64, 96, 128, 192, 256), up=(64, 96, 128, 192), last=
                       gated=True, detailed=True, deep=True, averaged=True, filtered=True)
 """The layout of Open Image Denoise's large networks, with a gate for the history, one for detail,
 a deep branch, planes from a pyramid, and a filter for the albedo alone."""
-USUAL = PictureConfig(gated=True, detailed=True, deep=True, averaged=True)
-"""The layout of Open Image Denoise's usual networks, with the same but for the filter, which would
-take as long as half of it."""
 BRANCH_LEVELS = {"branch.half_down": 1, "branch.half_up": 1, "branch.half_more": 1,
                  "branch.quarter_in": 2, "branch.quarter_out": 2, "branch.eighth_in": 3,
                  "branch.eighth_out": 3, "branch.quarter_more": 3,

@@ -45,7 +45,7 @@ from training.denoise.dataset import Augment, Batch, Clip, ClipPool, collate, to
 from training.denoise.gradient import FlatGradient, GradientStep, fuse
 from training.denoise.loss import LIGHT, ClipLoss
 from training.denoise.model import DenoiseUpscale, State, Trunk, TrunkConfig, empty_state
-from training.denoise.picture import LARGE, USUAL, PictureDenoiser, PictureNetwork
+from training.denoise.picture import LARGE, PictureConfig, PictureDenoiser, PictureNetwork
 from training.denoise.residual import ResidualConfig, ResidualTrunk
 from training.measure.runs import append_run
 
@@ -221,7 +221,7 @@ def trunk_of(args: argparse.Namespace) -> Trunk | ResidualTrunk:
 def network_of(args: argparse.Namespace) -> DenoiseUpscale | PictureDenoiser:
     """The denoiser of the arguments, with random weights."""
     if args.picture:
-        return PictureDenoiser(PictureNetwork(LARGE if args.large else USUAL))
+        return PictureDenoiser(PictureNetwork(LARGE if args.large else PictureConfig()))
     return DenoiseUpscale(trunk=trunk_of(args))
 
 

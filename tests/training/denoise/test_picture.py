@@ -24,7 +24,6 @@ from training.denoise.picture import (
     HISTORY,
     LARGE,
     MOST_LIGHT,
-    USUAL,
     VALID,
     AlbedoFilter,
     Branch,
@@ -115,11 +114,11 @@ def test_the_codes_grow_with_light_across_the_joints_of_the_curve():
     assert (codes.diff() > 0).all()
 
 
-@pytest.mark.parametrize(("network", "config", "quality"), (
-    pytest.param(open_weights.NETWORK, USUAL, "balanced", id="usual"),
-    pytest.param(open_weights.LARGE_NETWORK, LARGE, "high", id="large"),
+@pytest.mark.parametrize(("network", "config", "planes"), (
+    pytest.param(open_weights.NETWORK, PictureConfig(), "raw", id="usual"),
+    pytest.param(open_weights.LARGE_NETWORK, LARGE, "clean", id="large"),
 ))
-def test_it_begins_as_the_published_network(network, config, quality):
+def test_it_begins_as_the_published_network(network, config, planes):
     """With the published weights a first frame is Open Image Denoise's picture."""
     pytest.importorskip("pyoidn")
     from postfx.oidn import OpenImageDenoise
@@ -139,32 +138,12 @@ def test_it_begins_as_the_published_network(network, config, quality):
                               empty_state(inputs, height, width)).output[0].permute(1, 2, 0).numpy()
     expected = np.empty((height, width, 3), np.float32)
     albedo = np.clip(cut[Role.DIFFUSE_ALBEDO] + cut[Role.SPECULAR_ALBEDO], 0, 1)
-    OpenImageDenoise(quality, "cpu", 1, planes="clean")(
+    OpenImageDenoise("high", "cpu", 1, planes=planes)(
         cut[Role.COLOUR], {"albedo": albedo, "normal": cut[Role.NORMAL]}, expected)
     # Open Image Denoise brings the picture to a mean brightness of its own first, so codes are not
     # the same.
     np.testing.assert_allclose(displayed(found).mean(), displayed(expected).mean(), rtol=0.01)
     assert np.abs(displayed(found) - displayed(expected)).mean() < 0.01
-
-
-def test_a_network_of_another_size_begins_with_what_this_one_knows_of_planes():
-    """The branch of one network cleans the planes of the other at once."""
-    torch.manual_seed(7)
-    own, other = (replace(SMALL, filtered=False, last=last) for last in (8, 16))
-    known = PictureDenoiser(PictureNetwork(other))
-    for weight in known.trunk.correct.parameters():
-        torch.nn.init.normal_(weight, std=0.1)
-    found = PictureDenoiser(PictureNetwork(own))
-    layers = open_weights.layers_beside(known.state_dict(), own)
-    found.load_state_dict(found.state_dict() | layers)
-    features, mirrored = torch.rand(1, 35, 32, 32), torch.rand(1, 6, 32, 32)
-    with torch.no_grad():
-        torch.testing.assert_close(found.trunk(features, mirrored)[3],
-                                   known.trunk(features, mirrored)[3])
-    judged = layers[PREFIX + open_weights.JUDGED]
-    assert not judged[:, :own.last].any() and judged[:, own.last:].any()
-    assert not any(name.removeprefix(PREFIX).startswith(("dec_", "enc_", "join.", "enter."))
-                   for name in layers)
 
 
 def test_published_weights_get_their_own_rate(denoiser):
