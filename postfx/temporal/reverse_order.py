@@ -23,6 +23,7 @@ from postfx.pipeline import Pipeline
 from postfx.plan import Plan
 from postfx.planes import LARGEST_HALF
 from postfx.runtime import Device
+from postfx.temporal.mirrored import mirror, mirror_plane
 from postfx.temporal.reverse_motion import (
     LONGEST_HISTORY_FRAMES,
     HistoryLength,
@@ -181,7 +182,8 @@ class Backwards:
 
     The sequence runs in parts of PART_FRAMES frames, each from its last frame to its first, after a
     run-up over the frames after it. Frames of the run-up may lie beyond the end of the sequence if
-    their files exist. Frames that cannot be read are skipped without an error.
+    their files exist. Frames that cannot be read are skipped without an error. They run mirrored:
+    the network errs otherwise then, so less is left of its errors when both directions are mixed.
 
     Attributes:
         milliseconds: device time of the last frame in reverse order; None if it did not have to
@@ -320,7 +322,7 @@ class Backwards:
     def _denoise(self, frame: Frame) -> tuple[np.ndarray | None, float]:
         """Exposed colour in half precision, or None if the frame cannot run, and its factor."""
         try:
-            colour = self._pipeline(frame)[Role.COLOUR]
+            colour = mirror_plane(self._pipeline(mirror(frame))[Role.COLOUR])
         except PostfxError:
             return None, 1.0
         factor = self._pipeline.exposure_factor or 1.0

@@ -57,7 +57,7 @@ def spread(colour: np.ndarray) -> float:
 def test_first_frames_profit_from_those_after_them(noisy, device):
     sequence = noisy(8)
     causal, both = results(sequence, device, both=False), results(sequence, device)
-    assert spread(both[1]) < 0.7 * spread(causal[1])
+    assert spread(both[1]) < 0.8 * spread(causal[1])
     assert spread(both[4]) < spread(causal[4])
     assert abs(both[1].mean() / causal[8].mean() - 1) < 0.02
 
@@ -180,12 +180,17 @@ def test_whoever_iterates_the_sequence_is_not_disturbed(noisy, device):
 
 
 def test_without_motion_both_runs_are_of_single_frames(device, write_exr, tmp_path):
+    """So the frames beside a frame change nothing in it."""
     rng = np.random.default_rng(1)
-    for number in (1, 2, 3):
-        write_exr(f"still/a.{number:04d}.exr", {name: rng.exponential(size=SIZE) for name in "RGB"})
-    sequence = Sequence(tmp_path / "still/a.####.exr")
-    causal, both = results(sequence, device, both=False), results(sequence, device)
-    np.testing.assert_allclose(both[2], causal[2], rtol=2e-3, atol=1e-4)
+    found = []
+    for name in "ab":
+        for number in (1, 2, 3):
+            noise = np.random.default_rng(7) if number == 2 else rng
+            planes = {channel: noise.exponential(size=SIZE) for channel in "RGB"}
+            write_exr(f"still/{name}.{number:04d}.exr", planes)
+        sequence = Sequence(tmp_path / f"still/{name}.####.exr")
+        found.append(results(sequence, device)[2])
+    np.testing.assert_array_equal(found[0], found[1])
 
 
 def test_results_of_another_size_are_not_mixed_in(noisy, device):
