@@ -12,8 +12,7 @@ end:
                                     they come from
 
 A figure is a number with a unit, and any number with a decimal point in a table. Code blocks do not
-count: other tests run them. Sections in `PENDING` have figures from before there were sources. Take
-a section off the list once it has its marks; put none on it.
+count: other tests run them.
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ from typing import NamedTuple
 import pytest
 
 from postfx.cli.run import EXAMPLES
-from tests.pending_figures import PENDING
 from training.measure.record import NUMBER, RUNS, Run, agrees, is_same, load, run
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -107,16 +105,8 @@ def test_figures_are_rounded_numbers_of_a_run() -> None:
             and agrees("10.0", "11.0", 0.1))
 
 
-def test_new_figures_have_a_source() -> None:
-    """No section but those of the list is without one, and none is on the list that has one."""
-    found = sections_without_source()
-    new = {page: sections for page in found
-           if (sections := [one for one in found[page] if one not in PENDING.get(page, ())])}
-    assert not new, "say where these figures come from: see tests/test_figures.py"
-    done = {page: sections for page in PENDING
-            if (sections := [one for one in PENDING[page] if one not in found.get(page, ())])}
-    assert not done, ("these have no figures without a source any more: take them off "
-                      "tests/pending_figures.py")
+def test_every_section_s_figures_have_a_source() -> None:
+    assert not sections_without_source(), "say where these figures come from (see this module)"
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES

@@ -7,8 +7,9 @@ of its first n images, and so are its planes, as long as the view holds enough (
 planes). At scale 1 the reference is the view's. At scale 2 the input is the mean of every 2x2
 pixels, with 4 n samples a pixel, and the reference is the same. Each input is the first frame of a
 sequence. PSNR compares displayed pictures, without the reference's own noise (see
-equivalent_samples). Writes RESULTS/convergence.csv, .json and .png, and prints the least gain of
-each method over its own input.
+equivalent_samples). Writes RESULTS/convergence.csv, .json and .png, and prints the PSNR of each
+input and result, then the least gain of each method over its own input, and its gain with the most
+samples.
 """
 
 from __future__ import annotations
@@ -111,14 +112,22 @@ def measure(view: dict[str, np.ndarray], args: argparse.Namespace) -> list[dict[
     return rows
 
 
+def scores(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """A line for each scale and sample count: PSNR of the input and of each method."""
+    for scale, samples in dict.fromkeys((row["scale"], row["samples"]) for row in rows):
+        own = [row for row in rows if (row["scale"], row["samples"]) == (scale, samples)]
+        found = ", ".join(f"{row['method']} {row['psnr']:.2f}" for row in own)
+        yield f"{scale}x, {samples} samples: {found}"
+
+
 def worst(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """A line for each scale and method: its least gain over the input."""
+    """A line for each scale and method: its least gain over the input, and the last one."""
     for scale, method in dict.fromkeys((row["scale"], row["method"])
                                        for row in rows if row["method"] != INPUT):
         own = [row for row in rows if (row["scale"], row["method"]) == (scale, method)]
         low = min(own, key=lambda row: row["gain"])
         yield (f"{method} at {scale}x: at least {low['gain']:+.2f} dB over its input (at "
-               f"{low['samples']} samples)")
+               f"{low['samples']} samples), {own[-1]['gain']:+.2f} dB at {own[-1]['samples']}")
 
 
 def plot(rows: list[dict[str, Any]], title: str, path: Path) -> None:
@@ -157,7 +166,7 @@ def main(argv: list[str] | None = None) -> None:
         writer.writerows(rows)
     plot(rows, f"{facts['scene']}, seed {facts['seed']}: one frame, no history",
          args.results / "convergence.png")
-    print("\n".join(worst(rows)))
+    print("\n".join([*scores(rows), *worst(rows)]))
 
 
 if __name__ == "__main__":

@@ -58,5 +58,7 @@ def test_rows_for_every_scale_count_and_method(view, tmp_path, capsys):
     assert gains[0] > 5 and min(gains) > -0.1
     out = capsys.readouterr().out
     assert "m at 1x: at least +" in out or "m at 1x: at least -0.0" in out
+    last = [float(row["psnr"]) for row in rows[-2:]]
+    assert "2x, 256 samples: input {:.2f}, m {:.2f}".format(*last) in out
     assert (np.ptp(oiio.ImageBuf(str(tmp_path / "out/convergence.png")).get_pixels(oiio.UINT8))
             == 255)
