@@ -68,9 +68,9 @@ def ratios(frames: list[Errors]) -> list[float]:
 class References:
     """The references of a kind, denoised once at each exposure."""
 
-    def __init__(self, shot: Shot, richest: Shot, model: str) -> None:
+    def __init__(self, shot: Shot, richest: Shot, model: str, threads: int) -> None:
         self._references, self._richest = Sequence(shot.reference), Sequence(richest.noisy)
-        self._denoiser = Pipeline([DenoiseUpscale(scale=1.0, model=model)], Device("cpu"))
+        self._denoiser = Pipeline([DenoiseUpscale(scale=1.0, model=model)], Device("cpu", threads))
         self._clean: dict[int, np.ndarray] = {}
 
     def codes(self, number: int, exposure: float) -> tuple[np.ndarray, np.ndarray]:
@@ -85,9 +85,11 @@ class References:
         return codes, white_noise(codes - to_codes(self._clean[number], exposure))
 
 
-def measure(shot: Shot, references: References, model: str) -> Iterator[Errors]:
+def measure(shot: Shot, references: References, model: str,
+            threads: int) -> Iterator[Errors]:
     """The frames of a shot."""
-    pipeline = Pipeline([DenoiseUpscale(scale=1.0, model=model, error=True)], Device("cpu"))
+    denoise = DenoiseUpscale(scale=1.0, model=model, error=True)
+    pipeline = Pipeline([denoise], Device("cpu", threads))
     noisy = Sequence(shot.noisy)
     for number in noisy.numbers:
         result: Frame = pipeline(noisy.read(number))
@@ -111,6 +113,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--model", default="xl", help="tag or file (default: xl)")
     parser.add_argument("--kinds", default="", help="folders, with commas (default: all)")
+    parser.add_argument("--threads", type=int, default=2)
     given = parser.parse_args(argv)
     found: dict[tuple[str, int], list[Errors]] = {}
     wanted = list(shots(given.folder, list(filter(None, given.kinds.split(","))), ["1x"], []))
@@ -119,9 +122,11 @@ def main(argv: list[str] | None = None) -> None:
                      "training/measure/validation/render_scenes.py makes them")
     for kind in sorted({shot.kind for shot in wanted}):
         mine = [shot for shot in wanted if shot.kind == kind]
-        references = References(mine[0], max(mine, key=lambda shot: shot.samples), given.model)
+        richest = max(mine, key=lambda shot: shot.samples)
+        references = References(mine[0], richest, given.model, given.threads)
         for shot in mine:
-            found[kind, shot.samples] = list(measure(shot, references, given.model))
+            found[kind, shot.samples] = list(measure(shot, references, given.model,
+                                                           given.threads))
             print(row(f"{kind} {shot.samples}", found[kind, shot.samples]), flush=True)
     for samples in sorted({count for _, count in found}):
         print(row(f"all {samples}", [one for (_, count), frames in found.items()
