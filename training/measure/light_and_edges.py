@@ -56,7 +56,7 @@ def light_change(found: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Relative differences of the cells of exposed light, of those that are bright enough."""
     means, right = (cell_means(np.clip(light, 0, MOST_LIGHT)) for light in (found, wanted))
     counts = right > LEAST_LIGHT
-    return np.abs(means[counts] / right[counts] - 1)
+    return np.asarray(np.abs(means[counts] / right[counts] - 1))
 
 
 def silhouettes(depth: np.ndarray) -> np.ndarray:

@@ -110,7 +110,7 @@ def fit(frames: list[Errors]) -> Curve:
 
 def left_out(found: Kinds) -> Kinds:
     """All frames, with predictions that the curve of the other kinds changed."""
-    made = {}
+    made: Kinds = {}
     for kind in {kind for kind, _ in found}:
         curve = fit([one for (other, _), frames in found.items() if other != kind
                      for one in frames])

@@ -180,14 +180,16 @@ class Judge:
     def error(self, colour: np.ndarray) -> np.ndarray:
         """Squared error of a denoised colour's pixels, in the mean without the reference's
         noise."""
-        return np.square(self._codes_of(colour) - self._codes).mean(axis=2) - self._noise
+        squared = np.square(self._codes_of(colour) - self._codes).mean(axis=2)
+        return np.asarray(squared - self._noise)
 
     def _codes_of(self, colour: np.ndarray) -> np.ndarray:
-        return to_codes(colour, self.exposure).astype(np.float32)
+        return np.asarray(to_codes(colour, self.exposure), np.float32)
 
     def tiles(self, plane: np.ndarray) -> np.ndarray:
         """Means of a plane's tiles."""
-        return (tile_sums(plane, self._tile) / tile_sums(np.ones_like(plane), self._tile)).ravel()
+        sums, pixels = (tile_sums(one, self._tile) for one in (plane, np.ones_like(plane)))
+        return np.asarray(sums / pixels).ravel()
 
     def predicted(self, scene: Scene, index: int) -> dict[str, np.ndarray]:
         """Way to predict -> the predicted error of the tiles over what was measured."""
