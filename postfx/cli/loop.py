@@ -7,6 +7,7 @@ import argparse
 import io
 import json
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -24,9 +25,11 @@ part: --render is a command that renders the pictures and regions of a JSON file
 replaces {jobs}. Scripts for Blender and Mitsuba come with postfx; docs/howto/render_more.md
 describes the file for others.
 
-Everything is rendered in two halves with different seeds. Each half, denoised, is compared with the
-other: that measures the error. With --budget a round renders at most as many samples as there are,
-the last one what is left.
+The error is what the network expects of itself, if it predicts that: 'l' and the default do. Else,
+or with --error halves, everything is rendered in two halves with different seeds. Each half,
+denoised, is compared with the other: that measures the error, but takes about a tenth more samples
+for the same picture. With --budget a round renders at most as many samples as there are, the last
+one what is left.
 
 OUTPUT always holds the denoised frames of the last round. The merged renders and a log are in
 --work. A loop that was stopped goes on from there, and further with a larger budget or more rounds.
@@ -43,6 +46,10 @@ examples:
 """
 JOBS = "{jobs}"
 HALVES = ("half1", "half2")
+"""Names of the renders with different seeds. A loop whose network predicts its error has the first
+one alone."""
+BY_NETWORK, BY_HALVES = "network", "halves"
+"""Where the error comes from."""
 SEEDS = 1009
 """Seeds between two halves of a round, so that no frame has the seed of another one of an earlier
 half, in shots that are not longer."""
@@ -65,6 +72,9 @@ LOOP = Options(Section("", (
     Option(flag="--rounds", metavar="N", type=parse_positive, default=4,
            help="rounds at most after the first one (default: 4)"),
     SAMPLE_OPTIONS["--tile"],
+    Option(flag="--error", choices=("auto", BY_NETWORK, BY_HALVES), default="auto",
+           help="where the error comes from: what the network expects, or two halves of the "
+           "samples (default: the network, if it predicts one)"),
     Option(flag="--work", metavar="DIR",
            help="folder of the renders (default: a folder loop beside OUTPUT)"),
     Option(flag="--overwrite", help="replace output files that are there"),
@@ -103,6 +113,32 @@ def _load_rounds(path: Path) -> list[dict[str, Any]]:
     return rounds
 
 
+def find_predictor(forwarded: list[str]) -> str | None:
+    """The network that predicts its error with these options of `run`: the one that they name for
+    the render's size, or that it takes by itself where memory is enough. None for one that
+    predicts none, or not beside the layers of --aov."""
+    from postfx.cli.main import make_parser
+    from postfx.cli.run_options import RUN
+    from postfx.cli.usual_network import is_chosen
+    from postfx.passes.denoise.models import (
+        UNSCALED,
+        USUAL_NETWORK,
+        model_of,
+        predicts_error,
+        usual_network,
+    )
+    from postfx.runtime import Device
+
+    given = make_parser(["run"]).parse_args(["run", "-", *forwarded])
+    options = RUN.values_for("denoiser", given)
+    if is_chosen(given, options):
+        network = str(options.get("model", USUAL_NETWORK))
+    else:
+        network = usual_network((1, 1), True, Device(given.device))
+    predicts = not given.aov and predicts_error(model_of(network, UNSCALED))
+    return network if predicts else None
+
+
 class Loop:
     """A shot that is rendered in rounds. Raises PostfxError where something does not fit together
     or fails."""
@@ -115,7 +151,13 @@ class Loop:
         if not arguments.render or JOBS not in arguments.render:
             raise OptionError("--render: give a command with {jobs} in it, such as --render "
                               "'my_render {jobs}'")
-        if arguments.samples < len(HALVES):
+        self._predictor = (None if arguments.error == BY_HALVES
+                           else find_predictor(arguments.forwarded))
+        if arguments.error == BY_NETWORK and not self._predictor:
+            raise OptionError(f"--error {BY_NETWORK}: this network predicts none, or not beside "
+                              f"--aov: give --error {BY_HALVES}, or another --model behind --")
+        self._halves = HALVES[:1] if self._predictor else HALVES
+        if arguments.samples < len(self._halves):
             raise OptionError(f"--samples {arguments.samples}: two halves need 2 or more, such as "
                               "16")
         if not arguments.output:
@@ -129,6 +171,7 @@ class Loop:
         check_folder(self._work, "work")
         self._state = self._work / "loop.json"
         self.rounds = _load_rounds(self._state)
+        self._go_on_alike()
         taken = [path for number in self._numbers if (path := pattern.path(number)).exists()]
         if taken and not (arguments.overwrite or self.rounds):
             raise WriteError(f"{taken[0]}: is already there: give --overwrite")
@@ -140,7 +183,7 @@ class Loop:
             seconds = self._render([job for number in self._numbers
                                     for job in self._jobs(number, None, self._arguments.samples)])
             for number in self._numbers:
-                for half in HALVES:
+                for half in self._halves:
                     self._file("round0", number, half).replace(self._merged(number, half))
                 self._merge(number)
             self._finish_round(seconds, 0.0, self._arguments.samples)
@@ -154,13 +197,24 @@ class Loop:
                                           f".region{index}")]
             seconds = self._render(jobs)
             for number in self._numbers:
-                for half in HALVES:
+                for half in self._halves:
                     self._add(number, half, [job for job in jobs
                                              if (job["frame"], job["half"]) == (number, half)])
                 self._merge(number)
             most = max(region["samples"] for frame in plan["frames"] for region in frame["regions"])
             self._finish_round(seconds, plan["more_samples"], most)
             yield self._line()
+
+    def _go_on_alike(self) -> None:
+        """Refuse to go on with other renders than those that the loop began with."""
+        from postfx.errors import OptionError
+
+        begun = (self.rounds[-1]["asked"].get("halves", len(HALVES)) if self.rounds
+                 else len(self._halves))
+        if begun != len(self._halves):
+            way = BY_NETWORK if begun == 1 else BY_HALVES
+            raise OptionError(f"{self._state}: was begun with --error {way}: give that, or another "
+                              "--work")
 
     def as_dict(self) -> dict[str, Any]:
         """The loop for programs."""
@@ -198,13 +252,14 @@ class Loop:
         count = len(self.rounds)
         box = None if region is None else {key: region[key]
                                            for key in ("x", "y", "width", "height")}
-        shares = (samples + 1) // 2, samples // 2
-        drawn = (sum(one["most_samples"] for one in self.rounds) + 1) // 2
+        shares = [samples] if len(self._halves) == 1 else [(samples + 1) // 2, samples // 2]
+        drawn = sum(one["most_samples"] for one in self.rounds)
+        drawn = drawn if len(self._halves) == 1 else (drawn + 1) // 2
         return [{"frame": number, "half": half, "region": box, "samples": share,
                  "seed": SEEDS * (len(HALVES) * count + index) + number,
                  "first_seed": SEEDS * index + number, "first_sample": drawn,
                  "output": str(self._file(f"round{count}", number, half, more).absolute())}
-                for index, (half, share) in enumerate(zip(HALVES, shares, strict=True))]
+                for index, (half, share) in enumerate(zip(self._halves, shares, strict=True))]
 
     def _render(self, jobs: list[dict[str, Any]]) -> float:
         """Let the renderer work, again where it ended early but got on; returns the seconds that it
@@ -255,30 +310,44 @@ class Loop:
                           self._merged(number, half), [None, *(job["samples"] for job in jobs)])
 
     def _merge(self, number: int) -> None:
-        """Merge both halves of a frame."""
+        """Merge both halves of a frame; the only one is all that there is."""
         from postfx.io.exr.merge import merge_renders
 
-        merge_renders([self._merged(number, half) for half in HALVES], self._merged(number))
+        parts = [self._merged(number, half) for half in self._halves]
+        if len(parts) == 1:
+            shutil.copyfile(parts[0], self._merged(number))
+        else:
+            merge_renders(parts, self._merged(number))
 
     def _finish_round(self, seconds: float, more: float, most: int) -> None:
         """Denoise what was rendered, plan the next round, and write down where the loop stands;
         more, most: samples of the round, in the mean and of any region."""
         begin = time.perf_counter()
-        self._denoise("merged", self._arguments.output)
-        for half in HALVES:
-            self._denoise(half, self._clean(half))
+        if len(self._halves) == 1:
+            self._denoise("merged", self._arguments.output, "--aov", "error",
+                          *self._name_network())
+        else:
+            self._denoise("merged", self._arguments.output)
+            for half in self._halves:
+                self._denoise(half, self._clean(half))
         self.rounds.append({"more_samples": more, "most_samples": most, "render_seconds": seconds})
         self.rounds[-1] |= self._plan()
         self.rounds[-1]["denoise_seconds"] = time.perf_counter() - begin
         self._write()
 
-    def _denoise(self, renders: str, output: str) -> None:
+    def _name_network(self) -> list[str]:
+        """The network that predicts the error, where `run` might take another one for large
+        frames."""
+        chosen = any(word.partition("=")[0] == "--model" for word in self._arguments.forwarded)
+        return [] if chosen else ["--model", str(self._predictor)]
+
+    def _denoise(self, renders: str, output: str, *options: str) -> None:
         """Denoise all frames of a folder of renders."""
         from postfx.cli.main import make_parser
 
         words = ["run", str(self._work / renders / "####.exr"), "-o", output,
                  f"--frames={self._arguments.frames}",
-                 "--overwrite", "--scale", "1", "--quiet", *self._arguments.forwarded]
+                 "--overwrite", "--scale", "1", "--quiet", *options, *self._arguments.forwarded]
         given = make_parser(["run"]).parse_args(words)
         given.words = words
         with redirect_stdout(io.StringIO()):
@@ -288,7 +357,7 @@ class Loop:
         """What a plan depends on, beside the renders."""
         given = self._arguments
         return {"quality": given.quality, "budget": given.budget, "tile": given.tile,
-                "rounds": given.rounds}
+                "rounds": given.rounds, "halves": len(self._halves)}
 
     def _plan(self) -> dict[str, Any]:
         """Plan the next round."""
@@ -296,10 +365,14 @@ class Loop:
         from postfx.cli.samples import SamplesJob
 
         given = self._arguments
-        one, other = (str(self._work / half / "####.exr") for half in HALVES)
-        words = ["samples", one, "--halves", other, "--denoised", *map(self._clean, HALVES),
-                 given.output, f"--frames={given.frames}", "--quality", given.quality, "--tile",
-                 str(given.tile), "--json"]
+        if len(self._halves) == 1:
+            words = ["samples", str(self._work / "merged/####.exr"), "--denoised", given.output]
+        else:
+            one, other = (str(self._work / half / "####.exr") for half in self._halves)
+            words = ["samples", one, "--halves", other, "--denoised",
+                     *map(self._clean, self._halves), given.output]
+        words += [f"--frames={given.frames}", "--quality", given.quality, "--tile",
+                  str(given.tile), "--json"]
         used = sum(one["more_samples"] for one in self.rounds)
         if given.budget is not None:
             left = max(given.budget - used, 0)

@@ -52,9 +52,9 @@ def fake(tmp_path: Path, monkeypatch) -> str:
     return shlex.join([sys.executable, str(tmp_path / "fake.py"), "{jobs}"])
 
 
-def loop(tmp_path: Path, render: str, *words: str) -> int:
+def loop(tmp_path: Path, render: str, *words: str, model: str = "s") -> int:
     return main(["loop", "--render", render, "-o", f"{tmp_path}/clean/####.exr", *words, "--",
-                 "--model", "s"])
+                 "--model", model])
 
 
 @pytest.mark.parametrize("text", ["", "[" * 100_000, "[3]", "{}x", '[{"plan": {}}]', '"text"'])
@@ -99,6 +99,36 @@ def test_a_budget_is_kept_over_all_rounds(tmp_path: Path, fake: str, capsys):
     seeds = {job["seed"] for path in tmp_path.glob("clean/loop/round*.json")
              for job in json.loads(path.read_text())["jobs"]}
     assert len(seeds) == 2 * len(rounds)
+
+
+def test_a_network_that_predicts_its_error_needs_no_halves(tmp_path: Path, fake: str, capsys):
+    """One sequence of samples: each round goes on where the last one ended."""
+    words = ("--samples", "4", "--quality", "60dB", "--tile", "16", "--json")
+    assert loop(tmp_path, fake, *words, "--rounds", "1", "--budget", "4", model="l") == 0
+    rounds = json.loads(capsys.readouterr().out)["rounds"]
+    assert len(rounds) == 2 and 4 < rounds[1]["samples"] <= 8
+    work = tmp_path / "clean/loop"
+    first, second = (json.loads((work / f"round{number}.json").read_text())["jobs"]
+                     for number in range(2))
+    assert [(job["samples"], job["first_sample"]) for job in first] == [(4, 0)]
+    assert {job["first_sample"] for job in second} == {4}
+    assert {job["first_seed"] for job in second} == {first[0]["seed"]}
+    counts = np.full((64, 96), 4.0)
+    for job in second:
+        box = job["region"]
+        counts[box["y"] : box["y"] + box["height"],
+               box["x"] : box["x"] + box["width"]] += job["samples"]
+    merged = read_sequence(work / "merged/0001.exr").read(1)[Role.SAMPLE_COUNT][:, :, 0]
+    np.testing.assert_array_equal(merged, counts)
+    assert not (work / "half2").exists()
+    assert loop(tmp_path, fake, *words, "--error", "halves", model="l") == 2
+    assert "was begun with --error network" in capsys.readouterr().err
+
+
+def test_a_network_without_a_prediction_is_refused_where_it_must_have_one(
+        tmp_path: Path, fake: str, capsys):
+    assert loop(tmp_path, fake, "--error", "network") == 2
+    assert "give --error halves, or another --model" in capsys.readouterr().err
 
 
 def test_a_loop_that_was_stopped_goes_on(tmp_path: Path, fake: str, capsys):

@@ -6,13 +6,15 @@ at the same error.
 
 Each scene is one frame. WORK/SCENE gets independent renders of 4, 4, 8, 16, 32 and 64 samples a
 pixel, which are the uniform ones, and merged for 128 and for predictions; a reference; renders with
-Cycles' adaptive sampling, and a loop that starts at 8 samples and whose budget doubles them until
-there are 64. All are denoised by `m`, as single frames. What exists is not rendered again.
+Cycles' adaptive sampling, and loops that start at 8 samples and whose budget doubles them until
+there are 64: one for each way in --error, where the error comes from. All are denoised by --model,
+as single frames. What exists is not rendered again.
 
 Prints for each scene and each number of samples: PSNR, mean FLIP and the FLIP that nine of ten
-tiles stay below, of uniform sampling; for the loop and for adaptive sampling their samples as a
-share of the uniform ones with the same figure, by interpolation; and the share of tiles whose error
-was predicted within a quarter and within a factor of two: from two halves, from the error of one
+tiles stay below, of uniform sampling. For the loops and for adaptive sampling: their samples as a
+share of the uniform ones with the same figure, by interpolation; and the same of the best spread of
+samples over the tiles, had their FLIP been known. Then the share of tiles whose error was predicted
+within a quarter and within a factor of two: by the network, from two halves, from the error of one
 half alone, which falls with the root of the samples, and from the noise.
 
 References have noise of their own, which would hide small errors. FLIP compares with the denoised
@@ -27,6 +29,7 @@ training/measure/validation, Mitsuba's are mitsuba_NAME.py there.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import shlex
 import shutil
@@ -48,6 +51,7 @@ from postfx.colour.views import to_codes
 from postfx.frame import Role
 from postfx.io.exr.merge import merge_renders
 from postfx.masks.noise import count_unit
+from postfx.passes.denoise.models import UNSCALED, model_of, predicts_error
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "training/measure/validation"
@@ -68,17 +72,20 @@ DONE = 1e-6
 """Squared error, 60 dB, below which a tile needs no prediction."""
 NEAR, FAR = 1.25, 2.0
 """Factors between predicted and measured errors."""
+SPREAD_STEPS = 41
+"""Counts of samples that the best spread chooses from."""
 
 
 @dataclass(frozen=True)
 class Figures:
     """A denoised picture against the reference. `tiles`: the FLIP that nine of ten tiles stay
-    below."""
+    below; `of_tiles`: each one's."""
 
     samples: float
     decibels: float
     flip: float
     tiles: float
+    of_tiles: np.ndarray
 
 
 class Scene:
@@ -114,31 +121,35 @@ class Scene:
             if not self.uniform(index).exists():
                 merge_renders([self.uniform(index - 1), self.block(index)], self.uniform(index))
 
-    def loop(self, samples: int, tile: int) -> Path:
-        """The denoised frame of a loop that was given so many samples."""
-        kept = self.folder / f"loop.{samples}.exr"
+    def loop(self, samples: int, way: str, given: argparse.Namespace) -> Path:
+        """The denoised frame of a loop that was given so many samples; way: where its error comes
+        from. The render lies beside it."""
+        kept = self.folder / f"loop.{way}.{samples}.exr"
         if kept.exists():
             return kept
-        output = self.folder / "loop"
+        output = self.folder / f"loop.{way}"
         render = shlex.join([*self.render, "{jobs}"])
         words = ["loop", "--render", render, "-o", f"{output}/####.exr", "--frames",
                  str(self.number),
-                 "--samples", str(START), "--quality", QUALITY, "--tile", str(tile), "--json",
-                 "--budget", str(samples - START), "--rounds", str(ROUNDS[samples])]
+                 "--samples", str(START), "--quality", QUALITY, "--tile", str(given.tile),
+                 "--json", "--budget", str(samples - START), "--rounds", str(ROUNDS[samples]),
+                 "--error", way, "--", "--model", given.model]
         with redirect_stdout(sys.stderr):
             if postfx(words):
                 raise SystemExit(f"{shlex.join(words)}: failed")
         shutil.copy(output / "loop/merged" / f"{self.number:04}.exr",
-                    self.folder / f"loop.{samples}.render.exr")
+                    kept.with_suffix(".render.exr"))
         return Path(shutil.copy(output / f"{self.number:04}.exr", kept))
 
 
 class Judge:
     """Compares denoised pictures of a scene with its reference."""
 
-    def __init__(self, scene: Scene, tile: int) -> None:
-        self._tile = tile
-        self._pipeline = Pipeline([DenoiseUpscale(scale=1.0)], Device("cpu"))
+    def __init__(self, scene: Scene, given: argparse.Namespace) -> None:
+        self._tile = given.tile
+        self.predicts = predicts_error(model_of(given.model, UNSCALED))
+        denoise = DenoiseUpscale(scale=1.0, model=given.model, error=self.predicts)
+        self._pipeline = Pipeline([denoise], Device("cpu"))
         reference, largest = read(scene.reference), read(scene.uniform(len(BLOCKS) - 1))
         self.exposure = grey_factor(reference[Role.COLOUR])
         self._clean = self._codes_of(self.denoise(reference))
@@ -149,8 +160,12 @@ class Judge:
 
     def denoise(self, frame: Frame) -> np.ndarray:
         """The colour of a frame alone, denoised."""
+        return self.run(frame)[Role.COLOUR]
+
+    def run(self, frame: Frame) -> Frame:
+        """A frame alone, denoised, with the plane of its error if the network predicts it."""
         self._pipeline.reset()
-        return self._pipeline(frame)[Role.COLOUR]
+        return self._pipeline(frame)
 
     def figures(self, colour: np.ndarray, samples: float) -> Figures:
         """A denoised colour's figures."""
@@ -158,33 +173,39 @@ class Judge:
 
         errors, mean, _ = flip_evaluator.evaluate(self._clean, self._codes_of(colour), "LDR",
                                                   applyMagma=False)
+        of_tiles = self.tiles(errors[:, :, 0])
         return Figures(samples, float(-10 * np.log10(self.error(colour).mean())), float(mean),
-                       float(np.percentile(self.tiles(errors[:, :, 0]), WORST)))
+                       float(np.percentile(of_tiles, WORST)), of_tiles)
 
     def error(self, colour: np.ndarray) -> np.ndarray:
         """Squared error of a denoised colour's pixels, in the mean without the reference's
         noise."""
-        return np.square(self._codes_of(colour) - self._codes).mean(axis=2) - self._noise
+        squared = np.square(self._codes_of(colour) - self._codes).mean(axis=2)
+        return np.asarray(squared - self._noise)
 
     def _codes_of(self, colour: np.ndarray) -> np.ndarray:
-        return to_codes(colour, self.exposure).astype(np.float32)
+        return np.asarray(to_codes(colour, self.exposure), np.float32)
 
     def tiles(self, plane: np.ndarray) -> np.ndarray:
         """Means of a plane's tiles."""
-        return (tile_sums(plane, self._tile) / tile_sums(np.ones_like(plane), self._tile)).ravel()
+        sums, pixels = (tile_sums(one, self._tile) for one in (plane, np.ones_like(plane)))
+        return np.asarray(sums / pixels).ravel()
 
     def predicted(self, scene: Scene, index: int) -> dict[str, np.ndarray]:
         """Way to predict -> the predicted error of the tiles over what was measured."""
         halves = [read(scene.uniform(index - 1)), read(scene.block(index))]
         whole = read(scene.uniform(index))
-        colour = self.denoise(whole)
+        result = self.run(whole)
+        colour = result[Role.COLOUR].copy()
+        planes = {"network": result[Role.ERROR][:, :, 0].copy()} if self.predicts else {}
         error, noise = self.tiles(self.error(colour)), self.tiles(self._noise)
         is_clear = (error > noise * (MOST_NOISE_RATIO - 1)) & (error > DONE)
         colours = halves[0][Role.COLOUR], halves[1][Role.COLOUR]
         clean = self.denoise(halves[0]), self.denoise(halves[1])
         both = estimate_from_halves(colours, (*clean, colour), self.exposure, self._tile)
         half = error_of_half(colours, clean, self.exposure, self._tile).ravel() / 2**SLOPE
-        found = {"halves": self.tiles(both), "one half": half,
+        found = {name: self.tiles(plane) for name, plane in planes.items()}
+        found |= {"halves": self.tiles(both), "one half": half,
                  "noise": self.tiles(estimate_error(whole, colour, self.exposure))}
         return {name: made[is_clear] / error[is_clear] for name, made in found.items()}
 
@@ -228,6 +249,28 @@ def shares(curve: Sequence[Figures], figures: Figures) -> list[float]:
     return [figures.samples / equivalent(counts, values, value) for values, value in pairs]
 
 
+def best_spread(curves: np.ndarray, counts: Sequence[float], samples: float) -> float:
+    """Samples of the best spread over tiles as a share of the uniform ones, where the mean of the
+    figure is the same.
+
+    curves: the figure of each tile (counts, tiles), by samples a pixel, which fall with them;
+    between those, and from `START` on, their logarithms are interpolated. Each further sample goes
+    where it lowers the figure most, until there are ``samples`` in the mean.
+    """
+    steps = np.exp(np.linspace(np.log(START), np.log(counts[-1]), SPREAD_STEPS))
+    falling = np.log(np.maximum(np.minimum.accumulate(curves), DONE))
+    figures = np.exp([np.interp(np.log(steps), np.log(counts), tile) for tile in falling.T])
+    low, high = 1e-12, 1e3
+    for _ in range(80):
+        price = np.sqrt(low * high)
+        chosen = (figures + price * steps).argmin(axis=1)
+        low, high = (price, high) if steps[chosen].mean() > samples else (low, price)
+    chosen = (figures + high * steps).argmin(axis=1)
+    reached = np.take_along_axis(figures, chosen[:, None], 1).mean()
+    whole = np.exp(falling).mean(axis=1)
+    return float(steps[chosen].mean()) / equivalent(counts, list(whole), float(reached))
+
+
 def within(ratios: np.ndarray, factor: float) -> float:
     """Share of ratios that lie within a factor of 1."""
     return float((np.abs(np.log(ratios)) <= np.log(factor)).mean()) if len(ratios) else float("nan")
@@ -243,7 +286,7 @@ def row(name: str, figures: Figures, ratios: Sequence[float] = ()) -> str:
 def measure(scene: Scene, given: argparse.Namespace) -> dict[str, list[list[float]]]:
     """Print a scene's table; returns its shares, and its predictions' ratios, by what they are
     of."""
-    name, judge = scene.folder.name, Judge(scene, given.tile)
+    name, judge = scene.folder.name, Judge(scene, given)
     counts = np.cumsum(BLOCKS)
     paths = ([scene.block(index) for index in range(1, len(BLOCKS))]
              + [scene.uniform(len(BLOCKS) - 1)])
@@ -251,12 +294,17 @@ def measure(scene: Scene, given: argparse.Namespace) -> dict[str, list[list[floa
     for figures in curve:
         print(row(f"{name} uniform", figures), flush=True)
     found: dict[str, list[list[float]]] = {}
-    for samples in given.samples:
-        path = scene.loop(samples, given.tile)
-        render = read(scene.folder / f"loop.{samples}.render.exr")
+    for samples, way in itertools.product(given.samples, given.error):
+        path = scene.loop(samples, way, given)
+        render = read(path.with_suffix(".render.exr"))
         figures = judge.figures(read(path)[Role.COLOUR], mean_samples(render))
-        found[f"loop {samples}"] = [shares(curve, figures)]
-        print(row(f"{name} loop", figures, found[f"loop {samples}"][0]), flush=True)
+        found[f"loop {samples} {way}"] = [shares(curve, figures)]
+        print(row(f"{name} loop {way}", figures, found[f"loop {samples} {way}"][0]), flush=True)
+    for samples in given.samples:
+        spread = best_spread(np.stack([one.of_tiles for one in curve]),
+                             [one.samples for one in curve], samples)
+        found[f"spread {samples}"] = [[spread]]
+        print(f"{name} best spread of {samples}: {spread:.2f} for the same FLIP", flush=True)
     for path in sorted(scene.folder.glob("adaptive.*.exr")):
         render = read(path)
         # it ended early everywhere, and Cycles does not say with how many
@@ -310,6 +358,10 @@ def main() -> None:
     parser.add_argument("--samples", type=lambda text: [int(word) for word in text.split(",")],
                         default=[16, 64],
                         help=f"of the loop, of {', '.join(map(str, ROUNDS))} (default: 16,64)")
+    parser.add_argument("--model", default="xl", help="network (default: %(default)s)")
+    parser.add_argument("--error", type=lambda text: text.split(","),
+                        default=["network", "halves"],
+                        help="where loops have the error from (default: network,halves)")
     parser.add_argument("--reference", type=int, default=512,
                         help="samples a pixel of references (default: 512)")
     parser.add_argument("--thresholds", default="0.6,0.2,0.07", help="of Cycles' adaptive sampling")
@@ -317,10 +369,12 @@ def main() -> None:
     given.work = given.work.resolve()
     print(f"{'':28} samples PSNR   FLIP   tiles   samples over uniform ones: FLIP, PSNR, tiles")
     found = [measure(scene, given) for scene in scenes(given)]
-    for key in (f"loop {samples}" for samples in given.samples):
+    for key in (f"loop {samples} {way}" for samples in given.samples for way in given.error):
         print(f"mean of {key}:",
               *(f"{value:.2f}" for value in np.nanmean([one[key][0] for one in found], axis=0)))
-    for key in ("halves", "one half", "noise"):
+    for key in ("network", "halves", "one half", "noise"):
+        if key not in found[0]:
+            continue
         ratios = np.concatenate([ratios for one in found for ratios in one[key]])
         print(f"tiles predicted from {key} within {NEAR}: {within(ratios, NEAR):.0%}, within "
               f"{FAR}: {within(ratios, FAR):.0%}; half of them within "

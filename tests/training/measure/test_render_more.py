@@ -13,7 +13,8 @@ from training.measure import render_more, tune_shot  # noqa: E402
 
 
 def figures(samples: float, error: float) -> render_more.Figures:
-    return render_more.Figures(samples, -10 * np.log10(error), error**0.5, 2 * error**0.5)
+    return render_more.Figures(samples, -10 * np.log10(error), error**0.5, 2 * error**0.5,
+                               np.full(4, error**0.5))
 
 
 def test_samples_are_a_share_of_the_uniform_ones_with_the_same_figures():
@@ -22,6 +23,15 @@ def test_samples_are_a_share_of_the_uniform_ones_with_the_same_figures():
     assert np.isnan(render_more.shares(curve, figures(8, 1 / 64))).all()
     assert render_more.equivalent([4, 8, 16], [0.4, 0.2, 0.3], 0.25) == pytest.approx(6.4, rel=0.02)
     assert render_more.within(np.array([1.0, 1.3, 0.7, 3.0]), 2.0) == 0.75
+
+
+def test_the_best_spread_saves_nothing_where_all_tiles_are_alike_and_most_where_one_errs():
+    counts = [4.0, 8.0, 16.0, 32.0, 64.0]
+    falls = np.array(counts)[:, None] ** -0.5
+    alike = render_more.best_spread(falls * np.ones(16), counts, 16)
+    assert alike == pytest.approx(1, abs=0.02)
+    uneven = render_more.best_spread(falls * np.array([1.0, *[1e-3] * 15]), counts, 16)
+    assert uneven < 0.6
 
 
 def test_clean_tiles_are_as_many_as_asked_for(tmp_path: Path):
