@@ -54,6 +54,8 @@ from postfx.interpolate.timing import (
     settle_sparks,
 )
 from postfx.interpolate.ways import (
+    AS_EVEN,
+    AS_EVEN_ALONE,
     CLEARLY_BETTER,
     DOUBTING_ROWS,
     FLOW_HANDICAP,
@@ -401,10 +403,11 @@ class Between:
             return 0.0, 0.0, 1.0, 0.0
         if ways is None:
             return BY_VECTORS
-        row, evenness = self._row, self._evenness_of_blend
+        row = self._row
+        worse = self._unevenness_of_vectors if ways.vectors_explain_little(len(row)) else 0.0
         # a blend is what vectors show that stand still, unless they are worse
-        is_still = ways.vectors_stand_still and evenness <= MORE_EVEN
-        is_doubted = ways.leaves_doubt(evenness, len(row))
+        is_still = ways.vectors_stand_still and worse <= MORE_EVEN
+        is_doubted = worse > (AS_EVEN_ALONE if len(row) == 2 else AS_EVEN)
         if ways.vectors_fit and not ways.in_doubt and not is_still and not is_doubted:
             return BY_VECTORS
         if is_still and (self._both_have(Role.DEPTH) or (ways.vectors_fit and len(row) == 2)):
@@ -443,16 +446,16 @@ class Between:
         return partial(unevenness, colours, row.index(self.before), level=float(self._level))
 
     @property
-    def _evenness_of_blend(self) -> float:
+    def _unevenness_of_vectors(self) -> float:
         """How unevenly colours go on along the vectors, in how they do at the same place: about 1
         and more where another shot comes in. Only what cells beside have in common tells it, and
         nothing does where noise is most of all, which is as uneven along every way: then it is
         0."""
         measure, vectors = partial(self._unevenness, rows=DOUBTING_ROWS), self._vectors
         along = measure(vectors, alone=0.0)
-        if along <= MOSTLY_NOISE * measure(vectors):
-            return 0.0
-        return along / max(measure(np.zeros_like(vectors), alone=0.0), LEAST_UNEVEN)
+        worse = along / max(measure(np.zeros_like(vectors), alone=0.0), LEAST_UNEVEN)
+        is_noise = worse > AS_EVEN and along <= MOSTLY_NOISE * measure(vectors)
+        return 0.0 if is_noise else worse
 
     @cached_property
     def _row(self) -> list[Frame]:

@@ -125,16 +125,10 @@ class Ways:
                 and self.between >= LEAD_APART * self.still
                 and self.different >= DIFFERENT_VECTOR_SHARE)
 
-    def leaves_doubt(self, unevenness_of_vectors: float, frames: int) -> bool:
-        """Whether other ways may count as a blend is about as even as vectors that fit.
-
-        Args:
-            unevenness_of_vectors: in that of a blend.
-            frames: by how many it was found.
-        """
-        by_two = frames == 2
-        return (unevenness_of_vectors > (AS_EVEN_ALONE if by_two else AS_EVEN)
-                and self.motion > (LEAST_LEFT_ALONE if by_two else LEAST_LEFT) * self.still)
+    def vectors_explain_little(self, frames: int) -> bool:
+        """Whether vectors explain so little that a blend may be as even, by so many frames."""
+        least = LEAST_LEFT_ALONE if frames == 2 else LEAST_LEFT
+        return self.motion > least * self.still
 
     @property
     def vectors_stand_still(self) -> bool:
@@ -182,8 +176,9 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level:
     """
     h, w = row[0].shape[:2]
     side, step = h / motion.shape[0], max(1, min(motion.shape[:2]) // rows)
-    moved = np.nan_to_num(motion[:-1:step, :-1:step]).reshape(-1, 2)
-    cells = np.mgrid[:motion.shape[0] - 1:step, :motion.shape[1] - 1:step].reshape(2, -1)
+    last_row, last_column = (max(count - 1, 1) for count in motion.shape[:2])
+    moved = np.nan_to_num(motion[:last_row:step, :last_column:step]).reshape(-1, 2)
+    cells = np.mgrid[:last_row:step, :last_column:step].reshape(2, -1)
     down, across = (cells + 0.5) * side - 0.5
     since = [np.float32(first + 0.5 - number) for number in range(len(row))]
     places = [(across + time * moved[:, 0], down + time * moved[:, 1]) for time in since]
