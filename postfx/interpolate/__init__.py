@@ -459,12 +459,14 @@ class Between:
 
     @cached_property
     def _row(self) -> list[Frame]:
-        """Both frames, and those beside them of this shot and size that are known."""
+        """Both frames, and those beside them of this shot and size that are known and no copies of
+        them: nothing goes on evenly where frames are held."""
         row = [self.before, self.after]
-        if self._earlier is not None and not self.before.reset:
-            row.insert(0, self._earlier)
-        if self._later is not None and not self._later.reset:
-            row.append(self._later)
+        earlier, later = self._earlier, self._later
+        if earlier is not None and not self.before.reset and not _is_held(earlier, self.before):
+            row.insert(0, earlier)
+        if later is not None and not later.reset and not _is_held(self.after, later):
+            row.append(later)
         is_even = all(frame[Role.COLOUR].shape[:2] == self._size for frame in row)
         return row if is_even else [self.before, self.after]
 
@@ -764,6 +766,12 @@ class Interpolator:
         """Likewise, at a time in the unit of `push`, counted from the first frame's delta on."""
         first, last = self._times
         return self.frame((time - first) / (last - first), number)
+
+
+def _is_held(one: Frame, other: Frame) -> bool:
+    """Whether a frame is shown twice."""
+    pictures = one[Role.COLOUR], other[Role.COLOUR]
+    return pictures[0].shape == pictures[1].shape and is_same_plane(*pictures)
 
 
 def _mean_at(pair: Pair, t: float) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Frames between frames of changing light, of thin things, and with vectors that are of no use."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -186,6 +188,16 @@ def test_a_blend_counts_where_it_is_as_even_as_vectors_that_fit():
     found = Between(before, after, later, last=Between(earlier, before)).frame(0.5)[Role.COLOUR]
     mean, wanted = (before[Role.COLOUR] + after[Role.COLOUR]) / 2, at(4.5)[Role.COLOUR]
     assert psnr(found, wanted) > psnr(mean, wanted) + 0.5
+
+
+def test_copies_beside_held_frames_tell_nothing():
+    """A shot in twos, with vectors of single steps: its copies go on evenly at the same place, so
+    that the blend counted, 6.2 dB below what two frames alone gave."""
+    row = [replace(frame(time), number=number + 1) for number, time in enumerate((0, 0, 2, 2))]
+    found = Between(*row[1:], last=Between(*row[:2])).frame(0.5)[Role.COLOUR]
+    alone = Between(*row[1:3]).frame(0.5)[Role.COLOUR]
+    wanted = picture(1)[0]
+    assert psnr(found, wanted) > psnr(alone, wanted) - 0.5
 
 
 def test_motion_that_is_found_from_one_side_alone_is_found():
