@@ -192,11 +192,12 @@ def test_a_blend_counts_where_it_is_as_even_as_vectors_that_fit():
 
 def test_copies_beside_held_frames_tell_nothing():
     """A shot in twos, with vectors of single steps: its copies go on evenly at the same place, so
-    that the blend counted, 6.2 dB below what two frames alone gave."""
-    row = [replace(frame(time), number=number + 1) for number, time in enumerate((0, 0, 2, 2))]
-    found = Between(*row[1:], last=Between(*row[:2])).frame(0.5)[Role.COLOUR]
-    alone = Between(*row[1:3]).frame(0.5)[Role.COLOUR]
-    wanted = picture(1)[0]
+    that the blend counted, 6.7 dB below what two frames alone gave."""
+    before, after, later = (replace(frame(time), number=number + 1)
+                            for number, time in enumerate((1, 3, 3)))
+    found = Between(before, after, later).frame(0.5)[Role.COLOUR]
+    alone = Between(before, after).frame(0.5)[Role.COLOUR]
+    wanted = picture(2)[0]
     assert psnr(found, wanted) > psnr(alone, wanted) - 0.5
 
 
