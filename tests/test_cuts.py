@@ -208,3 +208,22 @@ def test_the_pipeline_drops_its_history_there(room):
 def test_unknown_modes_are_refused():
     with pytest.raises(CutError, match="cuts 'always': use auto or none"):
         Pipeline([], Device("cpu"), cuts="always")
+
+
+def test_thin_things_that_move_are_no_cut():
+    """Wires of one pixel in front of a wall: even and odd rows show other light, so that only depth
+    told, of which every fourth pixel is looked at. Each frame was taken for another shot."""
+    def wires(time: int) -> Frame:
+        y, x = (np.indices((450, 700)) + 0.5) / 5
+        is_wire = [np.abs(y - 12 - 22 * k + 2 * time - (x - 70) * 0.05 * k) < 0.45
+                   for k in range(4)]
+        share = np.any(is_wire, 0).reshape(90, 5, 140, 5).mean((1, 3))
+        wall = 0.5 + 0.1 * np.sin(0.3 * (x[::5, ::5] + 2 * time)) * np.cos(0.2 * y[::5, ::5])
+        planes = {Role.COLOUR: (wall + share * (1.5 - wall))[..., None].repeat(3, -1),
+                  Role.DEPTH: np.where(share > 0.3, 2.0, 9.0)[..., None],
+                  Role.MOTION: np.where(share[..., None] > 0.3, (0.0, 2.0), (2.0, 0.0))}
+        return Frame({role: plane.astype(np.float32) for role, plane in planes.items()},
+                     number=time + 1)
+
+    detector = CutDetector()
+    assert not any(detector(wires(time)) for time in range(4))

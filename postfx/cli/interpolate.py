@@ -218,7 +218,7 @@ class Interpolation:
     def as_dict(self) -> dict[str, Any]:
         """The summary for programs."""
         return {"frames": len(self._sequence), "outputs": str(self._outputs.pattern),
-                **vars(self.summary)}
+                **vars(self.summary), "warnings": self._sequence.warnings}
 
     def text(self) -> str:
         """The summary for people."""
@@ -237,6 +237,7 @@ class Interpolation:
             mean = sum(found.psnr.values()) / len(found.psnr)
             lines.append(f"PSNR     {mean:.2f} dB, mean of {len(found.psnr)} new frames against "
                          "the reference")
+        lines += [f"warning  {warning}" for warning in self._sequence.warnings]
         return "\n".join(lines)
 
     def _make(self, moment: Moment) -> tuple[Frame | None, str]:

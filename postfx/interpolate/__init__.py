@@ -54,8 +54,14 @@ from postfx.interpolate.timing import (
     settle_sparks,
 )
 from postfx.interpolate.ways import (
+    AS_EVEN,
+    AS_EVEN_ALONE,
     CLEARLY_BETTER,
+    DOUBTING_ROWS,
     FLOW_HANDICAP,
+    LEAST_UNEVEN,
+    MORE_EVEN,
+    MOSTLY_NOISE,
     REST_HANDICAP,
     Ways,
     compare_ways,
@@ -75,7 +81,7 @@ from postfx.motion.flow import (
 )
 from postfx.planes import is_same_plane, largest_bits_of
 from postfx.system import at_once, begin
-from postfx.temporal.reverse_motion import invert_motion
+from postfx.temporal.reverse_motion import LOST, invert_motion
 
 MIXED_PLANES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
 """Planes that are mixed from both frames, as the colour is."""
@@ -88,6 +94,8 @@ LEAST_SEARCHED = 240
 are as many."""
 MOST_COUNTED_LIGHT = np.float32(1e18)
 """Light that is counted at most: sums of its squares are finite."""
+BETTER_INVERTED = 0.9
+"""Misfit of estimated motion from the other side, in that of this one, below which it counts."""
 MOST_GROWN_PX = 64
 """Pixels by which an overlay that was found in the picture is grown, at most."""
 Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -345,6 +353,19 @@ class Between:
         return ahead, back
 
     @cached_property
+    def _estimated_back(self) -> np.ndarray:
+        """Estimated motion (rows, columns, 2) of the frame after, in cells: as it was searched for,
+        or that of the frame before inverted where that fits better. A search may be caught by a
+        pattern that repeats, and from the other side it is not."""
+        ahead, back = (self._enlarge(motion) for motion in self._estimated)
+        even = np.ones((*self._grid, 1), np.float32)
+        inverted = invert_motion(ahead, even, even)
+        inverted = np.where(inverted < LOST / 2, inverted, back)
+        found = compare_ways(*self._small, back, inverted)
+        is_better = found is not None and found.motion < BETTER_INVERTED * found.flow
+        return inverted if is_better else back
+
+    @cached_property
     def _has_vectors(self) -> bool:
         """Whether the frame after has motion that fits the pictures at least as well as what is
         estimated."""
@@ -358,7 +379,7 @@ class Between:
         if Role.MOTION not in self.after or not self._flow:
             return None
         motion, _ = self._cells_of(self.after)
-        return compare_ways(*self._small, self._enlarge(self._estimated[1]), motion)
+        return compare_ways(*self._small, self._estimated_back, motion)
 
     @property
     def _all_lit(self) -> bool:
@@ -380,41 +401,72 @@ class Between:
         ways = self._ways
         if not self._all_lit:
             return 0.0, 0.0, 1.0, 0.0
-        if ways is None or (ways.vectors_fit and not ways.in_doubt
-                            and not ways.vectors_stand_still):
+        if ways is None:
             return BY_VECTORS
         row = self._row
-        if ways.vectors_stand_still and (self._both_have(Role.DEPTH)
-                                         or (ways.vectors_fit and len(row) == 2)):
+        worse = self._unevenness_of_vectors if ways.vectors_explain_little(len(row)) else 0.0
+        # a blend is what vectors show that stand still, unless they are worse
+        is_still = ways.vectors_stand_still and worse <= MORE_EVEN
+        is_doubted = worse > (AS_EVEN_ALONE if len(row) == 2 else AS_EVEN)
+        if ways.vectors_fit and not ways.in_doubt and not is_still and not is_doubted:
+            return BY_VECTORS
+        if is_still and (self._both_have(Role.DEPTH) or (ways.vectors_fit and len(row) == 2)):
             return BY_VECTORS  # light may change, and goes on through four frames
-        first = row.index(self.before)
-        colours = [_finite(frame[Role.COLOUR]) for frame in row]
-        measure = partial(unevenness, colours, first, level=float(self._level))
+        measure = self._unevenness
         other, scale = self._without_vectors, np.float32(self._scale)
-        flow = scale * other._enlarge(other._estimated[1])
+        flow = scale * other._estimated_back
         flowing = FLOW_HANDICAP * measure(flow)
         mean = measure(np.zeros_like(flow))
         over_still = given = math.inf
         if ways.vectors_stand_still and len(row) == 4:
             over_still = REST_HANDICAP * measure(flow, rests=True)
         if ways.vectors_fit:
-            motion = scale * self._cells_of(self.after)[0]
-            given = measure(np.where(np.isnan(motion), flow, motion))
-        if ways.vectors_fit and ways.vectors_stand_still:
+            given = measure(self._vectors)
+        if ways.vectors_fit and is_still:
             if min(flowing, over_still) > CLEARLY_BETTER * given:
                 return BY_VECTORS
             mean = math.inf  # it is what such vectors show
         found = shares_of((given, flowing, mean, over_still))
         return found[0], found[1], found[2], found[3]
 
+    @property
+    def _vectors(self) -> np.ndarray:
+        """Motion (rows, columns, 2) by vectors, in pixels; estimated where there are none."""
+        scale, motion = np.float32(self._scale), self._cells_of(self.after)[0]
+        is_lost = np.isnan(motion[..., :1])
+        known = np.where(is_lost, self._estimated_back, motion) if is_lost.any() else motion
+        found: np.ndarray = scale * known
+        return found
+
+    @property
+    def _unevenness(self) -> partial[float]:
+        """`unevenness` of the frames around, along a way."""
+        row = self._row
+        colours = [_finite(frame[Role.COLOUR]) for frame in row]
+        return partial(unevenness, colours, row.index(self.before), level=float(self._level))
+
+    @property
+    def _unevenness_of_vectors(self) -> float:
+        """How unevenly colours go on along the vectors, in how they do at the same place: about 1
+        and more where another shot comes in. Only what cells beside have in common tells it, and
+        nothing does where noise is most of all, which is as uneven along every way: then it is
+        0."""
+        measure, vectors = partial(self._unevenness, rows=DOUBTING_ROWS), self._vectors
+        along = measure(vectors, alone=0.0)
+        worse = along / max(measure(np.zeros_like(vectors), alone=0.0), LEAST_UNEVEN)
+        is_noise = worse > AS_EVEN and along <= MOSTLY_NOISE * measure(vectors)
+        return 0.0 if is_noise else worse
+
     @cached_property
     def _row(self) -> list[Frame]:
-        """Both frames, and those beside them of this shot and size that are known."""
+        """Both frames, and those beside them of this shot and size that are known and no copies of
+        them: nothing goes on evenly where frames are held."""
         row = [self.before, self.after]
-        if self._earlier is not None and not self.before.reset:
-            row.insert(0, self._earlier)
-        if self._later is not None and not self._later.reset:
-            row.append(self._later)
+        earlier, later = self._earlier, self._later
+        if earlier is not None and not self.before.reset and not _is_held(earlier, self.before):
+            row.insert(0, earlier)
+        if later is not None and not later.reset and not _is_held(self.after, later):
+            row.append(later)
         is_even = all(frame[Role.COLOUR].shape[:2] == self._size for frame in row)
         return row if is_even else [self.before, self.after]
 
@@ -495,7 +547,7 @@ class Between:
         (came, near), (motion, far), *beyond = at_once([partial(self._cells_of, frame)
                                                         for frame in frames])
         if not self._has_vectors:
-            motion, later, beyond = self._enlarge(self._estimated[1]), None, []
+            motion, later, beyond = self._estimated_back, None, []
         elif self._flow and (is_lost := np.isnan(motion[..., 0])).any():
             motion = np.where(is_lost[..., None], self._guess(1, is_lost), motion)
             no_way = np.isnan(came[..., 0])
@@ -714,6 +766,12 @@ class Interpolator:
         """Likewise, at a time in the unit of `push`, counted from the first frame's delta on."""
         first, last = self._times
         return self.frame((time - first) / (last - first), number)
+
+
+def _is_held(one: Frame, other: Frame) -> bool:
+    """Whether a frame is shown twice."""
+    pictures = one[Role.COLOUR], other[Role.COLOUR]
+    return pictures[0].shape == pictures[1].shape and is_same_plane(*pictures)
 
 
 def _mean_at(pair: Pair, t: float) -> np.ndarray:

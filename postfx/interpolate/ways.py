@@ -60,6 +60,22 @@ REST_HANDICAP = 1.5
 CLEARLY_BETTER = 0.9
 """Unevenness of the flow, in that of vectors that stand still, below which it counts beside them.
 Of noise the flow makes 1.1 to 1.8."""
+AS_EVEN = 0.84
+"""Unevenness of vectors, in that of a blend, from which they are not alone to count: up to 0.77
+in renders."""
+AS_EVEN_ALONE = 0.95
+"""The same by two frames alone: up to 0.82 in renders, 1.15 in noise."""
+LEAST_LEFT = 0.5
+"""Misfit of vectors, in that of standing still, below which they are not doubted for that: what
+moves may hide and uncover much that is uneven."""
+LEAST_LEFT_ALONE = 0.9
+"""The same by two frames alone."""
+MORE_EVEN = 1.03
+"""The same from which a blend is better than vectors that explain nothing."""
+MOSTLY_NOISE = 0.5
+"""Unevenness that cells beside have in common, in all of it, below which noise hides the rest."""
+DOUBTING_ROWS = 50
+"""Rows that are looked at for that."""
 ALONE = 0.3
 """How much differences count that cells beside have not in common: noise, and finest detail."""
 LEAST_SHARE = 0.1
@@ -109,6 +125,11 @@ class Ways:
                 and self.between >= LEAD_APART * self.still
                 and self.different >= DIFFERENT_VECTOR_SHARE)
 
+    def vectors_explain_little(self, frames: int) -> bool:
+        """Whether vectors explain so little that a blend may be as even, by so many frames."""
+        least = LEAST_LEFT_ALONE if frames == 2 else LEAST_LEFT
+        return self.motion > least * self.still
+
     @property
     def vectors_stand_still(self) -> bool:
         """Whether nothing moves by the vectors."""
@@ -135,7 +156,8 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
 
 
 def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level: float,
-               rests: bool = False) -> float:
+               rests: bool = False, alone: float = ALONE,
+               rows: int = COMPARED_ROWS) -> float:
     """How unevenly the colours of frames in a row go on along a way: by how much frames differ from
     the mean of those next to them, or, of two frames, by how much they differ.
 
@@ -149,11 +171,14 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level:
         motion: (rows, columns, 2) to the frame before in pixels of the pictures, for cells of them.
         level: light that is toned to about the middle.
         rests: whether what four frames show beside `straight_course` is looked at.
+        alone: how much differences count that cells beside have not in common.
+        rows: of cells, or columns of the shorter side, that are looked at.
     """
     h, w = row[0].shape[:2]
-    side, step = h / motion.shape[0], max(1, min(motion.shape[:2]) // COMPARED_ROWS)
-    moved = np.nan_to_num(motion[:-1:step, :-1:step]).reshape(-1, 2)
-    cells = np.mgrid[:motion.shape[0] - 1:step, :motion.shape[1] - 1:step].reshape(2, -1)
+    side, step = h / motion.shape[0], max(1, min(motion.shape[:2]) // rows)
+    last_row, last_column = (max(count - 1, 1) for count in motion.shape[:2])
+    moved = np.nan_to_num(motion[:last_row:step, :last_column:step]).reshape(-1, 2)
+    cells = np.mgrid[:last_row:step, :last_column:step].reshape(2, -1)
     down, across = (cells + 0.5) * side - 0.5
     since = [np.float32(first + 0.5 - number) for number in range(len(row))]
     places = [(across + time * moved[:, 0], down + time * moved[:, 1]) for time in since]
@@ -165,7 +190,7 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level:
                      rests)
         for right, lower in ((0, 0), (side, 0), (0, side)))
     common = max(float(np.mean(here * (beside + below))) / 2, 0.0)
-    return float((common + ALONE * (float(np.mean(here * here)) - common)) ** 0.5)
+    return float((common + alone * (float(np.mean(here * here)) - common)) ** 0.5)
 
 
 def _differences(row: Sequence[np.ndarray], places: Sequence[tuple[np.ndarray, np.ndarray]],

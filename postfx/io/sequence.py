@@ -492,7 +492,7 @@ class Sequence:
         others = ", ".join(view for view in views[1:] if view not in self._known_views)
         if others:
             self.warn(
-                f"only view {views[0]} is denoised, not {others}: --view all denoises all of them"
+                f"only view {views[0]} is read, not {others}: --view all reads all of them"
             )
 
     def _warn_of_overlooked(self) -> None:

@@ -206,6 +206,19 @@ def test_thin_things_are_where_they_are_and_nowhere_else(flow):
     assert {56, 92} <= set(dark) <= {54, 55, 56, 57, 58, 90, 91, 92, 93, 94}
 
 
+@pytest.mark.parametrize("size", [(1, 64), (64, 1), (1, 1), (2, 3)])
+def test_pictures_of_one_row_or_column_have_frames_between(size):
+    """Where vectors tell nothing, cells are compared with those beside them, of which there are
+    none: `interpolate` ended with a traceback."""
+    random = np.random.default_rng(1)
+    frames = [Frame({Role.COLOUR: random.random((*size, 3), np.float32),
+                     Role.MOTION: np.zeros((*size, 2), np.float32) + np.float32(
+                         (3 * (size[1] > 1), 3 * (size[0] > 1)))}, number=t + 1)
+              for t in range(2)]
+    found = Between(*frames).frame(0.5)[Role.COLOUR]
+    assert found.shape == (*size, 3) and np.isfinite(found).all()
+
+
 def lit(t: float, spark: bool = False) -> Frame:
     """A wall that stands still, over which light swings."""
     y, x = np.indices((64, 96), np.float64)

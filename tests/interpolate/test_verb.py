@@ -165,3 +165,16 @@ def test_a_shutter_blurs_as_the_mean_of_rendered_times_does(shot, tmp_path):
         errors[t], sharp[t] = (np.abs(one - wanted)[8:-8, 8:-8].mean()
                                for one in (found, picture(t)[0]))
     assert errors[1.0] < 0.35 * sharp[1.0] and errors[1.5] < 0.6 * sharp[1.5]
+
+
+def test_what_reading_notices_is_told(shot, tmp_path, capsys):
+    """A file that is taken for none of the sequence; nothing was said of it, nor of views that are
+    not read."""
+    pattern = shot()
+    (tmp_path / "in/shot.05.exr").write_bytes((tmp_path / "in/shot.0004.exr").read_bytes())
+    arguments = ["interpolate", pattern, "-o", f"{tmp_path}/out/", "--overwrite"]
+    assert main([*arguments, "--json"]) == 0
+    (warning,) = json.loads(capsys.readouterr().out)["warnings"]
+    assert "shot.05.exr" in warning
+    assert main(arguments) == 0
+    assert f"warning  {warning}" in capsys.readouterr().out

@@ -171,7 +171,7 @@ def test_stereo_parts(write_parts, kind: str) -> None:
     sequence = read_sequence(write_parts("a.exr", STEREO[kind]))
     assert means(next(iter(sequence))) == WITH_ALPHA | {"depth": [5]}
     assert sequence.warnings == [
-        "only view left is denoised, not right: --view all denoises all of them"]
+        "only view left is read, not right: --view all reads all of them"]
     other = read(write_parts("a.exr", STEREO[kind]), view="right")
     assert means(other) == {"colour": [9] * 3, "alpha": [9], "depth": [8]}
     with pytest.raises(MissingPlaneError, match="no view 'centre': it holds left, right"):

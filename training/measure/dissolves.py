@@ -6,12 +6,13 @@ Three shots with vectors dissolve into eight others in eight steps. A row says h
 between are above the better of both, in dB: on average, at worst, and how many are more than 0.2
 and 1 dB below. Ways: by the two frames alone; with those beside them, by the most even way alone;
 and by all ways as even as they are, as it is. Then the dissolves one by one as it is, the worst
-first.
+first, and the three rows again for dissolves that are drawn by chance: pans, zooms and turns of
+other speeds and lights, half of them with a disc, in five to eleven steps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -78,16 +79,57 @@ COMING: dict[str, Shot] = {
 }
 
 
+DRAWN = 24
+"""Dissolves that are drawn by chance."""
+DRAWN_SEED = 3
+"""Where they begin: none of them decided a constant."""
+SPEEDS, LIGHTS, RATES = (0, 1, 2, 3, 5, 8), (0.4, 0.7, 1, 1, 1.5, 3), (-0.03, -0.015, 0.015, 0.03)
+"""Pixels a frame, light, and growth or turn a frame of shots that are drawn."""
+
+
+def draw_shot(random: np.random.Generator) -> tuple[Shot, Shot]:
+    """A shot that is drawn by chance, and its motion to the frame before."""
+    seed, light = int(random.integers(1000, 1_000_000)), float(random.choice(LIGHTS))
+    speed = random.choice(SPEEDS) * np.exp(1j * random.uniform(0, 2 * np.pi))
+    growth = random.choice((0, 0, 1, 1j)) * random.choice(RATES)
+    middle = complex(WIDTH / 2, HEIGHT / 2)
+    place = X + 1j * Y - middle
+
+    def wall(time: float) -> np.ndarray:
+        on_wall = place * np.exp(growth * time) + middle + speed * time
+        return light * texture(on_wall.real, on_wall.imag, seed)
+
+    def vectors(time: float) -> np.ndarray:
+        # the place in the frame before that shows the same of the wall
+        before = (place * np.exp(growth * time) + speed) * np.exp(-growth * (time - 1))
+        return np.stack([(before - place).real, (before - place).imag], -1)
+
+    if random.random() < 0.5:
+        return wall, vectors
+    start = complex(random.uniform(30, 130), random.uniform(25, 70))
+    step = random.choice((2, 5, 8)) * np.exp(1j * random.uniform(0, 2 * np.pi))
+
+    def at(time: float) -> tuple[float, float]:
+        centre = start + step * time
+        return centre.real, centre.imag
+
+    def with_disc(time: float) -> np.ndarray:
+        x, y = (one - centre for one, centre in zip((X, Y), at(time), strict=True))
+        return np.where((x**2 + y**2 < 18**2)[..., None], (-step.real, -step.imag), vectors(time))
+
+    return disc_in(at, wall, seed + 1), with_disc
+
+
 def psnr(found: np.ndarray, truth: np.ndarray) -> float:
     """PSNR of displayed pictures."""
     one, other = ((light / (1 + light)) ** (1 / 2.2) for light in (np.maximum(found, 0), truth))
     return float(-10 * np.log10(np.mean((one - other) ** 2)))
 
 
-def gains(going: tuple[Shot, Shot], coming: Shot) -> list[list[float]]:
+def gains(going: tuple[Shot, Shot], coming: Shot, steps: int = STEPS) -> list[list[float]]:
     """Of one dissolve, by the ways in turn."""
     def shown(time: float) -> np.ndarray:
-        part = min(max(time / STEPS, 0.0), 1.0)
+        part = min(max(time / steps, 0.0), 1.0)
         return going[0](time) * (1 - part) + coming(time) * part
 
     def frame(time: float, with_vectors: bool = True) -> Frame:
@@ -96,8 +138,8 @@ def gains(going: tuple[Shot, Shot], coming: Shot) -> list[list[float]]:
             planes[Role.MOTION] = going[1](time).astype(np.float32)
         return Frame(planes)
 
-    frames, found = [frame(time) for time in range(-1, STEPS + 2)], []
-    for time in range(STEPS):
+    frames, found = [frame(time) for time in range(-1, steps + 2)], []
+    for time in range(steps):
         earlier, before, after, later = frames[time:time + 4]
         wanted, mean = shown(time + 0.5), (before[Role.COLOUR] + after[Role.COLOUR]) / 2
         flow = Between(frame(time, False), frame(time + 1, False)).frame(0.5)[Role.COLOUR]
@@ -120,16 +162,24 @@ def main() -> None:
     """Measure, and print a row for each way, then for each dissolve."""
     found = {f"{name} into {other}": np.array(gains(going, coming))
              for name, going in GOING.items() for other, coming in COMING.items()}
-    every = np.concatenate([rows for rows in found.values() if len(rows)])
-    ways_by_name = dict(zip(("by two frames", "the most even one alone", "all as even as they are"),
-                            every.T, strict=True))
-    print(f"{len(every)} frames between | mean | worst | below -0.2 | below -1")
-    for name, gain in ways_by_name.items():
-        print(f"{name} | {_row(gain)}")
+    _print_ways(list(found.values()), "frames between")
     print("dissolve | mean | worst | below -0.2 | below -1")
     as_it_is = {name: rows[:, -1] for name, rows in found.items() if len(rows)}
     for name, gain in sorted(as_it_is.items(), key=lambda one: one[1].min()):
         print(f"{name} | {_row(gain)}")
+    random = np.random.default_rng(DRAWN_SEED)
+    drawn = [np.array(gains(draw_shot(random), draw_shot(random)[0], int(random.integers(5, 12))))
+             for _ in range(DRAWN)]
+    _print_ways(drawn, "frames between of dissolves that are drawn")
+
+
+def _print_ways(found: Sequence[np.ndarray], name: str) -> None:
+    """A row for each way, of gains of dissolves."""
+    every = np.concatenate([rows for rows in found if len(rows)])
+    print(f"{len(every)} {name} | mean | worst | below -0.2 | below -1")
+    for way, gain in zip(("by two frames", "the most even one alone", "all as even as they are"),
+                         every.T, strict=True):
+        print(f"{way} | {_row(gain)}")
 
 
 def _row(gain: np.ndarray) -> str:
