@@ -161,14 +161,16 @@ extern "C" __global__ void denoise_reflections(View motion, View depth, View nor
     const int h = depth.size[0], w = depth.size[1];
     PIXEL(w, h);
     const size_t pixel = size_t(y) * w + x;
-    const Picture far = {depth, 1}, facing = {normal, 3}, rough = {roughness, 1};
-    const Picture some = {diffuse_albedo, 3}, others = {specular_albedo, 3};
-    const Picture hit = {hit_distance, 1};
-    const Surfaces<Picture> surfaces = {far, facing, rough, some, others, hit,
-                                        *reinterpret_cast<const Camera*>(camera.at), h, w};
     const Pair own = pair(motion, pixel);
     float moved[2] = {possible_motion<float>(own.x), possible_motion<float>(own.y)};
-    surfaces.follow(y, x, moved);
+    const float rough = roughness.at[pixel];
+    if (reflects(hit_distance.at[pixel], depth.at[pixel], rough, diffuse_albedo.at + 3 * pixel,
+                 specular_albedo.at + 3 * pixel)) {
+        const Picture far = {depth, 1}, facing = {normal, 3}, hit = {hit_distance, 1};
+        const Surfaces<Picture> surfaces = {far, facing, hit,
+                                            *reinterpret_cast<const Camera*>(camera.at), h, w};
+        surfaces.follow(y, x, rough, moved);
+    }
     pair(reflected, pixel) = {moved[0], moved[1]};
 }
 

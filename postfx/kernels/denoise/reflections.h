@@ -38,8 +38,10 @@ struct Camera {
     }
 };
 
-// Whether a pixel is smooth, and reflects more than it scatters.
-FN bool reflects(const float* diffuse, const float* specular, float roughness) {
+// Whether a pixel with a hit shows an image: it is smooth, and reflects more than it scatters.
+FN bool reflects(float hit_distance, float depth, float roughness, const float* diffuse,
+                 const float* specular) {
+    if (!(hit_distance > 0.0f && depth > 0.0f && depth < FARTHEST)) return false;
     float share = 0.0f;
     for (int c = 0; c < 3; c++) {
         share += within<float>(specular[c], 0.0f, 1.0f) - within<float>(diffuse[c], 0.0f, 1.0f);
@@ -49,7 +51,7 @@ FN bool reflects(const float* diffuse, const float* specular, float roughness) {
 
 // Planes of a frame: picture(y, x) is where a pixel's numbers are.
 template <class Picture> struct Surfaces {
-    const Picture &depth, &normal, &roughness, &diffuse, &specular, &hit_distance;
+    const Picture &depth, &normal, &hit_distance;
     const Camera& camera;
     int height, width;
 
@@ -104,11 +106,10 @@ template <class Picture> struct Surfaces {
         }
         return larger<float>(0.5f * total, 0.0f);
     }
-    // The motion (2,) of a pixel becomes that of what it reflects, if that can be told.
-    FN_MEMBER void follow(int y, int x, float* motion) const {
-        const float z = *depth(y, x), rough = *roughness(y, x);
-        if (!(*hit_distance(y, x) > 0.0f && z > 0.0f && z < FARTHEST)) return;
-        if (!reflects(diffuse(y, x), specular(y, x), rough)) return;
+    // The motion (2,) of a pixel that reflects becomes that of what is seen there, if that can be
+    // told.
+    FN_MEMBER void follow(int y, int x, float roughness, float* motion) const {
+        const float z = *depth(y, x);
         const Vector to = ray(y, x), still = camera.motion(to, 1.0f / z);
         const float across = size_of<float>(motion[0]), down = size_of<float>(motion[1]);
         const float most = STILL + PART * larger<float>(across, down);
@@ -117,7 +118,7 @@ template <class Picture> struct Surfaces {
             return;
         const float bend = curvature(y, x), mean = inverse_distance(y, x);
         if (bend < 0.0f || mean < 0.0f) return;
-        const float smooth = 1.0f - within<float>(rough, 0.0f, 1.0f);
+        const float smooth = 1.0f - within<float>(roughness, 0.0f, 1.0f);
         const float inverse = mean / (smooth * (root_of(smooth) + 1.0f - smooth)) + 2.0f * bend;
         const float stretched = inverse * root_of(to.x * to.x + to.y * to.y + 1.0f);
         const Vector moved = camera.motion(to, stretched / (1.0f + stretched * z));
