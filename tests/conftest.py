@@ -108,6 +108,14 @@ def models_parsed_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session")
+def every_level() -> None:
+    """Kernels are compiled for every level of this processor, in whole libraries."""
+    from tests.made_once import compile_levels
+
+    compile_levels()
+
+
 @pytest.fixture
 def no_first_look(monkeypatch: pytest.MonkeyPatch) -> None:
     """The doctor does not look at the first frames of a run, which took a tenth of the time of

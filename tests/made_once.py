@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from postfx.compiled import build, library
 from postfx.system import private_folder
 
 
@@ -34,3 +35,30 @@ def copy_made_once(name: str, sources: Iterable[Path], versions: str, make: Call
                 make(made)
                 made.rename(kept)
     shutil.copytree(kept, target, dirs_exist_ok=True)
+
+
+def compile_levels() -> None:
+    """Our whole library for each level of this processor: tests of levels would compile its kernels
+    one by one. Objects are kept for other checkouts of the same sources."""
+    target, levels = build.this_target(), library.levels()
+    objects, home = build.PACKAGED / target / "objects", private_folder("tests")
+    if home is None:
+        build.build(build.our_units(), target, objects.parent, levels)
+        return
+    kept = home / "objects"
+    for folder in (kept, objects):
+        folder.mkdir(parents=True, exist_ok=True)
+    with (home / "objects.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _copy_missing(kept, objects)
+        build.build(build.our_units(), target, objects.parent, levels)
+        _copy_missing(objects, kept)
+    library._whole_library.cache_clear()
+
+
+def _copy_missing(source: Path, target: Path) -> None:
+    """Objects of our files as they are now."""
+    wanted = {build.digest_of([unit], build.this_target()) for unit in build.our_units()}
+    for path in source.glob("*.o"):
+        if path.name.partition("-")[0] in wanted and not (target / path.name).exists():
+            shutil.copyfile(path, target / path.name)

@@ -5,12 +5,15 @@ It is asked once, about a file of wrong calls, too: what it finds in that it wou
 
 from __future__ import annotations
 
+import fcntl
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+
+from postfx.system import private_folder
 
 pytest.importorskip("mypy", reason="needs the extra 'dev'")
 
@@ -35,12 +38,17 @@ CASES = {
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """Errors in the files that the project names, and in one that calls passes."""
+    """Errors in the files that the project names, and in one that calls passes. What is known of
+    files as they are is kept for other runs."""
     calls = tmp_path_factory.mktemp("calls") / "calls.py"
     calls.write_text("\n".join((IMPORTS, *CASES, "")))
     settings = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
-    command = [sys.executable, "-m", "mypy", *settings["tool"]["mypy"]["files"], str(calls)]
-    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    kept = private_folder("tests") or tmp_path_factory.getbasetemp()
+    command = [sys.executable, "-m", "mypy", f"--cache-dir={kept / 'mypy'}",
+               *settings["tool"]["mypy"]["files"], str(calls)]
+    with (kept / "mypy.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
     assert done.returncode == 1, done.stdout + done.stderr
     return [line for line in done.stdout.splitlines() if " error: " in line]
 

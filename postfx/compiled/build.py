@@ -23,7 +23,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -47,6 +47,9 @@ LINKED = ("-shared", "-s")
 X86_64 = {"baseline": "x86_64", "v3": "x86_64_v3", "v4": "x86_64_v4",
           "vnni": "x86_64_v4+avx512vnni"}
 """Levels and what the compiler calls them, the lowest first; `level.cpp` counts in this order."""
+NAMED_BY = {"vnni": ("v4", "__AVX512VNNI__")}
+"""Levels that differ from the one below only in files of ours that name a macro of the compiler:
+others came out the same to the byte."""
 UNUSED = 7 * 86400
 """Seconds after which libraries of other sources are removed."""
 
@@ -257,16 +260,21 @@ class _Compiler:
         again."""
         _make_way(objects, stat.S_ISDIR)
         objects.mkdir(exist_ok=True)
+        coming: dict[tuple[Path, str], Future[Path]] = {}
+        parts: dict[tuple[Path, str], Future[Path]] = {}
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            coming = {(unit, level): pool.submit(
-                          self._find_or_compile, unit, level, objects,
-                          f"{digest_of([unit], target, self._flags)}-{unit.stem}-{level}-")
-                      for unit in sorted(units, key=lambda unit: -unit.stat().st_size)
-                      for level in levels}
-            parts = {key: found.result() for key, found in coming.items()}
+            for unit in sorted(units, key=lambda unit: -unit.stat().st_size):
+                for level in levels:
+                    own = _compiled_for(unit, level)
+                    name = f"{digest_of([unit], target, self._flags)}-{unit.stem}-{own}-"
+                    if (unit, own) not in coming:
+                        coming[unit, own] = pool.submit(self._find_or_compile, unit, own, objects,
+                                                        name)
+                    parts[unit, level] = coming[unit, own]
         libraries = {level: self._folder / f"{level}{self._target.suffix}" for level in levels}
         for level, library in libraries.items():
-            self._run(level, *LINKED, "-o", library, *(parts[unit, level] for unit in units))
+            made = [parts[unit, level].result() for unit in units]
+            self._run(level, *LINKED, "-o", library, *made)
         return libraries
 
     def _find_or_compile(self, unit: Path, level: str, objects: Path, name: str) -> Path:
@@ -292,6 +300,16 @@ class _Compiler:
             lines = (done.stderr.strip().splitlines()
                      or [f"the compiler ended with {done.returncode}"])
             raise CannotBuild(next((line for line in lines if "error:" in line), lines[-1]))
+
+
+def _compiled_for(unit: Path, level: str) -> str:
+    """The level that a file's object is compiled for where a level's library is wanted. Compilers
+    may find uses for new instructions in a plug-in."""
+    if level not in NAMED_BY or not unit.is_relative_to(KERNELS):
+        return level
+    below, macro = NAMED_BY[level]
+    named = any(macro in source.read_text("utf-8") for source in sources_of(unit))
+    return level if named else below
 
 
 def _hash(path: Path) -> str:

@@ -82,7 +82,7 @@ __device__ inline Colour colour_at(const View& picture, float y, float x, float 
     Colour high = {-LARGEST_FLOAT, -LARGEST_FLOAT, -LARGEST_FLOAT};
 #pragma unroll
     for (int b = 0; b < 4; b++) {
-        const size_t row = size_t(within(at.j - 1 + b, h)) * w;
+        const size_t row = size_t(clip(at.j - 1 + b, h)) * w;
         const Four q = four(picture, row + columns[1]), r = four(picture, row + columns[2]);
         Colour line = plus({0.0f, 0.0f, 0.0f}, across.x, four(picture, row + columns[0]));
         line = plus(plus(plus(line, across.y, q), across.z, r), across.w,

@@ -8,7 +8,7 @@ extern "C" __global__ void interpolate_hold(View picture, View depth, View held)
     PIXEL(w, picture.size[0]);
     const size_t at = size_t(y) * w + x;
     const float* const p = picture.at + 3 * at;
-    four(held, at) = {known(p[0]), known(p[1]), known(p[2]), depth.at[at]};
+    four(held, at) = {finite(p[0]), finite(p[1]), finite(p[2]), depth.at[at]};
 }
 
 // Sum of a block's threads, in all of them.
@@ -66,7 +66,7 @@ extern "C" __global__ void interpolate_level(View sums, View level) {
 
 __device__ inline float toned_at(const View& picture, int y, int x, float level) {
     const Four p = four(
-        picture, size_t(within(y, picture.size[0])) * picture.size[1] + within(x, picture.size[1]));
+        picture, size_t(clip(y, picture.size[0])) * picture.size[1] + clip(x, picture.size[1]));
     const float r = fmaxf(p.x, 0.0f), g = fmaxf(p.y, 0.0f), b = fmaxf(p.z, 0.0f);
     return (sqrtf(r / (r + level)) + sqrtf(g / (g + level)) + sqrtf(b / (b + level)))
            * (1.0f / 3.0f);

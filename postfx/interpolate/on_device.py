@@ -7,8 +7,7 @@
 
 The kernels lie beside the modules that they are the CUDA form of: paths.cu, choose.cu and blend.cu.
 `PUSH`, `PAIR` and `FRAME_STEPS` list them in the order in which they run: what each frame, each two
-frames and each time needs. A step names a kernel and the buffer of each of its bindings; those of
-one group do not depend on each other.
+frames and each time needs. A step names a kernel and the buffer of each of its bindings.
 """
 
 from __future__ import annotations
@@ -117,8 +116,8 @@ TAKE = _kernel("take", "before:plane after:plane paths:paths led:led", "data:pla
 
 Step = tuple[Kernel, dict[str, str]]
 """A kernel, and its buffers by binding."""
-Steps = tuple[tuple[Step, ...], ...]
-"""Groups of steps, one after the other; those of one group do not depend on each other."""
+Steps = tuple[Step, ...]
+"""Steps in their order. What they read and write tells which of them wait for others."""
 
 
 def _step(kernel: Kernel, buffers: str) -> Step:
@@ -127,42 +126,42 @@ def _step(kernel: Kernel, buffers: str) -> Step:
                             strict=True))
 
 
-PUSH: Steps = ((
+PUSH: Steps = (
     _step(HOLD, "after.colour after.depth after.held"),
-    _step(GATHER_KERNEL, "after.motion after.depth scale after.cells keys after.cell_depth")), )
+    _step(GATHER_KERNEL, "after.motion after.depth scale after.cells keys after.cell_depth"))
 PAIR: Steps = (
-    (_step(LIGHTS_KERNEL, "before.held after.held lights"),
-     _step(ARRIVE, "after.cells after.cell_depth keys")),
-    (_step(LOGS_KERNEL, "before.held after.held lights logs"),),
-    (_step(LEVEL_KERNEL, "logs level"),
-     _step(INVERT, "keys after.cells before.cell_depth inverse")),
-    (_step(TONE, "before.held after.held level toned_before toned_after"),
-     _step(REFINE, "inverse after.cells before.cell_depth ahead")),
-    (_step(LEAD_BACK,
-           "after.cells ahead before.cell_depth after.cell_depth before.cells facts_after "
-           "ends_after bend_after seen_after"),),
-    (_step(LEAD_AHEAD,
-           "ahead after.cells before.cell_depth after.cell_depth before.cells facts_before "
-           "bend_after ends_before bend_before seen_before"),
-     _step(MISFITS, "toned_before toned_after ends_after seen_after scale misfits")),
-    (_step(NOISE_KERNEL, "misfits noise"),))
+    _step(LIGHTS_KERNEL, "before.held after.held lights"),
+    _step(ARRIVE, "after.cells after.cell_depth keys"),
+    _step(LOGS_KERNEL, "before.held after.held lights logs"),
+    _step(LEVEL_KERNEL, "logs level"),
+    _step(INVERT, "keys after.cells before.cell_depth inverse"),
+    _step(TONE, "before.held after.held level toned_before toned_after"),
+    _step(REFINE, "inverse after.cells before.cell_depth ahead"),
+    _step(LEAD_BACK,
+          "after.cells ahead before.cell_depth after.cell_depth before.cells facts_after "
+          "ends_after bend_after seen_after"),
+    _step(LEAD_AHEAD,
+          "ahead after.cells before.cell_depth after.cell_depth before.cells facts_before "
+          "bend_after ends_before bend_before seen_before"),
+    _step(MISFITS, "toned_before toned_after ends_after seen_after scale misfits"),
+    _step(NOISE_KERNEL, "misfits noise"))
 _COMPOSED_OF = "chosen before.held after.held time level scale shares new.motion new.depth"
 _SIDES = ("ends_before bend_before before.cell_depth", "ends_after bend_after after.cell_depth")
 FRAME_STEPS: Steps = (
-    (_step(CLEAR, "nearest listed arrived"),),
-    (_step(NEAREST_KERNEL, f"{_SIDES[0]} {_SIDES[1]} time nearest"),),
-    (_step(MEANS_KERNEL, f"{_SIDES[0]} seen_before {_SIDES[1]} seen_after time nearest arrived"),),
-    (_step(MERGE_KERNEL, "nearest arrived facts_after scale sides depths own"),),
-    (_step(FILL, "depths own"),),
-    (_step(LIST, "own scale listed list chosen"),),
-    (_step(CHOOSE, "toned_before toned_after own sides depths noise scale listed list chosen"),),
-    (_step(DETAIL_KERNEL, "toned_before toned_after noise scale chosen"),))
-PICTURE_STEPS: Steps = ((_step(COMPOSE, f"{_COMPOSED_OF} new.colour"),),)
-WITH_PLANES: Steps = ((_step(COMPOSE_ALL, f"{_COMPOSED_OF} paths led new.colour"),),)
+    _step(CLEAR, "nearest listed arrived"),
+    _step(NEAREST_KERNEL, f"{_SIDES[0]} {_SIDES[1]} time nearest"),
+    _step(MEANS_KERNEL, f"{_SIDES[0]} seen_before {_SIDES[1]} seen_after time nearest arrived"),
+    _step(MERGE_KERNEL, "nearest arrived facts_after scale sides depths own"),
+    _step(FILL, "depths own"),
+    _step(LIST, "own scale listed list chosen"),
+    _step(CHOOSE, "toned_before toned_after own sides depths noise scale listed list chosen"),
+    _step(DETAIL_KERNEL, "toned_before toned_after noise scale chosen"))
+PICTURE_STEPS: Steps = (_step(COMPOSE, f"{_COMPOSED_OF} new.colour"),)
+WITH_PLANES: Steps = (_step(COMPOSE_ALL, f"{_COMPOSED_OF} paths led new.colour"),)
 """The last step of a time, without planes that are taken along the paths of the picture, and with
 them."""
-TAKE_ALL: Steps = (tuple(_step(TAKE, f"before.{role} after.{role} paths led new.{role}")
-                         for role in TAKEN),)
+TAKE_ALL: Steps = tuple(_step(TAKE, f"before.{role} after.{role} paths led new.{role}")
+                        for role in TAKEN)
 
 
 def sizes_of(height: int, width: int) -> dict[str, int]:
@@ -179,14 +178,13 @@ def scale_of(height: int, width: int) -> int:
     return 2 if min(height, width) >= LEAST_OF_CELLS else 1
 
 
-def shapes_of(steps: Iterable[Iterable[Step]],
-              sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+def shapes_of(steps: Iterable[Step], sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
     """Shapes of all buffers that steps name; planes that may have any number of channels have
     three."""
     symbols = {"channels": 3, **sizes}
     return {buffer: tuple(size if isinstance(size, int) else symbols[size]
                           for size in kernel.shapes[binding])
-            for group in steps for kernel, buffers in group for binding, buffer in buffers.items()}
+            for kernel, buffers in steps for binding, buffer in buffers.items()}
 
 
 def facts_of(jitter: tuple[float, float], both: tuple[float, ...], comes: bool,
@@ -332,13 +330,10 @@ class DeviceInterpolator:
         """Commands of steps on the buffers that these mean now."""
         commands = self._device.command_buffer(f"interpolate {label}")
         with commands.compute_encoder(label) as encoder:
-            encoder.barrier(after="compute", before="compute")
-            for group in steps:
-                for kernel, buffers in group:
-                    state = self._device.compute_state(kernel)
-                    tensors = {binding: self._buffer(name) for binding, name in buffers.items()}
-                    encoder.dispatch(state, ArgumentTable(state, tensors))
-                encoder.barrier()
+            for kernel, buffers in steps:
+                state = self._device.compute_state(kernel)
+                tensors = {binding: self._buffer(name) for binding, name in buffers.items()}
+                encoder.dispatch(state, ArgumentTable(state, tensors))
         return commands
 
     def _known(self, label: str, steps: Steps, *sets: int) -> CommandBuffer:

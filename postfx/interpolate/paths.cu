@@ -245,7 +245,7 @@ extern "C" __global__ void interpolate_lead_ahead(View ahead, View motion, View 
     Pair by = pair(ahead, cell), bent = {0.0f, 0.0f};
     bool is_seen = false;
     if (by.x < LOST) {
-        const int there = within(int(y + by.y + 0.5f), h) * w + within(int(x + by.x + 0.5f), w);
+        const int there = clip(int(y + by.y + 0.5f), h) * w + clip(int(x + by.x + 0.5f), w);
         const Pair back = pair(motion, there);
         if (fabsf(back.x + by.x) <= SEEN && fabsf(back.y + by.y) <= SEEN) {  // else a filled crack
             bent = pair(bend_after, there);

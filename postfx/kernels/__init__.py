@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
@@ -144,6 +144,8 @@ KERNEL_SOURCES = _PACKAGE
 SHARED = KERNEL_SOURCES / "kernels"
 _KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(')
 _NAME = re.compile(r"\b[A-Z][A-Z\d_]+\b")
+_INCLUDE = re.compile(r'^#include "(.+)"\n', re.M)
+_CONSTANT = re.compile(r"^constexpr \w+ ([A-Z][A-Z\d_]*) = .*;.*\n", re.M)
 _TYPES = {int: "int", np.float64: "double"}
 """Of constants in CUDA, by that in Python; all others are float."""
 
@@ -163,30 +165,46 @@ def read_source(family: Path) -> str:
     files = [path for path in (family.with_suffix(".cuh"), family) if path.exists()]
     if not family.is_relative_to(KERNEL_SOURCES):
         own = "".join(path.read_text() for path in files)
-        return view + own.replace("#include <postfx/mlp.cuh>", _with_headers(SHARED / "mlp.cuh"), 1)
-    own = "".join(map(_with_headers, files))
-    source = (SHARED / "common.cuh").read_text() + own
-    return view + print_constants(constants_of(family, source)) + source
+        return view + own.replace("#include <postfx/mlp.cuh>", _expand([SHARED / "mlp.cuh"]), 1)
+    return view + _with_constants(family, _expand([SHARED / "common.cuh", *files]))
 
 
-def _with_headers(path: Path) -> str:
-    """A file with our headers in the place of its includes. Those that a CPU has, too, include what
-    only a CPU needs: these lines are left out."""
-    text = path.read_text()
-    if path.suffix == ".h":
-        return re.sub(r"^#(?:pragma|include) .*\n", "", text, flags=re.M)
-    return re.sub(r'^#include "(.+)"\n', lambda found: _with_headers(SHARED / found[1]), text,
-                  flags=re.M)
+_OF_A_CPU = {"number.h", "rows.h", "neural.h", "denoise.h"}
+"""Headers whose place on a GPU number.cuh, view.cuh, mlp.cuh and Python's constants take."""
+
+
+def _expand(files: Sequence[Path], known: set[Path] | None = None) -> str:
+    """Files one after the other with our headers in the place of their includes, each header
+    once."""
+    known = set() if known is None else known
+    text = ""
+    for path in map(Path.resolve, files):
+        if path.name in _OF_A_CPU or path in known:
+            continue
+        known.add(path)
+        before, *rest = _INCLUDE.split(path.read_text().replace("#pragma once\n", ""))
+        text += before
+        for name, behind in zip(rest[::2], rest[1::2], strict=True):
+            text += _expand([path.parent / name], known) + behind
+    return text
+
+
+def _with_constants(family: Path, source: str) -> str:
+    """A source behind its constants, where those of Python take the place of a header's own."""
+    constants = constants_of(family, source)
+
+    def left(line: re.Match[str]) -> str:
+        return "" if line[1] in constants else f"[[maybe_unused]] {line[0]}"
+
+    return print_constants(constants) + _CONSTANT.sub(left, source)
 
 
 @cache
 def convolution_source(warpgroups: bool) -> str:
     """What is compiled before the kernels of a network's layers."""
-    source = "".join((SHARED / name).read_text()
-                     for name in ("common.cuh", "products.cuh", "convolution.cuh"))
-    constants = print_constants(constants_of(SHARED / "denoise" / "network_io.cu", source))
-    return ("#define "
-            "WARPGROUPS\n" * warpgroups + (SHARED / "view.cuh").read_text() + constants + source)
+    source = _expand([SHARED / name for name in ("common.cuh", "products.cuh", "convolution.cuh")])
+    return ("#define WARPGROUPS\n" * warpgroups + (SHARED / "view.cuh").read_text()
+            + _with_constants(SHARED / "denoise" / "network_io.cu", source))
 
 
 def constants_of(family: Path, source: str) -> dict[str, Any]:

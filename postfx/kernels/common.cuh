@@ -1,6 +1,9 @@
 // What the CUDA kernels of postfx share beside view.cuh: positions and small functions. Constants
 // such as MAX_COLOUR come before: postfx/runtime/cuda.py prints them.
 
+#include "number.cuh"
+#include "denoise/light.h"
+
 [[maybe_unused]] const float LARGEST_FLOAT = 3.402823466e38f;
 
 struct Colour {
@@ -16,14 +19,10 @@ __device__ inline float clamped(float value, float low, float high) {
     return fminf(fmaxf(low, value == value ? value : 0.0f), high);
 }
 
-__device__ inline int within(int index, int size) {
-    return min(max(index, 0), size - 1);
-}
-
 // How much of the history a render pixel of the part uses; `keep` has one number for all of them,
 // or one for each.
 __device__ inline float share_of(const View& keep, int row, int column) {
-    return keep.at[within(row, keep.size[0]) * keep.size[1] + within(column, keep.size[1])];
+    return keep.at[clip(row, keep.size[0]) * keep.size[1] + clip(column, keep.size[1])];
 }
 
 // Which part of the frame the kernels work on: first row and column at render size, the frame's
@@ -65,30 +64,18 @@ __device__ inline float pixel_mean(const View& samples, int at_y, int at_x, int 
     return (upper[0] + upper[1] + upper[2 * w] + upper[2 * w + 1]) * 0.25f;
 }
 
-// What no picture can have (NaN, infinity) is no motion.
-__device__ inline float possible_motion(float value) {
-    return value > -MOST_MOTION && value < MOST_MOTION ? value : 0.0f;
-}
-
 // Reflectance that colour is divided by at a pixel (y, x) of albedos (h, w, 3).
 __device__ inline Colour demodulation(const View& diffuse, const View& specular, int y, int x) {
     const int at = 3 * (y * diffuse.size[1] + x);
-    const float r = clamped(diffuse.at[at] + specular.at[at], 0.0f, MOST_REFLECTANCE);
-    const float g = clamped(diffuse.at[at + 1] + specular.at[at + 1], 0.0f, MOST_REFLECTANCE);
-    const float b = clamped(diffuse.at[at + 2] + specular.at[at + 2], 0.0f, MOST_REFLECTANCE);
-    const float peak = fmaxf(r, fmaxf(g, b)), floor = LEAST_TINT * peak;
-    const bool emits = peak < EMITTER;
-    return {emits ? 1.0f : fmaxf(r, floor) + ADDED, emits ? 1.0f : fmaxf(g, floor) + ADDED,
-            emits ? 1.0f : fmaxf(b, floor) + ADDED};
+    const float *const some = diffuse.at + at, *const others = specular.at + at;
+    const Tint<float> found = tinted<float>(some[0] + others[0], some[1] + others[1],
+                                            some[2] + others[2]);
+    return {found.red, found.green, found.blue};
 }
 
-// A pixel's light without its reflectance `by`; one that is too bright keeps its hue.
-__device__ inline Colour light_without(const float* rgb, const Colour& by, float exposure) {
-    const float r = fminf(clamped(rgb[0], 0.0f, MAX_FLOAT) * exposure / by.r, MAX_LIGHT);
-    const float g = fminf(clamped(rgb[1], 0.0f, MAX_FLOAT) * exposure / by.g, MAX_LIGHT);
-    const float b = fminf(clamped(rgb[2], 0.0f, MAX_FLOAT) * exposure / by.b, MAX_LIGHT);
-    const float held = MAX_COLOUR / fmaxf(fmaxf(r, g), fmaxf(b, MAX_COLOUR));
-    return {r * held, g * held, b * held};
+// A pixel's light without its reflectance `by`.
+__device__ inline Light<float> light_without(const float* rgb, const Colour& by, float exposure) {
+    return light_of<float>({rgb[0], rgb[1], rgb[2]}, {by.r, by.g, by.b}, exposure);
 }
 
 // Two or four neighbouring floats, read or written in one transfer.
@@ -146,7 +133,7 @@ __device__ inline Recalled recall(const View& state, const View& last_depth, flo
     const int h = last_depth.size[0], w = last_depth.size[1];
     const bool held = px >= -0.5f && px <= float(w) - 0.5f && py >= -0.5f && py <= float(h) - 0.5f;
     if (!held || share == 0.0f) return {{}, {}, {}, 1.0f, 0.0f};
-    const float depth = last_depth.at[within(int(rintf(py)), h) * w + within(int(rintf(px)), w)];
+    const float depth = last_depth.at[clip(int(rintf(py)), h) * w + clip(int(rintf(px)), w)];
     px = fminf(fmaxf(px, 0.0f), float(w - 1));
     py = fminf(fmaxf(py, 0.0f), float(h - 1));
     const int x0 = int(px), y0 = int(py), x1 = min(x0 + 1, w - 1), y1 = min(y0 + 1, h - 1);
@@ -457,8 +444,8 @@ __device__ inline Before before_of(int y, int x, const Window& part, const View&
     const bool doubled = is_doubled(part);
     const int from_y = doubled ? y / 2 : int((2u * v + 1u) * h / (2u * height));
     const int from_x = doubled ? x / 2 : int((2u * u + 1u) * w / (2u * width));
-    const int row = within(from_y - part.top, moved.size[0]),
-              column = within(from_x - part.left, moved.size[1]);
+    const int row = clip(from_y - part.top, moved.size[0]),
+              column = clip(from_x - part.left, moved.size[1]);
     const Pair motion = pair(moved, size_t(row) * moved.size[1] + column);
     const float right = motion.x * (float(width) / float(w)),
                 down = motion.y * (float(height) / float(h));
@@ -473,19 +460,19 @@ struct Size {
 __device__ inline Colour moved_picture(const float* picture, const Size& size,
                                        const Before& before) {
     const int height = size.height, width = size.width, top = before.top, left = before.left;
-    const int columns[4] = {3 * within(left, width), 3 * within(left + 1, width),
-                            3 * within(left + 2, width), 3 * within(left + 3, width)};
+    const int columns[4] = {3 * clip(left, width), 3 * clip(left + 1, width),
+                            3 * clip(left + 2, width), 3 * clip(left + 3, width)};
     const size_t line = 3 * size_t(width);
     const Four across = cubic_weights(before.right - floorf(before.right));
-    return column_of(row_of(picture + within(top, height) * line, columns, across),
-                     row_of(picture + within(top + 1, height) * line, columns, across),
-                     row_of(picture + within(top + 2, height) * line, columns, across),
-                     row_of(picture + within(top + 3, height) * line, columns, across),
+    return column_of(row_of(picture + clip(top, height) * line, columns, across),
+                     row_of(picture + clip(top + 1, height) * line, columns, across),
+                     row_of(picture + clip(top + 2, height) * line, columns, across),
+                     row_of(picture + clip(top + 3, height) * line, columns, across),
                      cubic_weights(before.down - floorf(before.down)));
 }
 
 // What is not finite counts as 0.
-__device__ inline float known(float value) {
+__device__ inline float finite(float value) {
     return fabsf(value) <= LARGEST_FLOAT ? value : 0.0f;
 }
 
@@ -501,8 +488,8 @@ __device__ inline Cubic cubic(float position, int size) {
     const int before = int(first) - 1;
     return {{((-0.5f * t + 1.0f) * t - 0.5f) * t, (1.5f * t - 2.5f) * t * t + 1.0f,
              ((-1.5f * t + 2.0f) * t + 0.5f) * t, (0.5f * t - 0.5f) * t * t},
-            {within(before, size), within(before + 1, size), within(before + 2, size),
-             within(before + 3, size)}};
+            {clip(before, size), clip(before + 1, size), clip(before + 2, size),
+             clip(before + 3, size)}};
 }
 
 // One pixel of an image (h, w, channels) by cubic interpolation, held within the four nearest
@@ -518,11 +505,11 @@ __device__ inline void resampled(const View& image, int channels, const Cubic& d
 #pragma unroll
         for (int i = 0; i < 4; i++) {
             const int at = across.index[i] * channels + k;
-            const float before = known(row[0][at]), upper = known(row[1][at]),
-                        lower = known(row[2][at]);
+            const float before = finite(row[0][at]), upper = finite(row[1][at]),
+                        lower = finite(row[2][at]);
             sum += across.weight[i]
                    * (down.weight[0] * before + down.weight[1] * upper + down.weight[2] * lower
-                      + down.weight[3] * known(row[3][at]));
+                      + down.weight[3] * finite(row[3][at]));
             if (i == 0 || i == 3) continue;
             least = fminf(least, fminf(upper, lower));
             most = fmaxf(most, fmaxf(upper, lower));
@@ -533,7 +520,7 @@ __device__ inline void resampled(const View& image, int channels, const Cubic& d
 
 // Light in front, premultiplied by its coverage, over what is behind.
 __device__ inline float over(float front, float alpha, float behind) {
-    return known(front) + (1.0f - alpha) * known(behind);
+    return finite(front) + (1.0f - alpha) * finite(behind);
 }
 
 // postfx/interpolate: a path leads from a cell to its place in the frame before (a) and in the one

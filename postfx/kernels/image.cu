@@ -13,7 +13,7 @@ __device__ inline Cubics cubics(const View& places, int at, int size) {
     Cubics found = {{{}, {}}, {}, int(floorf(second)) - 1 - before};
 #pragma unroll
     for (int i = 0; i < 5; i++) {
-        found.index[i] = within(before + i, size);
+        found.index[i] = clip(before + i, size);
         found.weights[0][i] = i < 4 ? one.weight[i] : 0.0f;
         found.weights[1][i] = found.behind ? (i ? two.weight[i - 1] : 0.0f)
                                            : (i < 4 ? two.weight[i] : 0.0f);
@@ -33,7 +33,7 @@ __device__ inline void resampled_four(const View& image, const Cubics& down, con
             float value[5];
 #pragma unroll
             for (int j = 0; j < 5; j++)
-                value[j] = known(
+                value[j] = finite(
                     image.at[(size_t(down.index[j]) * image.size[1] + across.index[i]) * CHANNELS
                              + k]);
 #pragma unroll
@@ -113,7 +113,7 @@ extern "C" __global__ void overlay_enlarge(View image, View rows, View columns, 
             const int row = i < 2 ? down.index[1] : down.index[2],
                       column = i % 2 ? across.index[2] : across.index[1];
             const float* const pixel = image.at + 4 * (size_t(row) * image.size[1] + column);
-            const float light = known(pixel[c]), covered = known(pixel[3]);
+            const float light = finite(pixel[c]), covered = finite(pixel[3]);
             if (covered <= 0.0f && light == 0.0f) continue;  // nothing there
             const float own = covered > 0.0f ? light / covered : light > 0.0f ? ENDLESS : -ENDLESS;
             low = fminf(low, own);

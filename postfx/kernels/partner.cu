@@ -64,8 +64,8 @@ extern "C" __global__ void enlarge_motion(View motion, View rows, View columns, 
                                           View enlarged) {
     const int height = enlarged.size[0], width = enlarged.size[1];
     PIXEL(width, height);
-    const int row = within(int(rintf(rows.at[y])), motion.size[0]);
-    const int column = within(int(rintf(columns.at[x])), motion.size[1]);
+    const int row = clip(int(rintf(rows.at[y])), motion.size[0]);
+    const int column = clip(int(rintf(columns.at[x])), motion.size[1]);
     for (int c = 0; c < 2; c++) {
         const float moved = motion.at[2 * (size_t(row) * motion.size[1] + column) + c];
         const bool is_possible = fabsf(moved) < MOST_MOVED;

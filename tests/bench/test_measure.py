@@ -55,15 +55,27 @@ def test_a_task_survives_json(task):
         assert Task.from_json(task(method).to_json()) == task(method)
 
 
-def test_the_first_use_of_a_machine_does_not_count(task, tmp_path, monkeypatch):
-    """Kernels are compiled in a first process, whose times are forgotten."""
+@pytest.fixture
+def no_kernels(tmp_path, monkeypatch):
+    """A folder where kernels are compiled anew. Those that are there already are forgotten, and
+    found again afterwards."""
+    def forget():
+        for kept in (library._whole_library, library.open_library, library._form):
+            kept.cache_clear()
+        library._compiled_parts.clear()
+
     folder = tmp_path / "native"
-    monkeypatch.setattr(library, "_folders", lambda own: [folder])
-    for kept in (library._whole_library, library.open_library, library._form):
-        kept.cache_clear()
-    library._compiled_parts.clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(library, "_folders", lambda own: [folder])
+        forget()
+        yield folder
+    forget()
+
+
+def test_the_first_use_of_a_machine_does_not_count(task, tmp_path, monkeypatch, no_kernels):
+    """Kernels are compiled in a first process, whose times are forgotten."""
     assert measure.measure(task(OTHERS[-1])) is None
-    assert list(folder.glob("*-*.*"))
+    assert list(no_kernels.glob("*-*.*"))
     answers, runs, run = [{"again": True}], [], measure._run_process
     monkeypatch.setattr(measure, "_run_process",
                         lambda *words: answers.pop() if answers else run(*words))

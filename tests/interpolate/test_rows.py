@@ -32,6 +32,7 @@ on."""
 MOST_CHANGED = 1000
 """Numbers of one result that three bad ones may change: pixels that read a cell or a window around
 one."""
+pytestmark = pytest.mark.usefixtures("every_level")
 FUSED = [level for level in library.levels() if level != "baseline"] or ["baseline"]
 Call = tuple[int, int, list[np.ndarray]]
 

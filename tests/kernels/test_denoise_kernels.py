@@ -36,6 +36,7 @@ from postfx.passes.denoise.network import stored_channels
 from postfx.runtime import Device
 from tests.kernels.denoise_cases import CASES, KERNELS, ODD, Case, arguments, case_for, run, runs_of
 
+pytestmark = pytest.mark.usefixtures("every_level")
 TOLERANCE = 1e-4
 
 

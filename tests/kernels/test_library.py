@@ -47,6 +47,7 @@ IN_CPP = [kernel for kernel in (*denoise_cases.KERNELS, *denoise_cases.IN_ROWS_A
           if isinstance(kernel.rows, Rows)]
 FUSED = [level for level in library.levels() if level != "baseline"] or ["baseline"]
 """Levels that multiply and add in one instruction."""
+pytestmark = pytest.mark.usefixtures("every_level")
 needs_compiler = pytest.mark.skipif(importlib.util.find_spec("ziglang") is None,
                                     reason="needs ziglang")
 HEADER = """

@@ -21,6 +21,7 @@ torch = pytest.importorskip("torch")
 from training.kernels import tonemap as tonemap_kernels  # noqa: E402
 from training.tonemap.model import default_shaper, look_up, shape  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("every_level")
 TOLERANCE = 1e-5
 
 DEFINITIONS = {

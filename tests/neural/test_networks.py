@@ -21,6 +21,7 @@ from postfx.runtime.device import cuda_fault
 from tests.kernels import host_cuda, neural_cases
 from tests.kernels.neural_cases import HYPER, NETWORKS
 
+pytestmark = pytest.mark.usefixtures("every_level")
 IDS = ["-".join(map(str, network.sizes)) for network in NETWORKS]
 every_network = pytest.mark.parametrize("network", NETWORKS, ids=IDS)
 

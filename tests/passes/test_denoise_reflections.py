@@ -97,12 +97,16 @@ def test_a_floor_shows_its_image_where_geometry_has_it() -> None:
 
 BENDS = """
 #include "denoise/reflections.h"
+#include "rows.h"
+
+typedef View<const float, 3> Picture;
 
 static void bends_rows(Long first, Long last, Picture normal, Picture depth, Given<Camera> camera,
                        View<float, 2> bends) {
-    const Surfaces surfaces = {depth, normal, depth, *camera};
+    const int height = int(bends.size[0]), width = int(bends.size[1]);
+    const Surfaces<Picture> surfaces = {depth, normal, depth, *camera, height, width};
     for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < bends.size[1]; x++) bends(y)[x] = surfaces.curvature(y, x);
+        for (int x = 0; x < width; x++) bends(y)[x] = surfaces.curvature(int(y), x);
     }
 }
 EXPORT(bends, bends_rows)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -47,3 +48,32 @@ def test_no_source_defines_them_again(path: Path) -> None:
         r"\b[A-Z][A-Z_\d]+\b" + (r"(?= =)" if line.startswith(("const", "[")) else ""), line
     )]
     assert len(defined) == len(set(defined)) and set(constants(path)) <= set(defined)
+
+
+def headers_of(source: Path) -> Iterator[Path]:
+    """Headers that a source includes, and those that they do."""
+    for name in re.findall(r'^#include "(.+)"', source.read_text("utf-8"), re.M):
+        header = (source.parent / name).resolve()
+        yield header
+        yield from headers_of(header)
+
+
+@pytest.mark.parametrize("path", FAMILIES, ids=lambda path: path.name)
+def test_headers_have_the_same_constants_on_a_gpu(path: Path) -> None:
+    """Python's stand there, those of the module beside the CUDA source before those of the
+    layout."""
+    known, headers = constants(path), {*headers_of(SHARED / "common.cuh"), *headers_of(path)}
+    texts = {header.name: header.read_text("utf-8") for header in headers}
+    named = "".join(text for name, text in texts.items() if name != "denoise.h")
+    for header, text in texts.items():
+        for name, value in re.findall(r"^constexpr \w+ ([A-Z][A-Z\d_]+) = (-?[\d.e+-]+)f?;", text,
+                                      re.M):
+            if name in known and re.search(rf"\b{name}\b", named):
+                assert np.float32(value) == np.float32(known[name]), f"{header}: {name}"
+
+
+def test_a_header_is_in_a_source_once_and_without_what_is_a_cpu_s_alone() -> None:
+    """Also where two headers include it."""
+    source = read_source(SHARED / "denoise/classic.cu")
+    assert source.count("struct Accumulated {") == source.count("struct Tint {") == 1
+    assert "WIDE" not in source and "#include" not in source and "#pragma once" not in source

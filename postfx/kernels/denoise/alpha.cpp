@@ -6,6 +6,31 @@
 
 typedef View<const float, 2> Cells;
 
+template <class F> FN F one_where_moved(const float* moved) {
+    const F zero = F(0.0f), one = F(1.0f);
+    const F across = size_of<F>(pick<F, 2>(moved)), down = size_of<F>(pick<F, 2>(moved + 1));
+    return across >= LEAST_MOTION ? one : down >= LEAST_MOTION ? one : zero;
+}
+
+// Mean of the four samples of render pixels, in two rows from the first pixel on.
+template <class F> FN F mean_of_samples(const float* upper, const float* lower) {
+    return 0.25f
+         * (pick<F, 2>(upper) + pick<F, 2>(upper + 1) + pick<F, 2>(lower) + pick<F, 2>(lower + 1));
+}
+
+// Over 3x3 pixels of three rows, each from its first pixel on.
+template <class F>
+FN Sums<F> sums_around(const float* above, const float* here, const float* below) {
+    F total[3], squares = F(0.0f), steps = F(0.0f);
+    UNROLL for (int i = 0; i < 3; i++) {
+        const F a = load<F>(above + i), b = load<F>(here + i), c = load<F>(below + i);
+        total[i] = a + b + c;
+        squares += a * a + b * b + c * c;
+        steps += c - a;
+    }
+    return {total[0] + total[1] + total[2], squares, total[2] - total[0], steps};
+}
+
 // Spans of pixels along a row of some width whose cells of NEAR_CELL pixels are near; the last cell
 // goes on to its end.
 template <class Near, class Work>
@@ -304,6 +329,16 @@ template <int CHANNELS> struct Shrunk {
     }
 };
 
+// Red, green, blue and alpha in 3x3 pixels: rows of the four that are apart.
+struct Around {
+    const float* rows[3];
+    Long apart;
+
+    template <class F> FN_MEMBER F get(int channel, int tap) const {
+        return load<F>(rows[tap / 3] + channel * apart + tap % 3);
+    }
+};
+
 static Status fit_rows(Long first, Long last, Picture picture, Picture next_samples, Cells near,
                        NewPicture fit) {
     const Long h = fit.size[1], w = fit.size[2], apart = w + 2;
@@ -332,8 +367,8 @@ static Status fit_rows(Long first, Long last, Picture picture, Picture next_samp
         each_span_at(near, to, 1.0f, w, PIXELS(Long x0, Long x1) {
             across(x0, x1, PIXELS(auto one, Long x) {
                 typedef decltype(one) F;
-                const Fit<F> found =
-                    fitted<F>({{kept(to - 1) + x, kept(to) + x, kept(to + 1) + x}, apart});
+                const Around around = {{kept(to - 1) + x, kept(to) + x, kept(to + 1) + x}, apart};
+                const Fit<F> found = fitted<F>(around);
                 for (int c = 0; c < 3; c++) store<F>(fit(c, to) + x, found.by[c]);
                 store<F>(fit(3, to) + x, found.rest);
             });
@@ -424,7 +459,13 @@ template <class At> FN void correct_span(const Sources& from, const At& at,
             return at.template mixed<F>(from.mixed + plane * from.apart, x);
         };
         const F value = load<F>(from.here + 1 + x), structure = own(STRUCTURE);
-        const F soft = softened<F>(from.above + x, from.here + x, from.below + x);
+        F around[3][3];
+        for (int i = 0; i < 3; i++) {
+            around[0][i] = load<F>(from.above + i + x);
+            around[1][i] = load<F>(from.here + i + x);
+            around[2][i] = load<F>(from.below + i + x);
+        }
+        const F soft = softened<F>(around);
         const F inner = own(INNER) * (at.template sample<F>(from.samples, x) - value - own(LACK));
         const F sharp = gain.sharper * structure * (value - soft);
         const F found = within<F>(value + mixed(WEIGHED) + inner + sharp, 0.0f, 1.0f);
@@ -514,8 +555,10 @@ struct Corrector {
             across(x0, x1, PIXELS(auto one, Long x) {
                 typedef decltype(one) F;
                 const F own = mean_of_samples<F>(upper + 2 * x, lower + 2 * x);
-                const Lacking<F> found = lacking<F>(mean(above) + x, mean(at) + x, mean(below) + x,
-                                                    own, load<F>(doubts + x), gain);
+                const Sums<F> around = sums_around<F>(mean(above) + x, mean(at) + x,
+                                                      mean(below) + x);
+                const Lacking<F> found = lacking<F>(around, load<F>(mean(at) + 1 + x), own,
+                                                    load<F>(doubts + x), gain);
                 store<F>(to(STRUCTURE) + x, found.structure);
                 store<F>(to(LACK) + x, found.lack);
                 store<F>(to(WEIGHED) + x, found.weight * found.lack);

@@ -1,3 +1,5 @@
+#include "alpha.h"
+
 // Means of alpha by quarter-pixels over all frames, and their variance: alpha (h, w, 1), moved (h,
 // w, 2), samples (2 h, 2 w, 1), doubt (h, w, 1), near (cells, cells), 0 where nothing before
 // counts, rates (4,): whether there is a past, variance of a frame's alpha, what a move adds, least
@@ -12,7 +14,7 @@ __device__ inline bool moves_at(const View& moved, size_t pixel) {
 }
 
 __device__ inline Predicted predicted_at(const View& alpha, const View& moved, const View& samples,
-                                         const View& doubt, const View& near, const View& rates,
+                                         const View& doubt, const View& near, const Rates& rates,
                                          int y, int x) {
     const int h = alpha.size[0], w = alpha.size[1], height = samples.size[0],
               width = samples.size[1];
@@ -25,12 +27,12 @@ __device__ inline Predicted predicted_at(const View& alpha, const View& moved, c
     found.off = 0.0f;
     found.variance = -1.0f;
     const bool held = -0.5f <= at_x && at_x <= w - 0.5f && -0.5f <= at_y && at_y <= h - 0.5f;
-    if (!(nearness(near, y, x) > 0.0f && rates.at[KEEP] > 0.0f && held)) return found;
-    const int near_x = within(int(floorf(at_x + 0.5f)), w),
-              near_y = within(int(floorf(at_y + 0.5f)), h);
+    if (!(nearness(near, y, x) > 0.0f && rates.keep > 0.0f && held)) return found;
+    const int near_x = clip(int(floorf(at_x + 0.5f)), w),
+              near_y = clip(int(floorf(at_y + 0.5f)), h);
     const float doubted = doubt.at[size_t(near_y) * w + near_x];
     if (!(doubted >= 0.0f)) return found;
-    found.variance = doubted + (moves_at(moved, pixel) ? rates.at[DRIFT] : 0.0f);
+    found.variance = doubted + (moves_at(moved, pixel) ? rates.drift : 0.0f);
     const float right = by.x + by.x, down = by.y + by.y, whole_right = floorf(right),
                 whole_down = floorf(down);
     const Four wx = cubic_weights(right - whole_right), wy = cubic_weights(down - whole_down);
@@ -39,9 +41,9 @@ __device__ inline Predicted predicted_at(const View& alpha, const View& moved, c
                 lower[5] = {0.0f, wy.x, wy.y, wy.z, wy.w};
     for (int i = 0; i < 4; i++) found.quarters[i] = 0.0f;
     for (int j = 0; j < 5; j++) {
-        const float* const line = samples.at + size_t(within(top + j, height)) * width;
+        const float* const line = samples.at + size_t(clip(top + j, height)) * width;
         float value[5];
-        for (int i = 0; i < 5; i++) value[i] = line[within(left + i, width)];
+        for (int i = 0; i < 5; i++) value[i] = line[clip(left + i, width)];
         const float first = value[0] * wx.x + value[1] * wx.y + value[2] * wx.z + value[3] * wx.w;
         const float second = value[1] * wx.x + value[2] * wx.y + value[3] * wx.z + value[4] * wx.w;
         found.quarters[0] += first * upper[j];
@@ -60,32 +62,25 @@ extern "C" __global__ void denoise_gather(View alpha, View moved, View samples, 
                                           View next_doubt) {
     const int h = alpha.size[0], w = alpha.size[1];
     PIXEL(w, h);
+    const Rates& by = *reinterpret_cast<const Rates*>(rates.at);
     Predicted here;
     float apart = 0.0f, level = 0.0f;
     for (int j = -1; j <= 1; j++) {
         for (int i = -1; i <= 1; i++) {
-            const Predicted found = predicted_at(alpha, moved, samples, doubt, near, rates,
-                                                 within(y + j, h), within(x + i, w));
+            const Predicted found = predicted_at(alpha, moved, samples, doubt, near, by,
+                                                 clip(y + j, h), clip(x + i, w));
             apart += found.off;
-            level += found.own - 0.5f * found.off;
+            level += found.own;
             if (i == 0 && j == 0) here = found;
         }
     }
-    apart /= 9.0f;
-    level = clamped(level / 9.0f, 0.0f, 1.0f);
-    const float chance = level * (1.0f - level) * (rates.at[VARIANCE] + fminf(here.variance, 1.0f))
-                         / 9.0f;
-    const bool usual = apart * apart <= LIMIT_OFF * chance + LEAST_OFF;  // NaN is not
-    const bool lost = !(here.variance >= 0.0f && usual);
-    const float share = fmaxf(here.variance / (here.variance + rates.at[VARIANCE]),
-                              rates.at[LEAST]);
+    const Update<float> to = updated<float>(here.off, here.variance, apart, level, by);
     for (int i = 0; i < 4; i++) {
-        const float value = clamped(here.quarters[i] + here.off * share, 0.0f, 1.0f);
+        const float value = clamped(here.quarters[i] + to.step, 0.0f, 1.0f);
         next_samples.at[size_t(2 * y + i / 2) * next_samples.size[1] + 2 * x + i % 2] =
-            lost ? here.own : value;
+            to.anew > 0.0f ? here.own : value;
     }
-    const float left = fminf((1.0f - share) * here.variance, rates.at[VARIANCE]);
-    next_doubt.at[size_t(y) * w + x] = lost ? rates.at[VARIANCE] : left;
+    next_doubt.at[size_t(y) * w + x] = to.anew > 0.0f ? by.variance : to.doubt;
 }
 
 // Alpha, sharper and nearer to the mean of its samples: enlarged (H, W, 1), next_samples (2 h, 2 w,
@@ -110,35 +105,24 @@ __device__ inline float mean_within(const View& filtered, int at_y, int at_x, in
     return total / float((bottom - top) * (right - left));
 }
 
-struct Lacking {
-    float structure, weight, lack;
-};
-
-__device__ inline Lacking lacking_at(const View& filtered, const View& samples, const View& doubt,
-                                     const View& gain, int at_y, int at_x) {
+__device__ inline Lacking<float> lacking_at(const View& filtered, const View& samples,
+                                            const View& doubt, const Gain& gain, int at_y,
+                                            int at_x) {
     const int h = doubt.size[0], w = doubt.size[1];
-    float mean = 0.0f, square = 0.0f, across = 0.0f, down = 0.0f, here = 0.0f;
+    Sums<float> around = {};
+    float here = 0.0f;
     for (int i = -1; i <= 1; i++) {
         for (int j = -1; j <= 1; j++) {
-            const float found = mean_within(filtered, within(at_y + j, h), within(at_x + i, w), h,
-                                            w);
-            mean += found;
-            square += found * found;
-            across += i * found;
-            down += j * found;
+            const float found = mean_within(filtered, clip(at_y + j, h), clip(at_x + i, w), h, w);
+            around.values += found;
+            around.squares += found * found;
+            around.across += i * found;
+            around.down += j * found;
             if (i == 0 && j == 0) here = found;
         }
     }
-    mean /= 9.0f;
-    across /= 6.0f;
-    down /= 6.0f;
-    const float sloped = (1.0f - SLOPED) * PLANE * (across * across + down * down);
-    const float found = fmaxf(square / 9.0f - mean * mean - sloped, 0.0f);
-    const float structure =
-        found / (found + gain.at[NOISE] * fmaxf(mean * (1.0f - mean), 0.0f) + FAINTEST);
-    const float weight = structure * gain.at[EXACT]
-                         / (gain.at[EXACT] + doubt.at[size_t(at_y) * w + at_x] + FAINTEST);
-    return {structure, weight, pixel_mean(samples, at_y, at_x, w) - here};
+    return lacking<float>(around, here, pixel_mean(samples, at_y, at_x, w),
+                          doubt.at[size_t(at_y) * w + at_x], gain);
 }
 
 // The two of `size` pixels between whose centres one of `out` pixels has its own, and the second
@@ -154,26 +138,27 @@ __device__ inline Beside beside(int position, int size, int out) {
     return {max(first, 0), min(first + 1, size - 1), offset < 0.0f ? offset + 1.0f : offset};
 }
 
-// Between two numbers; of a share of 0, the second one says nothing.
-__device__ inline float between(float first, float second, float share) {
-    return share == 0.0f ? first : first * (1.0f - share) + second * share;
-}
-
 __device__ inline float mixed(float upper_left, float upper_right, float lower_left,
                               float lower_right, float across, float down) {
-    return between(between(upper_left, upper_right, across),
-                   between(lower_left, lower_right, across), down);
+    return between<float>(between<float>(upper_left, upper_right, across),
+                          between<float>(lower_left, lower_right, across), down);
 }
 
-__device__ inline float softened(const View& filtered, int y, int x) {
+__device__ inline float softened_at(const View& filtered, int y, int x) {
     const int height = filtered.size[0], width = filtered.size[1];
-    float total = 0.0f;
-    for (int j = -1; j <= 1; j++)
-        for (int i = -1; i <= 1; i++)
-            total += (j ? SIDE : MIDDLE) * (i ? SIDE : MIDDLE)
-                     * filtered.at[size_t(within(y + j, height)) * width + within(x + i, width)];
-    return total;
+    float around[3][3];
+    for (int i = 0; i < 9; i++)
+        around[i / 3][i % 3] = filtered.at[size_t(clip(y + i / 3 - 1, height)) * width
+                                           + clip(x + i % 3 - 1, width)];
+    return softened<float>(around);
 }
+
+// Red, green, blue and alpha in 3x3 pixels.
+struct Around {
+    float at[4][9];
+
+    template <class F> __device__ F get(int channel, int tap) const { return at[channel][tap]; }
+};
 
 // Alpha by colours: picture (H, W, 3), next_samples (2 h, 2 w, 1), near (cells, cells) -> fit (4,
 // h, w): the factors of red, green and blue and the rest that give alpha in 3x3 pixels by least
@@ -186,39 +171,15 @@ extern "C" __global__ void denoise_fit(View picture, View next_samples, View nea
         for (int c = 0; c < 4; c++) fit.at[c * plane + here] = 0.0f;
         return;
     }
-    float around[4][9], mean[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+    Around around;
     for (int i = 0; i < 9; i++) {
-        const int at_y = within(y + i / 3 - 1, h), at_x = within(x + i % 3 - 1, w);
-        for (int c = 0; c < 3; c++) around[c][i] = mean_within(picture, at_y, at_x, h, w, c);
-        around[3][i] = pixel_mean(next_samples, at_y, at_x, w);
-        for (int c = 0; c < 4; c++) mean[c] += around[c][i];
+        const int at_y = clip(y + i / 3 - 1, h), at_x = clip(x + i % 3 - 1, w);
+        for (int c = 0; c < 3; c++) around.at[c][i] = mean_within(picture, at_y, at_x, h, w, c);
+        around.at[3][i] = pixel_mean(next_samples, at_y, at_x, w);
     }
-    float joint[4][4] = {};
-    for (int c = 0; c < 4; c++) mean[c] /= 9.0f;
-    for (int i = 0; i < 9; i++)
-        for (int c = 0; c < 3; c++)
-            for (int d = c; d < 4; d++)
-                joint[c][d] += (around[c][i] - mean[c]) * (around[d][i] - mean[d]);
-    const float squares = mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2];
-    const float least = ALIKE * (joint[0][0] + joint[1][1] + joint[2][2] + 9.0f * squares) + DARK;
-    const float first = joint[0][0] + least, by_green = joint[0][1] / first,
-                by_blue = joint[0][2] / first;
-    const float second = fmaxf(joint[1][1] + least - by_green * joint[0][1], least);
-    const float left = joint[1][2] - by_green * joint[0][2];
-    const float third = fmaxf(joint[2][2] + least - by_blue * joint[0][2] - left / second * left,
-                              least);
-    const float rest_green = joint[1][3] - by_green * joint[0][3];
-    float by[3];
-    by[2] = (joint[2][3] - by_blue * joint[0][3] - left / second * rest_green) / third;
-    by[1] = (rest_green - left * by[2]) / second;
-    by[0] = joint[0][3] / first - by_green * by[1] - by_blue * by[2];
-    const bool known = fabsf(by[0]) + fabsf(by[1]) + fabsf(by[2]) < LARGE;
-    float rest = mean[3];
-    for (int c = 0; c < 3; c++) {
-        fit.at[c * plane + here] = known ? by[c] : 0.0f;
-        if (known) rest -= by[c] * mean[c];
-    }
-    fit.at[3 * plane + here] = rest;
+    const Fit<float> found = fitted<float>(around);
+    for (int c = 0; c < 3; c++) fit.at[c * plane + here] = found.by[c];
+    fit.at[3 * plane + here] = found.rest;
 }
 
 // Alpha by the colour of an output pixel: the fits of 3x3 pixels, averaged, and interpolated.
@@ -228,11 +189,11 @@ __device__ inline float by_colour(const View& picture, const View& fit, const Be
     float sums[4] = {0.0f, 0.0f, 0.0f, 0.0f};
     for (int j = 0; j < 6; j++) {
         const float down = j < 3 ? 1.0f - rows.share : rows.share;
-        const size_t line = size_t(within((j < 3 ? rows.first : rows.second) + j % 3 - 1, h)) * w;
+        const size_t line = size_t(clip((j < 3 ? rows.first : rows.second) + j % 3 - 1, h)) * w;
         for (int i = 0; i < 6; i++) {
             const float weight = down * (i < 3 ? 1.0f - columns.share : columns.share);
             const size_t at = line
-                              + within((i < 3 ? columns.first : columns.second) + i % 3 - 1, w);
+                              + clip((i < 3 ? columns.first : columns.second) + i % 3 - 1, w);
             for (int c = 0; c < 4; c++) sums[c] += weight * fit.at[c * size_t(h) * w + at];
         }
     }
@@ -246,6 +207,7 @@ extern "C" __global__ void denoise_correct(View enlarged, View picture, View fit
     const int height = corrected.size[0], width = corrected.size[1], h = next_doubt.size[0],
               w = next_doubt.size[1];
     PIXEL(width, height);
+    const Gain& by = *reinterpret_cast<const Gain*>(gain.at);
     const Beside rows = beside(y, h, height), columns = beside(x, w, width);
     float offset, lacks[2][2];
     const int at_y = centre(y, h, height, offset), at_x = centre(x, w, width, offset);
@@ -256,14 +218,14 @@ extern "C" __global__ void denoise_correct(View enlarged, View picture, View fit
     }
     for (int j = 0; j < 2; j++) {
         for (int i = 0; i < 2; i++) {
-            const Lacking some = lacking_at(enlarged, next_samples, next_doubt, gain,
+            const Lacking<float> some = lacking_at(enlarged, next_samples, next_doubt, by,
                                             j ? rows.second : rows.first,
                                             i ? columns.second : columns.first);
             lacks[j][i] = some.weight * some.lack;
         }
     }
     const float value = enlarged.at[size_t(y) * width + x];
-    const Lacking own = lacking_at(enlarged, next_samples, next_doubt, gain, at_y, at_x);
+    const Lacking<float> own = lacking_at(enlarged, next_samples, next_doubt, by, at_y, at_x);
     float found = value
                   + mixed(lacks[0][0], lacks[0][1], lacks[1][0], lacks[1][1], columns.share,
                           rows.share);
@@ -276,10 +238,10 @@ extern "C" __global__ void denoise_correct(View enlarged, View picture, View fit
                           lower[across.second], across.share, down.share)
                     - value - own.lack);
     }
-    if (gain.at[SHARPER] > 0.0f)
-        found += gain.at[SHARPER] * own.structure * (value - softened(enlarged, y, x));
+    if (by.sharper > 0.0f)
+        found += by.sharper * own.structure * (value - softened_at(enlarged, y, x));
     found = clamped(found, 0.0f, 1.0f);
-    found += gain.at[FITTED] * own.structure
+    found += by.fitted * own.structure
              * (clamped(by_colour(picture, fit, rows, columns, y, x), 0.0f, 1.0f) - found);
     *to = found;
 }

@@ -32,18 +32,6 @@ struct Gain {
     float exact, noise, sharper, fitted;
 };
 
-template <class F> FN F one_where_moved(const float* moved) {
-    const F zero = F(0.0f), one = F(1.0f);
-    const F across = size_of<F>(pick<F, 2>(moved)), down = size_of<F>(pick<F, 2>(moved + 1));
-    return across >= LEAST_MOTION ? one : down >= LEAST_MOTION ? one : zero;
-}
-
-// Mean of the four samples of render pixels, in two rows from the first pixel on.
-template <class F> FN F mean_of_samples(const float* upper, const float* lower) {
-    return 0.25f
-         * (pick<F, 2>(upper) + pick<F, 2>(upper + 1) + pick<F, 2>(lower) + pick<F, 2>(lower + 1));
-}
-
 // What a Kalman filter of the frames' means over pixels makes of a pixel: how far its samples move,
 // and their next variance. It begins anew, as one says, where 3x3 pixels (sums of what they lack,
 // and of alpha) differ by more than chance would have it, or where nothing is known before; that is
@@ -62,31 +50,23 @@ template <class F> FN Update<F> updated(F off, F variance, F apart, F level, con
 }
 
 // Alpha by colours in 3x3 pixels: the factors of red, green and blue and the rest, by least squares
-// in Cholesky's way, with no variance below the least. Rows of red, green, blue and alpha, whose
-// second pixel is the middle one's.
+// in Cholesky's way, with no variance below the least. around.get<F>(channel, tap) are their red,
+// green, blue and alpha.
 template <class F> struct Fit {
     F by[3], rest;
 };
-struct Around {
-    const float* rows[3];
-    Long apart;  // of red, green, blue and alpha
-
-    template <class F> FN_MEMBER F get(int channel, int tap) const {
-        return load<F>(rows[tap / 3] + channel * apart + tap % 3);
-    }
-};
-template <class F> FN Fit<F> fitted(const Around& around) {
+template <class F, class Around> FN Fit<F> fitted(const Around& around) {
     constexpr int ALPHA = 3;
     const F zero = F(0.0f);
     F mean[4], joint[3][4] = {};
     UNROLL for (int c = 0; c < 4; c++) {
         F total = zero;
-        UNROLL for (int tap = 0; tap < 9; tap++) total += around.get<F>(c, tap);
+        UNROLL for (int tap = 0; tap < 9; tap++) total += around.template get<F>(c, tap);
         mean[c] = total / 9.0f;
     }
     UNROLL for (int tap = 0; tap < 9; tap++) {
         F off[4];
-        UNROLL for (int c = 0; c < 4; c++) off[c] = around.get<F>(c, tap) - mean[c];
+        UNROLL for (int c = 0; c < 4; c++) off[c] = around.template get<F>(c, tap) - mean[c];
         UNROLL for (int c = 0; c < 3; c++) {
             UNROLL for (int d = c; d < 4; d++) joint[c][d] += off[c] * off[d];
         }
@@ -110,30 +90,26 @@ template <class F> FN Fit<F> fitted(const Around& around) {
     return found;
 }
 
+// Sums over 3x3 pixels: of their values and squares, and of the steps from side to side.
+template <class F> struct Sums {
+    F values, squares, across, down;
+};
 // How much of the variance of filtered alpha in 3x3 pixels is structure, how much the samples' mean
 // counts beside it, and what alpha lacks of that.
 template <class F> struct Lacking {
     F structure, weight, lack;
 };
 template <class F>
-FN Lacking<F> lacking(const float* above, const float* here, const float* below, F own, F doubt,
-                      const Gain& gain) {
-    F total[3], squares = F(0.0f), steps = F(0.0f);
-    UNROLL for (int i = 0; i < 3; i++) {
-        const F a = load<F>(above + i), b = load<F>(here + i), c = load<F>(below + i);
-        total[i] = a + b + c;
-        squares += a * a + b * b + c * c;
-        steps += c - a;
-    }
-    const F across = (total[2] - total[0]) / 6.0f, down = steps / 6.0f;
-    const F mean = (total[0] + total[1] + total[2]) / 9.0f, zero = F(0.0f);
+FN Lacking<F> lacking(const Sums<F>& around, F here, F own, F doubt, const Gain& gain) {
+    const F across = around.across / 6.0f, down = around.down / 6.0f;
+    const F mean = around.values / 9.0f, zero = F(0.0f);
     const F sloped = (1.0f - SLOPED) * PLANE * (across * across + down * down);
-    const F varied = larger<F>(squares / 9.0f - mean * mean - sloped, zero);
+    const F varied = larger<F>(around.squares / 9.0f - mean * mean - sloped, zero);
     const F chance = larger<F>(mean * (1.0f - mean), zero);
     Lacking<F> found;
     found.structure = varied / (varied + gain.noise * chance + FAINTEST);
     found.weight = found.structure * gain.exact / (gain.exact + doubt + FAINTEST);
-    found.lack = own - load<F>(here + 1);
+    found.lack = own - here;
     return found;
 }
 
@@ -143,11 +119,11 @@ template <class F> FN F between(F first, F second, F share) {
     return share == 0.0f ? first : mixed;
 }
 
-// Three rows by a Gaussian, whose second pixel is the middle one's.
-template <class F> FN F softened(const float* above, const float* here, const float* below) {
+// 3x3 pixels by a Gaussian.
+template <class F> FN F softened(const F (&around)[3][3]) {
     F line[3];
     UNROLL for (int i = 0; i < 3; i++) {
-        line[i] = SIDE * (load<F>(above + i) + load<F>(below + i)) + MIDDLE * load<F>(here + i);
+        line[i] = SIDE * (around[0][i] + around[2][i]) + MIDDLE * around[1][i];
     }
     return SIDE * (line[0] + line[2]) + MIDDLE * line[1];
 }

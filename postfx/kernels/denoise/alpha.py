@@ -23,14 +23,6 @@ from postfx.kernels.denoise import NEAR_CELL, kernel
 from postfx.kernels.statistics import bounds_of_cells
 from postfx.sampling import three_by_three
 
-KEEP, VARIANCE, DRIFT, LEAST = range(4)
-"""Of ``rates``: whether there is a past; then variances in units of alpha (1 - alpha): of a frame's
-alpha, and what a move adds to that of the mean; and the smallest share that a frame's alpha has in
-the mean."""
-EXACT, NOISE, SHARPER, FITTED = range(4)
-"""Of ``gain``: variance of filtered alpha in those units, 0 where samples count for nothing; of its
-structure that is as likely noise; how much of what differs from the pixels around is added; and how
-much alpha by colours counts."""
 ALIKE = np.float32(3e-5)
 """Variance that colours are taken to have in any direction, as a share of their mean square."""
 DARK = np.float32(1e-20)

@@ -6,13 +6,11 @@
 
 // Accumulation.
 
-// 1 / depth of a row, with a number more on either side; 0 where there is nothing.
+// 1 / depth of a row, with a number more on either side.
 FN void fill_near(const float* depth, Long count, float* near) {
     across(0, count, PIXELS(auto one, Long x) {
         typedef decltype(one) F;
-        const F z = load<F>(depth + x), zero = F(0.0f);
-        const F found = z < MAX_DEPTH ? 1.0f / z : zero;
-        store<F>(near + 1 + x, z > 0.0f ? found : zero);
+        store<F>(near + 1 + x, nearness_of<F>(load<F>(depth + x)));
     });
     near[0] = near[1];
     near[count + 1] = near[count];
@@ -62,7 +60,7 @@ static Status gather_rows(Long first, Long last, Picture colour, Picture diffuse
             const F reflectance[3] = {tint.red, tint.green, tint.blue};
             store_triples<F>(by + 3 * x, tint.red, tint.green, tint.blue);
             F own[3];
-            Recalled<F> before;
+            Past<F> before;
             for (int c = 0; c < 3; c++) own[c] = pick<F, 3>(rgb + 3 * x + c);
             for (int c = 0; c < 3; c++) before.colour[c] = pick<F, 4>(past + 4 * x + c);
             before.count = pick<F, 4>(past + 4 * x + 3);

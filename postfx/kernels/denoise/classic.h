@@ -14,7 +14,7 @@ template <class F> FN F luminance(F r, F g, F b) { return 0.2126f * r + 0.7152f 
 
 // What was accumulated before: mean colour, count, and the first two moments of luminance; how much
 // of it is used, 0 where it is not known, and its depth.
-template <class F> struct Recalled {
+template <class F> struct Past {
     F colour[3], count, mean, square, valid, depth;
 };
 
@@ -23,7 +23,7 @@ template <class F> struct Gathered {
     F light[4], state[STATE];
 };
 template <class F>
-FN Gathered<F> gathered(const Light<F>& own, const Recalled<F>& past, F depth, float gain) {
+FN Gathered<F> gathered(const Light<F>& own, const Past<F>& past, F depth, float gain) {
     const F zero = F(0.0f), one = F(1.0f);
     const F near = size_of<F>(past.depth - depth) <= STEP * depth ? one : zero;
     const F missed = past.depth >= MAX_DEPTH ? one : zero,
@@ -55,6 +55,12 @@ FN Gathered<F> gathered(const Light<F>& own, const Recalled<F>& past, F depth, f
     // Light that is broken leaves nothing.
     for (int c = 0; c < 4; c++) found.light[c] = total <= MOST_STATE ? found.light[c] : zero;
     return found;
+}
+
+// 1 / depth; 0 where there is nothing.
+template <class F> FN F nearness_of(F depth) {
+    const F zero = F(0.0f), found = depth < MAX_DEPTH ? 1.0f / depth : zero;
+    return depth > 0.0f ? found : zero;
 }
 
 // The smaller step to a neighbour: the larger one may cross an edge.

@@ -1,3 +1,5 @@
+#include "reflections.h"
+
 // What a frame leaves, at another render size: state (h, w, 12), last_depth (h, w, 1), at_rows
 // (height,), at_columns (width,) -> resized (height, width, 12), resized_depth (height, width, 1).
 // Bilinear between pixels that hold something, depth of the nearest.
@@ -23,8 +25,8 @@ extern "C" __global__ void denoise_resize(View state, View last_depth, View at_r
     const float row = at_rows.at[y], column = at_columns.at[x], ty = row - floorf(row),
                 tx = column - floorf(column);
     const int top = int(floorf(row)), first = int(floorf(column));
-    const size_t upper = size_t(within(top, h)) * w, lower = size_t(within(top + 1, h)) * w;
-    const int left = within(first, w), right = within(first + 1, w);
+    const size_t upper = size_t(clip(top, h)) * w, lower = size_t(clip(top + 1, h)) * w;
+    const int left = clip(first, w), right = clip(first + 1, w);
     const size_t from[4] = {upper + left, upper + right, lower + left, lower + right};
     float share[4] = {(1.0f - ty) * (1.0f - tx), (1.0f - ty) * tx, ty * (1.0f - tx), ty * tx},
           total = 0.0f;
@@ -35,7 +37,7 @@ extern "C" __global__ void denoise_resize(View state, View last_depth, View at_r
     const float scale = total > 0.5f ? 1.0f / total : 0.0f;
     const size_t pixel = size_t(y) * resized.size[1] + x;
     const float depth =
-        last_depth.at[size_t(within(int(rintf(row)), h)) * w + within(int(rintf(column)), w)];
+        last_depth.at[size_t(clip(int(rintf(row)), h)) * w + clip(int(rintf(column)), w)];
     const Four mean = weighted_four(state, from, share, 0, scale);
     const Four one = weighted_four(state, from, share, 1, scale);
     const Four other = weighted_four(state, from, share, 2, scale);
@@ -85,7 +87,7 @@ extern "C" __global__ void __launch_bounds__(256, 4)
         const int row = j + threadIdx.y;
         if (row >= BEFORE_HIGH) break;
         const float* const line = history.at
-                                  + size_t(3) * within(top + row, part.height) * part.width;
+                                  + size_t(3) * clip(top + row, part.height) * part.width;
         if (whole) {
 #pragma unroll
             for (int i = 0; i < 3 * BEFORE_WIDE; i += ACROSS)
@@ -94,7 +96,7 @@ extern "C" __global__ void __launch_bounds__(256, 4)
         } else {
 #pragma unroll 1
             for (int i = threadIdx.x; i < 3 * BEFORE_WIDE; i += ACROSS)
-                tile[row][i] = line[3 * within(left + i / 3, part.width) + i % 3];
+                tile[row][i] = line[3 * clip(left + i / 3, part.width) + i % 3];
         }
     }
     __syncthreads();
@@ -143,102 +145,15 @@ extern "C" __global__ void __launch_bounds__(256, 4)
 // (h, w, 3), roughness (h, w, 1), diffuse_albedo and specular_albedo (h, w, 3), hit_distance (h, w,
 // 1), camera (27,) -> reflected (h, w, 2). Sources are given in postfx/kernels/denoise/history.py.
 
-struct Vector {
-    float x, y, z;
-};
+// A plane as reflections.h takes it.
+struct Picture {
+    const View& view;
+    int channels;
 
-// Direction through a pixel's sample, 1 along the view axis.
-__device__ inline Pair ray_of(const float* camera, int height, int width, int y, int x) {
-    return {(float(x) + 0.5f + camera[JITTER] - 0.5f * float(width)) / camera[FOCAL],
-            (float(y) + 0.5f + camera[JITTER + 1] - 0.5f * float(height)) / camera[FOCAL + 1]};
-}
-
-// Motion of a point at rest on a ray, at 1 / nearness along the view axis, and its z then over that
-// now.
-__device__ inline Vector motion_at(const float* camera, const Pair& ray, float nearness) {
-    const float* turn = camera + TURN;
-    const float* shift = camera + SHIFT;
-    const float x = ray.x * turn[0] + ray.y * turn[3] + turn[6] + shift[0] * nearness;
-    const float y = ray.x * turn[1] + ray.y * turn[4] + turn[7] + shift[1] * nearness;
-    const float z = ray.x * turn[2] + ray.y * turn[5] + turn[8] + shift[2] * nearness,
-                ahead = fmaxf(z, NEAREST);
-    return {x / ahead * camera[FOCAL_THEN] - ray.x * camera[FOCAL],
-            y / ahead * camera[FOCAL_THEN + 1] - ray.y * camera[FOCAL + 1], z};
-}
-
-// A normal of length 1, zero where there is none.
-__device__ inline Vector unit(const View& normal, size_t pixel) {
-    const float* n = normal.at + 3 * pixel;
-    const float length = sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]),
-                scale = length > 0.1f ? 1.0f / length : 0.0f;
-    return {n[0] * scale, n[1] * scale, n[2] * scale};
-}
-
-__device__ inline float dot(const Vector& a, const Vector& b) {
-    return a.x * b.x + a.y * b.y + a.z * b.z;
-}
-
-__device__ inline Vector minus(const Vector& a, const Vector& b) {
-    return {a.x - b.x, a.y - b.y, a.z - b.z};
-}
-
-// Mean of one over the hit distance, over the 3x3 pixels of about the same depth that have one; -1
-// without any.
-__device__ inline float inverse_distance(const View& hit_distance, const View& depth, int y,
-                                         int x) {
-    const int h = depth.size[0], w = depth.size[1];
-    const float z = depth.at[size_t(y) * w + x];
-    float total = 0.0f;
-    int count = 0;
-    for (int j = max(0, y - 1); j < min(h, y + 2); j++)
-        for (int i = max(0, x - 1); i < min(w, x + 2); i++) {
-            const size_t pixel = size_t(j) * w + i;
-            const float distance = hit_distance.at[pixel];
-            if (!(distance > 0.0f && fabsf(depth.at[pixel] - z) <= STEP * z)) continue;
-            total += 1.0f / fmaxf(distance, NEAREST);
-            count++;
-        }
-    return count ? total / float(count) : -1.0f;
-}
-
-// How much a surface bends outwards, at least 0; -1 at its edges.
-__device__ inline float curvature(const View& normal, const View& depth, const float* camera, int y,
-                                  int x) {
-    const int h = depth.size[0], w = depth.size[1];
-    const float z = depth.at[size_t(y) * w + x];
-    const Vector here = unit(normal, size_t(y) * w + x);
-    const float* world = camera + WORLD;
-    float total = 0.0f;
-    for (int axis = 0; axis < 2; axis++) {
-        Vector place[2], facing[2];
-        for (int side = 0; side < 2; side++) {
-            const int step = 2 * side - 1, j = within(y + step * (1 - axis), h),
-                      i = within(x + step * axis, w);
-            const size_t pixel = size_t(j) * w + i;
-            const Vector n = unit(normal, pixel);
-            const float there = depth.at[pixel];
-            if (!(fabsf(there - z) <= STEP * z && dot(n, here) >= BEND)) return -1.0f;
-            const Pair ray = ray_of(camera, h, w, j, i);
-            place[side] = {ray.x * there, ray.y * there, there};
-            facing[side] = {n.x * world[0] + n.y * world[3] + n.z * world[6],
-                            n.x * world[1] + n.y * world[4] + n.z * world[7],
-                            n.x * world[2] + n.y * world[5] + n.z * world[8]};
-        }
-        const Vector along = minus(place[1], place[0]);
-        total += dot(minus(facing[1], facing[0]), along) / fmaxf(dot(along, along), 1e-20f);
+    __device__ const float* operator()(int y, int x) const {
+        return view.at + channels * (size_t(y) * view.size[1] + x);
     }
-    return fmaxf(0.5f * total, 0.0f);
-}
-
-// Whether a pixel is smooth, and reflects more than it scatters.
-__device__ inline bool reflects(const View& diffuse, const View& specular, const View& roughness,
-                                size_t pixel) {
-    float share = 0.0f;
-    for (int c = 0; c < 3; c++)
-        share += clamped(specular.at[3 * pixel + c], 0.0f, 1.0f)
-                 - clamped(diffuse.at[3 * pixel + c], 0.0f, 1.0f);
-    return share > 0.0f && roughness.at[pixel] <= ROUGHEST;
-}
+};
 
 extern "C" __global__ void denoise_reflections(View motion, View depth, View normal, View roughness,
                                                View diffuse_albedo, View specular_albedo,
@@ -246,25 +161,17 @@ extern "C" __global__ void denoise_reflections(View motion, View depth, View nor
     const int h = depth.size[0], w = depth.size[1];
     PIXEL(w, h);
     const size_t pixel = size_t(y) * w + x;
-    const Pair stored = pair(motion, pixel),
-               own = {possible_motion(stored.x), possible_motion(stored.y)};
-    pair(reflected, pixel) = own;
-    const float z = depth.at[pixel];
-    if (!(hit_distance.at[pixel] > 0.0f && z > 0.0f && z < FARTHEST) ||
-        !reflects(diffuse_albedo, specular_albedo, roughness, pixel))
-        return;
-    const Pair ray = ray_of(camera.at, h, w, y, x);
-    const Vector still = motion_at(camera.at, ray, 1.0f / z);
-    const float most = STILL + PART * fmaxf(fabsf(own.x), fabsf(own.y));
-    if (!(fabsf(still.x - own.x) <= most && fabsf(still.y - own.y) <= most)) return;
-    const float bend = curvature(normal, depth, camera.at, y, x),
-                mean = inverse_distance(hit_distance, depth, y, x);
-    if (bend < 0.0f || mean < 0.0f) return;
-    const float smooth = 1.0f - clamped(roughness.at[pixel], 0.0f, 1.0f);
-    const float inverse = mean / (smooth * (sqrtf(smooth) + 1.0f - smooth)) + 2.0f * bend;
-    const float stretched = inverse * sqrtf(ray.x * ray.x + ray.y * ray.y + 1.0f);
-    const Vector moved = motion_at(camera.at, ray, stretched / (1.0f + stretched * z));
-    if (moved.z > 1e-3f) pair(reflected, pixel) = {moved.x, moved.y};
+    const Pair own = pair(motion, pixel);
+    float moved[2] = {possible_motion<float>(own.x), possible_motion<float>(own.y)};
+    const float rough = roughness.at[pixel];
+    if (reflects(hit_distance.at[pixel], depth.at[pixel], rough, diffuse_albedo.at + 3 * pixel,
+                 specular_albedo.at + 3 * pixel)) {
+        const Picture far = {depth, 1}, facing = {normal, 3}, hit = {hit_distance, 1};
+        const Surfaces<Picture> surfaces = {far, facing, hit,
+                                            *reinterpret_cast<const Camera*>(camera.at), h, w};
+        surfaces.follow(y, x, rough, moved);
+    }
+    pair(reflected, pixel) = {moved[0], moved[1]};
 }
 
 // The mask of what is in front of opaque things: colour, opaque_colour (h, w, 3), difference (3,),
@@ -299,7 +206,7 @@ extern "C" __global__ void denoise_spread(View reactive, View next_reactive) {
 #pragma unroll
         for (int i = -1; i <= 1; i++)
             most = fmaxf(most,
-                         clamped(reactive.at[within(y + j, height) * width + within(x + i, width)],
+                         clamped(reactive.at[clip(y + j, height) * width + clip(x + i, width)],
                                  0.0f, 1.0f));
     }
     next_reactive.at[y * width + x] = most;
@@ -313,7 +220,7 @@ extern "C" __global__ void denoise_keep(View reactive, View last_reactive, View 
     PIXEL(width, keep.size[0]);
     const float v = part_rows.at[y], u = part_columns.at[x];
     const Pair motion = pair(moved, size_t(y) * width + x);
-    const int from = within(int(rintf(v + motion.y)), h) * w + within(int(rintf(u + motion.x)), w);
+    const int from = clip(int(rintf(v + motion.y)), h) * w + clip(int(rintf(u + motion.x)), w);
     const float now = clamped(reactive.at[int(v) * w + int(u)], 0.0f, 1.0f);
     keep.at[y * width + x] = 1.0f - fmaxf(now, last_reactive.at[from]);
 }

@@ -32,6 +32,12 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_half(View raw, Vi
     }
 }
 
+// The activation of a channel of the fine head.
+__device__ inline float fine_of(int channel, float logit) {
+    if (channel < BLEND) return weight_of(logit);
+    return channel < MEMORY ? gate_of(logit) : tanhf(logit);
+}
+
 // Activations of the fine head, from channels last, four phases a pixel, to planes, both in half
 // precision.
 extern "C" __global__ void __launch_bounds__(256) denoise_open_fine_half(View raw, View fine) {
@@ -47,9 +53,7 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_fine_half(View ra
         for (int i = 0; i < 8; i++) {
             const int channel = first + i;
             const float logit = from_half(some.at[i]);
-            to[channel * plane] = to_half(channel < BLEND    ? weight_of(logit)
-                                          : channel < MEMORY ? gate_of(logit)
-                                                             : tanhf(logit));
+            to[channel * plane] = to_half(fine_of(channel, logit));
         }
     }
 }
@@ -65,9 +69,7 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_phased(View phase
     float* const to = fine.at + size_t(y) * fine.size[3] + x;
     for (int channel = 0; channel < FINE; channel++) {
         const float logit = from[4 * channel * part];
-        to[channel * plane] = channel < BLEND    ? weight_of(logit)
-                              : channel < MEMORY ? gate_of(logit)
-                                                 : tanhf(logit);
+        to[channel * plane] = fine_of(channel, logit);
     }
 }
 
@@ -79,9 +81,7 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_logits(View logit
     float* const to = fine.at + at;
     for (int channel = 0; channel < FINE; channel++) {
         const float logit = clamped(from[channel * plane], -STEEPEST, STEEPEST);
-        to[channel * plane] = channel < BLEND    ? weight_of(logit)
-                              : channel < MEMORY ? gate_of(logit)
-                                                 : tanhf(logit);
+        to[channel * plane] = fine_of(channel, logit);
     }
 }
 

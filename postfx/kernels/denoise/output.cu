@@ -1,3 +1,5 @@
+#include "output.h"
+
 // Sums over what was removed in tiles of 16x16: colour, denoised (h, w, 3), params (4,), judged
 // (tiles_high, tiles_wide,
 // 1) -> sums (tiles_high, tiles_wide, 11): pixels, power, power once held, products at 8 lags; all
@@ -5,20 +7,11 @@
 const int GROUP = 8, LAGS = SUMS - FIRST;
 const int PITCH = TILE + 1;  // rows begin in different banks
 
-// Exposed luminance of a pixel, within what the network sees.
-__device__ inline float light_of(const float* pixel, float exposure) {
-    const float r = fminf(clamped(pixel[0], 0.0f, MAX_FLOAT) * exposure, MAX_COLOUR);
-    const float g = fminf(clamped(pixel[1], 0.0f, MAX_FLOAT) * exposure, MAX_COLOUR);
-    const float b = fminf(clamped(pixel[2], 0.0f, MAX_FLOAT) * exposure, MAX_COLOUR);
-    return 0.2126f * r + 0.7152f * g + 0.0722f * b;
-}
-
-// What was removed as it is seen: times the slope of sqrt(y / (1 + y)) at the result, within [-1,
-// 1].
+// What was removed at a pixel, as it is seen.
 __device__ inline float removed_at(const float* noisy, const float* denoised, float exposure) {
-    const float clean = light_of(denoised, exposure), seen = fmaxf(clean, DARK);
-    const float slope = 0.5f / (sqrtf(seen * (1.0f + seen)) * (1.0f + seen));
-    return fminf(fmaxf((light_of(noisy, exposure) - clean) * slope, -1.0f), 1.0f);
+    return seen_difference<float>(luminance_of<float>(noisy[0], noisy[1], noisy[2], exposure),
+                                  luminance_of<float>(denoised[0], denoised[1], denoised[2],
+                                                      exposure));
 }
 
 __device__ inline float held_within(float value, float limit) {
@@ -282,10 +275,8 @@ extern "C" __global__ void denoise_restore(View colour, View denoised, View deta
     const float share = upper + (lower - upper) * row.share;
     const int channels = output.size[2], here = channels * (y * width + x);
     for (int c = 0; c < channels; c++) {
-        const float clean = denoised.at[here + c],
-                    noisy = clamped(colour.at[here + c], 0.0f, MAX_FLOAT);
-        // exact where all is detail
-        output.at[here + c] = share == 1.0f ? noisy : clean + (noisy - clean) * share;
+        const float noisy = clamped(colour.at[here + c], 0.0f, MAX_FLOAT);
+        output.at[here + c] = blended_by<float>(denoised.at[here + c], noisy, share);
     }
 }
 
@@ -323,8 +314,6 @@ extern "C" __global__ void denoise_strength(View denoised, View plain, View stre
     const int channels = output.size[2];
     for (int c = 0; c < channels; c++) {
         const int at = channels * here + c;
-        const float noisy = plain.at[at], clean = denoised.at[at];
-        // both ends are exact
-        output.at[at] = share == 1.0f ? clean : noisy + (clean - noisy) * share;
+        output.at[at] = blended_by<float>(plain.at[at], denoised.at[at], share);
     }
 }

@@ -1,3 +1,5 @@
+#include "parts.h"
+
 // Reflectance of a part that has another one than the picture: diffuse_albedo and specular_albedo
 // (h, w, 3), part_rows (th,), part_columns (tw,) -> factor (th, tw, 3).
 extern "C" __global__ void denoise_reflectance(View diffuse_albedo, View specular_albedo,
@@ -41,9 +43,10 @@ __device__ inline void accumulate_part(View part, View coding, View factor, View
         return;
     }
     const float* const divisor = factor.at + 3 * pixel;
-    const float count = past.at[4 * pixel + 3], share = 1.0f / (fmaxf(count, 0.0f) + 1.0f);
-    const float alpha = share
-                        + (1.0f - share) * as_float(numbers<Number>(fine)[DISTRUST * plane + here]);
+    const Coding& by = *reinterpret_cast<const Coding*>(coding.at);
+    const float count = past.at[4 * pixel + 3];
+    const float share = newer_share<float>(
+        count, as_float(numbers<Number>(fine)[DISTRUST * plane + here]));
     const bool held = count > 0.0f;
     const float px = held ? fminf(fmaxf(u + moved.at[2 * pixel], 0.0f), float(w - 1)) : 0.0f;
     const float py = held ? fminf(fmaxf(v + moved.at[2 * pixel + 1], 0.0f), float(h - 1)) : 0.0f;
@@ -53,12 +56,9 @@ __device__ inline void accumulate_part(View part, View coding, View factor, View
                             3 * (size_t(lower) * w + left), 3 * (size_t(lower) * w + right)};
     const float* const values = part.at + 3 * (size_t(v) * w + u);
     for (int c = 0; c < 3; c++) {
-        const float value = clamped(values[c], -MAX_FLOAT, MAX_FLOAT);
-        const float now = fminf(fmaxf(value - coding.at[0], 0.0f) * coding.at[1] / divisor[c],
-                                coding.at[2]);
+        const float now = coded<float>(values[c], divisor[c], by);
         const float before = held ? recalled(last_part.at, from, c, px - left, py - upper) : now;
-        const float mixed = held ? before + (now - before) * alpha : now;
-        const float mean = mixed <= MAX_FLOAT ? mixed : now;
+        const float mean = accumulated<float>(now, before, share);
         to[c * plane] = mean;
         next_part.at[3 * pixel + c] = mean;
     }
@@ -111,24 +111,20 @@ __device__ inline void decode(const View& filtered, const View& decoding, const 
                               int x) {
     const int channels = plane.size[2];
     const size_t pixel = size_t(y) * plane.size[1] + x;
-    const float* const by = decoding.at;
+    const Decoding& by = *reinterpret_cast<const Decoding*>(decoding.at);
+    const float* const from = filtered.at + 3 * pixel;
     float* const to = plane.at + channels * pixel;
-    if (by[4] < 0.0f) {
-        for (int c = 0; c < channels; c++) {
-            const float covered = filtered.at[3 * pixel + 1];
-            const float distance = fminf(
-                fmaxf(covered / fmaxf(filtered.at[3 * pixel], DARKEST), by[2]), by[3]);
-            to[c] = covered >= 0.5f ? distance * by[0] : by[1];
-        }
+    if (by.kind < 0.0f) {
+        for (int c = 0; c < channels; c++) to[c] = distance_of<float>(from[0], from[1], by);
         return;
     }
     float square = 0.0f;
     for (int c = 0; c < channels; c++) {
-        to[c] = fminf(fmaxf(filtered.at[3 * pixel + c] * by[0] + by[1], by[2]), by[3]);
+        to[c] = decoded<float>(from[c], by);
         square += to[c] * to[c];
     }
-    if (by[4] <= 0.0f) return;
-    const float scale = square > 1e-12f ? 1.0f / sqrtf(square) : 0.0f;
+    if (by.kind <= 0.0f) return;
+    const float scale = scale_to_one<float>(square);
     for (int c = 0; c < channels; c++) to[c] *= scale;
 }
 

@@ -1,6 +1,7 @@
 // Rows of what the network and its filters read.
 #include "prepare.h"
 #include "tints.h"
+#include "window.h"
 
 typedef View<const float, 3> Picture;
 typedef View<float, 3> NewPicture;

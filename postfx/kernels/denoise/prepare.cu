@@ -1,3 +1,5 @@
+#include "prepare.h"
+
 // Harmonic mean depth of what was hit, 1 where nothing was: depth (h, w, 1) -> depth_scale (1,).
 __device__ inline bool is_hit(float z) {
     return z > 0.0f && z < FARTHEST;
@@ -89,14 +91,14 @@ extern "C" __global__ void denoise_dilate(View motion, View depth, View part_row
 #pragma unroll
         for (int i = -1; i <= 1; i++) {
             // A repeated edge changes nothing: no pixel is nearer than itself.
-            const int there = within(v + j, height) * width + within(u + i, width);
+            const int there = clip(v + j, height) * width + clip(u + i, width);
             const float z = depth.at[there];
             if (z < near) near = z, at = there;
         }
     }
     const Pair found = pair(motion, at);
-    pair(moved, size_t(y) * moved.size[1] + x) = {possible_motion(found.x),
-                                                  possible_motion(found.y)};
+    pair(moved, size_t(y) * moved.size[1] + x) = {possible_motion<float>(found.x),
+                                                  possible_motion<float>(found.y)};
 }
 
 // Mean reflectance in cells of 8x8 pixels of the frame, from the one before the part's first row
@@ -112,9 +114,9 @@ extern "C" __global__ void __launch_bounds__(SUMMING, 2)
     const int groups = (means.size[1] + cells - 1) / cells, all = groups * means.size[0];
     for (int group = blockIdx.y; group < all; group += gridDim.y) {
         const int y = group / groups, x = (group - y * groups) * cells + threadIdx.x / TRUST_CELL;
-        const int first = within(top + y, (h - 1) / TRUST_CELL + 1) * TRUST_CELL,
+        const int first = clip(top + y, (h - 1) / TRUST_CELL + 1) * TRUST_CELL,
                   end = min(first + TRUST_CELL, h);
-        const int start = within(left + x, (w - 1) / TRUST_CELL + 1) * TRUST_CELL,
+        const int start = clip(left + x, (w - 1) / TRUST_CELL + 1) * TRUST_CELL,
                   stop = min(start + TRUST_CELL, w);
         const int u = start + threadIdx.x % TRUST_CELL;
         Colour sum = {0.0f, 0.0f, 0.0f};
@@ -164,11 +166,8 @@ __device__ inline Colour doubted(const Colour& own, const View& means, int v, in
         const float second = above[right] + (below[right] - above[right]) * down.share;
         mean[c] = first + (second - first) * across.share;
     }
-    const float share = 0.5f - 0.5f * trust;
-    // a broken answer doubts nothing
-    const float doubt = share >= 0.0f && share <= 1.0f ? share : 0.0f;
-    return {own.r - (own.r - mean[0]) * doubt, own.g - (own.g - mean[1]) * doubt,
-            own.b - (own.b - mean[2]) * doubt};
+    return {doubted<float>(own.r, mean[0], trust), doubted<float>(own.g, mean[1], trust),
+            doubted<float>(own.b, mean[2], trust)};
 }
 
 // Running mean of demodulated colour: colour, diffuse_albedo and specular_albedo (h, w, 3), means
@@ -176,21 +175,11 @@ __device__ inline Colour doubted(const Colour& own, const View& means, int v, in
 // (1, 80, hp, wp) or its last channels, params (4,), window (8,) -> next_state (th, tw, 12),
 // next_depth (th, tw, 1), level (4, hp, wp), which is the mean with its importance, and factor (th,
 // tw, 3), the reflectance. All are zero beyond the frame.
-__device__ inline float size_of(const Four& value) {
-    return fabsf(value.x) + fabsf(value.y) + fabsf(value.z) + fabsf(value.w);
-}
-
 template <class Number>
-__device__ inline Four hidden_four(const Number* first, size_t plane) {
-    return {as_float(first[0]), as_float(first[plane]), as_float(first[2 * plane]),
-            as_float(first[3 * plane])};
-}
-
-template <class Number>
-__device__ inline void accumulate(View colour, View diffuse_albedo, View specular_albedo,
-                                  View means, View depth, View past, View fine, View params,
-                                  View window, View next_state, View next_depth, View level,
-                                  View factor) {
+__device__ inline void accumulate_pixels(View colour, View diffuse_albedo, View specular_albedo,
+                                         View means, View depth, View past, View fine, View params,
+                                         View window, View next_state, View next_depth, View level,
+                                         View factor) {
     const int height = level.size[1], width = level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -215,41 +204,33 @@ __device__ inline void accumulate(View colour, View diffuse_albedo, View specula
     const float distrust = as_float(head[DISTRUST * plane]),
                 importance = as_float(head[IMPORTANCE * plane]);
     const Four before = four(past, pixel);
-    const Four hidden[2] = {hidden_four(head + MEMORY * plane, plane),
-                            hidden_four(head + (MEMORY + 4) * plane, plane)};
+    float hidden[HIDDEN];
+#pragma unroll
+    for (int i = 0; i < HIDDEN; i++) hidden[i] = as_float(head[(MEMORY + i) * plane]);
     Colour by = demodulation(diffuse_albedo, specular_albedo, part.top + y, part.left + x);
     if (means.size[0] > 1)
         by = doubted(by, means, part.top + y, part.left + x, colour.size[0], colour.size[1], part,
                      as_float(head[PLANE_TRUST * plane]));
-    const float share = 1.0f / (fmaxf(before.w, 0.0f) + 1.0f),
-                alpha = share + (1.0f - share) * distrust;
-    const Colour light = light_without(rgb, by, exposure);
-    const float r = light.r, g = light.g, b = light.b;
-    const Four mean = {before.x + (r - before.x) * alpha, before.y + (g - before.y) * alpha,
-                       before.z + (b - before.z) * alpha, fminf(1.0f / alpha, MAX_COUNT)};
-    // What is broken is this frame's colour alone, and nothing that the next one knows.
-    const float total = size_of(mean) + size_of(hidden[0]) + size_of(hidden[1]) + fabsf(importance);
-    // Light beyond all bounds takes this frame's with it when it is rounded, also where it counts
-    // nothing.
-    const float kept_light = fabsf(before.x) + fabsf(before.y) + fabsf(before.z);
-    const bool whole = total <= MOST_STATE && kept_light <= MOST_STATE;
-    // Nor is what lies at the part's edge, where the frame goes on.
+    const Accumulated<float> found = accumulate<float>(
+        light_without(rgb, by, exposure), {before.x, before.y, before.z, before.w}, distrust,
+        importance, hidden);
+    // What lies at the part's edge, where the frame goes on, is nothing that the next one knows.
     const bool edge = (y == 0 && part.top > 0) || (x == 0 && part.left > 0) ||
         (y == past.size[0] - 1 && part.top + y + 1 < colour.size[0]) ||
         (x == past.size[1] - 1 && part.left + x + 1 < colour.size[1]);
-    const bool known = whole && !edge;
-    const Four none = {0.0f, 0.0f, 0.0f, 0.0f};
-    four(next_state, 3 * pixel) = known ? mean : none;
-    four(next_state, 3 * pixel + 1) = known ? hidden[0] : none;
-    four(next_state, 3 * pixel + 2) = known ? hidden[1] : none;
+#pragma unroll
+    for (int c = 0; c < 3; c++) {
+        const float* const state = found.state + 4 * c;
+        four(next_state, 3 * pixel + c) = edge ? Four{0.0f, 0.0f, 0.0f, 0.0f}
+                                               : Four{state[0], state[1], state[2], state[3]};
+    }
     next_depth.at[pixel] = z;
     factor.at[3 * pixel] = by.r;
     factor.at[3 * pixel + 1] = by.g;
     factor.at[3 * pixel + 2] = by.b;
-    to[0] = whole ? mean.x : r;
-    to[plane] = whole ? mean.y : g;
-    to[2 * plane] = whole ? mean.z : b;
-    to[3 * plane] = whole ? importance : 1.0f;
+#pragma unroll
+    for (int c = 0; c < 3; c++) to[c * plane] = found.level[c];
+    to[3 * plane] = found.importance;
 }
 
 extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo,
@@ -257,8 +238,8 @@ extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo,
                                               View past, View fine, View params, View window,
                                               View next_state, View next_depth, View level,
                                               View factor) {
-    accumulate<float>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine, params,
-                      window, next_state, next_depth, level, factor);
+    accumulate_pixels<float>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine,
+                             params, window, next_state, next_depth, level, factor);
 }
 
 extern "C" __global__ void denoise_accumulate_half(View colour, View diffuse_albedo,
@@ -266,6 +247,6 @@ extern "C" __global__ void denoise_accumulate_half(View colour, View diffuse_alb
                                                    View past, View fine, View params, View window,
                                                    View next_state, View next_depth, View level,
                                                    View factor) {
-    accumulate<Half>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine, params,
-                     window, next_state, next_depth, level, factor);
+    accumulate_pixels<Half>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine,
+                            params, window, next_state, next_depth, level, factor);
 }

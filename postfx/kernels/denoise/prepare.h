@@ -1,6 +1,6 @@
 // Pixels of what the network and its filters read: motion, and what accumulates over time.
 #pragma once
-#include "window.h"
+#include "light.h"
 
 // share of a pixel's depth below which a neighbour is clearly nearer
 constexpr float CLEARLY = 0.9f;
@@ -18,23 +18,6 @@ template <class F> FN F doubted(F own, F mean, F trust) {
     const F zero = F(0.0f), share = 0.5f - 0.5f * trust;
     const F known_share = share <= 1.0f ? share : zero;
     return own - (own - mean) * (share >= 0.0f ? known_share : zero);
-}
-
-// This frame's light without reflectance; a pixel that is too bright keeps its hue.
-template <class F> struct Light {
-    F rgb[3];
-};
-template <class F> FN Light<F> light_of(const F (&colour)[3], const F (&reflectance)[3],
-                                        float exposure) {
-    Light<F> light;
-    F brightest = F(MAX_COLOUR);
-    for (int c = 0; c < 3; c++) {
-        const F exposed = within<F>(colour[c], 0.0f, MAX_FLOAT) * exposure;
-        light.rgb[c] = smaller<F>(exposed / reflectance[c], F(MAX_LIGHT));
-        brightest = larger<F>(light.rgb[c], brightest);
-    }
-    for (int c = 0; c < 3; c++) light.rgb[c] *= MAX_COLOUR / brightest;
-    return light;
 }
 
 // What a pixel leaves to the next frame, and to the pyramid.

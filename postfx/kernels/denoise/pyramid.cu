@@ -1,36 +1,24 @@
+#include "pyramid.h"
+
 // Levels hold the picture, n of its parts behind one another, or one plane.
 const int BLOCK = 256;
 
-// The mean of a cell's 2x2 pixels by their importance, and that of the cell.
-struct Pool {
-    float weights[4], total;
-
-    __device__ void weigh() {
-        total = 0.25f * (weights[0] + weights[1] + weights[2] + weights[3]);
-    }
-    __device__ float mean(const float (&values)[4]) const {
-        return 0.25f / fmaxf(total, LEAST_IMPORTANCE)
-               * (weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
-                  + weights[3] * values[3]);
-    }
-};
-
 // A cell whose first pixel is at (top, left) of a level, and where in a plane its pixels are. Those
 // beyond have no weight.
-__device__ inline Pool pool_of(const View& importance, int top, int left, size_t (&there)[4]) {
+__device__ inline Cell<float> pool_of(const View& importance, int top, int left,
+                                      size_t (&there)[4]) {
     const int height = importance.size[1], width = importance.size[2];
-    Pool found;
+    float weights[4];
 #pragma unroll
     for (int i = 0; i < 4; i++) {
         const int v = top + i / 2, u = left + i % 2;
-        there[i] = size_t(within(v, height)) * width + within(u, width);
+        there[i] = size_t(clip(v, height)) * width + clip(u, width);
         const bool held = v >= 0 && v < height && u >= 0 && u < width;
         const float weight = held ? importance.at[there[i]] : 0.0f;
         // NaN stays
-        found.weights[i] = held && weight < LEAST_IMPORTANCE ? LEAST_IMPORTANCE : weight;
+        weights[i] = held && weight < LEAST_IMPORTANCE ? LEAST_IMPORTANCE : weight;
     }
-    found.weigh();
-    return found;
+    return cell_of<float>(weights[0], weights[1], weights[2], weights[3]);
 }
 
 // finer (planes, about 2 hp, about 2 wp), finer_importance (1, the same), rows (hp,) and columns
@@ -43,13 +31,13 @@ extern "C" __global__ void denoise_pool(View finer, View finer_importance, View 
     const size_t plane = size_t(height) * width, fine = size_t(finer.size[1]) * finer.size[2];
     const size_t here = size_t(y) * width + x;
     size_t there[4];
-    const Pool pool = pool_of(finer_importance, int(rows.at[y]), int(columns.at[x]), there);
+    const Cell<float> cell = pool_of(finer_importance, int(rows.at[y]), int(columns.at[x]), there);
     for (int k = 0; k < level.size[0]; k++) {
         const float* const from = finer.at + k * fine;
-        level.at[k * plane + here] =
-            pool.mean({from[there[0]], from[there[1]], from[there[2]], from[there[3]]});
+        level.at[k * plane + here] = pooled<float>(cell, from[there[0]], from[there[1]],
+                                                   from[there[2]], from[there[3]]);
     }
-    importance.at[here] = pool.total;
+    importance.at[here] = cell.importance;
 }
 
 // All levels: finer (planes, hp, wp), finer_importance (1, hp, wp), firsts (8,), in which row of a
@@ -90,28 +78,28 @@ extern "C" __global__ void __launch_bounds__(BLOCK, 4)
                     float found[4];
                     if (level == 0) {
                         size_t there[4];
-                        const Pool pool = pool_of(finer_importance, 2 * y + int(firsts.at[0]),
-                                                  2 * x + int(firsts.at[LAST]), there);
+                        const Cell<float> cell =
+                            pool_of(finer_importance, 2 * y + int(firsts.at[0]),
+                                    2 * x + int(firsts.at[LAST]), there);
                         const size_t plane = size_t(finer.size[1]) * finer.size[2];
 #pragma unroll
                         for (int c = 0; c < 3; c++) {
                             const float* const from = finer.at + (k + min(c, planes - 1)) * plane;
-                            found[c] = pool.mean(
-                                {from[there[0]], from[there[1]], from[there[2]], from[there[3]]});
+                            found[c] = pooled<float>(cell, from[there[0]], from[there[1]],
+                                                     from[there[2]], from[there[3]]);
                         }
-                        found[3] = pool.total;
+                        found[3] = cell.importance;
                     } else {
                         const auto& from = cells[level - 1];
-                        Pool pool;
-                        for (int n = 0; n < 4; n++)
-                            pool.weights[n] = from[3][2 * j + n / 2][2 * i + n % 2];
-                        pool.weigh();
+                        const int v = 2 * j, u = 2 * i;
+                        const Cell<float> cell = cell_of<float>(
+                            from[3][v][u], from[3][v][u + 1], from[3][v + 1][u],
+                            from[3][v + 1][u + 1]);
 #pragma unroll
                         for (int c = 0; c < 3; c++)
-                            found[c] = pool.mean({from[c][2 * j][2 * i], from[c][2 * j][2 * i + 1],
-                                                  from[c][2 * j + 1][2 * i],
-                                                  from[c][2 * j + 1][2 * i + 1]});
-                        found[3] = pool.total;
+                            found[c] = pooled<float>(cell, from[c][v][u], from[c][v][u + 1],
+                                                     from[c][v + 1][u], from[c][v + 1][u + 1]);
+                        found[3] = cell.importance;
                     }
                     if (y >= 0 && y < height && x >= 0 && x < width) {
                         const size_t here = size_t(y) * width + x, plane = size_t(height) * width;
@@ -158,8 +146,8 @@ __device__ inline Trusted trusted_at(const View& coarse, const View& level, cons
 __device__ inline float mixed_at(const View& coarse, const View& level, const Trusted& by,
                                  int plane) {
     const float from = coarse.at[size_t(plane) * coarse.size[1] * coarse.size[2] + by.below];
-    return from
-           + (level.at[size_t(plane) * level.size[1] * level.size[2] + by.here] - from) * by.own;
+    const float own = level.at[size_t(plane) * level.size[1] * level.size[2] + by.here];
+    return mixed_pixel<float>(from, own, by.own);
 }
 
 // The above -> mixed (planes, hp, wp).
@@ -226,7 +214,7 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
                 float value = 0.0f;
                 if (is_there) {
                     const float before = MIXES ? __ldg(below) : 0.0f, now = __ldg(own);
-                    value = MIXES ? before + (now - before) * by.own : now;
+                    value = MIXES ? mixed_pixel<float>(before, now, by.own) : now;
                 }
                 tile[c][j][i] = held ? value : 0.0f;
                 own = behind(own, second * plane);
@@ -339,8 +327,8 @@ __device__ inline void remodulate(const View& filtered, const View& factor, cons
                                   const View& part_columns, const View& radiance) {
     const int height = radiance.size[1], width = radiance.size[2];
     PIXEL(width, height);
-    const int v = int(part_rows.at[within(y - 1, height - 2)]) - int(part_rows.at[0]);
-    const int u = int(part_columns.at[within(x - 1, width - 2)]) - int(part_columns.at[0]);
+    const int v = int(part_rows.at[clip(y - 1, height - 2)]) - int(part_rows.at[0]);
+    const int u = int(part_columns.at[clip(x - 1, width - 2)]) - int(part_columns.at[0]);
     const size_t from = size_t(filtered.size[1]) * filtered.size[2],
                  there = size_t(v) * filtered.size[2] + u;
     const float* const by = factor.at + 3 * (size_t(v) * factor.size[1] + u);
@@ -393,8 +381,8 @@ __device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, V
     const Window part = window_of(window);
     const int h = part_rows.size[0], w = part_columns.size[0], line = filtered.size[2];
     float u, v;
-    const int column = within(centre(int(out_columns.at[x]), part.w, part.width, u) - part.left, w);
-    const int row = within(centre(int(out_rows.at[y]), part.h, part.height, v) - part.top, h);
+    const int column = clip(centre(int(out_columns.at[x]), part.w, part.width, u) - part.left, w);
+    const int row = clip(centre(int(out_rows.at[y]), part.h, part.height, v) - part.top, h);
     float* const to = enlarged.at + size_t(y) * width + x;
     if (nearness(near, part.top + row, part.left + column) <= 0.0f) {
         *to = clamped(filtered.at[size_t(row) * line + column], 0.0f, 1.0f);
@@ -408,7 +396,7 @@ __device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, V
     const Number* const head = numbers<Number>(fine) + size_t(row) * fine.size[3] + column;
     float sum = 0.0f, total = TINY;
     for (int j = 0; j < 3; j++) {
-        const float* const from = filtered.at + size_t(within(row + j - 1, h)) * line;
+        const float* const from = filtered.at + size_t(clip(row + j - 1, h)) * line;
         const float across = gauss(j - 1 + params.at[JITTER_Y] - v);
         for (int i = 0; i < 3; i++) {
             const float prior = across * gauss(i - 1 + params.at[JITTER_X] - u);
@@ -417,7 +405,7 @@ __device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, V
                                         : between_corners(tap, plane, right, lower);
             const float weight = own * prior;
             total += weight;
-            sum += weight * from[within(column + i - 1, w)];
+            sum += weight * from[clip(column + i - 1, w)];
         }
     }
     *to = clamped(sum / total, 0.0f, 1.0f);

@@ -1,9 +1,6 @@
 // Surfaces that reflect, and the motion of what is seen in them. Sources are given in history.py.
 #pragma once
 #include "prepare.h"
-#include "../rows.h"
-
-typedef View<const float, 3> Picture;
 
 constexpr float ROUGHEST = 0.3f;  // up to which a surface shows an image that is worth following
 constexpr float STEP = 0.1f;      // most relative difference in depth of neighbours on one surface
@@ -25,14 +22,14 @@ struct Camera {
     float focal_x, focal_y, then_x, then_y, jitter_x, jitter_y;
     Vector turn[3], shift, world[3];
 
-    Vector to_world(Vector v) const {
+    FN_MEMBER Vector to_world(Vector v) const {
         return {dot(v, {world[0].x, world[1].x, world[2].x}),
                 dot(v, {world[0].y, world[1].y, world[2].y}),
                 dot(v, {world[0].z, world[1].z, world[2].z})};
     }
     // Motion of a point at rest on a ray, at 1 / nearness along the view axis, and its z then over
     // that now.
-    Vector motion(Vector ray, float nearness) const {
+    FN_MEMBER Vector motion(Vector ray, float nearness) const {
         const float x = ray.x * turn[0].x + ray.y * turn[1].x + turn[2].x + shift.x * nearness;
         const float y = ray.x * turn[0].y + ray.y * turn[1].y + turn[2].y + shift.y * nearness;
         const float z = ray.x * turn[0].z + ray.y * turn[1].z + turn[2].z + shift.z * nearness;
@@ -41,21 +38,31 @@ struct Camera {
     }
 };
 
-struct Surfaces {
-    Picture depth, normal, hit_distance;
-    Camera camera;
+// Whether a pixel with a hit shows an image: it is smooth, and reflects more than it scatters.
+FN bool reflects(float hit_distance, float depth, float roughness, const float* diffuse,
+                 const float* specular) {
+    if (!(hit_distance > 0.0f && depth > 0.0f && depth < FARTHEST)) return false;
+    float share = 0.0f;
+    for (int c = 0; c < 3; c++) {
+        share += within<float>(specular[c], 0.0f, 1.0f) - within<float>(diffuse[c], 0.0f, 1.0f);
+    }
+    return share > 0.0f && roughness <= ROUGHEST;
+}
 
-    Long height() const { return depth.size[0]; }
-    Long width() const { return depth.size[1]; }
+// Planes of a frame: picture(y, x) is where a pixel's numbers are.
+template <class Picture> struct Surfaces {
+    const Picture &depth, &normal, &hit_distance;
+    const Camera& camera;
+    int height, width;
 
     // Direction through a pixel's sample, 1 along the view axis.
-    Vector ray(Long y, Long x) const {
-        return {(float(x) + 0.5f + camera.jitter_x - 0.5f * float(width())) / camera.focal_x,
-                (float(y) + 0.5f + camera.jitter_y - 0.5f * float(height())) / camera.focal_y,
+    FN_MEMBER Vector ray(int y, int x) const {
+        return {(float(x) + 0.5f + camera.jitter_x - 0.5f * float(width)) / camera.focal_x,
+                (float(y) + 0.5f + camera.jitter_y - 0.5f * float(height)) / camera.focal_y,
                 1.0f};
     }
     // The normal with length 1; zero if it has none.
-    Vector unit(Long y, Long x) const {
+    FN_MEMBER Vector unit(int y, int x) const {
         const float* n = normal(y, x);
         const Vector found = {n[0], n[1], n[2]};
         const float length = root_of(dot(found, found));
@@ -63,12 +70,12 @@ struct Surfaces {
     }
     // Mean of one over the hit distance, over the 3x3 pixels of about the same depth that have one;
     // -1 without any.
-    float inverse_distance(Long y, Long x) const {
+    FN_MEMBER float inverse_distance(int y, int x) const {
         const float z = *depth(y, x);
         float total = 0.0f;
         int count = 0;
-        for (Long j = larger<Long>(0, y - 1); j < smaller<Long>(height(), y + 2); j++) {
-            for (Long i = larger<Long>(0, x - 1); i < smaller<Long>(width(), x + 2); i++) {
+        for (int j = larger<int>(0, y - 1); j < smaller<int>(height, y + 2); j++) {
+            for (int i = larger<int>(0, x - 1); i < smaller<int>(width, x + 2); i++) {
                 const float distance = *hit_distance(j, i);
                 if (!(distance > 0.0f && size_of<float>(*depth(j, i) - z) <= STEP * z)) continue;
                 total += 1.0f / larger<float>(distance, NEAREST);
@@ -78,16 +85,15 @@ struct Surfaces {
         return count ? total / float(count) : -1.0f;
     }
     // How much a surface bends outwards, at least 0, as a mean of both axes; -1 at its edges.
-    float curvature(Long y, Long x) const {
+    FN_MEMBER float curvature(int y, int x) const {
         const float z = *depth(y, x);
         const Vector here = unit(y, x);
         float total = 0.0f;
         for (int axis = 0; axis < 2; axis++) {
             Vector place[2], facing[2];
             for (int side = 0; side < 2; side++) {
-                const Long step = 2 * side - 1;
-                const Long j = clip(y + step * (1 - axis), height()),
-                           i = clip(x + step * axis, width());
+                const int step = 2 * side - 1;
+                const int j = clip(y + step * (1 - axis), height), i = clip(x + step * axis, width);
                 const float there = *depth(j, i);
                 facing[side] = unit(j, i);
                 if (!(size_of<float>(there - z) <= STEP * z && dot(facing[side], here) >= BEND))
@@ -100,13 +106,24 @@ struct Surfaces {
         }
         return larger<float>(0.5f * total, 0.0f);
     }
-};
-
-// Whether a pixel is smooth, and reflects more than it scatters.
-FN bool reflects(const float* diffuse, const float* specular, float roughness) {
-    float share = 0.0f;
-    for (int c = 0; c < 3; c++) {
-        share += within<float>(specular[c], 0.0f, 1.0f) - within<float>(diffuse[c], 0.0f, 1.0f);
+    // The motion (2,) of a pixel that reflects becomes that of what is seen there, if that can be
+    // told.
+    FN_MEMBER void follow(int y, int x, float roughness, float* motion) const {
+        const float z = *depth(y, x);
+        const Vector to = ray(y, x), still = camera.motion(to, 1.0f / z);
+        const float across = size_of<float>(motion[0]), down = size_of<float>(motion[1]);
+        const float most = STILL + PART * larger<float>(across, down);
+        if (!(size_of<float>(still.x - motion[0]) <= most
+              && size_of<float>(still.y - motion[1]) <= most))
+            return;
+        const float bend = curvature(y, x), mean = inverse_distance(y, x);
+        if (bend < 0.0f || mean < 0.0f) return;
+        const float smooth = 1.0f - within<float>(roughness, 0.0f, 1.0f);
+        const float inverse = mean / (smooth * (root_of(smooth) + 1.0f - smooth)) + 2.0f * bend;
+        const float stretched = inverse * root_of(to.x * to.x + to.y * to.y + 1.0f);
+        const Vector moved = camera.motion(to, stretched / (1.0f + stretched * z));
+        if (!(moved.z > 1e-3f)) return;
+        motion[0] = moved.x;
+        motion[1] = moved.y;
     }
-    return share > 0.0f && roughness <= ROUGHEST;
-}
+};

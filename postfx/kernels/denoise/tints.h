@@ -1,6 +1,6 @@
 // Reflectance of rows of both albedos.
 #pragma once
-#include "window.h"
+#include "light.h"
 #include "../rows.h"
 
 // Of the pixels of a row from one on.

@@ -66,8 +66,8 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
                                     const View& params, const View& keep, const Guide& guide = {}) {
     const int w = part.w, h = part.h, width = part.width, height = part.height;
     float u, v;
-    const int column = within(centre(x, w, width, u) - part.left, moved.size[1]);
-    const int row = within(centre(y, h, height, v) - part.top, moved.size[0]);
+    const int column = clip(centre(x, w, width, u) - part.left, moved.size[1]);
+    const int row = clip(centre(y, h, height, v) - part.top, moved.size[0]);
     const float right = fminf(fmaxf(2.0f * u + 0.5f, 0.0f), 1.0f),
                 lower = fminf(fmaxf(2.0f * v + 0.5f, 0.0f), 1.0f);
     u = params.at[JITTER_X] - u;
@@ -113,8 +113,8 @@ __device__ inline void enlarged_four(int x, int y, const Window& part, const Vie
                                      const View& fine, const View& moved, const View& past,
                                      const View& params, const View& keep, const Guide (&guides)[4],
                                      Enlarged (&found)[4]) {
-    const int column = within(x / 2 - part.left, moved.size[1]),
-              row = within(y / 2 - part.top, moved.size[0]);
+    const int column = clip(x / 2 - part.left, moved.size[1]),
+              row = clip(y / 2 - part.top, moved.size[0]);
     const size_t plane = size_t(fine.size[2]) * fine.size[3];
     const Number* const head = numbers<Number>(fine) + size_t(row) * fine.size[3] + column;
     const int picture = radiance.size[1] * radiance.size[2];
@@ -280,7 +280,7 @@ extern "C" __global__ void __launch_bounds__(256, 2)
 // Where an output pixel's centre lies among the cells along a side, from centre to centre.
 __device__ inline float place_of(int position, int size, int out_size, int first, int count) {
     float offset;
-    const int at = within(centre(position, size, out_size, offset) - first, count);
+    const int at = clip(centre(position, size, out_size, offset) - first, count);
     const float place = (at + offset + 0.5f) / TRUST_CELL - 0.5f;
     return fminf(fmaxf(place, 0.0f), float((min(count, size - first) - 1) / TRUST_CELL));
 }
@@ -346,8 +346,8 @@ __device__ inline void upsample_unscaled(View radiance, View fine, View moved, V
     const bool centred = params.at[JITTER_X] == 0.0f && params.at[JITTER_Y] == 0.0f;
     const float* const by = factor.at
                             + 3
-                                  * (size_t(within(v - part.top, factor.size[0])) * factor.size[1]
-                                     + within(u - part.left, factor.size[1]));
+                                  * (size_t(clip(v - part.top, factor.size[0])) * factor.size[1]
+                                     + clip(u - part.left, factor.size[1]));
     const Guide guide = {centred ? Colour{by[0], by[1], by[2]} : Colour{1.0f, 1.0f, 1.0f}, 1.0f};
     View seen = radiance;
     if (!centred) seen.at += 3 * size_t(radiance.size[1]) * radiance.size[2];
@@ -384,8 +384,8 @@ extern "C" __global__ void denoise_blend_picture(View picture, View controls, Vi
     const Window part = window_of(window);
     const int v = min(part.out_top + y, part.height - 1),
               u = min(part.out_left + x, part.width - 1);
-    const int row = within(v - part.top, moved.size[0]),
-              column = within(u - part.left, moved.size[1]);
+    const int row = clip(v - part.top, moved.size[0]),
+              column = clip(u - part.left, moved.size[1]);
     const size_t plane = size_t(picture.size[2]) * picture.size[3],
                  at = size_t(row) * picture.size[3] + column;
     const float* const motion = moved.at + 2 * (row * moved.size[1] + column);

@@ -42,17 +42,3 @@ FN float lean_of(float offset) { return within<float>(2.0f * offset + 0.5f, 0.0f
 template <class F> FN F log_encode(F exposed) {
     return log1p_of<F>(within<F>(exposed, 0.0f, MAX_COLOUR));
 }
-
-// Reflectance that colour is divided by, of the sum of both albedos.
-template <class F> struct Tint {
-    F red, green, blue;
-};
-template <class F> FN Tint<F> tinted(F red, F green, F blue) {
-    const F r = within<F>(red, 0.0f, MOST_REFLECTANCE);
-    const F g = within<F>(green, 0.0f, MOST_REFLECTANCE);
-    const F b = within<F>(blue, 0.0f, MOST_REFLECTANCE);
-    const F peak = larger<F>(larger<F>(r, g), b), least = LEAST_TINT * peak, one = F(1.0f);
-    return {peak < EMITTER ? one : larger<F>(r, least) + ADDED,
-            peak < EMITTER ? one : larger<F>(g, least) + ADDED,
-            peak < EMITTER ? one : larger<F>(b, least) + ADDED};
-}

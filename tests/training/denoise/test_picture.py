@@ -1,9 +1,11 @@
 """The network that gives the picture itself: its curve, its start, its weights' rates, and its
 pass."""
 
+import hashlib
 import json
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,8 @@ import torch
 from postfx import DenoiseUpscale, Device, Frame, Pipeline
 from postfx.errors import PassOptionError
 from postfx.frame import Role
+from tests.conftest import REPOSITORY
+from tests.made_once import copy_made_once
 from training.denoise import open_weights
 from training.denoise.checkpoint import PREFIX, graft, mix, save, widen
 from training.denoise.export import card, export_trunk, load_trunk
@@ -59,16 +63,29 @@ def denoiser():
 @pytest.fixture(scope="module")
 def models(denoiser, tmp_path_factory):
     """A folder with the network as `p`, exported for the render size."""
+    def make(made):
+        checkpoint = {"config": SMALL.as_dict(), "weights": denoiser.state_dict(), "notes": {}}
+        first = made / "denoise_upscale.p.onnx"
+        error = export_trunk(load_trunk(checkpoint), first)
+        for name in (first.stem, f"{first.stem}.1x"):
+            path = made / f"{name}.onnx"
+            path.write_bytes(first.read_bytes())
+            path.with_suffix(".json").write_text(json.dumps(card(
+                checkpoint, name.split(".", 1)[1], error, {})))
+
     folder = tmp_path_factory.mktemp("models")
-    checkpoint = {"config": SMALL.as_dict(), "weights": denoiser.state_dict(), "notes": {}}
-    first = folder / "denoise_upscale.p.onnx"
-    error = export_trunk(load_trunk(checkpoint), first)
-    for name in (first.stem, f"{first.stem}.1x"):
-        path = folder / f"{name}.onnx"
-        path.write_bytes(first.read_bytes())
-        path.with_suffix(".json").write_text(json.dumps(card(checkpoint, name.split(".", 1)[1],
-                                                             error, {})))
+    sources = [*(REPOSITORY / "training").rglob("*.py"), Path(__file__)]
+    copy_made_once("picture-models", sources, f"{torch.__version__} {weights_of(denoiser)}", make,
+                   folder)
     return folder
+
+
+def weights_of(network):
+    """A hash of all weights."""
+    digest = hashlib.sha256()
+    for name, values in network.state_dict().items():
+        digest.update(name.encode() + values.numpy().tobytes())
+    return digest.hexdigest()
 
 
 def shot(frames=3):
