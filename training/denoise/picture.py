@@ -64,6 +64,9 @@ JUDGE = 24  # channels of what compares the picture with the history
 DETAIL = 24  # channels of what compares the picture with the albedo's texture
 ALONE = 24  # channels of what compares the albedo with one that was filtered alone
 EVEN_SIDE_PX = 7  # side of the windows in which light is taken as even
+GUARDED_SIDE_PX = 15  # side of the windows in which a history is compared with the new picture
+USUAL_CHANGE = 0.3  # squared difference of such a history, over the expected squared error
+LEAST_CHANGE = 1e-9  # squared, in codes
 LEAST_LIGHT = 1e-5  # whose code still has a small gradient
 LEAST_ALBEDO = 0.01  # is added, so that ratios of black surfaces stay small
 DETAIL_BEGINS = -3.0  # logit of the share of the albedo's texture: 5 %
@@ -121,6 +124,7 @@ class PictureConfig:
         deep: the branch has further convolutions, and a level at 1/8 of the size.
         averaged: the branch mixes coarser albedo and normal into those that are read.
         filtered: a published network filters the albedo alone, and the branch chooses where.
+        guarded: a history that differs too much from the new picture counts less.
     """
 
     picture: bool = True
@@ -134,6 +138,7 @@ class PictureConfig:
     deep: bool = False
     averaged: bool = False
     filtered: bool = False
+    guarded: bool = False
     trust: bool = False
     guides: bool = False
     mirrored: bool = True
@@ -225,9 +230,10 @@ class Layer(NamedTuple):
 
 
 LARGE = PictureConfig(down=(64, 96, 128, 192, 256), up=(64, 96, 128, 192), last=64, large=True,
-                      gated=True, detailed=True, deep=True, averaged=True, filtered=True)
+                      gated=True, detailed=True, deep=True, averaged=True, filtered=True,
+                      guarded=True)
 """The layout of Open Image Denoise's large networks, with a gate for the history, one for detail,
-a deep branch, planes from a pyramid, and a filter for the albedo alone."""
+a deep branch, planes from a pyramid, a filter for the albedo alone, and a guard at the history."""
 BRANCH_LEVELS = {"branch.half_down": 1, "branch.half_up": 1, "branch.half_more": 1,
                  "branch.quarter_in": 2, "branch.quarter_out": 2, "branch.eighth_in": 3,
                  "branch.eighth_out": 3, "branch.quarter_more": 3,
@@ -346,7 +352,10 @@ class PictureNetwork(PublishedNetwork):
         judged = F.relu(self.convolve(self.judge[0], stream, known, compared))
         with torch.autocast(stream.device.type, enabled=False):
             judged = judged.float()
-            found = activate(codes, self.controls(judged), self.error(judged))
+            controls, error = self.controls(judged), self.error(judged)
+            if self.config.guarded:
+                controls = with_guarded_history(controls, codes - history.float(), error)
+            found = activate(codes, controls, error)
         return *found, corrected[:, 3:]
 
     def mixed_in(self, guided: Tensor, further: Tensor, known: Tensor) -> Tensor:
@@ -520,10 +529,24 @@ def albedo_in_even_light(light: Tensor, albedo: Tensor) -> Tensor:
     return factor * local_mean(light) / local_mean(factor)
 
 
-def local_mean(plane: Tensor) -> Tensor:
+def with_guarded_history(controls: Tensor, change: Tensor, error: Tensor) -> Tensor:
+    """The controls (N, 11, h, w) before they are activated, with a larger share of the new picture
+    where it has moved away from the history.
+
+    Under moving water, light and shadow do not go where the motion leads. Single pixels of such a
+    history look as right as noise lets them, but all of them together differ from the new picture
+    by more than its expected error. ``change`` (N, 3, h, w) are the differences of codes,
+    ``error`` (N, 1, h, w) the logarithms of the expected squared errors.
+    """
+    squared = local_mean(change.square().mean(1, keepdim=True), GUARDED_SIDE_PX)
+    excess = F.relu(torch.log((squared + LEAST_CHANGE) / USUAL_CHANGE) - error)
+    return torch.cat((controls[:, :DISTRUST] + excess, controls[:, DISTRUST:]), 1)
+
+
+def local_mean(plane: Tensor, side: int = EVEN_SIDE_PX) -> Tensor:
     """The mean of a plane (N, C, h, w) around each pixel: along rows, then along columns, which
     takes a third of the time of squares."""
-    side, reach = EVEN_SIDE_PX, EVEN_SIDE_PX // 2
+    reach = side // 2
     rows = F.avg_pool2d(plane, (1, side), 1, (0, reach), count_include_pad=False)
     return F.avg_pool2d(rows, (side, 1), 1, (reach, 0), count_include_pad=False)
 

@@ -167,7 +167,8 @@ def test_shipped_model_for_1x_is_the_plain_one_with_other_weights(path: Path) ->
     card = json.loads(path.with_suffix(".json").read_text())
     if "picture" in card["outputs"]:  # a layout of its own
         made = layout_from(card["config"])
-        added = dict.fromkeys(("gated", "detailed", "deep", "averaged", "filtered"), False)
+        parts = ("gated", "detailed", "deep", "averaged", "filtered", "guarded")
+        added = dict.fromkeys(parts, False)
         assert replace(made, **added) in (PictureConfig(), replace(LARGE, **added))
         assert card["training"]["start"].startswith("Open Image Denoise")
         return

@@ -38,11 +38,12 @@ from training.denoise.picture import (
     decode,
     encode,
     layout_from,
+    with_guarded_history,
 )
 from training.denoise.train import parse, rate_groups
 
 SMALL = PictureConfig(down=(8, 8, 8, 8, 8), up=(8, 8, 8, 8), last=8, gated=True,
-                      detailed=True, averaged=True, filtered=True)
+                      detailed=True, averaged=True, filtered=True, guarded=True)
 SIZE = 40, 56
 EXPOSURE_STOPS = 1.0
 JITTER = 0.25, -0.125
@@ -299,6 +300,18 @@ def test_the_filtered_albedo_is_taken_where_it_is_chosen():
     torch.testing.assert_close(kept, inputs, rtol=0.0, atol=0.06)
     torch.testing.assert_close(found[:, 3:6], filtered)
     torch.testing.assert_close(found[:, [0, 1, 2, 6, 7, 8]], inputs[:, [0, 1, 2, 6, 7, 8]])
+
+
+def test_a_history_that_differs_as_a_whole_counts_less():
+    controls = torch.zeros(1, 11, 32, 64)
+    error = torch.full((1, 1, 32, 64), float(np.log(1e-4)))
+    change = torch.zeros(1, 3, 32, 64)
+    change[..., 32:] = 0.05
+    change[..., 10, 10] = 0.05  # one pixel is noise
+    found = with_guarded_history(controls, change, error)
+    assert (found[:, 0, :, 48:] > 2).all()
+    assert not found[:, 0, :, :24].any()
+    assert not found[:, 1:].any()
 
 
 def test_a_deep_branch_begins_as_the_other_one():
