@@ -5,10 +5,10 @@ render's size.
 
 FOLDER holds one folder for each kind, as for `training.measure.table`; all frames count.
 
-Light: the mean of each cell of 32x32 pixels, of linear light up to what a display of a million to
-one could tell apart, against the reference's. Printed are the median and the 99th percentile of the
-cells' relative differences, of the noisy frames (what no denoiser can know better), of postfx, and
-of OIDN. Cells whose reference is darker than a thousandth of middle grey do not count.
+Light: the mean of each cell of 32x32 pixels of linear light, exposed and cut at 1,000, against the
+reference's. Printed are the median and the 99th percentile of the cells' relative differences:
+of the noisy frames, which tell no denoiser more, of postfx, and of OIDN. Cells whose reference is
+darker than a thousandth of middle grey do not count.
 
 Edges: pixels within two of a step of depth by more than a tenth, in the render with the most
 samples. Printed is the PSNR of displayed pictures there, and how much postfx is above the best of
@@ -18,9 +18,7 @@ alone).
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -30,7 +28,7 @@ from postfx.bench.metrics import grey_factor
 from postfx.colour.views import to_codes
 from postfx.frame import Role
 from postfx.io.sequence import Sequence
-from training.measure.table import SINGLE, Shot, shots
+from training.measure.table import SINGLE, Shot, parser_of_kinds, shots
 
 CELL_PX = 32
 BAND_PX = 2
@@ -137,12 +135,7 @@ def row(name: str, sums: list[Sums]) -> str:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--model", default="xl", help="tag or file (default: xl)")
-    parser.add_argument("--kinds", default="", help="folders, with commas (default: all)")
-    parser.add_argument("--threads", type=int, default=2)
+    parser = parser_of_kinds(__doc__)
     given = parser.parse_args(argv)
     wanted = list(shots(given.folder, list(filter(None, given.kinds.split(","))), ["1x"], []))
     if not wanted:

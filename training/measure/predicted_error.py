@@ -21,7 +21,6 @@ has the planes of the render with the most samples.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,7 +33,7 @@ from postfx.colour.views import to_codes
 from postfx.frame import Role
 from postfx.io.sequence import Sequence
 from training.denoise.checkpoint import PREFIX, read, save
-from training.measure.table import Shot, shots
+from training.measure.table import Shot, parser_of_kinds, shots
 
 WEIGHT, BIAS = f"{PREFIX}error.weight", f"{PREFIX}error.bias"
 PARTS = 10
@@ -187,12 +186,7 @@ def report(found: Kinds) -> str:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--model", default="xl", help="tag or file (default: xl)")
-    parser.add_argument("--kinds", default="", help="folders, with commas (default: all)")
-    parser.add_argument("--threads", type=int, default=2)
+    parser = parser_of_kinds(__doc__)
     parser.add_argument("--calibrate", type=Path, metavar="CHECKPOINT",
                         help="checkpoint that --model was exported from")
     parser.add_argument("-o", "--output", type=Path, help="checkpoint to write")

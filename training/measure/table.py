@@ -303,6 +303,17 @@ def words(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
+def parser_of_kinds(description: str) -> argparse.ArgumentParser:
+    """Options of programs that measure one network on a folder of kinds."""
+    parser = argparse.ArgumentParser(description=description,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--model", default="xl", help="tag or file (default: xl)")
+    parser.add_argument("--kinds", default="", help="folders, with commas (default: all)")
+    parser.add_argument("--threads", type=int, default=2)
+    return parser
+
+
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
