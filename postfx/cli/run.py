@@ -37,9 +37,9 @@ examples:
   postfx run shot/ -o out/ --skip-existing                             # go on after a stop
 
 PSNR in dB to the best of Open Image Denoise for the same rays, at 4, 16 and 64 samples a pixel:
-  postfx run, the render's size                    +0.67, +0.53, +0.24
-  postfx run --with oidn                           +0.68, +0.61, +0.37
-  postfx run --model m, a tenth of the time        -0.91, -0.78, -0.78
+  postfx run, the render's size                    +0.82, +0.80, +0.46
+  postfx run --with oidn                           +0.79, +0.81, +0.60
+  postfx run --model m, a tenth of the time        -1.04, -0.98, -1.15
   postfx run --scale 2, half size, 4x the samples  -2.23: only for what cannot be rendered larger
 
 A video of the pictures: ffmpeg -framerate 24 -i out/picture.%04d.png -pix_fmt yuv420p shot.mp4
