@@ -3,9 +3,9 @@
 Pictures are compared as people see them: exposed, brought to 0..1 by x / (1 + x), and sRGB-encoded.
 relMSE compares linear light. Colours are (height, width, 3), scene-linear Rec.709, float32.
 
-A reference has noise of its own. At 64 samples a pixel, one of 1,024 may be further from the truth
-than a denoised picture. With a second reference of other noise, the squared error is the mean of
-the product of both differences: the noise of the two is independent, so its mean is zero there.
+A reference has noise of its own: with 1,024 samples a pixel it may be further from the truth than a
+denoised picture of 64. With a second reference, of different noise, the squared error is the mean
+product of the differences to both. Their noise is independent, so it cancels out.
 """
 
 from __future__ import annotations

@@ -11,8 +11,9 @@ are those of code values at the exposure of the run.
 The last rows are of predictions that a curve has changed: the logarithm times a slope, plus a bias,
 fitted to all other kinds, so that each is right by the tenths in what it was not fitted to.
 --calibrate writes the network of a checkpoint, of which --model is the export, with the curve of
-all kinds in its last layer of the prediction. Nothing else reads that layer: its pictures stay the
-same to the bit.
+all kinds in its last layer of the prediction. Where a network guards its history (`guarded` in its
+card), the guard reads that layer, so later frames change, too: measure them again. Else its
+pictures stay the same to the bit.
 
 References have noise of their own, which no prediction can know. It is taken out by the mean over
 the part: the second differences of a reference less its denoised picture show it. The denoised one
