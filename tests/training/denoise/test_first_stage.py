@@ -57,16 +57,20 @@ def picture_checkpoint(path: Path) -> Path:
     return path
 
 
-def test_colour_becomes_a_mixture_with_what_the_network_makes(tmp_path: Path) -> None:
+def test_colour_becomes_a_mixture_with_what_the_network_makes(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clip = make_clip(scale=2)
     first = FirstStage(picture_checkpoint(tmp_path / "picture.pt"), torch.device("cpu"))
-    mixed = first(clip)
-    assert torch.equal(mixed.planes[:, :, 3:], clip.planes[:, :, 3:])
+    monkeypatch.setattr("training.denoise.first_stage.SHARES", (1.0, 1.0))
+    denoised = first(clip).planes
+    monkeypatch.setattr("training.denoise.first_stage.SHARES", (0.25, 0.25))
+    mixed = first(clip).planes
+    assert torch.equal(mixed[:, :, 3:], clip.planes[:, :, 3:])
     noisy = clip.planes[:, :, :3].float()
-    change = mixed.planes[:, :, :3].float() - noisy
-    assert change.abs().mean() > 0.01
-    # an untrained network gives nearly even pictures
-    assert mixed.planes[:, :, :3].float().std() < (1.2 - SHARES[0]) * noisy.std()
+    assert (denoised[:, :, :3] - noisy).abs().mean() > 0.01
+    torch.testing.assert_close(mixed[:, :, :3].float(),
+                               0.75 * noisy + 0.25 * denoised[:, :, :3].float(),
+                               atol=2e-3, rtol=2e-3)
 
 
 def test_a_network_that_predicts_filters_is_refused(tmp_path: Path) -> None:
