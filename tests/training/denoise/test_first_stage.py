@@ -7,7 +7,7 @@ import torch
 
 from training.denoise.checkpoint import save
 from training.denoise.dataset import CHANNELS, DEPTH, MOTION, Clip
-from training.denoise.first_stage import SHARES, FirstStage, shrink
+from training.denoise.first_stage import FirstStage, shrink
 from training.denoise.model import DenoiseUpscale, TrunkConfig
 from training.denoise.picture import PictureConfig, PictureNetwork
 
@@ -49,7 +49,7 @@ def test_a_clip_that_is_smaller_than_its_reference_stays() -> None:
 
 def picture_checkpoint(path: Path) -> Path:
     torch.manual_seed(2)
-    config = PictureConfig(down=(8, 8, 8, 8, 8), up=(8, 8, 8, 8), last=8, beside=(8,))
+    config = PictureConfig(down=(8, 8, 8, 8, 8), up=(8, 8, 8, 8), last=8, beside=(8, 8, 8))
     network = PictureNetwork(config)
     save({"config": config.as_dict(), "notes": {},
           "weights": {f"trunk.{name}": values for name, values in network.state_dict().items()}},
