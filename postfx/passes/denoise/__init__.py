@@ -378,10 +378,15 @@ class DenoiseUpscale(Pass):
         return self._savings.lines() if self.strength else ()
 
     def choice(self) -> str | None:
-        """The network of the last frame that took one."""
-        model = (self._ready.models.get(self._used)
-                 if self._used and isinstance(self._ready, ReadyNetwork) else None)
-        return network_name(self._used, model) if self._used and model else None
+        """The network of the last frame that took one, or both."""
+        ready = self._ready
+        model = (ready.models.get(self._used)
+                 if self._used and isinstance(ready, ReadyNetwork) else None)
+        if not (self._used and model):
+            return None
+        name = network_name(self._used, model)
+        both = isinstance(ready, ReadyNetwork) and ready.first and ready.first.ran
+        return f"{self._used} then {name}" if both else name
 
     def notice(self) -> str | None:
         told, self._notice = self._notice, None

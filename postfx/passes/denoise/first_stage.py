@@ -33,6 +33,9 @@ class FirstStage:
         alpha: whether the network that enlarges also filters alpha, by filters that must fit the
             noisy picture.
         halo: render pixels that it sees around active ones.
+
+    Attributes:
+        ran: whether the last frame was denoised first.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, stage: Pass, alpha: bool,
@@ -43,6 +46,7 @@ class FirstStage:
         self._strength = (device.heap.tensor("strength of the first stage",
                                              (spec.height, spec.width, 1))
                           if spec.has(Role.STRENGTH) else None)
+        self.ran = False
         stage.compile(device, self._spec)
 
     def filters_alpha(self, frame: ResidentFrame) -> bool:
@@ -53,11 +57,11 @@ class FirstStage:
         """Record the work on a frame; returns the mixture. None where the frame is enlarged as it
         is: with noisy alpha, and where its samples do not lie at the pixels' centres, as then they
         know more than the picture of its own size can hold."""
-        if frame.jitter != (0.0, 0.0) or self.filters_alpha(frame):
+        self.ran = frame.jitter == (0.0, 0.0) and not self.filters_alpha(frame)
+        if not (self.ran and work.keep):
             self._stage.reset()
+        if not self.ran:
             return None
-        if not work.keep:
-            self._stage.reset()
         own = self._copy(frame, work)
         self._stage.encode(commands, own)
         return own[Role.COLOUR]
