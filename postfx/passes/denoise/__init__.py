@@ -109,10 +109,12 @@ class DenoiseUpscale(Pass):
             or with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own
             network, 'nets/mine.onnx', with its card beside it, and mine.guides.onnx and
             mine.1x.onnx if they exist; or 'classic', a filter without a network, on a CPU and for
-            frames without parts. 'xl' is for the render size; 'l' enlarges in its place. The
-            default here is 'm'. `postfx run` and `postfx.denoise` take 'xl' by themselves for
-            frames of the render's size that fit into memory: it is cleaner, and on a CPU takes ten
-            times as long.
+            frames without parts. The default here is 'm'. `postfx run` and `postfx.denoise` take
+            'xl' by themselves for frames of the render's size that fit into memory: it is cleaner,
+            and on a CPU takes ten times as long. Where frames are enlarged 'xl' denoises them at
+            their own size first, and 'l' enlarges a mixture of that and the noisy picture; not with
+            parts, noisy alpha, jitter, a budget, or guides in place of planes, where 'l' alone
+            runs.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit. Where `model`
