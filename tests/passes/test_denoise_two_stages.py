@@ -279,3 +279,10 @@ def test_other_views_have_their_own_history() -> None:
     assert_same([one[Role.COLOUR] for one in found], pictures(chain(), given))
     assert_same([one.views["right"][Role.COLOUR] for one in found],
                 pictures(chain(), [frame.views["right"] for frame in pair]))
+
+
+def test_planes_on_the_device_give_the_same() -> None:
+    ways = chain(), chain()
+    for frame in frames(2):
+        there = ways[0].on_device(frame.planes, exposure=0.0, number=frame.number)
+        np.testing.assert_array_equal(there[Role.COLOUR].download(), ways[1](frame)[Role.COLOUR])

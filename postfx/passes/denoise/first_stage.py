@@ -3,6 +3,7 @@ the frame."""
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -68,15 +69,14 @@ class FirstStage:
 
     def _copy(self, frame: ResidentFrame, work: Work) -> ResidentFrame:
         """The frame as the first network sees it: active wherever the other one looks."""
-        held = {role: frame[role] for role in self._spec.roles}
-        seen = {role: frame.host_planes[role] for role in held if role in frame.host_planes}
+        held, own = {role: frame[role] for role in self._spec.roles}, {}
         if self._strength:
-            size = self._strength.shape[:2]
-            seen[Role.STRENGTH] = _strength_of(work.cells, self._halo, size)
-            self._strength.upload(seen[Role.STRENGTH])
+            own[Role.STRENGTH] = _strength_of(work.cells, self._halo, self._strength.shape[:2])
+            self._strength.upload(own[Role.STRENGTH])
             held[Role.STRENGTH] = self._strength
-        return replace(frame, spec=self._spec, tensors=held, host_planes=seen, guides={},
-                       host_guides={}, parts={}, host_parts={}, blank=set(frame.blank))
+        return replace(frame, spec=self._spec, tensors=held, guides={}, host_guides={}, parts={},
+                       host_planes=ChainMap(own, frame.host_planes), host_parts={},
+                       blank=set(frame.blank))
 
     def reset(self) -> None:
         """Drop the history."""
