@@ -128,7 +128,7 @@ class Settings(bpy.types.PropertyGroup):
         ("AUTO", "Automatic", "Extra large at the render's own size, Medium for larger frames and "
          "where memory is short"),
         ("s", "Small", "Fastest"), ("m", "Medium", "Fast"), ("l", "Large", "Better"),
-        ("xl", "Extra large", "Best at the render's own size, and slowest")])
+        ("xl", "Extra large", "The cleanest, and slowest")])
     strength: bpy.props.FloatProperty(name="Strength", default=1.0, min=0.0, max=1.0)
 
 

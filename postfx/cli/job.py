@@ -144,8 +144,10 @@ class Job:
                            if denoising is not None and both_ways else None)
         self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
         self._parts = self._find_parts()
+        enlarges = (denoising is not None
+                    and enlargement(self._first_spec, denoising) > 1)
         self._partner = (None if covered or arguments.strength == 0
-                         else find_partner(getattr(arguments, "with")))
+                         else find_partner(getattr(arguments, "with"), enlarges))
         passes, skips = self._passes(denoising, self._backwards is not None, self._partner)
         self.skips += skips
         # it has its own

@@ -218,13 +218,14 @@ def _find_network(tag: str) -> str:
     return tag
 
 
-def find_partner(words: str) -> str | None:
+def find_partner(words: str, enlarges: bool) -> str | None:
     """The pass that --with names, and its options; None for none, and for auto where Open Image
-    Denoise is not installed."""
+    Denoise is not installed, or where frames are enlarged: there mixtures are worse than the
+    network `xl` alone."""
     from postfx.oidn import is_installed
 
     if words == "auto":
-        return "oidn" if is_installed() else None
+        return "oidn" if is_installed() and not enlarges else None
     return None if words == "none" else words
 
 
@@ -277,8 +278,8 @@ DENOISING = Section("denoising and size", (
                "them",
            },
            help="also run another denoiser, and mix both results: oidn (Open Image Denoise; needs "
-           "the extra 'oidn'), any pass that keeps the frame's size, auto (oidn if it is "
-           "installed) or none (default)"),
+           "the extra 'oidn'), any pass that keeps the frame's size, auto or none (default). Auto "
+           "is oidn if it is installed and frames keep their size"),
     Option(flag="--run-up", metavar="N", type=parse_count, off=0,
            excludes={
                "--no-denoise": "--run-up runs frames more than once, --no-denoise has no denoiser "

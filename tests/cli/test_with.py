@@ -66,6 +66,18 @@ def test_the_preset_for_final_frames_takes_it_where_it_is_installed(
 
 
 @needs_oidn
+@pytest.mark.parametrize("size", [("--scale", "2"), ("--size", "96x64")], ids=str)
+def test_the_preset_for_final_frames_leaves_it_out_where_they_are_enlarged(
+    postfx: Callable, noise: Path, size: tuple[str, ...]
+) -> None:
+    given = (*RUN[:2], *size, "--preset", "final", "--explain")
+    told = postfx(*given).out
+    assert "runs oidn" not in told and "both_ways" in told
+    assert "network xl at the render's size first, then l enlarges" in told
+    assert "runs oidn" in postfx(*given, "--with", "oidn").out
+
+
+@needs_oidn
 @pytest.mark.parametrize("words", [("--with", "oidn"), ("--preset", "final")])
 def test_it_runs_where_the_output_s_size_is_given(postfx: Callable, noise: Path,
                                                   words: tuple[str, ...]) -> None:

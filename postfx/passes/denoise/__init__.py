@@ -17,6 +17,7 @@ from postfx.caching import LRUCache
 from postfx.errors import DeviceError, FrameError, PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.passes import MOST_SIZES, Pass, Reflection, ResidentFrame
+from postfx.passes.denoise.first_stage import DENOISED_SHARE
 from postfx.passes.denoise.frame import Ready, ReadyNetwork, Wishes
 from postfx.passes.denoise.history import History, PartHistory
 from postfx.passes.denoise.models import (
@@ -25,6 +26,7 @@ from postfx.passes.denoise.models import (
     UNSCALED,
     Ladder,
     cost,
+    denoises_first,
     enlarging_remarks,
     family,
     filter_remarks,
@@ -76,6 +78,8 @@ NETWORK_PREFIX = "network "
 """In a history, the name of the network's entry ends in the network's tag."""
 LARGEST_TAG = "xl"
 """Tag of the largest network that comes with postfx."""
+FIRST = "first stage "
+"""In a history, names of what denoises frames before they are enlarged begin so."""
 WIDER = "wider primaries"
 """In a history, whether its light is in wider primaries than the frames'."""
 REPEATS = "repeats "
@@ -105,10 +109,12 @@ class DenoiseUpscale(Pass):
             or with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own
             network, 'nets/mine.onnx', with its card beside it, and mine.guides.onnx and
             mine.1x.onnx if they exist; or 'classic', a filter without a network, on a CPU and for
-            frames without parts. 'xl' is for the render size; 'l' enlarges in its place. The
-            default here is 'm'. `postfx run` and `postfx.denoise` take 'xl' by themselves for
-            frames of the render's size that fit into memory: it is cleaner, and on a CPU takes ten
-            times as long.
+            frames without parts. The default here is 'm'. `postfx run` and `postfx.denoise` take
+            'xl' by themselves for frames of the render's size that fit into memory: it is cleaner,
+            and on a CPU takes ten times as long. Where frames are enlarged 'xl' denoises them at
+            their own size first, and 'l' enlarges a mixture of that and the noisy picture; not with
+            parts, noisy alpha, jitter, a budget, or guides in place of planes, where 'l' alone
+            runs.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit. Where `model`
@@ -236,6 +242,7 @@ class DenoiseUpscale(Pass):
             found += filter_remarks(self._tag) if self._parts else []
         else:
             found += enlarging_remarks(self._tag)
+            found += self._one_stage_remarks(spec)
         return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
 
     def accumulates(self, spec: FrameSpec) -> bool:
@@ -285,6 +292,8 @@ class DenoiseUpscale(Pass):
                 self._ladder.note_resize(spec.width * spec.height / (before.width * before.height))
         self._ready, self._spec = (self._sizes.get_or_make(spec, partial(self._made_ready, spec)),
                                    spec)
+        if isinstance(self._ready, ReadyNetwork) and self._ready.first:
+            self._ready.first.reset()
         return True
 
     def _made_ready(self, spec: FrameSpec) -> Ready:
@@ -296,9 +305,41 @@ class DenoiseUpscale(Pass):
             return Ready(self._device, spec, size, layers)
         models, guided = self._models(spec), self._is_guided(spec)
         models |= self._alpha_models(spec, models)
-        wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, self._error)
+        wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, self._error,
+                        self._first_stage() if self._has_first_stage(spec) else None)
         return ReadyNetwork(self._device, spec, size, models, guided, wishes, self._history,
                             self._part_history)
+
+    def _first_stage(self) -> DenoiseUpscale:
+        """What denoises frames before they are enlarged, and mixes them with the noisy ones."""
+        return DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False,
+                              **{name: self.options[name]
+                                 for name in ("model", "reactive", "library")})
+
+    def _has_first_stage(self, spec: FrameSpec) -> bool:
+        """Whether frames of a spec are denoised at their own size before they are enlarged."""
+        may = bool(self.strength) and not self._is_render_size(spec) and denoises_first(self._tag)
+        return may and not self._one_stage_reason(spec)
+
+    def _one_stage_reason(self, spec: FrameSpec) -> str:
+        """Why frames of a spec are enlarged as they are; empty if nothing speaks against two
+        stages."""
+        if self._parts:
+            return "parts need filters that fit the noisy picture"
+        if self.budget:
+            return "there is a budget"
+        if any(role in spec.guide_roles and not spec.has(role) for role in GUIDE_ROLES):
+            return "guides stand in for planes of the render's size"
+        return ""
+
+    def _one_stage_remarks(self, spec: FrameSpec) -> list[str]:
+        """What a plan says of frames that are enlarged as they are by a model of two stages."""
+        reason = self._one_stage_reason(spec)
+        if not (reason and denoises_first(self._tag)):
+            return []
+        asked, other = short_tag(self._tag), short_tag(model_of(self._tag))
+        return [f"'{asked}' does not denoise at the render's size first, '{other}' alone runs: "
+                f"{reason}"]
 
     def _tags_for(self, spec: FrameSpec, has_classic: bool = True) -> tuple[str, ...]:
         """Tags to choose from for frames of a spec, fastest first; one without a budget."""
@@ -339,10 +380,15 @@ class DenoiseUpscale(Pass):
         return self._savings.lines() if self.strength else ()
 
     def choice(self) -> str | None:
-        """The network of the last frame that took one."""
-        model = (self._ready.models.get(self._used)
-                 if self._used and isinstance(self._ready, ReadyNetwork) else None)
-        return network_name(self._used, model) if self._used and model else None
+        """The network of the last frame that took one, or both."""
+        ready = self._ready
+        model = (ready.models.get(self._used)
+                 if self._used and isinstance(ready, ReadyNetwork) else None)
+        if not (self._used and model):
+            return None
+        name = network_name(self._used, model)
+        both = isinstance(ready, ReadyNetwork) and ready.first and ready.first.ran
+        return f"{self._used} then {name}" if both else name
 
     def notice(self) -> str | None:
         told, self._notice = self._notice, None
@@ -362,6 +408,9 @@ class DenoiseUpscale(Pass):
                  f"{NETWORK_PREFIX}{self._used}": np.array(1, np.int64),
                  WIDER: np.array(self._wider, np.int64)}
         known |= {f"{REPEATS}{name}": array for name, array in self._repeats.history().items()}
+        if isinstance(self._ready, ReadyNetwork) and self._ready.first:
+            known |= {f"{FIRST}{name}": array
+                      for name, array in self._ready.first.history().items()}
         return (known | self._cameras.snapshot() | self._history.snapshot()
                 | self._part_history.snapshot())
 
@@ -381,6 +430,10 @@ class DenoiseUpscale(Pass):
             self._cameras.recall(history)
             self._repeats.recall({name.removeprefix(REPEATS): array
                                   for name, array in history.items() if name.startswith(REPEATS)})
+            if self._ready.first:
+                self._ready.first.recall({name.removeprefix(FIRST): array
+                                          for name, array in history.items()
+                                          if name.startswith(FIRST)})
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
@@ -453,15 +506,19 @@ class DenoiseUpscale(Pass):
     def _choose(self, frame: ResidentFrame, ready: ReadyNetwork) -> str:
         """The tag of a frame's network: by the budget; another one for noisy alpha."""
         tag = self._tags[self._ladder.rung if self._ladder else 0]
+        if ready.first and not self._has_told_of_alpha and ready.first.filters_alpha(frame):
+            self._tell_of_alpha(network_name(tag, ready.models[tag]))
         if not (ready.alpha_tag and ready.models[tag] in ready.pictures and has_noisy_alpha(frame)):
             return tag
         if not self._has_told_of_alpha:
-            asked = short_tag(self._tag)
-            self._notice = (f"its alpha is noisy, so model '{ready.alpha_tag}' runs: '{asked}' "
-                            "filters the picture alone; fix: --no-alpha-denoise keeps alpha as it "
-                            "is")
-            self._has_told_of_alpha = True
+            self._tell_of_alpha(ready.alpha_tag)
         return ready.alpha_tag
+
+    def _tell_of_alpha(self, other: str) -> None:
+        """Have the user told that another network runs alone, which filters alpha."""
+        self._notice = (f"its alpha is noisy, so model '{other}' runs: '{short_tag(self._tag)}' "
+                        "filters the picture alone; fix: --no-alpha-denoise keeps alpha as it is")
+        self._has_told_of_alpha = True
 
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
         """What a frame is beside the one before. Only what is denoised alone, from planes of the
@@ -553,7 +610,8 @@ class DenoiseUpscale(Pass):
     def _reads_mirrored(self, spec: FrameSpec) -> bool:
         """Whether a network reads the planes that follow mirrors and glass; where frames may change
         their size, for any of their sizes."""
-        endings = ("", UNSCALED) if self.size else (self._ending(spec),)
+        both = self.size or self._has_first_stage(spec)
+        endings = ("", UNSCALED) if both else (self._ending(spec),)
         return any(reads_mirrored(model_of(tag, ending)) for tag in self._tags_for(spec)
                    for ending in endings)
 
@@ -581,7 +639,11 @@ class DenoiseUpscale(Pass):
             return "the classical filter, no network"
         faster = ", or a faster one to keep the budget" if self.budget else ""
         model = model_of(self._tag, self._ending(spec), filters=bool(self._parts))
-        return f"network {network_name(short_tag(self._tag), model)}{faster}"
+        name = network_name(short_tag(self._tag), model)
+        if self._has_first_stage(spec):
+            return (f"network {short_tag(self._tag)} at the render's size first, then {name} "
+                    f"enlarges; {name} alone where frames have jitter")
+        return f"network {name}{faster}"
 
     def _output_size(self, spec: FrameSpec) -> Size:
         return output_size(spec, self.scale, self.size)

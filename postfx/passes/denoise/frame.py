@@ -12,8 +12,9 @@ import numpy as np
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise import GAIN
 from postfx.kernels.statistics import OUTSIDE, light_outside, lit_cells
-from postfx.passes import ResidentFrame
+from postfx.passes import Pass, ResidentFrame
 from postfx.passes.denoise.assembly import Frames
+from postfx.passes.denoise.first_stage import FirstStage
 from postfx.passes.denoise.history import History, PartHistory
 from postfx.passes.denoise.models import (
     CLASSIC,
@@ -98,6 +99,7 @@ class Wishes(NamedTuple):
         parts: what is denoised with the picture.
         alpha: whether alpha is, too.
         error: whether the expected error is told.
+        first: what denoises frames before they are enlarged; None where nothing does.
     """
 
     strength: float
@@ -105,6 +107,7 @@ class Wishes(NamedTuple):
     parts: Sequence[Part]
     alpha: bool
     error: bool
+    first: Pass | None
 
 
 class ReadyNetwork(Ready):
@@ -115,6 +118,7 @@ class ReadyNetwork(Ready):
         pictures: those that give the picture itself, and no filters.
         alpha_tag: the largest network that filters noisy alpha, where others give the picture
             alone.
+        first: denoises frames before they are enlarged; None where nothing does.
         frames: runs the models.
         reflections: None if frames lack the planes for it.
         restore: at render size only, else None.
@@ -151,19 +155,25 @@ class ReadyNetwork(Ready):
         self.wider = WiderPrimaries(device, parts)
         self.error = ExpectedError(device, spec, output) if wishes.error else None
         reach, halo = reach_of(names), halo_of(names)
+        self.first = (FirstStage(device, spec, wishes.first, alpha, halo) if wishes.first
+                      else None)
         # beside which windows have their halo
         self._reach = (reach and LIGHT_REACH + max(0, reach - halo))
         # whether all that is made of a frame are weighed means of its pixels
-        self._only_weighs = not (parts or self.error or self.pictures)
+        self._only_weighs = not (parts or self.error or self.pictures or self.first)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, work: Work,
                reasons: list[Reason]) -> Tensor:
         """Record all that is done about a frame, in the order of the tables of `graph`; returns the
         colour. What it leaves out goes to the `reasons`. The history stays fully denoised."""
+        mixture = self.first.encode(commands, frame, work) if self.first else None
         if work.wider:
             self.wider.widen(commands, frame)
         self.frames.use(work.model)
         planes = self._planes.encode(commands, frame, work.model in self._blanking)
+        if mixture:
+            planes["colour"] = (self.wider.widen_light(commands, "mixture", mixture) if work.wider
+                                else mixture)
         if self._planes.hazy:
             reasons.append(HAZY_DEPTH)
         if self._mask:

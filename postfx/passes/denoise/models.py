@@ -43,7 +43,8 @@ STAND_INS = {"l": "m", "xl": "m"}
 """Networks without a variant for the render size, or with one that filters no parts, and the
 network whose variant is taken there."""
 ENLARGING_STAND_INS = {"xl": "l"}
-"""Networks for the render size alone, and the network that is taken for enlarging."""
+"""Networks whose variant for the render size runs before frames are enlarged, and the network that
+then enlarges where they have none of their own for that."""
 
 
 def exact(tag: str) -> str:
@@ -160,7 +161,7 @@ def model_of(tag: str, ending: str = "", device: Device | None = None,
     where the network must predict ``filters``, which other pictures need, too, and gives the
     picture alone. If a tag has a network for the render size alone, another one enlarges.
     """
-    enlarging = _stand_in(tag, ENLARGING_STAND_INS)
+    enlarging = tag if has_model(_named(tag, "", device)) else _stand_in(tag, ENLARGING_STAND_INS)
     if ending != UNSCALED:
         return _named(enlarging, ending, device)
     found = [_named(one, UNSCALED, device) for one in (tag, _stand_in(tag, STAND_INS))]
@@ -180,10 +181,23 @@ def unscaled_remarks(tag: str) -> list[str]:
     return [f"model '{tag}' has no network for 1x: '{other}' stands in, which is better there"]
 
 
+def denoises_first(tag: str) -> bool:
+    """Whether frames that are enlarged are denoised first by the tag's network for the render size,
+    which must give the picture itself."""
+    size = short_tag(tag).partition(".")[0]
+    return size in ENLARGING_STAND_INS and gives_picture(model_of(tag, UNSCALED))
+
+
 def enlarging_remarks(tag: str) -> list[str]:
-    """What a plan says about a network for the render size alone where a frame is enlarged."""
-    other = _stand_in(tag, ENLARGING_STAND_INS)
-    return [] if other == tag else [f"model '{tag}' does not enlarge: '{other}' stands in"]
+    """What a plan says where another network stands in for one and nothing is denoised first."""
+    other = short_tag(model_of(tag))
+    size, _, precision = tag.partition(".")
+    if denoises_first(tag) or size not in ENLARGING_STAND_INS or other == tag:
+        return []
+    if precision:
+        return [f"model '{tag}' has no network in {precision}: '{other}' stands in; give model "
+                f"'{size}' for the better picture"]
+    return [f"model '{tag}' does not enlarge: '{other}' stands in"]
 
 
 def filter_remarks(tag: str) -> list[str]:

@@ -41,6 +41,10 @@ class WiderPrimaries:
         self._convert_all(commands, "guide", frame.guides, COLOURS, True)
         self._convert_all(commands, "part", frame.parts, self._lights, True)
 
+    def widen_light(self, commands: CommandBuffer, name: str, light: Tensor) -> Tensor:
+        """Record the conversion of light that is no plane of the frame; returns the result."""
+        return self._convert(commands, name, light, True)
+
     def narrow(self, commands: CommandBuffer, frame: ResidentFrame, colour: Tensor) -> Tensor:
         """Record the conversion back of the frame's parts, which are replaced, and of a colour,
         which is returned."""

@@ -1,0 +1,101 @@
+"""What runs before a network that enlarges: the network for the render's size takes most noise from
+the frame."""
+
+from __future__ import annotations
+
+from collections import ChainMap
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from postfx.frame import FrameSpec, Role
+from postfx.passes import Pass, ResidentFrame
+from postfx.passes.denoise.parts import has_noisy_alpha
+from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES
+from postfx.passes.denoise.tiling import CELL, grown
+from postfx.passes.denoise.window import Work
+from postfx.runtime import CommandBuffer, Device, Tensor
+
+DENOISED_SHARE = 0.75
+"""Share of the denoised picture in the mixture with the noisy one. What stays noisy shows detail
+that the first network lost, and where its picture is not to be trusted."""
+READ_PLANES = (Role.COLOUR, *ABSENT, *MIRRORED_ROLES, Role.STRENGTH, Role.REACTIVE,
+               Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE)
+"""Planes that the first network may read."""
+
+
+class FirstStage:
+    """Denoises frames of one spec at their own size, for a network that then enlarges a mixture of
+    the denoised and the noisy picture as if it were the frame.
+
+    Args:
+        stage: a denoiser of the render's size that mixes by its strength, `DENOISED_SHARE`.
+        alpha: whether the network that enlarges also filters alpha, by filters that must fit the
+            noisy picture.
+        halo: render pixels that it sees around active ones.
+
+    Attributes:
+        ran: whether the last frame was denoised first.
+    """
+
+    def __init__(self, device: Device, spec: FrameSpec, stage: Pass, alpha: bool,
+                 halo: int) -> None:
+        self._stage, self._alpha, self._halo = stage, alpha, halo
+        planes = tuple(plane for plane in spec.planes if plane[0] in READ_PLANES)
+        self._spec = replace(spec, planes=planes, guides=None, parts=())
+        self._strength = (device.heap.tensor("strength of the first stage",
+                                             (spec.height, spec.width, 1))
+                          if spec.has(Role.STRENGTH) else None)
+        self.ran = False
+        stage.compile(device, self._spec)
+
+    def filters_alpha(self, frame: ResidentFrame) -> bool:
+        """Whether a frame's alpha is noisy, so that it needs filters."""
+        return self._alpha and has_noisy_alpha(frame)
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame, work: Work) -> Tensor | None:
+        """Record the work on a frame; returns the mixture. None where the frame is enlarged as it
+        is: with noisy alpha, and where its samples do not lie at the pixels' centres, as then they
+        know more than the picture of its own size can hold."""
+        self.ran = frame.jitter == (0.0, 0.0) and not self.filters_alpha(frame)
+        if not (self.ran and work.keep):
+            self._stage.reset()
+        if not self.ran:
+            return None
+        own = self._copy(frame, work)
+        self._stage.encode(commands, own)
+        return own[Role.COLOUR]
+
+    def _copy(self, frame: ResidentFrame, work: Work) -> ResidentFrame:
+        """The frame as the first network sees it: active wherever the other one looks."""
+        held, own = {role: frame[role] for role in self._spec.roles}, {}
+        if self._strength:
+            own[Role.STRENGTH] = _strength_of(work.cells, self._halo, self._strength.shape[:2])
+            self._strength.upload(own[Role.STRENGTH])
+            held[Role.STRENGTH] = self._strength
+        return replace(frame, spec=self._spec, tensors=held, guides={}, host_guides={}, parts={},
+                       host_planes=ChainMap(own, frame.host_planes), host_parts={},
+                       blank=set(frame.blank))
+
+    def reset(self) -> None:
+        """Drop the history."""
+        self._stage.reset()
+
+    def history(self) -> Mapping[str, np.ndarray]:
+        """Between two frames: the history of the first network."""
+        return self._stage.history() or {}
+
+    def recall(self, history: Mapping[str, np.ndarray]) -> None:
+        """Between two frames: replace the history, unless it is one of another size."""
+        fits = tuple(history.get("size", ())) == (self._spec.height, self._spec.width)
+        self._stage.recall(history if fits else {})
+
+
+def _strength_of(cells: np.ndarray | None, halo: int, size: tuple[int, ...]) -> np.ndarray:
+    """Strength (h, w, 1) of 1 in active squares of 4 pixels and their halo, 0 elsewhere; without
+    squares 1 everywhere."""
+    if cells is None:
+        return np.ones((*size, 1), np.float32)
+    whole = grown(cells, halo).repeat(CELL, 0).repeat(CELL, 1)
+    return whole[:size[0], :size[1], None].astype(np.float32)

@@ -1,0 +1,288 @@
+"""Frames that are denoised at their own size before they are enlarged."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import postfx
+from postfx.colour import TO_WIDER_PRIMARIES
+from postfx.frame import GUIDE_ROLES, Frame, Part, Role
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.first_stage import DENOISED_SHARE
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+from postfx.system import models_dir
+from tests.passes.denoise_frames import PLANES, flat, guided, noisy
+
+SIZE = 32, 44
+CENTRED = {"jitter": (0.0, 0.0)}
+MASKED = 320
+"""Side of frames with a small mask, which are worked on in tiles."""
+STAGES = "network xl at the render's size first, then "
+
+
+def chain(model: str = "xl", **options) -> Pipeline:
+    options.setdefault("scale", None if "size" in options else 2)
+    return Pipeline([DenoiseUpscale(model=model, **options)], Device("cpu", threads=2),
+                    exposure=0.0, cuts="none")
+
+
+def frames(count: int = 3, size: tuple[int, int] = SIZE, **kept) -> list[Frame]:
+    return [noisy(number, *size, **{**CENTRED, **kept}) for number in range(1, count + 1)]
+
+
+def pictures(pipeline: Pipeline, given: Sequence[Frame]) -> list[np.ndarray]:
+    return [np.array(pipeline(frame)[Role.COLOUR]) for frame in given]
+
+
+def with_planes(frame: Frame, **planes: np.ndarray) -> Frame:
+    added = {Role(name): plane for name, plane in planes.items()}
+    return replace(frame, planes={**frame.planes, **added})
+
+
+def by_hand(given: Sequence[Frame], **options) -> list[np.ndarray]:
+    """What two pipelines make of frames, one after the other."""
+    first, then = chain(scale=1, strength=DENOISED_SHARE), chain("l", **options)
+    return pictures(then, [with_planes(frame, colour=mixture)
+                           for frame, mixture in zip(given, pictures(first, given), strict=True)])
+
+
+def assert_same(found: Sequence[np.ndarray], wanted: Sequence[np.ndarray]) -> None:
+    for one, right in zip(found, wanted, strict=True):
+        np.testing.assert_array_equal(one, right)
+
+
+@pytest.mark.parametrize("options", [{"scale": 2}, {"scale": 1.5}, {"size": (88, 64)}], ids=str)
+def test_it_is_both_networks_one_after_the_other(options: dict) -> None:
+    given = frames()
+    found = pictures(chain(**options), given)
+    assert_same(found, by_hand(given, **options))
+    for one, alone in zip(found, pictures(chain("l", **options), given), strict=True):
+        assert np.abs(one - alone).max() > 0.1
+
+
+def test_both_have_a_history_that_a_reset_drops() -> None:
+    given = frames(4)
+    given[2] = replace(given[2], reset=True)
+    pipeline = chain()
+    found = pictures(pipeline, given)
+    assert_same(found, by_hand(given))
+    assert_same(found[2:], pictures(chain(), given[2:]))
+    assert np.abs(found[1] - chain()(given[1])[Role.COLOUR]).max() > 0.01
+    pipeline.reset()
+    assert_same([pipeline(given[1])[Role.COLOUR]], [chain()(given[1])[Role.COLOUR]])
+
+
+def test_a_still_takes_both() -> None:
+    frame = frames(1)[0]
+    color, albedo = frame[Role.COLOUR], frame[Role.DIFFUSE_ALBEDO]
+    still = {"exposure": 0.0, "scale": 2, "device": "cpu"}
+    found = postfx.denoise(color, albedo=albedo, model="xl", **still)
+    mixture = postfx.denoise(color, albedo=albedo, model="xl", strength=DENOISED_SHARE,
+                             **{**still, "scale": 1})
+    np.testing.assert_array_equal(found, postfx.denoise(mixture, albedo=albedo, model="l", **still))
+
+
+@pytest.mark.parametrize("sizes", [[SIZE] * 4, [SIZE, SIZE, (64, 88), (48, 66), SIZE, SIZE]],
+                         ids=["one size", "sizes that change"])
+def test_a_recalled_history_gives_the_same_bits(sizes: list[tuple[int, int]]) -> None:
+    given = [noisy(number, *size, **CENTRED) for number, size in enumerate(sizes)]
+    whole, wanted, kept = chain(size=(88, 64)), [], []
+    for frame in given:
+        wanted += pictures(whole, [frame])
+        kept.append({name: np.array(value) for name, value in whole.history().items()})
+    assert any("first stage" in name for name in kept[0])
+    for at in range(len(given) - 1):
+        again = chain(size=(88, 64))
+        again.recall(given[at], kept[at])
+        assert_same(pictures(again, given[at + 1:]), wanted[at + 1:])
+
+
+def test_a_frame_that_is_not_denoised_first_ends_its_history() -> None:
+    given = frames(4)
+    given[1] = replace(given[1], jitter=(0.25, -0.25))
+    whole = chain()
+    wanted = pictures(whole, given[:2])
+    kept = {name: np.array(value) for name, value in whole.history().items()}
+    assert not any("first stage" in name for name in kept)
+    wanted += pictures(whole, given[2:])
+    again = chain()
+    again.recall(given[1], kept)
+    assert_same(pictures(again, given[2:]), wanted[2:])
+
+
+def test_frames_with_jitter_keep_what_it_tells_between_pixels() -> None:
+    given = frames(2, jitter=(0.25, -0.125))
+    pipeline = chain()
+    assert_same(pictures(pipeline, given), pictures(chain("l"), given))
+    assert pipeline.passes[0].choice() == "l"
+    assert pipeline.passes[0].reflect(given[0].spec).notes == (
+        f"{STAGES}l enlarges; l alone where frames have jitter",)
+
+
+def test_frames_with_noisy_alpha_take_the_network_that_filters_it() -> None:
+    (frame,), random = frames(1), np.random.default_rng(2)
+    noise = with_planes(frame, alpha=random.random((*SIZE, 1), np.float32))
+    pipeline = chain()
+    found = pipeline(noise)
+    (notice,) = pipeline.noticed
+    assert notice.startswith("its alpha is noisy, so model 'l' runs")
+    alone = chain("l")(noise)
+    for role in (Role.COLOUR, Role.ALPHA):
+        np.testing.assert_array_equal(found[role], alone[role])
+    opaque = with_planes(frame, alpha=np.ones((*SIZE, 1), np.float32))
+    for kept in (chain()(opaque), chain(alpha=False)(noise)):
+        assert_same([kept[Role.COLOUR]], by_hand([frame]))
+
+
+@pytest.mark.parametrize(("options", "reason"), [
+    ({"parts": ("key",)}, "parts need filters that fit the noisy picture"),
+    ({"budget": 1e6}, "there is a budget"),
+], ids=str)
+def test_options_leave_the_first_stage_out(options: dict, reason: str) -> None:
+    (frame,) = frames(1)
+    frame = replace(frame, parts={"key": frame[Role.COLOUR]})
+    pipeline = chain(**options)
+    pipeline(frame)
+    (remark,) = pipeline.passes[0].remarks(frame.spec)
+    assert remark == ("'xl' does not denoise at the render's size first, 'l' alone runs: "
+                      f"{reason}")
+    (note,) = pipeline.passes[0].reflect(frame.spec).notes
+    assert note.startswith("network l")
+    assert not {name for name in pipeline.device.models if "xl" in name}
+
+
+def test_parts_add_up_as_with_the_network_that_enlarges() -> None:
+    given = [replace(frame, parts={"key": 0.25 * frame[Role.COLOUR]}) for frame in frames(2)]
+    parts = [Part("key")]
+    found, alone = (chain(model, parts=parts) for model in ("xl", "l"))
+    for frame in given:
+        one, other = found(frame), alone(frame)
+        np.testing.assert_array_equal(one[Role.COLOUR], other[Role.COLOUR])
+        np.testing.assert_array_equal(one.parts["key"], other.parts["key"])
+
+
+def test_guides_in_place_of_planes_leave_the_first_stage_out() -> None:
+    (frame,) = frames(1)
+    sharp = guided(frame, 2 * SIZE[0], 2 * SIZE[1])
+    without = replace(sharp, planes={Role.COLOUR: frame[Role.COLOUR]})
+    assert_same(pictures(chain(), [without]), pictures(chain("l"), [without]))
+    remarks = DenoiseUpscale(2, model="xl").remarks(without.spec)
+    assert any(one.endswith("guides stand in for planes of the render's size") for one in remarks)
+    assert {*GUIDE_ROLES} <= {*frame.planes}
+    assert_same(pictures(chain(), [sharp]), by_hand([frame]))
+
+
+def test_a_precision_that_has_no_first_network_enlarges_alone() -> None:
+    (frame,) = frames(1)
+    assert_same(pictures(chain("xl.int8"), [frame]), pictures(chain("l.int8"), [frame]))
+    assert DenoiseUpscale(2, model="xl.int8").remarks(frame.spec) == (
+        "model 'xl.int8' has no network in int8: 'l.int8' stands in; give model 'xl' for the "
+        "better picture",)
+    assert DenoiseUpscale(2, model="xl").remarks(frame.spec) == ()
+
+
+def test_a_network_that_enlarges_of_its_own_comes_after_the_first(tmp_path: Path) -> None:
+    for name, shipped in (("xl.1x", "xl.1x"), ("xl", "s")):
+        for ending in ("onnx", "json"):
+            shutil.copy(models_dir() / f"denoise_upscale.{shipped}.{ending}",
+                        tmp_path / f"denoise_upscale.{name}.{ending}")
+    (frame,) = frames(1)
+    pipeline = chain(library=tmp_path)
+    (found,) = pictures(pipeline, [frame])
+    mixture = chain(scale=1, strength=DENOISED_SHARE)(frame)[Role.COLOUR]
+    assert_same([found], pictures(chain("s.fp32"), [with_planes(frame, colour=mixture)]))
+    assert pipeline.passes[0].choice() == "xl then xl"
+    by_file = chain(str(tmp_path / "denoise_upscale.xl.onnx"))
+    assert_same(pictures(by_file, [frame]), [found])
+
+
+def test_strength_goes_from_the_input_to_the_whole_effect() -> None:
+    given = frames(2)
+    none, half, whole = (pictures(chain(strength=amount), given) for amount in (0, 0.5, 1))
+    for plain, mixed, full in zip(none, half, whole, strict=True):
+        np.testing.assert_allclose(mixed, (plain + full) / 2, rtol=1e-4, atol=1e-4)
+    pipeline = chain(strength=0)
+    pipeline(given[0])
+    assert not pipeline.device.models
+
+
+def test_masked_pixels_are_as_in_the_whole_frame() -> None:
+    """In tiles, to which the first network gives all that the second sees."""
+    (frame,) = frames(1, (MASKED, MASKED))
+    strength = np.zeros((MASKED, MASKED, 1), np.float32)
+    strength[100:124, 90:110] = 1
+    pipeline = chain()
+    (found,) = pictures(pipeline, [with_planes(frame, strength=strength)])
+    assert any(line.startswith("network outside") for line, _ in pipeline.passes[0].savings())
+    whole, plain = chain()(frame)[Role.COLOUR], chain(strength=0)(frame)[Role.COLOUR]
+    inner, outside = np.s_[204:244, 184:216], np.s_[:190]
+    np.testing.assert_allclose(found[inner] / (1 + found[inner]),
+                               whole[inner] / (1 + whole[inner]), atol=2e-3)
+    np.testing.assert_allclose(found[outside], plain[outside], atol=1e-6)
+    nothing = with_planes(frame, strength=np.zeros_like(strength))
+    assert_same(pictures(chain(), [nothing]), [plain])
+
+
+def test_black_frames_stay_black_and_keep_their_neighbours() -> None:
+    given = frames(3)
+    given[1] = with_planes(given[1], colour=np.zeros((*SIZE, 3), np.float32))
+    assert_same(pictures(chain(), given), by_hand(given))
+    assert chain()(given[1])[Role.COLOUR].max() < 0.01
+
+
+def test_light_outside_the_gamut_comes_through() -> None:
+    """Both networks work in wider primaries."""
+    orange = np.float32([8.0, 2.0, -0.4])
+    given = [with_planes(frame, colour=frame[Role.COLOUR][..., :1] * orange)
+             for frame in frames(2, (64, 64))]
+    assert (orange @ TO_WIDER_PRIMARIES.T > 0).all()
+    for picture, frame in zip(pictures(chain(), given), given, strict=True):
+        ratio = picture.mean((0, 1)) / frame[Role.COLOUR].mean((0, 1))
+        np.testing.assert_allclose(ratio, 1, atol=0.25)
+
+
+def test_what_has_no_noise_stays_as_good() -> None:
+    """A picture of many samples, whose detail both networks must leave alone."""
+    y, x = np.indices((192, 192), np.float32)
+    fine = 0.4 + 0.3 * np.sin(x / 9) * np.cos(y / 13) + 0.15 * (np.hypot(x - 90, y - 100) < 60)
+    truth = np.stack([fine, 0.8 * fine, 0.6 * fine], -1).astype(np.float32)
+    coarse = truth.reshape(96, 2, 96, 2, 3).mean((1, 3))
+    frame = with_planes(flat(1, 0.5, 96, 96, samples=1024), colour=coarse)
+    errors = [np.sqrt(np.mean((chain(model)(frame)[Role.COLOUR] - truth) ** 2))
+              for model in ("xl", "l")]
+    assert errors[0] < 1.15 * errors[1] and errors[0] < 0.03
+
+
+def test_planes_that_follow_mirrors_are_read_by_the_first_network() -> None:
+    (frame,) = frames(1)
+    mirrored = with_planes(frame, **{"denoising_albedo": frame[Role.DIFFUSE_ALBEDO] / 2,
+                                     "denoising_normal": -frame[Role.NORMAL]})
+    read = DenoiseUpscale(2, model="xl").reflect(mirrored.spec).may_read
+    assert {Role.DENOISING_ALBEDO, Role.DENOISING_NORMAL, *PLANES[1:]} <= {*read}
+    assert_same(pictures(chain(), [mirrored]), by_hand([mirrored]))
+    assert Role.DENOISING_ALBEDO not in DenoiseUpscale(2, model="l").reflect(mirrored.spec).may_read
+
+
+def test_other_views_have_their_own_history() -> None:
+    given = frames(2)
+    pair = [replace(frame, views={"right": other})
+            for frame, other in zip(given, frames(2, jitter=(0.0, 0.0))[::-1], strict=True)]
+    pipeline = chain()
+    found = [pipeline(frame) for frame in pair]
+    assert_same([one[Role.COLOUR] for one in found], pictures(chain(), given))
+    assert_same([one.views["right"][Role.COLOUR] for one in found],
+                pictures(chain(), [frame.views["right"] for frame in pair]))
+
+
+def test_planes_on_the_device_give_the_same() -> None:
+    ways = chain(), chain()
+    for frame in frames(2):
+        there = ways[0].on_device(frame.planes, exposure=0.0, number=frame.number)
+        np.testing.assert_array_equal(there[Role.COLOUR].download(), ways[1](frame)[Role.COLOUR])
