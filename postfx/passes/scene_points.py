@@ -65,8 +65,8 @@ def rays_of(camera: np.ndarray, height: int, width: int,
     across = (1 - 2 * (np.arange(width, dtype=np.float32) + 0.5 + camera[14]) / width) * camera[12]
     places = np.arange(height, dtype=np.float32)[rows]
     down = (1 - 2 * (places + 0.5 + camera[15]) / height) * camera[13]
-    rows = down[:, None] * camera[3:6] + camera[6:9]
-    return np.asarray(across[None, :, None] * camera[:3] + rows[:, None], np.float32)
+    along = down[:, None] * camera[3:6] + camera[6:9]
+    return np.asarray(across[None, :, None] * camera[:3] + along[:, None], np.float32)
 
 
 def places_of(camera: np.ndarray, depth: np.ndarray) -> np.ndarray:
@@ -90,7 +90,7 @@ def find_points(first: int, last: int, camera: np.ndarray, depth: np.ndarray, no
                 box: SceneBox, points: np.ndarray) -> None:
     """Rows `first` to `last` - 1 of `points` (height, width, 9), as `points_of` makes them."""
     rows = slice(first, last)
-    rays, here, facing = rays_of(camera, *depth.shape[:2], rows), points[rows], normal[rows]
+    rays, here, facing = rays_of(camera, *depth.shape[:2], rows=rows), points[rows], normal[rows]
     place = camera[9:12] - box.middle + depth[rows] * rays
     np.clip(place / np.float32(box.reach), -FARTHEST_PLACE, FARTHEST_PLACE, out=here[..., :3])
     here[..., 3:6] = facing
