@@ -90,7 +90,8 @@ def find_points(first: int, last: int, camera: np.ndarray, depth: np.ndarray, no
                 box: SceneBox, points: np.ndarray) -> None:
     """Rows `first` to `last` - 1 of `points` (height, width, 9), as `points_of` makes them."""
     rows = slice(first, last)
-    rays, here, facing = rays_of(camera, *depth.shape[:2], rows=rows), points[rows], normal[rows]
+    height, width = depth.shape[:2]
+    rays, here, facing = rays_of(camera, height, width, rows), points[rows], normal[rows]
     place = camera[9:12] - box.middle + depth[rows] * rays
     np.clip(place / np.float32(box.reach), -FARTHEST_PLACE, FARTHEST_PLACE, out=here[..., :3])
     here[..., 3:6] = facing
