@@ -121,9 +121,9 @@ class Heap:
 
     @property
     def networks(self) -> int:
-        """Bytes that ONNX Runtime's arena took from the system for the intermediates of this
-        device's networks. All devices of the process share the arena, which keeps what it has. 0 on
-        a GPU and where the system does not tell.
+        """Bytes that ONNX Runtime's arena has touched for the intermediates of this device's
+        networks. All devices of the process share the arena, which keeps what it has. 0 on a GPU
+        and where the system does not tell.
         """
         return self._networks
 

@@ -358,11 +358,12 @@ def _bind_session(
     outputs = {binding.name: bound[binding.name]
                for binding in bindings if binding.access == "write"}
     if not in_place:
-        return _counted(session.bind(inputs, outputs), tensors)
+        return _counted(session.bind(inputs, outputs), [*outputs.values()])
     replaced = [(bound[name],
                  bound[name].device.heap.tensor(result, bound[name].shape, bound[name].dtype))
                 for name, result in in_place.items()]
-    run = _counted(session.bind(inputs, outputs | {new.name: new for _, new in replaced}), tensors)
+    outputs |= {new.name: new for _, new in replaced}
+    run = _counted(session.bind(inputs, outputs), [*outputs.values()])
 
     def run_in_place() -> None:
         run()
@@ -372,11 +373,12 @@ def _bind_session(
     return run_in_place
 
 
-def _counted(run: Callable[[], None], tensors: Sequence[Tensor]) -> Callable[[], None]:
+def _counted(run: Callable[[], None], outputs: Sequence[Tensor]) -> Callable[[], None]:
     """The run of a session, of whose memory the heap learns if it is the host's."""
-    if not tensors or not tensors[0].device.memory.host_visible:
+    if not outputs or not outputs[0].device.memory.host_visible:
         return run
-    return FirstRun(run, tensors[0].device.heap.note_arena)
+    return FirstRun(run, outputs[0].device.heap.note_arena,
+                    [output.host_view() for output in outputs])
 
 
 _BIND = "set table['name'] = tensor"
