@@ -404,6 +404,12 @@ class Between:
         if ways is None:
             return BY_VECTORS
         row = self._row
+        if ways.vectors_fit and ways.is_thin:
+            explained = not ways.vectors_explain_little(len(row)) or ways.vectors_stand_still
+            if explained or ways.motion <= ways.flow:
+                return BY_VECTORS
+            given, flowing = shares_of((ways.motion, ways.flow))
+            return given, flowing, 0.0, 0.0
         worse = self._unevenness_of_vectors if ways.vectors_explain_little(len(row)) else 0.0
         # a blend is what vectors show that stand still, unless they are worse
         is_still = ways.vectors_stand_still and worse <= MORE_EVEN

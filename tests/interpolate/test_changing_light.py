@@ -289,14 +289,14 @@ def test_where_vectors_do_not_fit_light_does_not_change_along_them_either():
     assert psnr(found, wanted) > psnr(flow, wanted) - 0.1
 
 
-def wire(time: float, vectors: bool) -> Frame:
+def wire(time: float, vectors: bool, step: float = 5.0, seed: int = 3) -> Frame:
     """A line of one pixel in front of a wall that stands still, with vectors of what covers most of
     a pixel."""
-    size, step = 6, 5.0
+    size = 6
     y, x = (np.mgrid[:HEIGHT * size, :WIDTH * size] + 0.5) / size
     cover = np.abs((x - 30 - step * time) - (y - 40) * 0.3) / np.hypot(1, 0.3) < 0.5
     cover = cover.reshape(HEIGHT, size, WIDTH, size).mean((1, 3))[..., None]
-    planes = {Role.COLOUR: texture(X, Y, 3) * (1 - cover) + 0.02 * cover}
+    planes = {Role.COLOUR: texture(X, Y, seed) * (1 - cover) + 0.02 * cover}
     if vectors:
         planes[Role.DEPTH] = np.where(cover > 0.3, 3.0, 10.0)
         planes[Role.MOTION] = np.where(cover > 0.3, (-step, 0.0), (0.0, 0.0))
@@ -304,14 +304,20 @@ def wire(time: float, vectors: bool) -> Frame:
                  number=int(time))
 
 
-def test_a_wire_is_no_cut_and_no_worse_with_vectors():
+@pytest.mark.parametrize("step, seed", [(5.0, 3), (5.0, 7), (8.0, 3), (3.0, 3)])
+def test_a_wire_is_no_cut_and_no_worse_with_vectors(step, seed):
+    """Last of four frames, as those beside them are looked at. Nothing dissolves there. The worst
+    was 5.2 dB below estimated motion; 0.6 are left, where that is right to the pixel."""
     detect = CutDetector()
-    assert not any(detect(wire(time, True)) for time in range(3))
-    wanted, quality = wire(0.5, False)[Role.COLOUR], {}
+    assert not any(detect(wire(time, True, step, seed)) for time in range(4))
+    wanted, quality = wire(2.5, False, step, seed)[Role.COLOUR], {}
     for vectors in (True, False):
-        frames = [wire(time, vectors) for time in range(3)]
-        quality[vectors] = psnr(Between(*frames).frame(0.5)[Role.COLOUR], wanted)
-    assert quality[True] > quality[False] - 0.5
+        frames, last = [wire(time, vectors, step, seed) for time in range(5)], None
+        for time in range(3):
+            last = Between(*frames[time:time + 3], last=last)
+        quality[vectors] = psnr(last.frame(0.5)[Role.COLOUR], wanted)
+    mean = (frames[2][Role.COLOUR] + frames[3][Role.COLOUR]) / 2
+    assert quality[True] > max(quality[False], psnr(mean, wanted)) - 0.6
 
 
 @pytest.mark.parametrize("none", [np.nan, 1e10, -65504.0, -999.0, 200.0])
