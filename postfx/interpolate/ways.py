@@ -73,6 +73,11 @@ LEAST_LEFT = 0.5
 moves may hide and uncover much that is uneven."""
 LEAST_LEFT_ALONE = 0.9
 """The same by two frames alone."""
+LEAST_LEFT_OF_FLOW = 0.4
+"""Misfit of estimated motion, in that of standing still, from which a blend may count where there
+are no vectors."""
+LESS_EVEN_THAN_FLOW = 0.5
+"""Unevenness along estimated motion, in that of a blend, from which it does."""
 MORE_EVEN = 1.03
 """The same from which a blend is better than vectors that explain nothing."""
 MOSTLY_NOISE = 0.5

@@ -348,3 +348,76 @@ def test_lost_motion_is_that_of_what_is_lost_around():
     np.testing.assert_array_equal(found[:, 10:], estimated[:, 10:])
     np.testing.assert_array_equal(motion_of_lost(estimated, np.full_like(estimated, np.nan),
                                                  is_lost), estimated)
+
+
+RAMP = np.linspace(0, 1, WIDTH)[None, :, None]
+GROUPS = {
+    "a lamp that moves": lambda time: {"key": picture(time)[0] * (lamp(time) - 1),
+                                       "fill": picture(time)[0]},
+    "one that goes as another comes": lambda time: {
+        "key": picture(time)[0] * RAMP * max(1 - time, 0),
+        "fill": picture(time)[0] * (1 - RAMP) * min(time, 1)},
+    "a shot that goes over into one that stands still": lambda time: {
+        "key": picture(time)[0] * RAMP * (1 - time / 8) + time / 8 * texture(X, Y, 12) * (1 - RAMP),
+        "fill": picture(time)[0] * (1 - RAMP) * (1 - time / 8) + time / 8 * texture(X, Y, 12)
+        * RAMP},
+    "light below 0": lambda time: {"key": 2 * picture(time)[0], "dark": -picture(time)[0] * RAMP},
+}
+
+
+def grouped(time: float, kind: str, vectors: bool) -> Frame:
+    parts = {name: part.astype(np.float32) for name, part in GROUPS[kind](time).items()}
+    found = frame(time, vectors=vectors)
+    return replace(found, parts=parts,
+                   planes={**found.planes, Role.COLOUR: sum(parts.values())})
+
+
+@pytest.mark.parametrize("vectors", [True, False])
+@pytest.mark.parametrize("kind", GROUPS)
+def test_light_groups_add_up_to_the_picture_and_have_the_light_of_the_time(kind, vectors):
+    """They were up to 4.7 % of its light apart, and up to 9 dB worse than they are."""
+    frames = [grouped(time, kind, vectors) for time in (-1, 0, 1, 2)]
+    found = Between(*frames[1:], last=Between(*frames[:2])).frame(0.5)
+    np.testing.assert_allclose(sum(found.parts.values()), found[Role.COLOUR], rtol=1e-4, atol=1e-5)
+    for name, wanted in GROUPS[kind](0.5).items():
+        blend = (frames[1].parts[name] + frames[2].parts[name]) / 2
+        sign = -1 if name == "dark" else 1
+        least = psnr(sign * blend, sign * wanted) + (1 if vectors else -0.3)
+        assert psnr(sign * found.parts[name], sign * wanted) > least
+
+
+@pytest.mark.parametrize("kind", SHOTS)
+def test_a_dissolve_without_vectors_is_hardly_worse_than_a_mean(kind):
+    """Estimated motion alone was up to 6.6 dB below. Where it matches other waves of the same
+    pattern, 4.0 are left."""
+    def at(time: float) -> Frame:
+        shown = picture(time)[0] * (1 - time / 7) + SHOTS[kind](time) * time / 7
+        return Frame({Role.COLOUR: shown.astype(np.float32)}, number=1)
+
+    frames, last = [at(time) for time in range(8)], None
+    worse = []
+    for time in range(7):
+        last = Between(*frames[time:time + 3], last=last)
+        wanted, mean = at(time + 0.5)[Role.COLOUR], (last.before[Role.COLOUR]
+                                                     + last.after[Role.COLOUR]) / 2
+        worse.append(psnr(mean, wanted) - psnr(last.frame(0.5)[Role.COLOUR], wanted))
+    assert max(worse) < 4.2
+
+
+def test_parts_of_a_dissolve_between_shots_that_stand_still_are_exact():
+    def at(time: float) -> Frame:
+        parts = {"key": texture(X, Y, 3) * (1 - time / 8), "fill": texture(X, Y, 12) * time / 8}
+        parts = {name: part.astype(np.float32) for name, part in parts.items()}
+        return Frame({Role.COLOUR: sum(parts.values()),
+                      Role.MOTION: np.zeros((HEIGHT, WIDTH, 2), np.float32)}, parts=parts)
+
+    found = Between(at(3), at(4)).frame(0.25)
+    for name, part in at(3.25).parts.items():
+        np.testing.assert_allclose(found.parts[name], part, atol=2e-6)
+
+
+def test_parts_that_do_not_add_up_keep_their_own_light():
+    """One brighter than the picture, such as light before it is filtered."""
+    pair = [replace(one, parts={"other": 3 * one[Role.COLOUR]}) for one in (frame(0), frame(1))]
+    found = Between(*pair).frame(0.5)
+    assert abs(found.parts["other"].mean() / pair[0].parts["other"].mean() - 1) < 0.02
