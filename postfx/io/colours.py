@@ -235,8 +235,8 @@ def gather_attributes(own: Mapping[str, Any],
 
 def is_given(name: str, value: Any) -> bool:
     """Whether an attribute says anything: programs write primaries of zeros where they know
-    none."""
-    return name != PRIMARIES or bool(np.any(value))
+    none, some of them beside a white."""
+    return name != PRIMARIES or bool(np.any(np.ravel(value)[:6]))
 
 
 def parse_colourspace(text: str | None) -> InputColours:
