@@ -269,7 +269,7 @@ class FrameSpec:
         """Roles of the planes, in the order of `Role`."""
         return tuple([role for role, _ in self.planes])
 
-    @property
+    @cached_property
     def guide_roles(self) -> tuple[Role, ...]:
         """Roles of the guides, in the order of `Role`."""
         return self.guides.roles if self.guides else ()

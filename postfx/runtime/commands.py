@@ -252,7 +252,9 @@ class CommandBuffer:
         self._handled = threading.Event() if self._handlers else None
         with self.device.commit_lock:
             key = self._recognise()
-            self._order()
+            # before transient tensors get their memory, by the barriers between commands
+            if not (self.device.hazards.explicit or self._footprint):
+                self.records = with_barriers(Accesses(self.records))
             self._place()
             stands_apart = self.device.hazards.commit(self)
             if self.known and key:
@@ -283,7 +285,7 @@ class CommandBuffer:
             raise EncodingError(f"'{self.label}' cannot be waited for: it is {self._state}, commit "
                                 "it first")
         begin, handled = time.monotonic(), self._handled
-        if not self.is_done(timeout):
+        if not self._done.wait(timeout):
             raise timeout_error(f"'{self.label}' was not done after {timeout:g} s",
                                 self.device.hazards.in_flight())
         left = None if timeout is None else max(0.0, timeout - (time.monotonic() - begin))
@@ -375,12 +377,6 @@ class CommandBuffer:
             return key
         self.records, self._placement, self._footprint, _ = again
         return None
-
-    def _order(self) -> None:
-        """Add the barriers that commands need among themselves, before transient tensors get their
-        memory by them."""
-        if not (self.device.hazards.explicit or self._footprint):
-            self.records = with_barriers(Accesses(self.records))
 
     def _place(self) -> None:
         placement = self.device.heap.arena.place(self.records, self._kept, self._placement,
@@ -491,12 +487,12 @@ class Execution:
                 else None)
         if fork is not None:
             with fork:
-                return [Span(dispatch.encoder, dispatch.label, *fork.run(index, _work(dispatch)))
+                return [Span(dispatch.encoder, dispatch.label, *fork.run(index, dispatch.execute))
                         for index, dispatch in enumerate(dispatches)]
         spans, begin = [], self._memory.mark()
         for (label, _), group in groupby(dispatches, self._measured_with):
             for dispatch in group:
-                _work(dispatch)()
+                dispatch.execute()
             # where the next one begins: a mark takes a GPU as long as a small kernel
             end = self._memory.mark()
             spans.append(Span(dispatch.encoder, label, begin, end))
@@ -572,7 +568,7 @@ class Execution:
             spans = self._enqueue([dispatch])
         else:
             begin = memory.mark()
-            _work(dispatch)()
+            dispatch.execute()
             spans = [Span(dispatch.encoder, dispatch.label, begin, memory.mark())]
         memory.relax()
         for tensor in dispatch.writes:
@@ -619,11 +615,6 @@ def _threads(dispatch: Dispatch) -> int:
 def _stream(dispatch: Dispatch) -> int:
     """A GPU's stream of its own, 0 for the device's."""
     return dispatch.state.stream if dispatch.state else 0
-
-
-def _work(dispatch: Dispatch) -> Callable[[], None]:
-    assert dispatch.execute is not None  # since commit
-    return dispatch.execute
 
 
 def _timings(memory: Memory, spans: Sequence[Span]) -> dict[int, tuple[str, float]]:
