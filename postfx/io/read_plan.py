@@ -144,6 +144,22 @@ def _find_columns(
     return tuple(parts.values())
 
 
+class Choice(NamedTuple):
+    """What is read of a frame where some planes and guides are asked for.
+
+    Attributes:
+        planes: roles of the frame's planes, those that are made of others included.
+        first: the first channel: of its file and part the frame is.
+        rows: how planes of the frame's size are read.
+        guide_rows: the same of guides.
+    """
+
+    planes: tuple[Role, ...]
+    first: Channel
+    rows: list[RowsPlan]
+    guide_rows: list[RowsPlan]
+
+
 @dataclass(frozen=True, eq=False)
 class ReadPlan:
     """Where all that is read of a frame lies.
@@ -164,11 +180,12 @@ class ReadPlan:
             in several parts.
         known: which numbers of the camera the header told, on which the planes depend that could be
             used.
+        choices: what is read, by what is asked for.
     """
 
     index: ChannelIndex
     layout: Layout
-    guides: Mapping[Role, Match]
+    guides: dict[Role, Match]
     guiding: ReadPlan | None
     parts: Mapping[str, FoundPart]
     views: tuple[str, ...]
@@ -176,9 +193,7 @@ class ReadPlan:
     colours: Mapping[str, Any] | None
     source: ColourSource | None
     known: tuple[bool, ...]
-    _rows: dict[tuple[Role, ...], tuple[Mapping[Role, Match], list[RowsPlan]]] = field(
-        default_factory=dict
-    )
+    choices: dict[tuple[object, ...], Choice] = field(default_factory=dict)
 
     def tell_layout(
         self, attributes: Mapping[str, Any], depth: DepthOption | None,
@@ -199,17 +214,6 @@ class ReadPlan:
             attributes = {**rest, **self.colours}
         paths = {word: file.path for word, file in files.items()}
         return replace(self.layout, attributes=attributes, camera=camera, paths=paths)
-
-    def rows(
-        self, matches: Mapping[Role, Match], files: Mapping[str, ImageFile]
-    ) -> list[RowsPlan]:
-        """How these planes are read, found once for the rules that they have first: whoever looks
-        for mistakes, as `postfx inspect`, tries others on the same files."""
-        roles = tuple(matches)
-        held = self._rows.get(roles)
-        if held is None:
-            held = self._rows[roles] = matches, plan_rows(matches, files)
-        return held[1] if held[0] == matches else plan_rows(matches, files)
 
 
 def camera_over(camera: Camera, area: Area) -> Camera:

@@ -247,13 +247,12 @@ class Sequence:
 
     def inputs(self, number: int) -> list[Path]:
         """All files that a frame is read from; MissingFrameError when one of them is not there."""
-        of_views = [self, *map(self.reader, self.views if self.pattern.has_views else ())]
-        return [
-            path
-            for one in of_views
-            for files in (one.files(number), one.guide_files(number) or {})
-            for path in files.values()
-        ]
+        found: list[Path] = []
+        for one in (self, *map(self.reader, self.views if self.pattern.has_views else ())):
+            found += one.files(number).values()
+            if one.guides:
+                found += one._guide_files(number, one.guides).values()
+        return found
 
     def files(self, number: int) -> dict[str, Path]:
         """Plane word ('' where one file holds all planes) -> file of a frame; MissingFrameError
@@ -266,15 +265,13 @@ class Sequence:
             )
         return frames[number]
 
-    def guide_files(self, number: int) -> dict[str, Path] | None:
-        """Files of a frame's guides, by plane word; None where they have no files of their own."""
-        if self.guides is None:
-            return None
-        frames = self.guides._found[self._key]
-        if not self.guides.pattern.is_numbered:
+    def _guide_files(self, number: int, guides: Sequence) -> dict[str, Path]:
+        """Files of a frame's guides, by plane word, of those that have files of their own."""
+        frames = guides._found[self._key]
+        if not guides.pattern.is_numbered:
             return next(iter(frames.values()))
         if number not in frames:
-            path = self.guides.pattern.of_view(self._key).path(number)
+            path = guides.pattern.of_view(self._key).path(number)
             raise MissingFrameError(
                 f"{path}: guides of frame {number} are missing: render them or leave the frame out "
                 "with --frames"
@@ -294,7 +291,8 @@ class Sequence:
     def open(self, number: int) -> FrameFiles:
         """Open files of a frame: its header and layout without its pixels. Use as a context
         manager."""
-        guides, view = self.guide_files(number), None if self._key else self.view
+        guides = self._guide_files(number, self.guides) if self.guides else None
+        view = None if self._key else self.view
         settled = Settled(view, self._layer, self._areas.get(self.view), self._named)
         files = FrameFiles(self.files(number), self.options, settled, guides, self._plans)
         self._layer = self._layer or files.layout.chosen_layer
