@@ -437,7 +437,9 @@ class Execution:
     def run(self) -> None:
         """Run the dispatches up to the first that fails, and wait until they are done."""
         try:
-            spans = self._at_once()
+            spans = None
+            if self._recorder is None and (self._memory.replays or self._footprint.narrow):
+                spans = self._at_once()
             if spans is None:
                 beside = (self._footprint.narrow and self._recorder is None
                           and runs_side_by_side(self._device))
@@ -455,7 +457,7 @@ class Execution:
         be looked at."""
         dispatches, memory, footprint = self._dispatches, self._memory, self._footprint
         forks = footprint.narrow and any(map(_stream, dispatches))
-        if not (memory.replays or forks) or self._recorder is not None:
+        if not (memory.replays or forks):
             return None
         if any(allocation.lost for allocation in footprint.users):
             return None
