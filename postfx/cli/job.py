@@ -514,7 +514,11 @@ class Job:
         return []
 
     @cached_property
-    def _looker(self) -> FirstFrames:
+    def _looker(self) -> FirstFrames | None:
+        """What looks at the first frames; None where AOVs are not read, so that none is missing."""
+        if (self._arguments.no_denoise or self._arguments.strength == 0
+            or self.pipeline.device.scratch):
+            return None
         # It loads the doctor, which other verbs need not wait for.
         from postfx.doctor.first_frames import FirstFrames
 
@@ -524,10 +528,7 @@ class Job:
     def _look(self, frame: Frame, tell: Callable[[str], None],
               is_alone: bool = False) -> None:
         """Tell what is plainly wrong with the first frames at once, not after a night."""
-        if (self._arguments.no_denoise or self._arguments.strength == 0
-            or self.pipeline.device.scratch):
-            return  # where AOVs are not read, so that none is missing
-        if not self._looker.is_done:
+        if self._looker and not self._looker.is_done:
             self._tell(self._looker.look(frame, is_alone), tell)
 
     def _tell(self, texts: Iterable[str], tell: Callable[[str], None]) -> None:

@@ -52,11 +52,6 @@ class Area(NamedTuple):
     display: Window
     window: Window
 
-    @property
-    def is_wider(self) -> bool:
-        """Whether there is more than the display window."""
-        return self.window != self.display
-
 
 class Settled(NamedTuple):
     """What a sequence has settled before it opens a frame.
@@ -206,7 +201,7 @@ class ReadPlan:
         camera = depth.camera(camera) if depth else camera
         if known_of(camera) != self.known:
             return None
-        if self.area and self.area.is_wider:
+        if self.area and self.area.window != self.area.display:
             camera = camera_over(camera, self.area)
         if self.colours is not None:
             rest = {name: value
@@ -279,7 +274,7 @@ class Planner:
         # Where the planes are within the display window, then within all that holds data.
         self.index, self._layout = self._look()
         self._area = _area_of(self._layout, settled.area)
-        if self._area and self._area.is_wider:
+        if self._area and self._area.window != self._area.display:
             display, window = self._area
             self._files = {
                 word: _widen(parts, display, window) for word, parts in self._files.items()

@@ -16,7 +16,7 @@ import numpy as np
 
 from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
 from postfx.frame import LOG, Frame, Role
-from postfx.io.colours import InputColours, parse_colourspace
+from postfx.io.colours import ColourSpace, InputColours, parse_colourspace
 from postfx.io.frame_reader import READ_ALL, FrameFiles
 from postfx.io.pattern import (
     VIEW_FIELD,
@@ -89,8 +89,9 @@ class Sequence:
             self._choose_views()
         self._known_views = (self.view, *self.views)
         self._named = False
-        # The plan and the colours whose warnings were told last.
+        # The plan and the colours whose warnings were told last, and the space that they mean.
         self._told: tuple[ReadPlan, InputColours] | None = None
+        self._space: ColourSpace | None = None
         self._areas: dict[str | None, Area | None] = {}
         self.coverage = Coverage()
         self.colours = parse_colourspace(options.colourspace)
@@ -302,22 +303,23 @@ class Sequence:
             self.views, self._known_views, self._all_views = tuple(others), files.views, False
         self._areas[self.view] = self._areas.get(self.view) or files.area
         if self._told != (files.plan, self.colours):
-            self._tell_of(files)
+            self._space = self._tell_of(files)
             self._told = files.plan, self.colours
         return files
 
-    def _tell_of(self, files: FrameFiles) -> None:
-        """Warn of what all frames with the plan of these files have in common. Raises ColourError,
-        and closes the files, where their colours are of no known space."""
+    def _tell_of(self, files: FrameFiles) -> ColourSpace:
+        """Warn of what all frames with the plan of these files have in common; the space of their
+        colours. Raises ColourError, and closes the files, where that is not known."""
         try:
-            of_colours = self.colours.warnings(files.layout.attributes)
+            space = self.colours.space(files.layout.attributes)
         except ColourError as error:
             files.close()
             raise ColourError(f"{files.path}: {error}") from None
-        for warning in (*files.layout.warnings, *of_colours):
+        for warning in (*files.layout.warnings, *self.colours.warnings(space)):
             self.warn(warning)
         if files.views:
             self._warn_of_views(files.views)
+        return space
 
     def read(
         self,
@@ -358,6 +360,7 @@ class Sequence:
         """A frame that comes after `previous`, with all views; if `is_lenient`, without planes that
         it lacks, except the colour."""
         with self.open(number) as files:
+            space = self._space
             wanted, guiding = self.options.planes if planes is None else planes, guides
             if is_lenient:
                 wanted, guiding = files.select_present(wanted, guiding)
@@ -374,7 +377,8 @@ class Sequence:
         self._estimate_motion(frame, begins, is_motion_wanted)
         for role in more:
             del frame.planes[role]
-        self.colours.apply(frame)
+        assert space is not None, "it was found where the files were opened"
+        self.colours.apply(frame, space)
         if self.options.brightest and Role.COLOUR in frame:
             clamp_fireflies(frame, self.options.brightest, self.fireflies, lights)
 
