@@ -58,7 +58,7 @@ more."""
 _PNG_PAETH = 128
 MOST_KINDS_OF_OUTPUTS = 32
 """That are known to be possible."""
-_SHOWN: Kept[tuple[object, ...], bool] = Kept(MOST_KINDS_OF_OUTPUTS)
+_HOLDS_CODES: Kept[tuple[object, ...], bool] = Kept(MOST_KINDS_OF_OUTPUTS)
 """Whether files hold pictures for a display, by suffix, bits, compression and encoding: those that
 can be written."""
 
@@ -161,11 +161,11 @@ def write_frame(
                          f"{type(frame).__name__}: give Frame({{'colour': array}})")
     path = Path(path)
     kind = (path.suffix, bits, compression, frame.encoding)
-    shown = _SHOWN.find(kind)
+    shown = _HOLDS_CODES.find(kind)
     if shown is None:  # the first file of its kind
         shown = is_display_format(path)
         check_storage(path, bits, compression, frame.encoding)
-        _SHOWN.keep(kind, shown)
+        _HOLDS_CODES.keep(kind, shown)
     if shown and frame.views:
         raise WriteError(f"{path}: {path.suffix[1:].upper()} holds one view: write EXR, or choose "
                          "one with --view NAME")
