@@ -332,7 +332,8 @@ class Job:
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         self._look(frame, tell)
         result = self.pipeline(frame)
-        self._tell_noticed(number, tell)
+        for text in self.pipeline.noticed:
+            self._tell([f"frame {number}: {text}"], tell)
         for path, picture in self._files().split(result):
             write_frame(path, picture, relax=self._relax, **self._format)
             if self._viewer:
@@ -515,7 +516,11 @@ class Job:
         return []
 
     @cached_property
-    def _looker(self) -> FirstFrames:
+    def _looker(self) -> FirstFrames | None:
+        """What looks at the first frames; None where AOVs are not read, so that none is missing."""
+        if (self._arguments.no_denoise or self._arguments.strength == 0
+            or self.pipeline.device.scratch):
+            return None
         # It loads the doctor, which other verbs need not wait for.
         from postfx.doctor.first_frames import FirstFrames
 
@@ -525,13 +530,8 @@ class Job:
     def _look(self, frame: Frame, tell: Callable[[str], None],
               is_alone: bool = False) -> None:
         """Tell what is plainly wrong with the first frames at once, not after a night."""
-        if (self._arguments.no_denoise or self._arguments.strength == 0
-            or self.pipeline.device.scratch):
-            return  # where AOVs are not read, so that none is missing
-        self._tell(self._looker.look(frame, is_alone), tell)
-
-    def _tell_noticed(self, number: int, tell: Callable[[str], None]) -> None:
-        self._tell([f"frame {number}: {text}" for text in self.pipeline.noticed], tell)
+        if self._looker and not self._looker.is_done:
+            self._tell(self._looker.look(frame, is_alone), tell)
 
     def _tell(self, texts: Iterable[str], tell: Callable[[str], None]) -> None:
         """Tell at once what is to be mended, and again at the end of a long run."""
@@ -572,7 +572,8 @@ class Job:
         self._ahead_ms += passes.ahead
         if passes.cut:
             self._cuts.append(work.number)
-        self._tell_noticed(work.number, tell)
+        for text in passes.noticed:
+            self._tell([f"frame {work.number}: {text}"], tell)
         milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0

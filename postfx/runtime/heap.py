@@ -68,6 +68,8 @@ class Heap:
 
     Attributes:
         arena: memory that transient tensors share.
+        explain_loss: why a transient tensor lost its content, as a clause; None while it still has
+            it.
         allocations: how many tensors were allocated so far.
     """
 
@@ -82,6 +84,7 @@ class Heap:
         self._peak = 0
         self._networks = 0
         self.arena = Arena(device)
+        self.explain_loss = self.arena.explain_loss
         self.allocations = 0
 
     def tensor(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
@@ -108,10 +111,6 @@ class Heap:
         if self._device.scratch:  # the arena is one allocation, all of which would end up in a file
             return self.tensor(name, shape, dtype)
         return self.arena.tensor(name, shape, dtype)
-
-    def explain_loss(self, transient: Transient) -> str | None:
-        """Why a transient tensor lost its content, as a clause; None while it still has it."""
-        return self.arena.explain_loss(transient)
 
     @property
     def size(self) -> int:

@@ -391,7 +391,7 @@ class Arguments:
         reads, writes: the tensors that it reads and writes, the memory of its intermediates among
             the latter.
         transients: allocations of transient tensors without memory yet.
-        execute: runs the state on them; None while some have no memory.
+        execute: runs the state on them, if all have memory.
         aliases: two tensors on the same memory, the second of which is written; None if there are
             none.
     """
@@ -405,8 +405,7 @@ class Arguments:
         self.writes = (*[tensor for binding, tensor in pairs if binding.access != "read"], *changed)
         self.transients = tuple(dict.fromkeys(a for a in (t.allocation for t in tensors)
                                               if isinstance(a, Transient)))
-        self.execute: Callable[[], None] | None = (None if self.transients
-                                                   else _prepare(state, tensors, memory))
+        self.execute = _refuse if self.transients else _prepare(state, tensors, memory)
         self._tensors, self._memory = tensors, memory
         self.aliases = self._aliases()
         self._placed: tuple[tuple[Allocation | None, ...], Arguments] | None = None
@@ -436,6 +435,11 @@ class Arguments:
             resident = tuple(tensor.resident() for tensor in self._tensors)
             self._placed = places, Arguments(self.state, resident, self._memory)
         return self._placed[1]
+
+
+def _refuse() -> None:
+    """In place of a run on transient tensors that no commit has placed."""
+    raise AssertionError("a commit gives transient tensors their memory first")
 
 
 def _prepare(state: State, tensors: tuple[Tensor, ...],
