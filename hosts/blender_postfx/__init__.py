@@ -92,7 +92,7 @@ class Job:
 PRESETS = [("NONE", "Standard", "Every frame uses the frames before it"),
            ("preview", "Preview", "The fastest: the small network, alone"),
            ("final", "Final",
-            "The cleanest: the largest network in both directions, many times the time"),
+            "For delivery: the largest network in both directions, many times the time"),
            ("animation", "Animation", "In both directions, and steady in brightness")]
 OWN_NETWORK = ("preview", "final")
 """Presets that choose the network themselves."""

@@ -238,7 +238,7 @@ def _list_passes() -> str:
 DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
            help="preview: the fastest (--model s --run-up 0 --preroll 0 --fast-look); final: "
-           "the cleanest (--model xl --both-ways --with auto); animation: steady "
+           "for delivery, whatever frames show (--model xl --both-ways --with auto); animation: steady "
            "brightness (--both-ways --exposure smooth). Options that you give yourself win"),
     Option(flag="--scale", basic=True, metavar="S", type=parse_number, either="size",
            sets="denoiser.scale", excludes=_FOR_DENOISER,
