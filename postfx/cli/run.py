@@ -30,7 +30,7 @@ output then has their size.
 """
 EXAMPLES = """\
 examples:
-  postfx run shot/noisy.####.exr -o out/clean.####.exr                 # scene-linear, the render's size
+  postfx run shot/noisy.####.exr -o out/clean.####.exr                 # scene-linear light
   postfx run shot/noisy.####.exr -o out/picture.####.png               # tone-mapped pictures
   postfx run shot/noisy.####.exr -o out/large.####.exr --scale 2       # denoised and twice as large
   postfx run shot/noisy.####.exr -o out/clean.####.exr --preset final  # for delivery

@@ -239,7 +239,8 @@ DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
            help="preview: the fastest (--model s --run-up 0 --preroll 0 --fast-look); final: "
            "for delivery, whatever frames show (--model xl --both-ways --with auto); "
-           "animation: steady brightness (--both-ways --exposure smooth). Options that you give yourself win"),
+           "animation: steady brightness (--both-ways --exposure smooth). Options that you "
+           "give yourself win"),
     Option(flag="--scale", basic=True, metavar="S", type=parse_number, either="size",
            sets="denoiser.scale", excludes=_FOR_DENOISER,
            help="output size over render size, 1 to 3, e.g. 2 for frames twice as large (default: "
