@@ -303,9 +303,9 @@ DENOISING = Section("denoising and size", (
            "'strength' if there is one"),
     Option(flag="--motion", choices=("auto", "file", "estimate"), default="auto", off="auto",
            sets="sequence.motion", excludes=_FOR_DENOISER,
-           help="where motion vectors come from: auto, the files, or an estimate if the files have "
-           "none, or zeros although the picture moves (default); file, only the files; estimate, "
-           "always an estimate. Estimates use albedo, normals and depth"),
+           help="where motion vectors come from: auto, the files, or an estimate if they have "
+           "none, or only zeros although the picture moves (default); file, only the files; "
+           "estimate, always an estimate. Estimates use albedo, normals and depth"),
     Option(flag="--clamp-fireflies", metavar="N", type=parse_number,
            sets="sequence.clamp_fireflies", excludes=_FOR_DENOISER,
            help="before denoising, darken pixels that are more than N times (such as 8) as bright "
