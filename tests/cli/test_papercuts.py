@@ -66,6 +66,7 @@ def test_words_of_other_programs_are_understood(here, capsys, words, said):
     (("run", "in/shot.####.exr", "\u2013o", "out/"), "begins with a long dash: type - or --"),
     (("run", "in/", "-o", "out/shot.*.exr"), "write # for each digit of the frame's number"),
     (("run", "in/shot.0001.exr", "-o", "out/shot.?.exr"), "'?' finds files, it names none"),
+    (("run", "in/", "-o", "-"), "not to standard output: write it like out/clean.####.exr"),
     (("capture-compare", "a", "b"), "capture 'a' cannot be read: No such file or directory: give"),
 ])
 def test_a_slip_is_told_with_the_way_out(here, capsys, words, said):
