@@ -320,6 +320,7 @@ def host_floats(given: Any, what: str) -> np.ndarray:
                              "tensor.detach().cpu().float()") from error
     if not isinstance(array, np.ndarray) or not np.issubdtype(array.dtype, np.floating):
         found = getattr(array, "dtype", type(array).__name__)
+        files = "; postfx.read_sequence reads files" if isinstance(array, str | Path) else ""
         raise FrameError(f"{what} is {found}: give a NumPy array of floats, or one of a library "
-                         "with DLPack")
+                         f"with DLPack{files}")
     return array

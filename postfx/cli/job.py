@@ -154,8 +154,6 @@ class Job:
         self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False,
                                  wrap=wrap)
         refuse_views(self.sequence, self.outputs)
-        if self.outputs and not arguments.explain:  # after all options, whose mistakes matter more
-            self.outputs.check(self.sequence.numbers)
         with ExitStack() as stack:
             files = stack.enter_context(self.sequence.open(self.first))
             self.skips += explain_overlay(arguments, files)
@@ -178,6 +176,8 @@ class Job:
         if self.outputs:
             self.outputs.check_storage(self.plan.output.encoding, arguments.bits,
                                        arguments.compression)
+            if not arguments.explain:  # after all options, whose mistakes matter more
+                self.outputs.check(self.sequence.numbers)
         standin = None
         if policy is OnError.COPY:
             plain, _ = self._passes(None if denoising is None else self._resample_options())
@@ -575,6 +575,7 @@ class Job:
         for text in passes.noticed:
             self._tell([f"frame {work.number}: {text}"], tell)
         milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
+        milliseconds -= sum(passes.ahead)
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0
         done = FrameResult(frame, result, passes.exposure_factor, passes.cut, milliseconds,

@@ -458,7 +458,14 @@ class OutputFiles:
                  existing: ExistingFiles = ExistingFiles.REFUSE) -> None:
         self.existing, self._sequence = existing, sequence
         target = with_slashes(os.path.expanduser(target))
+        if target == "-":
+            raise WriteError("-: frames are written to files, not to standard output: write it "
+                             "like out/clean.####.exr")
         self._pattern = _output_pattern(target, sequence.pattern)
+        wild = next((letter for letter in "*?" if letter in self._pattern.prefix), "")
+        if wild and not self._pattern.is_numbered:
+            raise WriteError(f"{target}: '{wild}' finds files, it names none: write # for each "
+                             "digit of the frame's number, as in clean.####.exr")
         self.display = is_display_format(str(self._pattern))
         self.has_views = self._pattern.has_views
         if len(sequence) > 1 and not self._pattern.is_numbered:
