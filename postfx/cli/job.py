@@ -642,7 +642,7 @@ class Job:
             strength = denoising.get("strength")
             passes.append(create("mix_partner", strength=1.0 if strength is None else strength,
                                  scale=enlargement(self._first_spec, denoising),
-                                 both_ways=both_ways, **parts))
+                                 model=denoising.get("model", "m"), both_ways=both_ways, **parts))
         passes += [create("overlay")] if self._arguments.overlay == "composite" else []
         is_picture = self.outputs is not None and self.outputs.display
         shown, not_shown = make_display_passes(is_picture, **self._values("look"))
