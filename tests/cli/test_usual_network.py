@@ -9,6 +9,7 @@ import postfx
 from postfx.passes.denoise import models
 
 CHOOSES_NETWORK = True
+ENLARGING = models.short_tag(models.mixture_model("xl"))
 RUN = ("run", "in/shot.####.exr", "-o", "out/", "--overwrite", "--device", "cpu")
 
 
@@ -30,8 +31,8 @@ def test_a_run_takes_the_best_network_at_the_renders_size(postfx, shot, tmp_path
 
 
 @pytest.mark.parametrize(("options", "said"), (
-    (("--model", "xl", "--scale", "2"), "network xl at the render's size first, then l enlarges; "
-     "l alone where frames have jitter"),
+    (("--model", "xl", "--scale", "2"), "network xl at the render's size first, then "
+     f"{ENLARGING} enlarges; l alone where frames have jitter"),
     (("--model", "m.fp32"), "network m.fp32"),
     (("--budget", "5000"), "network m, or a faster one to keep the budget"),
     (("--model", "classic"), "the classical filter, no network"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +14,10 @@ import postfx
 from postfx.colour import TO_WIDER_PRIMARIES
 from postfx.frame import GUIDE_ROLES, Frame, Part, Role
 from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise import models as model_names
 from postfx.passes.denoise.first_stage import DENOISED_SHARE
 from postfx.pipeline import Pipeline
-from postfx.runtime import Device
+from postfx.runtime import Device, Library
 from postfx.system import models_dir
 from tests.passes.denoise_frames import PLANES, flat, guided, noisy
 
@@ -25,6 +26,24 @@ CENTRED = {"jitter": (0.0, 0.0)}
 MASKED = 320
 """Side of frames with a small mask, which are worked on in tiles."""
 STAGES = "network xl at the render's size first, then "
+OWN = "denoise_upscale.xl"
+"""Name of a network of xl that enlarges, which these tests do without."""
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("models")
+    for path in models_dir().iterdir():
+        if path.stem != OWN:
+            (folder / path.name).symlink_to(path)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def stand_in(shipped: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """`l` enlarges for `xl`, whatever networks are shipped."""
+    monkeypatch.setattr(model_names, "Library", lambda *given: Library(*given or (shipped,)))
+    yield
 
 
 def chain(model: str = "xl", **options) -> Pipeline:
@@ -201,6 +220,35 @@ def test_a_network_that_enlarges_of_its_own_comes_after_the_first(tmp_path: Path
     assert pipeline.passes[0].choice() == "xl then xl"
     by_file = chain(str(tmp_path / "denoise_upscale.xl.onnx"))
     assert_same(pictures(by_file, [frame]), [found])
+
+
+def test_a_shipped_network_for_mixtures_has_no_other_frames(
+    shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`l` enlarges those that are not denoised first, also in between."""
+    for path in shipped.iterdir():
+        (tmp_path / path.name).symlink_to(path)
+    for ending in ("onnx", "json"):
+        (tmp_path / f"{OWN}.{ending}").symlink_to(models_dir() / f"denoise_upscale.l.{ending}")
+    monkeypatch.setattr(model_names, "Library", lambda *given: Library(*given or (tmp_path,)))
+    given = frames(4)
+    mixture = chain(scale=1, strength=DENOISED_SHARE)(given[0])[Role.COLOUR]
+    (by_own,) = pictures(chain("l.fp32"), [with_planes(given[0], colour=mixture)])
+    jittered = replace(given[1], jitter=(0.25, -0.25))
+    whole, chosen, kept, wanted = chain(), [], [], []
+    for frame in (given[0], jittered, *given[2:]):
+        wanted += pictures(whole, [frame])
+        chosen.append(whole.passes[0].choice())
+        kept.append({name: np.array(value) for name, value in (whole.history() or {}).items()})
+    assert chosen == ["xl then xl", "l", "xl then xl", "xl then xl"]
+    assert_same(wanted[:1], [by_own])
+    for at in (0, 1):
+        again = chain()
+        again.recall((given[0], jittered)[at], kept[at])
+        assert_same(pictures(again, [jittered, *given[2:]][at:]), wanted[at + 1:])
+    assert_same(pictures(chain(), [jittered]), pictures(chain("l"), [jittered]))
+    assert whole.passes[0].reflect(given[0].spec).notes == (
+        f"{STAGES}xl enlarges; l alone where frames have jitter",)
 
 
 def test_strength_goes_from_the_input_to_the_whole_effect() -> None:

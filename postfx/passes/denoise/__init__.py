@@ -32,6 +32,7 @@ from postfx.passes.denoise.models import (
     filter_remarks,
     gives_picture,
     has_model,
+    mixture_model,
     model_of,
     name_models,
     predicts_error,
@@ -265,8 +266,8 @@ class DenoiseUpscale(Pass):
             if self.size:  # so that files of a frame are the same wherever a run begins
                 endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
                 tags = self._tags_for(spec, runs_classic(device))
-                name_models(device,
-                            (model_of(tag, ending, device) for tag in tags for ending in endings))
+                name_models(device, (find(tag, ending, device) for tag in tags
+                                     for ending in endings for find in (model_of, mixture_model)))
             reactive = self._mask.role(spec) is not None
             sizes = Sizes(spec.height, spec.width, *size)
             self._history = History(device, sizes, reactive)
@@ -305,6 +306,7 @@ class DenoiseUpscale(Pass):
             return Ready(self._device, spec, size, layers)
         models, guided = self._models(spec), self._is_guided(spec)
         models |= self._alpha_models(spec, models)
+        models |= self._alone_models(spec, models)
         wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, self._error,
                         self._first_stage() if self._has_first_stage(spec) else None)
         return ReadyNetwork(self._device, spec, size, models, guided, wishes, self._history,
@@ -355,6 +357,8 @@ class DenoiseUpscale(Pass):
     def _models(self, spec: FrameSpec) -> dict[str, str]:
         """The networks to choose from for frames of a spec, by their short tags."""
         tags, ending = self._tags_for(spec, runs_classic(self._device)), self._ending(spec)
+        if self._has_first_stage(spec):
+            return {short_tag(tag): mixture_model(tag, ending, self._device) for tag in tags}
         return {short_tag(tag): model_of(tag, ending, self._device, bool(self._parts))
                 for tag in tags}
 
@@ -369,6 +373,15 @@ class DenoiseUpscale(Pass):
             return {}
         model = model_of(self._tag, self._ending(spec), self._device, filters=True)
         return {} if model in models.values() else {short_tag(model): model}
+
+    def _alone_models(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
+        """The network of frames that are not denoised first, by its tag, where it is not the one of
+        those that are."""
+        if not self._has_first_stage(spec):
+            return {}
+        model = model_of(self._tag, self._ending(spec), self._device)
+        name = network_name(short_tag(self._tag), model)
+        return {} if model in models.values() else {name: model}
 
     def note_time(self, milliseconds: float) -> None:
         if self.strength:
@@ -387,7 +400,7 @@ class DenoiseUpscale(Pass):
         if not (self._used and model):
             return None
         name = network_name(self._used, model)
-        both = isinstance(ready, ReadyNetwork) and ready.first and ready.first.ran
+        both = isinstance(ready, ReadyNetwork) and ready.first and ready.first.runs
         return f"{self._used} then {name}" if both else name
 
     def notice(self) -> str | None:
@@ -506,8 +519,10 @@ class DenoiseUpscale(Pass):
     def _choose(self, frame: ResidentFrame, ready: ReadyNetwork) -> str:
         """The tag of a frame's network: by the budget; another one for noisy alpha."""
         tag = self._tags[self._ladder.rung if self._ladder else 0]
-        if ready.first and not self._has_told_of_alpha and ready.first.filters_alpha(frame):
-            self._tell_of_alpha(network_name(tag, ready.models[tag]))
+        if ready.first and not ready.first.look(frame):
+            if not self._has_told_of_alpha and ready.first.filters_alpha(frame):
+                self._tell_of_alpha(network_name(ready.alone_tag, ready.models[ready.alone_tag]))
+            return ready.alone_tag
         if not (ready.alpha_tag and ready.models[tag] in ready.pictures and has_noisy_alpha(frame)):
             return tag
         if not self._has_told_of_alpha:
@@ -641,8 +656,10 @@ class DenoiseUpscale(Pass):
         model = model_of(self._tag, self._ending(spec), filters=bool(self._parts))
         name = network_name(short_tag(self._tag), model)
         if self._has_first_stage(spec):
-            return (f"network {short_tag(self._tag)} at the render's size first, then {name} "
-                    f"enlarges; {name} alone where frames have jitter")
+            asked = short_tag(self._tag)
+            second = network_name(asked, mixture_model(self._tag, self._ending(spec)))
+            return (f"network {asked} at the render's size first, then {second} enlarges; {name} "
+                    "alone where frames have jitter")
         return f"network {name}{faster}"
 
     def _output_size(self, spec: FrameSpec) -> Size:

@@ -36,7 +36,7 @@ class FirstStage:
         halo: render pixels that it sees around active ones.
 
     Attributes:
-        ran: whether the last frame was denoised first.
+        runs: whether the frame that was looked at last is denoised first.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, stage: Pass, alpha: bool,
@@ -47,21 +47,25 @@ class FirstStage:
         self._strength = (device.heap.tensor("strength of the first stage",
                                              (spec.height, spec.width, 1))
                           if spec.has(Role.STRENGTH) else None)
-        self.ran = False
+        self.runs = False
         stage.compile(device, self._spec)
+
+    def look(self, frame: ResidentFrame) -> bool:
+        """Decide whether a frame is denoised first. Not with noisy alpha, nor where its samples do
+        not lie at the pixels' centres: then they know more than a picture of its own size holds."""
+        self.runs = frame.jitter == (0.0, 0.0) and not self.filters_alpha(frame)
+        return self.runs
 
     def filters_alpha(self, frame: ResidentFrame) -> bool:
         """Whether a frame's alpha is noisy, so that it needs filters."""
         return self._alpha and has_noisy_alpha(frame)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, work: Work) -> Tensor | None:
-        """Record the work on a frame; returns the mixture. None where the frame is enlarged as it
-        is: with noisy alpha, and where its samples do not lie at the pixels' centres, as then they
-        know more than the picture of its own size can hold."""
-        self.ran = frame.jitter == (0.0, 0.0) and not self.filters_alpha(frame)
-        if not (self.ran and work.keep):
+        """Record the work on the frame that was looked at; returns the mixture, or None where the
+        frame is enlarged as it is."""
+        if not (self.runs and work.keep):
             self._stage.reset()
-        if not self.ran:
+        if not self.runs:
             return None
         own = self._copy(frame, work)
         self._stage.encode(commands, own)

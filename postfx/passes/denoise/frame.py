@@ -119,6 +119,7 @@ class ReadyNetwork(Ready):
         alpha_tag: the largest network that filters noisy alpha, where others give the picture
             alone.
         first: denoises frames before they are enlarged; None where nothing does.
+        alone_tag: the network that enlarges the frames which it leaves out.
         frames: runs the models.
         reflections: None if frames lack the planes for it.
         restore: at render size only, else None.
@@ -154,6 +155,7 @@ class ReadyNetwork(Ready):
                          else Strength(device, spec, output, wishes.strength, self.plain))
         self.wider = WiderPrimaries(device, parts)
         self.error = ExpectedError(device, spec, output) if wishes.error else None
+        self.alone_tag = list(models)[-1]
         reach, halo = reach_of(names), halo_of(names)
         self.first = (FirstStage(device, spec, wishes.first, alpha, halo) if wishes.first
                       else None)

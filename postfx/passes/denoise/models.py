@@ -44,7 +44,7 @@ STAND_INS = {"l": "m", "xl": "m"}
 network whose variant is taken there."""
 ENLARGING_STAND_INS = {"xl": "l"}
 """Networks whose variant for the render size runs before frames are enlarged, and the network that
-then enlarges where they have none of their own for that."""
+enlarges noisy frames in their place, and such mixtures where they have none of their own."""
 
 
 def exact(tag: str) -> str:
@@ -161,7 +161,7 @@ def model_of(tag: str, ending: str = "", device: Device | None = None,
     where the network must predict ``filters``, which other pictures need, too, and gives the
     picture alone. If a tag has a network for the render size alone, another one enlarges.
     """
-    enlarging = tag if has_model(_named(tag, "", device)) else _stand_in(tag, ENLARGING_STAND_INS)
+    enlarging = _stand_in(tag, ENLARGING_STAND_INS)
     if ending != UNSCALED:
         return _named(enlarging, ending, device)
     found = [_named(one, UNSCALED, device) for one in (tag, _stand_in(tag, STAND_INS))]
@@ -186,6 +186,13 @@ def denoises_first(tag: str) -> bool:
     which must give the picture itself."""
     size = short_tag(tag).partition(".")[0]
     return size in ENLARGING_STAND_INS and gives_picture(model_of(tag, UNSCALED))
+
+
+def mixture_model(tag: str, ending: str = "", device: Device | None = None) -> str:
+    """Name of the model that enlarges frames which were denoised first: the tag's own, or the one
+    that enlarges noisy frames."""
+    own = _named(tag, "", device)
+    return own if has_model(own) else model_of(tag, ending, device)
 
 
 def enlarging_remarks(tag: str) -> list[str]:
