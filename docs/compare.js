@@ -13,8 +13,13 @@ for (const box of document.querySelectorAll(".compare")) {
     const made = Object.assign(document.createElement("button"), { type: "button", textContent: text });
     made.addEventListener("click", act);
     bar.append(made, " ");
+    return made;
   };
-  left.forEach((source, index) => button(box.dataset.names.split(",")[index], () => { images[1].src = source; }));
+  const shown = left.map((source, index) => button(box.dataset.names.split(",")[index], () => show(index)));
+  const show = (index) => {
+    images[1].src = left[index];
+    shown.forEach((one, at) => one.setAttribute("aria-pressed", at === index));
+  };
   for (const zoom of [1, 2]) {
     button(`${100 * zoom} %`, () => {
       for (const image of images) image.style.width = `${zoom * image.naturalWidth}px`;
@@ -24,4 +29,5 @@ for (const box of document.querySelectorAll(".compare")) {
   stage.append(view);
   box.replaceChildren(stage, cut, bar);
   move();
+  show(0);
 }

@@ -13,6 +13,7 @@ Everything public is named here and loaded on first use.
 """
 
 import os
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -112,7 +113,9 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
-        raise AttributeError(f"module 'postfx' has no attribute '{name}'")
+        # Python's own hint needs to know the module
+        raise AttributeError(f"module 'postfx' has no attribute '{name}'", name=name,
+                             obj=sys.modules[__name__])
     value = globals()[name] = getattr(import_module(_HOMES[name]), name)
     return value
 

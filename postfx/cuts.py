@@ -13,9 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
+from postfx.colour import luminance
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.kernels.statistics import (
     band_of,
@@ -39,6 +41,8 @@ LAYOUT_CELLS = 17  # cells; wider structure is layout
 SMOOTHED_CELLS = 3
 LEAST_RELIABILITY = 0.5  # share of a plane's variance that is no noise
 BLACK_LIGHT_RATIO = 1e-2  # of the mean light: anything darker is just black
+FIREFLY_LIGHT_RATIO = 16  # of the middle light of windows: anything brighter is just bright
+MOST_LIGHT = np.float32(1e30)  # that counts: sums of it are finite
 LEAST_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role.DEPTH: 0.02}
 """Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors,
 doublings."""
@@ -55,6 +59,37 @@ than what is sampled, and it tells nothing: 0.98 and more in nine renders, 0.5 t
 a pixel."""
 
 
+DARK_PLACES = 3
+"""Rows and columns of pixels of a cell of which the darkest is looked at."""
+SAME_DETAIL = 0.02
+"""Relative difference of light up to which a pixel is the same in both frames, and from which it is
+detail beside its neighbours."""
+REGION_CELLS = 5
+"""Cells along the side of a region, with four places of detail each."""
+LEAST_DETAIL = 12
+"""Places of detail of a region that tells, and regions that tell together."""
+SAME_SHARE = 0.04
+"""Share of its detail that is the same, from which a region is the same."""
+SAME_REGIONS = 0.5
+"""Share of the regions that are the same, from which frames are of one shot: 0.8 and more in rain
+that covers two thirds of each frame, up to 0.2 in two shots."""
+
+
+WINDOW_PX = 32
+"""Side of the windows that are looked for."""
+SEARCHED_PX = 48
+"""Pixels each way in which they are."""
+WINDOWS = 3, 4
+"""Rows and columns of windows."""
+LEAST_SMOOTH = 0.6
+"""Correlation of pixels beside each other in a window, below which it is noise, or too fine."""
+LEAST_WINDOWS = 6
+"""Windows that tell together."""
+FOUND_CORRELATION = 0.48
+"""Median of how well windows are found, from which frames are of one shot: 0.66 and more where the
+camera pans, zooms or turns, 0.51 and more in dissolves, 0.2 to 0.47 of two walls, 0.55 of waves."""
+
+
 @dataclass(slots=True)
 class Picture:
     """One frame on the coarse grid.
@@ -65,6 +100,12 @@ class Picture:
             depth.
         motion: (rows, columns, 2) in cells, NaN where unknown, or None.
         cell: height and width of a cell as parts of the frame's.
+        dark: `light` of the darkest of some pixels.
+        detail: (2 rows, 2 columns, 3) light of a pixel, the one to the right, and the one below, at
+            four places of each cell.
+        windows: (windows, rows, columns) light of windows with what is around them; none of small
+            pictures.
+        longest: pixels of the motion that is longest at a window's middle, 0 where unknown.
         bands: role -> a guide without layout, of those that were compared so far.
     """
 
@@ -72,6 +113,10 @@ class Picture:
     guides: dict[Role, np.ndarray]
     motion: np.ndarray | None
     cell: tuple[float, float]
+    dark: np.ndarray
+    detail: np.ndarray
+    windows: np.ndarray
+    longest: float = 0.0
     bands: dict[Role, np.ndarray] = field(default_factory=dict)
 
     def band(self, role: Role) -> np.ndarray:
@@ -106,7 +151,8 @@ class CutDetector:
         if self._before is None:
             return {}
         before = self._before
-        known = {"light": before.light, "cell": np.array(before.cell, np.float64)}
+        known = {"light": before.light, "cell": np.array(before.cell, np.float64),
+                 "dark": before.dark, "detail": before.detail, "windows": before.windows}
         known |= {f"guide {role}": one for role, one in before.guides.items()}
         return known if before.motion is None else known | {"motion": before.motion}
 
@@ -115,9 +161,10 @@ class CutDetector:
         guides = {Role(name.removeprefix("guide ")): plane
                   for name, plane in history.items() if name[:6] == "guide "}
         self._before = None
-        if history:
+        if "windows" in history:  # version 0.1.0 knew none: the next frame is taken as the first
             self._before = Picture(history["light"], guides, history.get("motion"),
-                                   tuple(history["cell"].tolist()))
+                                   tuple(history["cell"].tolist()), history["dark"],
+                                   history["detail"], history["windows"])
 
     def __call__(self, frame: Frame) -> bool:
         """Whether `frame`, whose colour is scene-linear, begins another shot. False without a
@@ -127,10 +174,15 @@ class CutDetector:
         if before and self._before and not frame.reset:
             on_grid, now = _on_grid(before, self._before), self._before
             self.relation = relation(on_grid, now)
-            if self.relation is not None and self.relation < SAME_SHOT_CORRELATION:
+            if self.relation is None:
+                self.relation = _relation_of_windows(on_grid, now)
+                return self.relation is not None and self.relation < FOUND_CORRELATION
+            if self.relation < SAME_SHOT_CORRELATION:
                 told = _without_thin(now, frame)
                 if len(told.guides) < len(now.guides):
                     self.relation = relation(on_grid, told)
+            if self.relation is not None and self.relation < SAME_SHOT_CORRELATION:
+                self.relation = max(self.relation, _relation_behind(on_grid, now))
         return self.relation is not None and self.relation < SAME_SHOT_CORRELATION
 
 
@@ -160,8 +212,10 @@ def _on_grid(before: Picture, now: Picture) -> Picture:
     x, y = np.meshgrid(columns, rows)
     guides = {role: bilinear(plane, x.ravel(), y.ravel()).reshape(*x.shape, *plane.shape[2:])
               for role, plane in before.guides.items()}
-    light = bilinear(before.light, x.ravel(), y.ravel()).reshape(*x.shape, 2)
-    return Picture(light, guides, None, now.cell)
+    light, dark = (bilinear(one, x.ravel(), y.ravel()).reshape(*x.shape, 2)
+                   for one in (before.light, before.dark))
+    return Picture(light, guides, None, now.cell, dark, np.zeros_like(now.detail),
+                   np.zeros_like(now.windows))
 
 
 def _picture(frame: Frame) -> Picture | None:
@@ -185,7 +239,131 @@ def _picture(frame: Frame) -> Picture | None:
         motion = planes[Role.MOTION][block // 2 :: block,
                                      block // 2 :: block][:rows, :columns].astype(float) / block
         motion[np.abs(motion).max(-1) > max(rows, columns)] = np.nan  # stands for none
-    return Picture(_band(light.transpose(1, 2, 0)), guides, motion, (block / height, block / width))
+    dark = np.log2(_darkest(colour, block) + (BLACK_LIGHT_RATIO * mean or 1.0))
+    longest = 0.0
+    if motion is not None:
+        middles = tuple(slice(count // (2 * windows), None, max(count // windows, 1))
+                        for count, windows in zip((rows, columns), WINDOWS, strict=True))
+        longest = block * float(np.nan_to_num(np.abs(motion[middles])).max())
+    return Picture(_band(light.transpose(1, 2, 0)), guides, motion,
+                   (block / height, block / width), _band(dark), _detail(colour, block),
+                   _windows(colour), longest)
+
+
+def _light(colour: np.ndarray) -> np.ndarray:
+    """Light (rows, columns) of a picture (rows, columns, 3); what is not finite counts as 0."""
+    light: np.ndarray = np.nan_to_num(luminance(np.clip(colour, 0, MOST_LIGHT)))
+    return light
+
+
+def _darkest(colour: np.ndarray, block: int) -> np.ndarray:
+    """The darkest of some pixels of both halves of each cell (rows, columns, 2), which are its even
+    and its odd rows."""
+    rows, columns = colour.shape[0] // block, colour.shape[1] // block
+    found = np.full((rows, columns, 2), np.inf)
+    for place in product(range(DARK_PLACES), repeat=2):
+        down, across = (block * (2 * one + 1) // (2 * DARK_PLACES) for one in place)
+        for half in (0, 1):
+            row = min(down - down % 2 + half, block - 1)
+            seen = _light(colour[row:rows * block:block, across:columns * block:block])
+            np.minimum(found[..., half], seen, out=found[..., half])
+    return found
+
+
+def _detail(colour: np.ndarray, block: int) -> np.ndarray:
+    """The light of `Picture.detail`."""
+    rows, columns = (side // block * block for side in colour.shape[:2])
+    found = np.empty((2 * rows // block, 2 * columns // block, 3), np.float32)
+    for down, across in product((0, 1), repeat=2):
+        row, column = (half * (block // 2) + block // 8 for half in (down, across))
+        for number, (below, right) in enumerate(((0, 0), (0, 1), (1, 0))):
+            found[down::2, across::2, number] = _light(
+                colour[row + below:rows:block, column + right:columns:block])
+    return found
+
+
+def _windows(colour: np.ndarray) -> np.ndarray:
+    """The light of `Picture.windows`; edges are repeated."""
+    height, width = colour.shape[:2]
+    side = WINDOW_PX + 2 * SEARCHED_PX
+    found = np.zeros((math.prod(WINDOWS), side, side), np.float32)
+    if min(height, width) < 3 * WINDOW_PX:
+        return found[:0]
+    for window, (down, across) in zip(found, product(*map(range, WINDOWS)), strict=True):
+        rows, columns = (
+            (int((size - WINDOW_PX) * (place + 0.5) / count) - SEARCHED_PX + np.arange(side))
+            .clip(0, size - 1)
+            for size, place, count in zip((height, width), (down, across), WINDOWS, strict=True))
+        window[:] = _light(colour[rows[0]:rows[-1] + 1, columns[0]:columns[-1] + 1])[
+            (rows - rows[0])[:, None], columns - columns[0]]
+    return found
+
+
+def _relation_of_windows(before: Picture, now: Picture) -> float | None:
+    """The median of how well windows are found in the frame before; None where too few tell, or
+    their motion is longer than what is looked at."""
+    if now.longest > SEARCHED_PX:
+        return None
+    inner = slice(SEARCHED_PX, -SEARCHED_PX)
+    then, windows = (_in_stops(picture.windows) for picture in (before, now))
+    found = [_find(window[inner, inner], around)
+             for window, around in zip(windows, then, strict=True)
+             if _is_telling(window[inner, inner]) and _is_telling(around[inner, inner])]
+    return float(np.median(found)) if len(found) >= LEAST_WINDOWS else None
+
+
+def _in_stops(windows: np.ndarray) -> np.ndarray:
+    """log2 of light above what is black beside it, and below what is a firefly."""
+    middle = float(np.median(windows)) if windows.size else 0.0
+    held = np.minimum(windows, FIREFLY_LIGHT_RATIO * middle)
+    stops: np.ndarray = np.log2(held + (BLACK_LIGHT_RATIO * middle or 1.0))
+    return stops
+
+
+def _is_telling(window: np.ndarray) -> bool:
+    """Whether a window shows more than noise."""
+    apart = window - window.mean()
+    spread = float(np.square(apart).mean())
+    if spread < LEAST_SPREAD["light"]**2:
+        return False
+    beside, below = (float((apart[:, 1:] * apart[:, :-1]).mean()),
+                     float((apart[1:] * apart[:-1]).mean()))
+    return min(beside, below) >= LEAST_SMOOTH * spread
+
+
+def _find(window: np.ndarray, around: np.ndarray) -> float:
+    """The largest correlation of a window with any place of its size in what is around (normalized
+    cross-correlation; Lewis 1995)."""
+    shape, size = around.shape, window.size
+    apart = window - window.mean()
+    of_one, of_window = (np.conj(np.fft.rfft2(one, shape))
+                         for one in (np.ones_like(window), apart))
+    products, total, squares = (
+        np.fft.irfft2(np.fft.rfft2(one) * other, shape)
+        for one, other in ((around, of_window), (around, of_one), (around**2, of_one)))
+    least = LEAST_SPREAD["light"]**2 * size  # of a place that tells
+    spread = np.maximum(squares - total**2 / size, least)
+    whole = tuple(slice(0, side - part + 1)
+                  for side, part in zip(shape, window.shape, strict=True))
+    return float((products / np.sqrt(spread))[whole].max() / np.linalg.norm(apart))
+
+
+def _relation_behind(before: Picture, now: Picture) -> float:
+    """Correlation of what is seen between drops or flakes; 1 where most regions show the same
+    detail."""
+    apart = np.abs(now.detail - before.detail) <= SAME_DETAIL / 2 * (now.detail + before.detail)
+    slope = np.abs(now.detail[..., 1:] - now.detail[..., :1]).max(-1)
+    is_detail = slope > SAME_DETAIL * now.detail[..., 0]
+    side = 2 * REGION_CELLS
+    rows, columns = (count // side for count in is_detail.shape)
+    known, same = (marks[:rows * side, :columns * side].reshape(rows, side, columns, side)
+                   .sum((1, 3)) for marks in (is_detail, is_detail & apart.all(-1)))
+    tells = known >= LEAST_DETAIL
+    if tells.sum() >= LEAST_DETAIL and (
+            same[tells] >= SAME_SHARE * known[tells]).mean() >= SAME_REGIONS:
+        return 1.0
+    dark = [replace(one, light=one.dark, guides={}) for one in (before, now)]
+    return relation(dark[0], dark[1]) or 0.0
 
 
 def _without_thin(picture: Picture, frame: Frame) -> Picture:

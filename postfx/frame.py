@@ -269,7 +269,7 @@ class FrameSpec:
         """Roles of the planes, in the order of `Role`."""
         return tuple([role for role, _ in self.planes])
 
-    @property
+    @cached_property
     def guide_roles(self) -> tuple[Role, ...]:
         """Roles of the guides, in the order of `Role`."""
         return self.guides.roles if self.guides else ()
@@ -511,7 +511,7 @@ class Frame:
 
     def _repr_html_(self) -> str:
         """Table of the planes under the picture, for notebooks."""
-        from postfx.report.pictures import notebook_page
+        from postfx.thumbnails import notebook_page
 
         return notebook_page(repr(self).partition("\n")[0], _COLUMNS, self._rows(),
                              self._repr_png_())
@@ -519,7 +519,7 @@ class Frame:
     def _repr_png_(self) -> bytes | None:
         """The colour as a PNG file at most 640 pixels wide or high, for notebooks; None without a
         colour."""
-        from postfx.report.pictures import notebook_picture
+        from postfx.thumbnails import notebook_picture
 
         if Role.COLOUR not in self:
             return None

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.errors import BindingError, ModelError
+from postfx.errors import BindingError, DeviceError, ModelError
 from postfx.files import write_atomically
 from postfx.kernels.neural import (
     ACTIVATIONS,
@@ -280,16 +280,13 @@ class _GridOnDevice:
         return self._rows[points]
 
     def read(self, encoder: ComputeEncoder, points: Tensor, rows: Tensor) -> None:
-        encoder.barrier()  # what ran before may still read the rows
         encoder.dispatch(self._read, ArgumentTable(self._read, {
             "grid": self._facts, "table": self.table, "points": points, "rows": rows}))
-        encoder.barrier()
 
     def learn(self, encoder: ComputeEncoder, points: Tensor, pulls: Tensor, partials: Tensor,
               hyper: Tensor) -> None:
         encoder.dispatch(self._pull, ArgumentTable(self._pull, {
             "grid": self._facts, "points": points, "pulls": pulls, "sums": self._sums}))
-        encoder.barrier()
         encoder.dispatch(self._step, ArgumentTable(self._step, {
             "sums": self._sums, "partials": partials, "hyper": hyper, "table": self.table,
             "moments": self._moments}))
@@ -314,8 +311,13 @@ class Learner:
             grid: replaces a point's place by what its tables hold there: the network's inputs are
                 those numbers and the rest of the point.
 
-        Raises ModelError if the network has fewer inputs than the grid gives, or bands.
+        Raises ModelError if the network has fewer inputs than the grid gives, or bands; DeviceError
+        for a device with explicit barriers: several commands are recorded at once, and their order
+        follows from what they read and write.
         """
+        if device.hazards.explicit:
+            raise DeviceError("a network learns by several commands, which the device must order: "
+                              "make it without explicit_barriers")
         if grid and (network.bands or network.inputs < grid.width):
             raise ModelError(f"a network of {network.inputs} inputs and {network.bands} bands "
                              f"behind a grid: it needs at least {grid.width} inputs and no bands")
@@ -367,8 +369,7 @@ class Learner:
             "values": values}))
 
     def learn(self, encoder: ComputeEncoder, points: Tensor, targets: Tensor) -> None:
-        """Record one step of Adam on the mean squared error of the points that are learnt, and
-        barriers around its update of the parameters.
+        """Record one step of Adam on the mean squared error of the points that are learnt.
 
         Args:
             points: (points, inputs).
@@ -387,13 +388,11 @@ class Learner:
         encoder.dispatch(self._gradients, ArgumentTable(self._gradients, {
             "network": self._facts, "parameters": self.parameters, "points": rows,
             "targets": targets, "partials": partials, "pulls": pulls}))
-        encoder.barrier()
         encoder.dispatch(self._adam, ArgumentTable(self._adam, {
             "partials": partials, "hyper": self._hyper, "parameters": self.parameters,
             "moments": self.moments}))
         if self._grid:
             self._grid.learn(encoder, points, pulls, partials, self._hyper)
-        encoder.barrier()
 
     def _read(self, encoder: ComputeEncoder, points: Tensor) -> tuple[Tensor, Tensor]:
         """What the network reads of points, and where the derivatives by it go."""

@@ -200,15 +200,17 @@ class Pipeline:
             )
             return frame
         frame, self.bad_pixels = repair_nonfinite(frame, plan.planes, self.device.scratch)
-        self.cut = self._is_cut(frame)
+        self.cut = (self._detector is not None and frame.encoding == "scene-linear"
+                    and self._detector(frame))
         if self.cut:
             frame = frame.copy_with(reset=True)
             LOG.info("frame %d begins another shot: the history is dropped", frame.number)
         if frame.reset:
             self._reset_passes()
         self.exposure_factor = self._meter(frame) if Role.COLOUR in frame else 1.0
-        self._look(frame, plan)
-        run = self._run_up_to(frame, plan)
+        if self._checks and not self.device.scratch:
+            self._look(frame, plan)
+        run = self._run_up_to(frame, plan) if self._begins else frame
         result = self._run(run, plan, is_unusable(frame, self.bad_pixels), frame)
         self._begins, self.timings = False, dict(self._flow.timings)
         self.noticed = tuple(filter(None, (step.instance.notice() for step in plan.steps)))
@@ -241,8 +243,7 @@ class Pipeline:
 
     def _look(self, frame: Frame, plan: Plan) -> None:
         """Tell the log what is plainly wrong with the first frames."""
-        if (not self._checks or self.device.scratch or frame.encoding != "scene-linear"
-            or not plan.accumulating_steps()):
+        if frame.encoding != "scene-linear" or not plan.accumulating_steps():
             return
         if self._looker is None:
             from postfx.doctor.first_frames import (
@@ -441,10 +442,6 @@ class Pipeline:
                  for step in (self.plan.steps if self.plan else ())}
         return found | {"meter": self._meter} | ({"cuts": self._detector} if self._detector else {})
 
-    def _is_cut(self, frame: Frame) -> bool:
-        return (self._detector is not None and frame.encoding == "scene-linear"
-                and self._detector(frame))
-
     def _make_plan(self, spec: FrameSpec, around: bool = False) -> Plan:
         if self.plan is None or self.plan.available != spec or around != (self._wide is not None):
             plan, last = make_plan(self.passes, spec), self._wide[0] if self._wide else self.plan
@@ -471,9 +468,9 @@ class Pipeline:
             step.instance.compile(self.device, step.input)
 
     def _run_up_to(self, frame: Frame, plan: Plan) -> Frame:
-        """What is run for a frame: where it begins a shot and a pass profits, what the frames after
+        """What is run for a frame that begins a shot: where a pass profits, what the frames after
         it lead to."""
-        if self._run_up is None or not self._begins:
+        if self._run_up is None:
             return frame
         plan = self._wide[0] if self._wide else plan
         steps = plan.accumulating_steps()
@@ -616,8 +613,9 @@ class Flow:
                 _encode(step, commands, resident)
             commands.keep(*resident.tensors.values(), *resident.parts.values())
             commands.commit()
-        finally:
+        except BaseException:
             commands.discard()
+            raise
         _wait(commands)
         spent = commands.timings
         self.timings = {step.name: sum([time for label, time in spent
@@ -640,19 +638,15 @@ def _encode(step: Step, commands: CommandBuffer, resident: ResidentFrame) -> Non
     """Let a pass record its work, then hold it to the output it declared."""
     with commands.group(step.name):
         step.instance.encode(commands, resident)
-    output, left = step.reflection.output, resident.tensors
-    resident.tensors = {role: left[role] for role in output.roles if role in left}
-    wrong = [role
-             for role in output.roles if role not in left or not _fits(left[role], role, output)]
+    left = resident.tensors
+    wrong = [role for role, shape in step.shapes.items()
+             if role not in left or left[role].shape != shape]
     if wrong:
         raise PassContractError(f"pass '{step.name}' did not leave plane '{wrong[0]}' as its "
                                 "reflection declares")
-    resident.guides = {role: resident.guides[role] for role in output.guide_roles}
-    resident.spec = output
-
-
-def _fits(tensor: Tensor, role: Role, spec: FrameSpec) -> bool:
-    return tensor.shape == (spec.height, spec.width, spec.channels(role))
+    resident.spec = step.reflection.output
+    resident.tensors = {role: left[role] for role in step.shapes}
+    resident.guides = {role: resident.guides[role] for role in resident.spec.guide_roles}
 
 
 def _finish(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role, Tensor],

@@ -28,6 +28,12 @@ class Step:
     input: FrameSpec
     reflection: Reflection
 
+    @cached_property
+    def shapes(self) -> dict[Role, tuple[int, int, int]]:
+        """The planes that it leaves, in the order of `Role`, and the shape of each."""
+        after = self.reflection.output
+        return {role: (after.height, after.width, channels) for role, channels in after.planes}
+
     @property
     def uses(self) -> tuple[Role, ...]:
         """Planes it reads here, optional ones included, in the order of `Role`."""

@@ -26,6 +26,8 @@ BUCKET = 0.125
 SPIN = 0.002
 """Seconds before a turn at which the clock stops sleeping and looks at the time: a system may sleep
 so much longer."""
+MOST_OVERSLEPT_TURNS = 3
+"""Turns that a rendered frame waits for at most, where each wait ends late, before it is shown."""
 MOST_WAITING_PICTURES = 4
 """Pictures that may wait for their turn before `submit` waits, too."""
 
@@ -135,7 +137,7 @@ class Presenter:
     """Shows pictures one interval apart.
 
     The first picture begins the first turn. Every later one is for the next turn and waits for it.
-    If it is late by more than a quarter of the interval:
+    If it is late by more than a quarter of the interval, or the wait for it ended so late:
 
     - a frame between is left out: the rendered frame after it is newer, and is due next;
     - a rendered frame is shown at the beginning of the next turn, so that steps stay whole
@@ -174,19 +176,28 @@ class Presenter:
         Args:
             between: whether it is a frame between rendered ones, which may be left out.
         """
-        now = self._clock.now()
         if not self._shown:
-            self._begin = now
-        turn, late = self._next, now - self._due(self._next)
-        if late > LATE * self.interval:
+            self._begin = self._clock.now()
+        turn = self._next
+        at = self._wait_for(turn)
+        for _ in range(MOST_OVERSLEPT_TURNS):
+            if not self._is_late(at, turn):
+                break
             if between:
                 return self._note(Shown(turn, self._due(turn), None, between))
-            turn = math.ceil((now - self._begin) / self.interval - 1e-9)
-        self._clock.wait_until(self._due(turn))
-        at = self._clock.now()
+            turn = math.ceil((at - self._begin) / self.interval - 1e-9)
+            at = self._wait_for(turn)
         seen = self._show(picture)
         return self._note(Shown(turn, self._due(turn), at if seen is None else float(seen),
                                 between))
+
+    def _wait_for(self, turn: int) -> float:
+        """The time when the wait for a turn ended."""
+        self._clock.wait_until(self._due(turn))
+        return self._clock.now()
+
+    def _is_late(self, at: float, turn: int) -> bool:
+        return at - self._due(turn) > LATE * self.interval
 
     def _due(self, turn: int) -> float:
         return self._begin + turn * self.interval

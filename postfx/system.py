@@ -108,22 +108,19 @@ def share_one_heap() -> None:
         mallopt(MOST_HEAPS, 1)
 
 
-class _Malloc(ctypes.Structure):
-    """What glibc's malloc tells of itself: mallinfo2 of its malloc.h."""
-
-    _fields_ = tuple((name, ctypes.c_size_t) for name in (
-        "arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks",
-        "fordblks", "keepcost"))
+HELD_BY_PROCESS = Path("/proc/self/smaps_rollup")
+"""Where Linux counts the pages of a process one by one; its other counts lag behind."""
+ANONYMOUS = re.compile(r"^Anonymous: +(\d+) kB$", re.MULTILINE)
 
 
-def allocated_bytes() -> int | None:
-    """Bytes that this process holds from the C library's malloc; None where that is not glibc's."""
-    tell = getattr(ctypes.CDLL(None), "mallinfo2", None) if sys.platform == "linux" else None
-    if tell is None:
+def held_bytes() -> int | None:
+    """Bytes of this process's memory that belong to no file and that it has touched; None where the
+    system does not tell."""
+    try:
+        told = ANONYMOUS.search(HELD_BY_PROCESS.read_text(encoding="ascii"))
+    except OSError:
         return None
-    tell.restype = _Malloc
-    told = tell()
-    return int(told.hblkhd + told.uordblks)  # mapped one by one, and out of the heaps
+    return int(told[1]) << 10 if told else None
 
 
 def usable_memory() -> int:
@@ -323,6 +320,7 @@ def host_floats(given: Any, what: str) -> np.ndarray:
                              "tensor.detach().cpu().float()") from error
     if not isinstance(array, np.ndarray) or not np.issubdtype(array.dtype, np.floating):
         found = getattr(array, "dtype", type(array).__name__)
+        files = "; postfx.read_sequence reads files" if isinstance(array, str | Path) else ""
         raise FrameError(f"{what} is {found}: give a NumPy array of floats, or one of a library "
-                         "with DLPack")
+                         f"with DLPack{files}")
     return array

@@ -1,7 +1,7 @@
 """Measure how the time of a frame falls with the share of it that is masked.
 
 python samples/masked_speed.py [--width 960] [--height 540] [--runs 5] [--model m] [--scale 2] \\
-    [--guides]
+    [--guides] [--centred]
                                [--shares 0,90] [--threads 1] [-o masked.png]
 
 The upper part of the picture has strength 0, as a sky would; the rest is denoised. Prints medians
@@ -94,6 +94,8 @@ def main() -> None:
     parser.add_argument("--scale", type=int, default=2)
     parser.add_argument("--guides", action="store_true",
                         help="give frames guides of the output's size")
+    parser.add_argument("--centred", action="store_true",
+                        help="samples lie at the centres of pixels: frames have no jitter")
     parser.add_argument("--shares", default=",".join(map(str, SHARES)),
                         help="masked, %% (default: %(default)s)")
     parser.add_argument("--threads", type=int,
@@ -103,6 +105,7 @@ def main() -> None:
     ratios = []
     frames = noisy_frames(args.width, args.height)
     frames = guided(frames, args.scale) if args.guides else frames
+    frames = [replace(frame, jitter=(0.0, 0.0)) for frame in frames] if args.centred else frames
     shares = map(int, args.shares.split(","))
     for share, found, whole in measure(frames, args.model, args.scale, args.runs, shares,
                                        args.threads):

@@ -20,7 +20,7 @@ import numpy as np
 import postfx
 from postfx import Role
 from postfx.kernels.image import ENLARGE_OVERLAY, RESAMPLE, positions
-from postfx.report.pictures import png
+from postfx.thumbnails import png
 
 ROOM = Path(__file__).parent / "room" / "noisy.####.exr"
 SIZE, FINE = 64, 8

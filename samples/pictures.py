@@ -13,6 +13,10 @@ import numpy as np
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GAP = 4
 """Pixels between two crops."""
+_NAME_HEIGHT = 24
+"""Pixels of a row of names."""
+_LETTER_HEIGHT = 16
+"""Pixels of a line of text."""
 
 
 def crops(pictures: Sequence[np.ndarray], places: Sequence[tuple[int, int]], side: int,
@@ -38,6 +42,19 @@ def below(pictures: Sequence[np.ndarray]) -> np.ndarray:
     padded = [np.pad(one, ((0, 0), (0, widest - one.shape[1]), (0, 0)), constant_values=1)
               for one in pictures]
     return _join(padded, axis=0)
+
+
+def name_columns(names: Sequence[str], width: int) -> np.ndarray:
+    """A row of names in black on white, each in the middle of a column of so many pixels."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    row = Image.new("RGB", (len(names) * (width + _GAP) - _GAP, _NAME_HEIGHT), "white")
+    draw = ImageDraw.Draw(row)
+    font = ImageFont.load_default(_LETTER_HEIGHT)
+    for number, name in enumerate(names):
+        middle = number * (width + _GAP) + width / 2
+        draw.text((middle, _NAME_HEIGHT / 2), name, "black", font, anchor="mm")
+    return np.asarray(row, np.float32) / 255
 
 
 def split(left: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ FRAME, GAP = 6, 4  # late enough to have a history; pixels between the pictures
 
 target = Path(sys.argv[1] if len(sys.argv) > 1 else "out/planes.jpg")
 pattern = sys.argv[2] if len(sys.argv) > 2 else Path(__file__).parent / "room" / "noisy.####.exr"
-passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=1)])
+passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=1, model="xl")])
 for frame in postfx.read_sequence(pattern, frames=f"1-{FRAME}"):
     clean = passes(frame)
 drawn = [picture(frame[role], role) for role in PLANES if role in frame.planes]

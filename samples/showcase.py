@@ -4,10 +4,11 @@ video, and figures.
     python samples/showcase.py FOLDER OUT [--name showcase] [--places 310,105 490,70] [--side 79]
 
 FOLDER holds noisy.####.exr and reference.####.exr, as `training/measure/validation/showcase.py`
-renders them. The last frame that has a reference is shown and measured; a larger reference is
-averaged to the frame's size. Writes OUT/NAME.jpg, the video OUT/NAME.webp, and for the gallery's
-sliders OUT/NAME_noisy.jpg, NAME_oidn.jpg and NAME_postfx.jpg. Prints PSNR and FLIP behind the
-display curve of `postfx bench`.
+renders them. They are denoised as `postfx run` does it by default. The last frame that has a
+reference is shown and measured; a larger reference is averaged to the frame's size.
+
+Writes OUT/NAME.jpg, the video OUT/NAME.webp, and for the gallery's sliders OUT/NAME_noisy.jpg,
+NAME_oidn.jpg and NAME_postfx.jpg. Prints PSNR and FLIP behind the display curve of `postfx bench`.
 """
 from __future__ import annotations
 
@@ -16,13 +17,15 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from pictures import below, beside, crops, split
+from pictures import below, beside, crops, name_columns, split
 from PIL import Image
 
 import postfx
 from postfx.bench.metrics import psnr, to_codes
 from postfx.frame import Frame, Role
 
+NETWORK = "xl"
+"""What `postfx run` takes at the render's size."""
 ZOOM = 3
 FRAME_TIME = 125
 """Milliseconds of a frame of the video."""
@@ -41,22 +44,25 @@ def main(argv: list[str]) -> None:
     args = parser.parse_args(argv)
     args.out.mkdir(parents=True, exist_ok=True)
     references = list(postfx.read_sequence(args.folder / "reference.####.exr"))
-    shot = list(postfx.read_sequence(args.folder / "noisy.####.exr"))
-    shot = [frame for frame in shot if frame.number <= references[-1].number]
+    sequence = postfx.read_sequence(args.folder / "noisy.####.exr")
+    shot = [frame for frame in sequence if frame.number <= references[-1].number]
     reference = at_size(references[-1], shot[-1])
     exposure = auto_exposure(reference)
-    ways = {"noisy": [], "oidn": [postfx.Oidn()], "postfx": [postfx.DenoiseUpscale(scale=1)]}
-    light = {name: run(passes, shot if name != "oidn" else shot[-1:], exposure)
+    ways = {"noisy": [], "oidn": [postfx.Oidn()],
+            "postfx": [postfx.DenoiseUpscale(scale=1, model=NETWORK)]}
+    light = {name: run(passes, shot if name != "oidn" else shot[-1:], exposure, sequence)
              for name, passes in ways.items()}
     print(f"{'as rendered':28} {figures(light['noisy'][-1], reference, exposure)}")
     print(f"{'Open Image Denoise':28} {figures(light['oidn'][-1], reference, exposure)}")
-    print(f"{'postfx, network m':28} {figures(light['postfx'][-1], reference, exposure)}")
+    print(f"{f'postfx, network {NETWORK}':28} {figures(light['postfx'][-1], reference, exposure)}")
     codes = {name: [shown(frame, exposure) for frame in frames] for name, frames in light.items()}
     last = {name: pictures[-1] for name, pictures in codes.items()}
     for name, one in last.items():
         save(one).save(args.out / f"{args.name}_{name}.jpg", quality=QUALITY)
     four = [*last.values(), shown(reference, exposure)]
+    names = ("as rendered", "Open Image Denoise", "postfx", "many samples")
     picture = below([split(last["noisy"], last["postfx"]),
+                     name_columns(names, args.side * ZOOM),
                      crops(four, args.places, args.side, ZOOM)])
     save(picture).save(args.out / f"{args.name}.jpg", quality=QUALITY)
     pairs = [save(beside(pair)).reduce(2)
@@ -79,9 +85,11 @@ def at_size(reference: Frame, frame: Frame) -> Frame:
     return Frame({Role.COLOUR: blocks.mean((1, 3))})
 
 
-def run(passes: list[postfx.Pass], shot: list[Frame], exposure: float) -> list[Frame]:
-    """Frames of a shot after some passes."""
-    return list(map(postfx.Pipeline(passes, exposure=exposure), shot)) if passes else shot
+def run(passes: list[postfx.Pass], shot: list[Frame], exposure: float,
+        sequence: postfx.Sequence) -> list[Frame]:
+    """Frames of a shot after some passes, with the run-up of its sequence."""
+    pipeline = postfx.Pipeline(passes, exposure=exposure, run_up=postfx.RunUp(sequence))
+    return list(map(pipeline, shot)) if passes else shot
 
 
 def auto_exposure(frame: Frame) -> float:

@@ -73,6 +73,7 @@ def find_functions_with_many_parameters(sources: list[Source]) -> Places:
 def list_constants(tree: ast.Module) -> Iterator[tuple[str, int]]:
     """Names in capitals that a module gives a value at its top level, and their lines."""
     for node in tree.body:
+        targets: list[ast.expr]
         if isinstance(node, ast.Assign):
             targets = node.targets
         elif isinstance(node, ast.AnnAssign) and node.value is not None:
@@ -81,8 +82,8 @@ def list_constants(tree: ast.Module) -> Iterator[tuple[str, int]]:
             continue
         for target in targets:
             for name in ast.walk(target):
-                is_given = isinstance(name, ast.Name) and isinstance(name.ctx, ast.Store)
-                if is_given and name.id.isupper():
+                if (isinstance(name, ast.Name) and isinstance(name.ctx, ast.Store)
+                    and name.id.isupper()):
                     yield name.id, name.lineno
 
 

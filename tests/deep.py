@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from onnx import TensorProto, helper
@@ -49,7 +50,7 @@ def make_long(folder: Path, count: int) -> Library:
 
 
 def capture_deep(library: Library, x: np.ndarray | float = 1.0,
-                 **options) -> tuple[Capture, np.ndarray]:
+                 **options: Any) -> tuple[Capture, np.ndarray]:
     """A capture of 'deep' on x (1, 2, 4, 5), and y."""
     device = Device("cpu", threads=1)
     state = device.pipeline_state(library, "deep", {"height": 4, "width": 5})

@@ -105,7 +105,7 @@ def list_cases() -> Iterator[Case]:
     yield Case("reflections", "mirror", "--model m")
     yield Case("reflections-window", "mirror", "--model s --leave 7@id")
     yield Case("memory", "room", "--memory 425M --model m")
-    yield Case("memory-l.fp32", "room", "--memory 390M --model l.fp32", frames="1-2")
+    yield Case("memory-l.fp32", "room", "--memory 410M --model l.fp32", frames="1-2")
     yield Case("memory-window", "window", "--memory 425M --model s --run-up 2")
     yield Case("memory-1x", "room", "--memory 425M --model s --scale 1", frames="1-2")
     yield Case("both-ways", "room", "--both-ways --model m")
@@ -279,6 +279,7 @@ def murmur(data: bytes) -> int:
 def read_room(number: int) -> tuple[Planes, oiio.ImageSpec]:
     picture = oiio.ImageBuf(str(ROOM / f"noisy.{number:04d}.exr"))
     pixels = picture.get_pixels(oiio.FLOAT)
+    assert pixels is not None, number
     return ({name: pixels[..., i] for i, name in enumerate(picture.spec().channelnames)},
             picture.spec())
 
@@ -297,6 +298,7 @@ def write_exr(path: Path, channels: Planes, header: oiio.ImageSpec) -> None:
         spec.attribute("cryptomatte/abcdef0/manifest", json.dumps(
             {name: f"{murmur(name.encode()):08x}" for name in ("logo", "wall_a", "floor")}))
     output = oiio.ImageOutput.create(str(path))
+    assert output is not None, path
     if not (output.open(str(path), spec)
             and output.write_image(np.stack(list(channels.values()), axis=-1).astype(np.float32))):
         raise RuntimeError(output.geterror())
@@ -416,7 +418,7 @@ def take_outside(frame: Any) -> None:
     """Light outside of the gamut, as of a saturated lamp in wider primaries."""
     from postfx.frame import Role
 
-    frame.planes[Role.COLOUR] = frame.planes[Role.COLOUR] * np.float32((1.2, 1, -0.3))
+    frame.planes[Role.COLOUR] = frame.planes[Role.COLOUR] * np.array((1.2, 1, -0.3), np.float32)
 
 
 def leave_half(frame: Any) -> None:
@@ -492,7 +494,7 @@ def hash_file(path: Path) -> Hashes:
 def hash_pixels(source: oiio.ImageInput, part: int, spec: oiio.ImageSpec) -> Hashes:
     """Each channel in its own type, so that a message can name it."""
     kinds = spec.channelformats or (spec.format,) * spec.nchannels
-    return {name: hash_array(source.read_image(part, 0, index, index + 1, kind))
+    return {name: hash_array(np.asarray(source.read_image(part, 0, index, index + 1, kind)))
             for index, (name, kind) in enumerate(zip(spec.channelnames, kinds, strict=True))}
 
 

@@ -227,3 +227,100 @@ def test_thin_things_that_move_are_no_cut():
 
     detector = CutDetector()
     assert not any(detector(wires(time)) for time in range(4))
+
+
+HEIGHT, WIDTH = 96, 160
+
+
+def wall(seed: int, right: float = 0.0, turn: float = 0.0, scale: float = 1.0) -> np.ndarray:
+    """A colourful pattern of waves of 7 pixels and more (96, 160, 3), seen from somewhere."""
+    random = np.random.default_rng(seed)
+    y, x = np.indices((HEIGHT, WIDTH)) - 0.5 * np.array([HEIGHT, WIDTH])[:, None, None]
+    place = (x + 1j * y) * scale * np.exp(1j * turn) + right
+    found = np.zeros((HEIGHT, WIDTH, 3))
+    for _ in range(14):
+        k = random.uniform(0.05, 0.9, 2) * random.choice((-1, 1), 2)
+        wave = np.sin(place.real * k[0] + place.imag * k[1] + random.uniform(0, 6.3))
+        found += wave[..., None] * random.uniform(-0.5, 0.5, 3)
+    return (0.5 + 0.16 * found).clip(0.02, None)
+
+
+def rained_on(picture: np.ndarray, number: int, drops: int, light: float) -> np.ndarray:
+    """A picture behind streaks of light or of dark."""
+    random, cover = np.random.default_rng(number), np.zeros(picture.shape[:2])
+    for _ in range(drops):
+        x, y = random.integers(picture.shape[1]), random.integers(-14, picture.shape[0])
+        cover[max(y, 0):y + 14, x] = 0.9
+    return picture * (1 - cover[..., None]) + light * cover[..., None]
+
+
+def shown(pictures: list[np.ndarray]) -> list[Frame]:
+    return [Frame({Role.COLOUR: one.astype(np.float32)}, number=number)
+            for number, one in enumerate(pictures, 1)]
+
+
+@pytest.mark.parametrize("light", [3.0, 0.01])
+@pytest.mark.parametrize("drops", [200, 700, 1500])
+def test_dense_rain_is_no_cut(picture, drops, light):
+    """Up to two thirds of the picture. Each frame was taken for another shot."""
+    small = picture[::2, ::2]
+    for behind, count in ((wall(3), drops), (small, 4 * drops)):
+        assert not cuts(shown([rained_on(behind, number, count, light) for number in range(4)]))
+
+
+def test_a_cut_in_rain_is_found():
+    behind = [wall(3), wall(3), wall(8), wall(8)]
+    assert cuts(shown([rained_on(one, number, 700, 3.0)
+                       for number, one in enumerate(behind)])) == [2]
+
+
+@pytest.mark.parametrize("seeds", [(1, 2), (3, 4), (5, 6)])
+def test_a_cut_between_walls_of_fine_texture_is_found(seeds):
+    """Which tell nothing on a coarse grid."""
+    one, other = seeds
+    pictures = [wall(one), wall(one, 3), wall(other), wall(other, 3)]
+    assert cuts(shown(pictures)) == [2]
+
+
+WAYS = {"pan": {"right": 9.0}, "fast pan": {"right": 40.0}, "turn": {"turn": 0.08},
+        "zoom": {"scale": 1.08}}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_camera_before_fine_texture_is_no_cut(way):
+    moved = {name: value - (name == "scale") for name, value in WAYS[way].items()}
+    pictures = [wall(7, **{name: (name == "scale") + number * step
+                           for name, step in moved.items()}) for number in range(3)]
+    assert not cuts(shown(pictures))
+
+
+def test_noise_before_fine_texture_and_dissolves_are_no_cuts():
+    random = np.random.default_rng(2)
+    noisy = [wall(7, 3 * number) * random.gamma(4, 0.25, (HEIGHT, WIDTH, 3))
+             for number in range(4)]
+    assert not cuts(shown(noisy))
+    assert not cuts(shown([wall(7, 3 * number) * (1 - number / 6) + wall(9) * number / 6
+                           for number in range(7)]))
+
+
+def test_a_detector_goes_on_from_its_history_in_rain_and_before_texture():
+    pictures = [wall(3), rained_on(wall(3), 1, 700, 3.0), wall(5), wall(5, 2)]
+    whole, frames, past = CutDetector(), shown(pictures), {}
+    for frame in frames:
+        wanted = whole(frame)
+        continued = CutDetector()
+        continued.recall(past)
+        assert continued(frame) == wanted
+        past = whole.history()
+
+
+@pytest.mark.filterwarnings("error")
+def test_broken_pixels_hide_no_cut_and_make_none():
+    broken = np.array([np.nan, np.inf, -np.inf, 3e38, 1e10, -1e10])
+    pictures = [wall(1), wall(1, 3), wall(2), wall(2, 3)]
+    for number, one in enumerate(pictures):
+        random = np.random.default_rng(number)
+        one[random.integers(HEIGHT, size=6), random.integers(WIDTH, size=6)] = broken[:, None]
+    assert cuts(shown(pictures)) == [2]
+    for value in broken:
+        assert not cuts(shown([np.full((HEIGHT, WIDTH, 3), value)] * 2))

@@ -11,12 +11,13 @@ end:
     <!-- from: lab/NAME.md -->      figures are those of that page below docs/, which says where
                                     they come from
 
-A figure is a number with a unit, and any number with a decimal point in a table. Code blocks do not
-count: other tests run them.
+A figure is a number with a unit, one with a negative exponent, and any number with a decimal point
+in a table. Code blocks do not count: other tests run them.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shlex
@@ -37,7 +38,15 @@ UNITS = (
     r"a second"
 )
 FIGURE = re.compile(rf"({NUMBER.pattern}) ?(?:{UNITS})(?![\w-])")
-CELL = re.compile(r"(?<![\w.])[+-]?\d+\.\d+(?![\w.])")
+SMALL = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?e-\d+(?![\w.])")
+CELL = re.compile(r"(?<![\w.])[+-]?\d+\.\d+(?:e[+-]?\d+)?(?![\w.])")
+
+
+LOGGED_FACTS = ("steps", "minutes", "clips", "batch", "gpus", "validation_psnr",
+                "validation_flicker")
+"""Of a training, in the card of its network and in the log of runs."""
+LOG_ROUNDING = 5e-3
+"""The log rounds facts by at most this share."""
 
 
 class Part(NamedTuple):
@@ -53,7 +62,9 @@ class Part(NamedTuple):
     def figures(self) -> list[str]:
         found = [match[1] for match in FIGURE.finditer(self.text)]
         rows = [line for line in self.text.splitlines() if line.startswith("|")]
-        return found + [number for row in rows for number in CELL.findall(row)]
+        prose = "\n".join(line for line in self.text.splitlines() if not line.startswith("|"))
+        return (found + SMALL.findall(prose)
+                + [number for row in rows for number in CELL.findall(row)])
 
 
 def parts_of(text: str) -> Iterator[Part]:
@@ -176,3 +187,20 @@ def test_the_figures_of_model_cards_name_their_script() -> None:
                      or (ROOT / script.removesuffix(".py") / "__main__.py").is_file())
             assert there, f"{path.name}: {script}"
         assert scripts or not card.get("quality"), f"{path.name}: figures without a script"
+
+
+def test_model_cards_are_of_their_files_and_of_a_run_in_the_log() -> None:
+    """The hash of the network, of the one that it was made from, and what training measured."""
+    log = [json.loads(line)
+           for line in (ROOT / "training/runs.jsonl").read_text(encoding="utf-8").splitlines()]
+    cards = {path.stem: json.loads(path.read_text(encoding="utf-8"))
+             for path in sorted((ROOT / "models").glob("*.json"))}
+    for name, card in cards.items():
+        network = (ROOT / "models" / f"{name}.onnx").read_bytes()
+        assert hashlib.sha256(network).hexdigest() == card["sha256"], name
+        origin = card.get("made_from")
+        assert origin is None or cards[origin["name"]]["sha256"] == origin["sha256"], name
+        if name.startswith("denoise_upscale."):
+            told = {fact: card["training"][fact] for fact in LOGGED_FACTS}
+            assert any(all(run.get(fact) == pytest.approx(value, rel=LOG_ROUNDING)
+                           for fact, value in told.items()) for run in log), f"{name}: {told}"

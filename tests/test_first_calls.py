@@ -3,6 +3,9 @@ line."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -81,3 +84,16 @@ def test_one_frame_and_a_device_go_by_their_plain_names(write_exr, tmp_path):
         postfx.Pipeline([postfx.ToneMap()], "gpu")
     with pytest.raises(PassOptionError, match="no option 'sacle': did you mean scale[?] its"):
         postfx.DenoiseUpscale(sacle=2)
+
+
+def test_a_file_in_the_place_of_an_array_is_told_who_reads_it():
+    with pytest.raises(FrameError, match="color is str: .*; postfx.read_sequence reads files"):
+        postfx.denoise("shot.0001.exr")
+    with pytest.raises(PassOptionError, match="not 'xl': give a scale in between; a network is"):
+        postfx.DenoiseUpscale("xl")
+
+
+def test_a_name_that_is_nearly_there_is_hinted_at():
+    program = "import postfx\npostfx.read_sequences"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert "has no attribute 'read_sequences'. Did you mean: 'read_sequence'?" in done.stderr

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from training.measure.pictures import pictures
+
 DOCS = Path(__file__).parent.parent / "docs"
 PAGE = (DOCS / "gallery.md").read_text("utf-8")
 BOXES = re.findall(r'<div class="compare" data-names="([^"]+)" data-sources="([^"]+)">', PAGE)
@@ -28,6 +30,13 @@ def test_pictures_lie_on_each_other(names, sources):
     sizes = {Image.open(DOCS / path).size for path in (*left, *right)}
     assert len(sizes) == 1
     assert len({(DOCS / path).read_bytes() for path in (*left, *right)}) == 3
+
+
+def test_one_program_makes_all_pictures_of_the_default_network():
+    made = {shown for _, shown in pictures()}
+    assert all((DOCS / "images" / shown).is_file() for shown in made)
+    assert {path.relative_to(DOCS / "images").as_posix()
+            for path in (DOCS / "images/gallery").iterdir()} < made
 
 
 def test_the_site_loads_the_slider():

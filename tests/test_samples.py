@@ -101,11 +101,11 @@ def test_the_showcase_is_drawn_and_measured(tmp_path):
                "60")
     rows = re.findall(r"(?m)^(.{28}) PSNR (\S+)", said)
     found = {name.strip(): float(figure) for name, figure in rows}
-    assert found["as rendered"] + 5 < min(found["Open Image Denoise"], found["postfx, network m"])
+    assert found["as rendered"] + 5 < min(found["Open Image Denoise"], found["postfx, network xl"])
     with Image.open(tmp_path
                     / "out/showcase.jpg") as picture, Image.open(tmp_path
                                                                  / "out/showcase.webp") as video:
-        assert picture.size == (4 * 180 + 12, 180 + 4 + 180) and video.n_frames == 2
+        assert picture.size == (4 * 180 + 12, 180 + 4 + 24 + 4 + 180) and video.n_frames == 2
 
 
 def test_planes_stand_on_one_picture(tmp_path):

@@ -1,4 +1,4 @@
-"""Types are right: mypy in strict mode over all of postfx, beside the other tests.
+"""Types are right: mypy in strict mode over postfx and training, beside the other tests.
 
 It is asked once, about a file of wrong calls, too: what it finds in that it would say to a user.
 """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -18,13 +19,13 @@ from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library
 IMAGE = ("height", "width", "channels")
 
 
-def value(name: str, shape: tuple, kind: int = TensorProto.FLOAT) -> onnx.ValueInfoProto:
+def value(name: str, shape: tuple[Any, ...], kind: int = TensorProto.FLOAT) -> onnx.ValueInfoProto:
     """A graph input or output."""
     return helper.make_tensor_value_info(name, kind, shape)
 
 
-def save_model(path: Path, nodes: list, inputs: list, outputs: list,
-               constants: dict | None = None) -> None:
+def save_model(path: Path, nodes: list[Any], inputs: list[Any], outputs: list[Any],
+               constants: dict[str, Any] | None = None) -> None:
     """Write an ONNX file of a few nodes."""
     initializers = [numpy_helper.from_array(array, name)
                     for name, array in (constants or {}).items()]
@@ -83,12 +84,12 @@ def make_kernels(folder: Path) -> Library:
     return Library(folder)
 
 
-def add_rows(y0, y1, a, b, total):
+def add_rows(y0: int, y1: int, a: np.ndarray, b: np.ndarray, total: np.ndarray) -> None:
     """total = a + b."""
     np.add(a[y0:y1], b[y0:y1], out=total[y0:y1])
 
 
-def large_rows(y0, y1, coarse, fine):
+def large_rows(y0: int, y1: int, coarse: np.ndarray, fine: np.ndarray) -> None:
     """Every pixel four times."""
     fine[y0:y1] = coarse[np.arange(y0, y1)[:, None] // 2, np.arange(fine.shape[1]) // 2]
 
@@ -214,8 +215,8 @@ class AddGuide(Enlarge):
             frame.set(Role.COLOUR, self._sum)
 
 
-def make_frame(number: int = 1, size: tuple[int, int] = (24, 40), roles: tuple = (Role.COLOUR,),
-               **kept) -> Frame:
+def make_frame(number: int = 1, size: tuple[int, int] = (24, 40),
+               roles: tuple[Role, ...] = (Role.COLOUR,), **kept: Any) -> Frame:
     """A frame of random planes; size is (width, height)."""
     width, height = size
     spec = FrameSpec(width, height, roles)
@@ -225,6 +226,7 @@ def make_frame(number: int = 1, size: tuple[int, int] = (24, 40), roles: tuple =
     return Frame(planes, number=number, **kept)
 
 
-def make_guides(size: tuple[int, int], roles: tuple = GUIDE_ROLES) -> dict[Role, np.ndarray]:
+def make_guides(size: tuple[int, int],
+                roles: tuple[Role, ...] = GUIDE_ROLES) -> dict[Role, np.ndarray]:
     """Random guides; size is (width, height)."""
     return make_frame(100, size, roles).planes

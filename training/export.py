@@ -84,7 +84,8 @@ def export_kernel(kernel: Kernel, module: nn.Module, sizes: Mapping[str, int],
     """
     shapes = [[parse(size) for size in kernel.shapes[name]] for name in kernel.reads]
     random = torch.Generator().manual_seed(0)
-    examples = [torch.rand(*[d.factor * sizes.get(d.symbol, 1) for d in dims], generator=random)
+    examples = [torch.rand(*[d.factor * (sizes.get(d.symbol, 1) if d.symbol else 1)
+                          for d in dims], generator=random)
                 .to(getattr(torch, kernel.types.get(name, "float32")))
                 for name, dims in zip(kernel.reads, shapes, strict=True)]
     free = [{axis: Dim.DYNAMIC for axis, d in enumerate(dims) if d.symbol is not None}

@@ -34,7 +34,7 @@ from postfx.runtime import ArgumentTable
 from training.export import export
 
 HELD = 12
-SETTINGS = np.float32((0.9, 0.0))
+SETTINGS = np.array((0.9, 0.0), np.float32)
 READS = ("normal", "depth", "camera", "raw", "smooth")
 WINDOWS = 3, 9, 27, 81
 """Pixels of the squares in which the network compares a pixel's depth with those around it."""
@@ -48,7 +48,8 @@ def camera_of(view: dict[str, np.ndarray], k: int) -> np.ndarray:
     """The argument `camera` (12,) of a view's k-th radius; its normals are in camera space
     already."""
     (height, width), tangent = view["depth"].shape, view["tangent"]
-    return np.float32([*np.eye(3).ravel(), view["radii"][k], tangent, tangent * height / width])
+    return np.array([*np.eye(3).ravel(), view["radii"][k], tangent, tangent * height / width],
+                    np.float32)
 
 
 def classical(device: Device, view: dict[str, np.ndarray], k: int) -> tuple[np.ndarray, np.ndarray]:
@@ -140,7 +141,7 @@ class OcclusionNet(nn.Module):
         self.up = nn.ModuleList(Block(sizes[k + 1] + sizes[k], sizes[k]) for k in range(4))
         self.last = nn.Conv2d(width, 1, 3, padding=1)
         nn.init.zeros_(self.last.weight)
-        nn.init.zeros_(self.last.bias)  # type: ignore[arg-type]
+        nn.init.zeros_(self.last.bias)
 
     def forward(self, planes: torch.Tensor) -> torch.Tensor:
         kept, y = [], self.first(planes)

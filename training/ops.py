@@ -302,15 +302,16 @@ def interpolate_phases(phases: Tensor, height: int, width: int) -> Tensor:
 
 def interpolate_any(phases: Tensor, height: int, width: int) -> Tensor:
     """`interpolate_phases` without the short cut for scale 2."""
-    return interpolate_at(phases, centres(*phases.shape[-2:], height, width, phases.device))
+    h, w = phases.shape[-2:]
+    return interpolate_at(phases, centres(h, w, height, width, phases.device))
 
 
 def interpolate_at(phases: Tensor, at: Centres) -> Tensor:
     """`interpolate_phases` at some rows and columns."""
     ty, tx = (2 * at.y + 0.5).clamp(0, 1)[:, None], (2 * at.x + 0.5).clamp(0, 1)
-    at = pick(phases, at.rows, at.columns)
-    top = at[:, :, 0] * (1 - tx) + at[:, :, 1] * tx
-    bottom = at[:, :, 2] * (1 - tx) + at[:, :, 3] * tx
+    here = pick(phases, at.rows, at.columns)
+    top = here[:, :, 0] * (1 - tx) + here[:, :, 1] * tx
+    bottom = here[:, :, 2] * (1 - tx) + here[:, :, 3] * tx
     return top * (1 - ty) + bottom * ty
 
 
@@ -339,8 +340,8 @@ def upsample_double(radiance: Tensor, weights: Tensor, jitter: Tensor) -> tuple[
 def upsample_any(radiance: Tensor, weights: Tensor, jitter: Tensor, height: int,
                  width: int) -> tuple[Tensor, Tensor]:
     """`upsample` at any scale."""
-    return upsample_at(radiance, weights, jitter,
-                       centres(*radiance.shape[-2:], height, width, radiance.device))
+    h, w = radiance.shape[-2:]
+    return upsample_at(radiance, weights, jitter, centres(h, w, height, width, radiance.device))
 
 
 def upsample_at(radiance: Tensor, weights: Tensor, jitter: Tensor,

@@ -37,7 +37,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Never
 
 from training.export import MODELS, check_recipe, parser
 
@@ -89,9 +89,9 @@ def read_recipe(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as fault:
         raise RecipeError(f"{path}: {fault}") from fault
     recipe = found.get("recipe", found) if isinstance(found, dict) else found
-    fault = check_recipe(recipe)
-    if fault:
-        raise RecipeError(f"{path}: {fault}")
+    wrong = check_recipe(recipe)
+    if wrong:
+        raise RecipeError(f"{path}: {wrong}")
     return recipe
 
 
@@ -163,7 +163,7 @@ def check(step: Step) -> None:
     except (ImportError, AttributeError) as fault:
         raise RecipeError(f"{step}: no such command: {fault}") from fault
 
-    def refuse(message: str) -> None:
+    def refuse(message: str) -> Never:
         raise RecipeError(f"{step}: {message}")
 
     for one in parsers(made):

@@ -11,9 +11,7 @@ import json
 import re
 import shlex
 import shutil
-import signal
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -61,7 +59,7 @@ class Job:
         """Have the frame in work finished, then end; finished frames stay."""
         if self.running:
             self.stopped = True
-            self._process.send_signal(signal.SIGTERM if sys.platform == "win32" else signal.SIGINT)
+            self._process.terminate()  # SIGINT is ignored where Blender runs in the background
 
     def wait(self) -> None:
         self._process.wait()
@@ -92,7 +90,7 @@ class Job:
 PRESETS = [("NONE", "Standard", "Every frame uses the frames before it"),
            ("preview", "Preview", "The fastest: the small network, alone"),
            ("final", "Final",
-            "The cleanest: the largest network in both directions, many times the time"),
+            "For delivery: the largest network in both directions, many times the time"),
            ("animation", "Animation", "In both directions, and steady in brightness")]
 OWN_NETWORK = ("preview", "final")
 """Presets that choose the network themselves."""

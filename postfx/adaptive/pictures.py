@@ -9,7 +9,7 @@ import numpy as np
 
 from postfx.adaptive.plan import Quality, Tiles, spread
 from postfx.files import write_atomically
-from postfx.report.pictures import png
+from postfx.thumbnails import png
 
 WIDEST = 480
 """Pixels of the picture's width that are kept."""

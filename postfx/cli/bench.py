@@ -11,7 +11,8 @@ from postfx.version import pip_install
 
 DESCRIPTION = f"""\
 Measure run time against error: this project's networks, Open Image Denoise, accumulation and plain
-enlargement, side by side on noisy frames with references. Needs: {pip_install('bench')}
+enlargement, side by side on noisy frames with references. Needs the extra 'bench':
+{pip_install('bench')}
 
 The scale follows from the sizes of the frames and of the references. Every method runs in a process
 of its own, so its peak of memory is its own; reading, writing and scoring are not timed. Times are

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Show the defaults of 'postfx run' that files named postfx.toml set, and where each comes from. The
-nearest such file counts, in this folder or above. Below it count the user's and the machine's own;
-'postfx config' names their places. The variable POSTFX_CONFIG names one file to read in place of
-all these. If it is empty, none is read.
+nearest such file counts, in this folder or above. What it does not set, the user's or the machine's
+own file sets; 'postfx config' names their places. The variable POSTFX_CONFIG names one file to read
+in place of all these. If it is empty, none is read.
 
 A file holds options of 'postfx run' without their dashes:
 

@@ -91,6 +91,9 @@ INTERPOLATE = Options(Section("", (
     Option(flag="--planes",
            help="write depth, motion, normals, reflectances and Cryptomattes of all frames, too, "
            "so that passes after this one can use them; the files hold floats"),
+    Option(flag="--aov", metavar="NAMES|auto", sets="sequence.aov",
+           help="make light groups and passes, too, which then add up to the picture: names like "
+           "key,fill, or auto for those that the renderer is known to write"),
     Option(flag="--no-flow",
            help="do not estimate motion if there are motion vectors: faster, but shadows and "
            "reflections are only cross-faded"),
@@ -176,6 +179,7 @@ class Interpolation:
         self._reference = (read_sequence(arguments.reference, planes=[Role.COLOUR])
                            if arguments.reference else None)
         self._detector = CutDetector() if arguments.cuts == "auto" else None
+        self._is_told = False
         self._frames: dict[int, Frame | None] = {}
         self._cuts: set[int] = set()
         self._between: dict[int, Between] = {}
@@ -275,6 +279,9 @@ class Interpolation:
             number = self._sequence.numbers[index]
             frame = self._sequence.read(number) if self._sequence.holds(number) else None
             if frame is not None:
+                if not self._is_told:
+                    self._is_told = True
+                    self._warn_of_left_out(frame)
                 if self._arguments.planes:
                     frame = with_cryptomattes(frame)
                 self._first = self._first or frame.metadata
@@ -283,6 +290,23 @@ class Interpolation:
             self._frames = {other: one for other, one in self._frames.items()
                             if other >= index - 3} | {index: frame}
         return self._frames.get(index)
+
+    def _warn_of_left_out(self, frame: Frame) -> None:
+        """Warn of layers of a frame of the input that the output has not."""
+        from postfx.io.parts import SHOWN_LAYERS
+
+        with self._sequence.open(frame.number) as files:
+            layers = files.unread()
+        ways = "--aov NAMES makes layers of light"
+        if self._arguments.planes:
+            mattes = tuple(str(text) for name, text in frame.metadata.items()
+                           if name.startswith(CRYPTOMATTE) and name.endswith("/name"))
+            layers = [layer for layer in layers if not layer.startswith(mattes)]
+        else:
+            ways += ", --planes Cryptomattes"
+        if layers:
+            held = "; ".join(layers[:SHOWN_LAYERS]) + "; ..." * (len(layers) > SHOWN_LAYERS)
+            self._sequence.warn(f"new frames lack {held}: {ways}")
 
     def _between_at(self, index: int) -> Between:
         """The time between a frame, which is there like the one after it, and that one."""

@@ -154,8 +154,6 @@ class Job:
         self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False,
                                  wrap=wrap)
         refuse_views(self.sequence, self.outputs)
-        if self.outputs and not arguments.explain:  # after all options, whose mistakes matter more
-            self.outputs.check(self.sequence.numbers)
         with ExitStack() as stack:
             files = stack.enter_context(self.sequence.open(self.first))
             self.skips += explain_overlay(arguments, files)
@@ -178,6 +176,8 @@ class Job:
         if self.outputs:
             self.outputs.check_storage(self.plan.output.encoding, arguments.bits,
                                        arguments.compression)
+            if not arguments.explain:  # after all options, whose mistakes matter more
+                self.outputs.check(self.sequence.numbers)
         standin = None
         if policy is OnError.COPY:
             plain, _ = self._passes(None if denoising is None else self._resample_options())
@@ -332,7 +332,8 @@ class Job:
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         self._look(frame, tell)
         result = self.pipeline(frame)
-        self._tell_noticed(number, tell)
+        for text in self.pipeline.noticed:
+            self._tell([f"frame {number}: {text}"], tell)
         for path, picture in self._files().split(result):
             write_frame(path, picture, relax=self._relax, **self._format)
             if self._viewer:
@@ -515,7 +516,11 @@ class Job:
         return []
 
     @cached_property
-    def _looker(self) -> FirstFrames:
+    def _looker(self) -> FirstFrames | None:
+        """What looks at the first frames; None where AOVs are not read, so that none is missing."""
+        if (self._arguments.no_denoise or self._arguments.strength == 0
+            or self.pipeline.device.scratch):
+            return None
         # It loads the doctor, which other verbs need not wait for.
         from postfx.doctor.first_frames import FirstFrames
 
@@ -525,13 +530,8 @@ class Job:
     def _look(self, frame: Frame, tell: Callable[[str], None],
               is_alone: bool = False) -> None:
         """Tell what is plainly wrong with the first frames at once, not after a night."""
-        if (self._arguments.no_denoise or self._arguments.strength == 0
-            or self.pipeline.device.scratch):
-            return  # where AOVs are not read, so that none is missing
-        self._tell(self._looker.look(frame, is_alone), tell)
-
-    def _tell_noticed(self, number: int, tell: Callable[[str], None]) -> None:
-        self._tell([f"frame {number}: {text}" for text in self.pipeline.noticed], tell)
+        if self._looker and not self._looker.is_done:
+            self._tell(self._looker.look(frame, is_alone), tell)
 
     def _tell(self, texts: Iterable[str], tell: Callable[[str], None]) -> None:
         """Tell at once what is to be mended, and again at the end of a long run."""
@@ -572,8 +572,10 @@ class Job:
         self._ahead_ms += passes.ahead
         if passes.cut:
             self._cuts.append(work.number)
-        self._tell_noticed(work.number, tell)
+        for text in passes.noticed:
+            self._tell([f"frame {work.number}: {text}"], tell)
         milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
+        milliseconds -= sum(passes.ahead)
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0
         done = FrameResult(frame, result, passes.exposure_factor, passes.cut, milliseconds,
@@ -640,7 +642,7 @@ class Job:
             strength = denoising.get("strength")
             passes.append(create("mix_partner", strength=1.0 if strength is None else strength,
                                  scale=enlargement(self._first_spec, denoising),
-                                 both_ways=both_ways, **parts))
+                                 model=denoising.get("model", "m"), both_ways=both_ways, **parts))
         passes += [create("overlay")] if self._arguments.overlay == "composite" else []
         is_picture = self.outputs is not None and self.outputs.display
         shown, not_shown = make_display_passes(is_picture, **self._values("look"))

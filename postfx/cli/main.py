@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from importlib import import_module
 
 from postfx.cli.options import Parser
-from postfx.errors import PostfxError
+from postfx.errors import OptionError, PostfxError
 from postfx.streams import safe_streams
 from postfx.version import __version__
 
@@ -37,6 +37,8 @@ called."""
 FORWARDING = ("watch", "loop", "chunks")
 """Verbs that hand options of `postfx run` on, which stand behind --."""
 SHELLS = ("bash", "zsh", "fish", "powershell")
+LONG_DASHES = ("\u2012", "\u2013", "\u2014", "\u2212")
+"""What text processors make of a hyphen."""
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 
@@ -58,6 +60,10 @@ def _run(words: list[str]) -> int:
     own = (words.index("--") if words[:1] and words[0] in FORWARDING and "--" in words
            else len(words))
     try:
+        _refuse_long_dashes(words)
+        if not words:
+            print(make_parser().format_help(), end="", file=sys.stderr)
+            return EXIT_ERROR
         arguments = make_parser([word for word in words
                                  if not word.startswith("-")][:1]).parse_args(words[:own])
         arguments.words, arguments.forwarded = words, words[own + 1:]
@@ -78,6 +84,13 @@ def _run(words: list[str]) -> int:
     except KeyboardInterrupt as interrupt:
         print("interrupted: finished frames are kept", file=sys.stderr)
         return getattr(interrupt, "exit_code", EXIT_INTERRUPTED)
+
+
+def _refuse_long_dashes(words: Sequence[str]) -> None:
+    """OptionError for an option that was copied from a text with typographic dashes."""
+    for word in words:
+        if word.startswith(LONG_DASHES) and not os.path.lexists(word):
+            raise OptionError(f"'{word}' begins with a long dash: type - or --")
 
 
 class _Completion(argparse.Action):

@@ -16,6 +16,30 @@ from typing import Any, Literal, NamedTuple, NoReturn
 from postfx.errors import OptionError, suggest
 
 Changes = Literal["pixels", "rounding", "nothing"]
+MEANT_VERBS = {
+    "check": "inspect",
+    "denoise": "run",
+    "doctor": "inspect",
+    "help": "--help",
+    "tonemap": "run with --tonemap",
+    "upscale": "run with --scale 2",
+    "version": "--version",
+}
+"""Word that other programs have -> what it is here, behind `postfx`."""
+MEANT_OPTIONS = {
+    "--cpu": "--device cpu",
+    "--cuda": "--device cuda",
+    "--denoiser": "--model",
+    "--factor": "--times",
+    "--gpu": "--device cuda",
+    "--look": "--tonemap",
+    "--network": "--model",
+    "--oidn": "--with oidn",
+    "--quality": "--preset",
+    "--upscale": "--scale",
+    "--view-transform": "--tonemap",
+}
+"""Likewise for options: the first word of the answer is told where the verb has it."""
 
 
 # not a dataclass, whose module would take longer to load than all of --help
@@ -321,7 +345,12 @@ class Parser(argparse.ArgumentParser):
         if unknown:
             used = getattr(found, "parser", self)
             flags = [flag for action in used._actions for flag in action.option_strings]
-            hint = self.hint(used, unknown) or suggest(unknown[0].partition("=")[0], flags)
+            word = unknown[0].partition("=")[0]
+            meant = MEANT_OPTIONS.get(word, "")
+            known = meant.split()[:1]
+            hint = (self.hint(used, unknown)
+                    or (f": did you mean {meant}?" if known and known[0] in flags else "")
+                    or suggest(word, flags))
             used.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return found
 
@@ -331,8 +360,10 @@ class Parser(argparse.ArgumentParser):
         verbs = [name for action in self._actions if isinstance(action, argparse._SubParsersAction)
                  for name in action.choices] if choice else []
         meant = suggest(choice[1], verbs) if choice else ""
-        meant = (f": did you mean postfx run {choice[1]}?"
-                 if choice and re.search(r"[./]", choice[1]) else meant)
+        if choice and re.search(r"[./]", choice[1]):
+            meant = f": did you mean postfx run {choice[1]}?"
+        if choice and choice[1] in MEANT_VERBS:
+            meant = f": did you mean postfx {MEANT_VERBS[choice[1]]}?"
         help = "--help-all" if any(option.basic for option in self.declared or ()) else "--help"
         self.exit(2, f"error: {message}{meant} ('{self.prog} {help}' shows all)\n")
 
@@ -341,6 +372,14 @@ def parse_path(text: str) -> str:
     """A path in which a leading ~ is the home folder, as argparse's `type`: shells leave it where
     it is quoted."""
     return os.path.expanduser(text)
+
+
+def parse_number(text: str) -> float:
+    """A number, as argparse's `type`."""
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number like 2 or 1.5") from None
 
 
 def parse_from_zero(text: str) -> float:

@@ -30,10 +30,10 @@ output then has their size.
 """
 EXAMPLES = """\
 examples:
-  postfx run shot/noisy.####.exr -o out/clean.####.exr             # scene-linear, the render's size
+  postfx run shot/noisy.####.exr -o out/clean.####.exr                 # scene-linear light
   postfx run shot/noisy.####.exr -o out/picture.####.png               # tone-mapped pictures
   postfx run shot/noisy.####.exr -o out/large.####.exr --scale 2       # denoised and twice as large
-  postfx run shot/noisy.####.exr -o out/clean.####.exr --preset final  # the cleanest
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --preset final  # for delivery
   postfx run shot/ -o out/ --skip-existing                             # go on after a stop
 
 PSNR in dB to the best of Open Image Denoise for the same rays, at 4, 16 and 64 samples a pixel:

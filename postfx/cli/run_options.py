@@ -23,6 +23,7 @@ from postfx.cli.options import (
     Section,
     parse_count,
     parse_from_zero,
+    parse_number,
     parse_path,
     parse_positive,
     parse_ray,
@@ -238,9 +239,10 @@ def _list_passes() -> str:
 DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
            help="preview: the fastest (--model s --run-up 0 --preroll 0 --fast-look); final: "
-           "the cleanest (--model xl --both-ways --with auto); animation: steady "
-           "brightness (--both-ways --exposure smooth). Options that you give yourself win"),
-    Option(flag="--scale", basic=True, metavar="S", type=float, either="size",
+           "for delivery, whatever frames show (--model xl --both-ways --with auto); "
+           "animation: steady brightness (--both-ways --exposure smooth). Options that you "
+           "give yourself win"),
+    Option(flag="--scale", basic=True, metavar="S", type=parse_number, either="size",
            sets="denoiser.scale", excludes=_FOR_DENOISER,
            help="output size over render size, 1 to 3, e.g. 2 for frames twice as large (default: "
            "1, or the guides' size)"),
@@ -292,21 +294,21 @@ DENOISING = Section("denoising and size", (
            help="begin a shot by running the N frames after its first one, in reverse order. The "
            "first frame is then as clean as the others. 0 for none (default: 8; none with "
            "--both-ways or --budget)"),
-    Option(flag="--budget", metavar="MS", type=float, sets="denoiser.budget",
+    Option(flag="--budget", metavar="MS", type=parse_number, sets="denoiser.budget",
            excludes=_FOR_DENOISER,
            help="longest time to denoise a frame, in milliseconds: a smaller network runs where "
            "--model would take longer"),
-    Option(flag="--strength", metavar="S", type=float, sets="denoiser.strength",
+    Option(flag="--strength", metavar="S", type=parse_number, sets="denoiser.strength",
            excludes=_FOR_DENOISER,
            help="how strongly to denoise, from 0 (only resample) to 1 (default), times the AOV "
            "'strength' if there is one"),
     Option(flag="--motion", choices=("auto", "file", "estimate"), default="auto", off="auto",
            sets="sequence.motion", excludes=_FOR_DENOISER,
-           help="where motion vectors come from: auto, the files, or an estimate if the files have "
-           "none, or zeros although the picture moves (default); file, only the files; estimate, "
-           "always an estimate. Estimates use albedo, normals and depth"),
-    Option(flag="--clamp-fireflies", metavar="N", type=float, sets="sequence.clamp_fireflies",
-           excludes=_FOR_DENOISER,
+           help="where motion vectors come from: auto, the files, or an estimate if they have "
+           "none, or only zeros although the picture moves (default); file, only the files; "
+           "estimate, always an estimate. Estimates use albedo, normals and depth"),
+    Option(flag="--clamp-fireflies", metavar="N", type=parse_number,
+           sets="sequence.clamp_fireflies", excludes=_FOR_DENOISER,
            help="before denoising, darken pixels that are more than N times (such as 8) as bright "
            "as the third brightest of the 24 around them; the run prints how much light that took"),
     Option(flag="--reactive", metavar="KIND[,NAME=NUMBER]", sets="denoiser.reactive",

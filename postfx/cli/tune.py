@@ -7,7 +7,7 @@ import argparse
 import subprocess
 import sys
 
-from postfx.cli.options import Option, Options, Section, parse_positive
+from postfx.cli.options import Option, Options, Section, parse_number, parse_positive
 from postfx.cli.run_options import FILES, INPUT, RUN
 
 DESCRIPTION = """\
@@ -38,7 +38,7 @@ TUNE = Options(Section("", (
            help="INPUT rendered again with another seed and as many samples"),
     Option(flag="--output", short="-o", metavar="FILE.onnx",
            help="network to write, with its card beside it"),
-    Option(flag="--minutes", metavar="M", type=float, default=10.0,
+    Option(flag="--minutes", metavar="M", type=parse_number, default=10.0,
            help="of training (default: 10)"),
     Option(flag="--steps", metavar="N", type=parse_positive,
            help="of training, in place of --minutes"),

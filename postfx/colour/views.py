@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.colour import ACESCG, REC709, Chromaticities, ocio, to_xyz
-from postfx.colour.displays import Display, parse_display, srgb_encode
+from postfx.colour.displays import SRGB, Display, parse_display, srgb_encode
 
 CUBE_SIDE = 65
 
@@ -90,8 +90,7 @@ def find_view(text: str, display: Display) -> View:
         return View(lambda x: display.encode(reinhard(np.maximum(x, 0), own, display.most)), own,
                     display, "Reinhard 2002")
     if text == "neutral":
-        srgb = parse_display("srgb")
-        return View(lambda x: srgb.encode(neutral(np.maximum(x, 0))), REC709, srgb,
+        return View(lambda x: SRGB.encode(neutral(np.maximum(x, 0))), REC709, parse_display("srgb"),
                     "Khronos PBR Neutral")
     if text.startswith(ocio.PREFIX):
         transform = ocio.view_transform(text.removeprefix(ocio.PREFIX), display)

@@ -59,6 +59,9 @@ class FirstFrames:
         enable: role -> where the user switches the plane on in the renderer.
         on_gpu: whether frames are denoised there, where light outside the gamut is cut.
         copies: whether the arrays of a frame may hold another one by the next call.
+
+    Attributes:
+        is_done: whether no further frame is looked at.
     """
 
     def __init__(self, channels: Mapping[Role, str] | None = None,
@@ -67,20 +70,17 @@ class FirstFrames:
         self._channels, self._enable, self._on_gpu, self._copies = (channels or {}, enable or {},
                                                                     on_gpu, copies)
         self._seen, self._kept, self._size = 0, list[Frame](), (0, 0)
-
-    @property
-    def is_done(self) -> bool:
-        """Whether no further frame is looked at."""
-        return self._seen >= MOST_SEEN
+        self.is_done = False
 
     def look(self, frame: Frame, is_alone: bool = False) -> list[str]:
         """What this frame and those before it show, a line each: errors and warnings.
 
         is_alone: whether there is no other frame, so that motion helps nothing.
         """
-        if self._seen >= MOST_SEEN:
+        if self.is_done:
             return []
         self._seen += 1
+        self.is_done = self._seen >= MOST_SEEN
         found = self._of_first(frame, is_alone) if self._seen == 1 else []
         if self._kept and (frame.reset or _size(frame) != self._size):
             self._kept.clear()
@@ -92,7 +92,7 @@ class FirstFrames:
         if len(self._kept) == COMPARED_FRAMES:
             material = Material(self._kept, whole=_size(frame))
             found += [finding for check in OF_SEVERAL for finding in check(material)]
-            self._kept, self._seen = [], MOST_SEEN
+            self._kept, self.is_done = [], True
         return [self._line(one, frame) for one in most_important_first(found) if self._matters(one)]
 
     def _of_first(self, frame: Frame, is_alone: bool) -> list[Finding]:

@@ -36,7 +36,7 @@ from postfx.files import write_atomically
 from postfx.frame import ERROR_ROLES, ROLES, Frame, Role
 from postfx.io.layout import Match
 from postfx.io.sequence import read_sequence
-from postfx.report.pictures import png, png_uri, shrink
+from postfx.thumbnails import png, png_uri, shrink
 
 Check = Callable[[Material], Iterator[Finding]]
 

@@ -228,7 +228,7 @@ def _read_unclamped(files: FrameFiles, number: int) -> Frame:
 
 def _read_stored(files: FrameFiles, number: int) -> Frame:
     """The numbers as they are in the file, under the role that they have."""
-    kept = dict(files.layout.planes)
+    kept = files.layout.planes
     guides, files.guides = files.guides, None
     _change_rules(files, clamp=None, role=Role.COLOUR, scale=(1.0,), offset=(0.0,))
     frame = files.read(number)

@@ -45,6 +45,13 @@ from postfx.interpolate.choose import (
 from postfx.interpolate.light import change_of_light, lit_at
 from postfx.interpolate.lost import motion_of_lost
 from postfx.interpolate.overlays import COVERED, find_overlay, measure_clearness, remove_overlay
+from postfx.interpolate.parts import (
+    Sets,
+    changes_of_parts,
+    find_common_sets,
+    follow_picture,
+    light_parts,
+)
 from postfx.interpolate.timing import (
     Sparks,
     camera_between,
@@ -59,7 +66,9 @@ from postfx.interpolate.ways import (
     CLEARLY_BETTER,
     DOUBTING_ROWS,
     FLOW_HANDICAP,
+    LEAST_LEFT_OF_FLOW,
     LEAST_UNEVEN,
+    LESS_EVEN_THAN_FLOW,
     MORE_EVEN,
     MOSTLY_NOISE,
     REST_HANDICAP,
@@ -101,6 +110,8 @@ MOST_GROWN_PX = 64
 Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 BY_VECTORS = 1.0, 0.0, 0.0, 0.0
 """Shares of pictures where that along the vectors is the only one."""
+AFTER_SHARE = "share of the frame after"
+"""What is mixed beside parts: 0 in the frame before, 1 in the one after."""
 OVERLAYS = ("mix", "hold")
 CAMERA_ATTRIBUTES = ("worldToCamera", "worldToNDC")
 """Attributes of a camera, of which the first one is made for the time."""
@@ -149,6 +160,8 @@ class Between:
         self._earlier = last.before if last is not None and last.after is before else None
         self._inverted: list[tuple[Frame, Frame, np.ndarray]] = [] if last is None else [
             one for one in last._inverted if one[0] is before]
+        self._known_sets = None if last is None else last._found_sets
+        self._found_sets: Sets | None = self._known_sets
         self._options: dict[str, Any] = {"flow": flow, "overlay": overlay, "composited": composited}
         self._flow, self._overlay, self._composited = (flow, overlay,
                                                        composited and self._both_have(Role.OVERLAY))
@@ -285,6 +298,42 @@ class Between:
         return self._pictures if self._change is None else lit_at(*self._pictures, self._change, t)
 
     @cached_property
+    def _light_parts(self) -> dict[str, Pair]:
+        """Parts of both frames that are mixed as the picture is."""
+        before, after = self.before, self.after
+        return {name: (_finite(before.parts[name]), _finite(after.parts[name]))
+                for name in self._shared_parts if not self._is_exact(name)}
+
+    @property
+    def _shared_parts(self) -> list[str]:
+        """Names of the parts that both frames have."""
+        return [name for name, part in self.before.parts.items()
+                if name in self.after.parts and part.shape == self.after.parts[name].shape]
+
+    def _is_exact(self, name: str) -> bool:
+        """Whether a part is taken from one frame's nearest pixel."""
+        source = self.before.part_sources.get(name)
+        return source is not None and source.exact
+
+    @cached_property
+    def _part_changes(self) -> dict[str, np.ndarray]:
+        """How the light of parts changes."""
+        if not self._light_parts or (Role.MOTION in self.after and not self._flow):
+            return {}
+        motion = (self.after[Role.MOTION] if self._has_vectors else
+                  np.float32(self._scale) * self._estimated_back)
+        if motion.shape[:2] != self._size:
+            motion = enlarge_motion(np.ascontiguousarray(motion / np.float32(self._scale)),
+                                    *self._size)
+        return changes_of_parts(self._light_parts, motion, float(self._longest))
+
+    @cached_property
+    def _sets(self) -> Sets:
+        """Parts that add up to the picture in both frames."""
+        self._found_sets = find_common_sets(self._pictures, self._light_parts, self._known_sets)
+        return self._found_sets
+
+    @cached_property
     def _dim(self) -> np.float32:
         """Light, summed over channels, that counts as dark."""
         return np.float32(DARK * self._level)
@@ -402,9 +451,16 @@ class Between:
         if not self._all_lit:
             return 0.0, 0.0, 1.0, 0.0
         if ways is None:
-            return BY_VECTORS
+            return self._shares_without_vectors
         row = self._row
-        worse = self._unevenness_of_vectors if ways.vectors_explain_little(len(row)) else 0.0
+        if ways.vectors_fit and ways.is_thin:
+            explained = not ways.vectors_explain_little(len(row)) or ways.vectors_stand_still
+            if explained or ways.motion <= ways.flow:
+                return BY_VECTORS
+            given, flowing = shares_of((ways.motion, ways.flow))
+            return given, flowing, 0.0, 0.0
+        worse = (self._unevenness_along(self._vectors)
+                 if ways.vectors_explain_little(len(row)) else 0.0)
         # a blend is what vectors show that stand still, unless they are worse
         is_still = ways.vectors_stand_still and worse <= MORE_EVEN
         is_doubted = worse > (AS_EVEN_ALONE if len(row) == 2 else AS_EVEN)
@@ -430,6 +486,23 @@ class Between:
         return found[0], found[1], found[2], found[3]
 
     @property
+    def _shares_without_vectors(self) -> tuple[float, float, float, float]:
+        """The same where there are no vectors: estimated motion alone counts, unless it explains
+        little and colours go on about as evenly at the same place."""
+        if Role.MOTION in self.after or not self._flow:
+            return BY_VECTORS
+        flow = self._estimated_back
+        explained = compare_ways(*self._small, flow, flow)
+        if explained is None or explained.is_thin or (
+                explained.flow < LEAST_LEFT_OF_FLOW * explained.still):
+            return BY_VECTORS
+        way, measure = np.float32(self._scale) * flow, self._unevenness
+        if self._unevenness_along(way) <= LESS_EVEN_THAN_FLOW:
+            return BY_VECTORS
+        found = shares_of((measure(way), measure(np.zeros_like(way))))
+        return found[0], 0.0, found[1], 0.0
+
+    @property
     def _vectors(self) -> np.ndarray:
         """Motion (rows, columns, 2) by vectors, in pixels; estimated where there are none."""
         scale, motion = np.float32(self._scale), self._cells_of(self.after)[0]
@@ -445,16 +518,15 @@ class Between:
         colours = [_finite(frame[Role.COLOUR]) for frame in row]
         return partial(unevenness, colours, row.index(self.before), level=float(self._level))
 
-    @property
-    def _unevenness_of_vectors(self) -> float:
-        """How unevenly colours go on along the vectors, in how they do at the same place: about 1
-        and more where another shot comes in. Only what cells beside have in common tells it, and
-        nothing does where noise is most of all, which is as uneven along every way: then it is
-        0."""
-        measure, vectors = partial(self._unevenness, rows=DOUBTING_ROWS), self._vectors
-        along = measure(vectors, alone=0.0)
-        worse = along / max(measure(np.zeros_like(vectors), alone=0.0), LEAST_UNEVEN)
-        is_noise = worse > AS_EVEN and along <= MOSTLY_NOISE * measure(vectors)
+    def _unevenness_along(self, way: np.ndarray) -> float:
+        """How unevenly colours go on along a way (rows, columns, 2), in how they do at the same
+        place: about 1 and more where another shot comes in. Only what cells beside have in common
+        tells it, and nothing does where noise is most of all, which is as uneven along every way:
+        then it is 0."""
+        measure = partial(self._unevenness, rows=DOUBTING_ROWS)
+        along = measure(way, alone=0.0)
+        worse = along / max(measure(np.zeros_like(way), alone=0.0), LEAST_UNEVEN)
+        is_noise = worse > AS_EVEN and along <= MOSTLY_NOISE * measure(way)
         return 0.0 if is_noise else worse
 
     @cached_property
@@ -620,27 +692,27 @@ class Between:
                      previous: float) -> tuple[dict[Role, np.ndarray], dict[str, np.ndarray]]:
         """Planes and parts at a time."""
         before, after = self.before, self.after
-        shared = [name for name, part in before.parts.items()
-                  if name in after.parts and part.shape == after.parts[name].shape]
-        exact = [name for name in shared
-                 if name in before.part_sources and before.part_sources[name].exact]
         light: dict[Role | str, Pair] = {role: (_finite(before[role]), _finite(after[role]))
                                          for role in MIXED_PLANES if self._both_have(role)}
-        light |= {name: (_finite(before.parts[name]), _finite(after.parts[name])) for name in shared
-                  if name not in exact}
+        light |= self._light_parts
+        if self._part_changes:
+            light[AFTER_SHARE] = self._even(0), self._even(1)
         data: dict[Role | str, Pair] = {role: (before[role], after[role])
                                         for role in DATA if self._both_have(role)}
-        data |= {name: (before.parts[name], after.parts[name]) for name in exact}
-        stacks = [(stack_planes([pair[0] for pair in group.values()], self._size),
-                   stack_planes([pair[1] for pair in group.values()], self._size))
-                  for group in (light, data)]
+        data |= {name: (before.parts[name], after.parts[name]) for name in self._shared_parts
+                 if self._is_exact(name)}
+        stacks = self._stack(light), self._stack(data)
         (picture, mixed, taken, motion), own, marks = self._compose(t, previous, *stacks)
-        picture, mixed = self._weigh(t, (picture, mixed), stacks)
+        picture, mixed = self._weigh(t, (picture, mixed), light)
         if self._pictures is self._colours:
             follow_light((self._earlier, before, after, self._later), t, picture)
         if self._sparks is not None and marks is not None:
             keep_sparks(self._sparks, t, own, marks, picture)
-        made = split_planes(mixed, light) | split_planes(taken, data)
+        made = split_planes(mixed, light)
+        if self._part_changes:
+            light_parts(made, self._part_changes, t, made.pop(AFTER_SHARE))
+        follow_picture(made, self._sets, picture)
+        made |= split_planes(taken, data)
         made[Role.COLOUR] = self._put_over(picture, t)
         if Role.MOTION in after:
             made[Role.MOTION] = motion
@@ -664,18 +736,28 @@ class Between:
         mixture = Mixture(t, self._scale, float(self._level), self._masked, back)
         return compose(cells, planes, mixture, Role.MOTION in self.after), own, marks
 
-    def _weigh(self, t: float, made: Pair, stacks: list[Pair]) -> Pair:
+    def _stack(self, planes: dict[Role | str, Pair]) -> Pair:
+        """All channels of planes of both frames."""
+        return (stack_planes([pair[0] for pair in planes.values()], self._size),
+                stack_planes([pair[1] for pair in planes.values()], self._size))
+
+    def _even(self, value: float) -> np.ndarray:
+        """A plane (h, w, 1) of one number."""
+        return np.full((*self._size, 1), value, np.float32)
+
+    def _weigh(self, t: float, made: Pair, planes: dict[Role | str, Pair]) -> Pair:
         """The picture of a time and planes that are mixed like it, by all ways as they count;
-        `made` along paths. stacks: of both frames, planes that are mixed and that are taken."""
+        `made` along paths. planes: those of both frames."""
         shares = self._shares
         if shares == BY_VECTORS:
             return made
-        ways: list[tuple[np.ndarray, ...]] = [
-            made, made, (_mean_at(self._pictures, t), _mean_at(stacks[0], t)), made]
+        stacked = self._stack(planes)
+        ways = [made, made, (_mean_at(self._pictures, t), _mean_at(stacked, t)), made]
         if shares[1] or shares[3]:
-            ways[1] = self._without_vectors._compose(t, 0.0, *stacks)[0][:2]
+            flowing = self._without_vectors._compose(t, 0.0, stacked, self._stack({}))[0]
+            ways[1] = flowing[0], flowing[1]
         if shares[3]:
-            ways[3] = self._over_still(t), ways[1][1]
+            ways[3] = self._over_still(t, planes)
         picture, mixed = np.zeros_like(made[0]), np.zeros_like(made[1])
         for share, way in zip(shares, ways, strict=True):
             if share:
@@ -683,19 +765,35 @@ class Between:
                 mixed += np.float32(share) * way[1]
         return picture, mixed
 
-    def _over_still(self, t: float) -> np.ndarray:
+    def _over_still(self, t: float, planes: dict[Role | str, Pair]) -> Pair:
         """The picture of a shot that stands still and goes over into one that moves, or the
-        reverse: the straight course of each pixel, and what is beside it along estimated motion."""
+        reverse, and planes that are mixed like it: the straight course of each pixel, and what is
+        beside it along estimated motion."""
         row = [_finite(frame[Role.COLOUR]) for frame in self._row]
-        mean, growth = straight_course(row)
+        stacks = [self._stack_of(number, planes) for number in range(len(row))]
+        picture, mixed = (mean + np.float32(t - 0.5) * growth
+                          for mean, growth in (straight_course(row), straight_course(stacks)))
         before, after = (rest_of(row, number) for number in (1, 2))
         least = min(before.min(), after.min())  # pictures are not below 0
-        other = self._without_vectors
-        none = np.empty((*self._size, 0), np.float32)
-        moved = other._compose(t, 0.0, (none, none), (none, none),
-                               (before - least, after - least))[0][0]
-        found: np.ndarray = mean + np.float32(t - 0.5) * growth + moved + least
-        return found
+        moved = self._without_vectors._compose(
+            t, 0.0, (rest_of(stacks, 1), rest_of(stacks, 2)), self._stack({}),
+            (before - least, after - least))[0]
+        return picture + moved[0] + least, mixed + moved[1]
+
+    def _stack_of(self, number: int, planes: dict[Role | str, Pair]) -> np.ndarray:
+        """All channels of planes and parts of a frame of `_row`; those that it has not are of the
+        nearer one of both frames."""
+        frame, found = self._row[number], []
+        for name, pair in planes.items():
+            nearer = pair[0 if number < 2 else 1]
+            if name == AFTER_SHARE:
+                plane = self._even(number - 1)
+            elif isinstance(name, Role):
+                plane = frame.planes.get(name, nearer)
+            else:
+                plane = frame.parts.get(name, nearer)
+            found.append(_finite(plane if plane.shape == nearer.shape else nearer))
+        return stack_planes(found, self._size)
 
     def _overlay_at(self, t: float) -> np.ndarray:
         one, other = self._overlays

@@ -73,7 +73,7 @@ def lit_at(before: np.ndarray, after: np.ndarray, change: np.ndarray,
     ratio = np.exp(change)
     first, last = 1 - t + t * ratio, (1 - t) / ratio + t
     size = before.shape[:2]
-    return before * _enlarged(first, *size), after * _enlarged(last, *size)
+    return before * enlarge_field(first, *size), after * enlarge_field(last, *size)
 
 
 def _estimated(before: np.ndarray, after: np.ndarray) -> np.ndarray:
@@ -130,7 +130,7 @@ def _carried(blocks: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return found
 
 
-def _enlarged(field: np.ndarray, height: int, width: int) -> np.ndarray:
+def enlarge_field(field: np.ndarray, height: int, width: int) -> np.ndarray:
     """A field (rows, columns, 3) of blocks of a picture, between their middles."""
     down, across = _between(field.shape[0], height), _between(field.shape[1], width)
     larger: np.ndarray = np.einsum("yr,rxc->yxc", down,

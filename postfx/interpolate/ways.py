@@ -47,6 +47,9 @@ DIFFERENT_WAY_CELLS = 0.5
 DIFFERENT_VECTOR_SHARE = 0.5
 """Share of pixels whose vectors must differ for other ways to count beside them: 0.33 where it
 snows, which has 0.62 of the next one."""
+LEAST_SPREAD = 0.1
+"""Share of the pixels over which the misfit of vectors must be spread for other ways to count
+beside them: 0.02 to 0.06 of a wire that moves before a wall, 0.13 and more in dissolves."""
 DIFFERENT_WAY_SHARE = 0.5
 """Share of pixels whose ways must differ for vectors not to fit."""
 
@@ -70,6 +73,11 @@ LEAST_LEFT = 0.5
 moves may hide and uncover much that is uneven."""
 LEAST_LEFT_ALONE = 0.9
 """The same by two frames alone."""
+LEAST_LEFT_OF_FLOW = 0.4
+"""Misfit of estimated motion, in that of standing still, from which a blend may count where there
+are no vectors."""
+LESS_EVEN_THAN_FLOW = 0.5
+"""Unevenness along estimated motion, in that of a blend, from which it does."""
 MORE_EVEN = 1.03
 """The same from which a blend is better than vectors that explain nothing."""
 MOSTLY_NOISE = 0.5
@@ -94,6 +102,7 @@ class Ways:
         apart: share of the pixels at which the two ways differ by more than
             DIFFERENT_WAY_CELLS.
         different: share of those at which vectors differ from standing still as well.
+        spread: share of pixels over which the difference along vectors is spread.
     """
 
     flow: float
@@ -102,6 +111,7 @@ class Ways:
     between: float
     apart: float
     different: float
+    spread: float
 
     @property
     def vectors_fit(self) -> bool:
@@ -119,6 +129,8 @@ class Ways:
     def in_doubt(self) -> bool:
         """Whether each leads another way, and neither explains much, or vectors explain much less,
         as in a dissolve."""
+        if self.is_thin:
+            return False
         if self.motion >= CLEARLY_WORSE * self.flow:
             return self.between * self.different >= FAR_APART * self.still
         return (min(self.flow, self.motion) >= LITTLE_EXPLAINED * self.still
@@ -129,6 +141,11 @@ class Ways:
         """Whether vectors explain so little that a blend may be as even, by so many frames."""
         least = LEAST_LEFT_ALONE if frames == 2 else LEAST_LEFT
         return self.motion > least * self.still
+
+    @property
+    def is_thin(self) -> bool:
+        """Whether only a thin thing is not where vectors lead, so that nothing dissolves."""
+        return self.spread < LEAST_SPREAD
 
     @property
     def vectors_stand_still(self) -> bool:
@@ -152,7 +169,9 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
     misfits = (_misfit(one, now), _misfit(other, now), _misfit(still, now), _misfit(one, other))
     apart, moving = (np.abs(one).max(-1)[inside] > DIFFERENT_WAY_CELLS
                      for one in (fields[0] - fields[1], fields[1]))
-    return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()))
+    left = np.minimum(np.abs(other - now), MOST_APART)
+    spread = float(left.sum() ** 2 / max(left.size * np.square(left).sum(), LEAST_UNEVEN**2))
+    return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()), spread)
 
 
 def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level: float,

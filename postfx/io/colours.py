@@ -191,22 +191,20 @@ class InputColours:
             return space_by_primaries(round_to_known(tuple(map(float, found))))
         return space_by_primaries(REC709)
 
-    def warnings(self, attributes: Mapping[str, Any]) -> list[str]:
-        """What the user should know of files with such a header."""
-        space = self.space(attributes)
+    def warnings(self, space: ColourSpace) -> list[str]:
+        """What the user should know of files with colours of this space."""
         if space.is_rec709 and not space.decode:
             return []
         kept = "made linear" if space.decode else "kept as they are"
         return [f"colours are {space.title}: {kept if self.native else 'turned to linear Rec.709'}"]
 
-    def apply(self, frame: Frame) -> None:
-        """Convert a frame's colours and reflectances, guides included, in place; its header says
-        what they are then.
+    def apply(self, frame: Frame, space: ColourSpace) -> None:
+        """Convert a frame's colours and reflectances of this space, guides included, in place; its
+        header says what they are then.
 
         Light outside the gamut of Rec.709 becomes negative there and is kept; reflectances are cut
         at 0.
         """
-        space = self.space(frame.metadata)
         matrix = None if self.native or space.is_rec709 else np.asarray(space.matrix, np.float32)
         for planes in (frame.planes, frame.guides) if space.decode or matrix is not None else ():
             for role in planes.keys() & {*_LIGHTS, *_REFLECTANCES}:
@@ -235,8 +233,8 @@ def gather_attributes(own: Mapping[str, Any],
 
 def is_given(name: str, value: Any) -> bool:
     """Whether an attribute says anything: programs write primaries of zeros where they know
-    none."""
-    return name != PRIMARIES or bool(np.any(value))
+    none, some of them beside a white."""
+    return name != PRIMARIES or bool(np.any(np.ravel(value)[:6]))
 
 
 def parse_colourspace(text: str | None) -> InputColours:

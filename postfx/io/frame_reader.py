@@ -25,6 +25,7 @@ from postfx.io.masks import LeftAlone
 from postfx.io.parts import read_parts
 from postfx.io.read_options import ReadOptions
 from postfx.io.read_plan import (
+    Choice,
     Planner,
     Plans,
     ReadPlan,
@@ -34,6 +35,7 @@ from postfx.io.read_plan import (
     find_unread_motion,
     key_of,
     missing_error,
+    plan_rows,
 )
 from postfx.io.windows import AREA
 from postfx.motion import MOTION_SOURCES
@@ -235,7 +237,7 @@ class FrameFiles(ExitStack):
 
     def _find_guides(self) -> GuideLayout:
         """Guides, and the camera that the header of their file or part tells."""
-        planes = dict(self.plan.guides)
+        planes = self.plan.guides
         if self._guiding:
             return GuideLayout(self._guiding.path, planes, self._guiding.layout.camera)
         first, layout = next(iter(planes.values())).channels[0], self.layout
@@ -269,6 +271,45 @@ class FrameFiles(ExitStack):
         Without `guides`, `roles` tells what to read at whatever size it is there. Raises
         MissingPlaneError when one of them is not there, ReadError when pixels cannot be decoded.
         """
+        asked = (None if roles is None else tuple(roles),
+                 None if guides is None else tuple(guides))
+        key = (*asked, self.lacks_motion, self.alone and self.alone.reads)
+        choices = self.plan.choices if self._is_as_planned else {}
+        choice = choices.get(key)
+        if choice is None:
+            choice = choices[key] = self._choose(*asked)
+
+        planes = read_planes(self.files, choice.rows, self.layout.camera, scratch)
+        motion, depth = planes.get(Role.MOTION), planes.get(Role.DEPTH)
+        if motion is not None and depth is not None and motion.shape[:2] == depth.shape[:2]:
+            fill_background_motion(motion, depth)
+        guide_planes: dict[Role, np.ndarray] = {}
+        if choice.guide_rows and self.guides:
+            of = self._guiding or self
+            guide_planes = read_planes(
+                of.files, choice.guide_rows, self.guides.camera, scratch
+            )
+        if self.alone and Role.STRENGTH in choice.planes:
+            planes[Role.STRENGTH] = self.alone.strength(planes, scratch)
+            planes = {role: planes[role] for role in choice.planes if role in planes}
+        frame = self._frame(number, planes, guide_planes, choice.first)
+        if self.parts and Role.COLOUR in planes:
+            frame.parts = read_parts(self.files, self.parts)
+            frame.part_sources = {name: part.source for name, part in self.parts.items()}
+        return frame
+
+    @property
+    def _is_as_planned(self) -> bool:
+        """Whether planes are read by the rules of the plan: who looks for mistakes, as `postfx
+        inspect`, tries others on the same files."""
+        guides = self.guides.planes if self.guides else None
+        return (self.layout.planes is self.plan.layout.planes
+                and guides is (self.plan.guides or None))
+
+    def _choose(
+        self, roles: Iterable[Role] | None, guides: Iterable[Role] | None
+    ) -> Choice:
+        """What to read where these planes and guides are asked for."""
         wanted, guiding = self._split_roles(roles, guides)
         if not wanted:
             raise self.missing_error(Role.COLOUR)
@@ -276,30 +317,11 @@ class FrameFiles(ExitStack):
         stored = {*wanted, *(alone.reads if alone else ())} - self._derived
         matches = {role: self.match(role) for role in Role if role in stored}
         guide_matches = {role: self.guide(role) for role in guiding}
-        rows = self.plan.rows(matches, self.files)
-        planes = read_planes(self.files, rows, self.layout.camera, scratch)
-        motion, depth = planes.get(Role.MOTION), planes.get(Role.DEPTH)
-        if motion is not None and depth is not None and motion.shape[:2] == depth.shape[:2]:
-            fill_background_motion(motion, depth)
-        guide_planes = self._read_guides(guide_matches, scratch) if guide_matches else {}
-        if alone:
-            strength = alone.strength(planes, scratch)
-            planes[Role.STRENGTH] = strength
-            planes = {role: planes[role] for role in wanted if role in planes}
-        frame = self._frame(number, planes, guide_planes, next(iter(matches.values())).channels[0])
-        if self.parts and Role.COLOUR in planes:
-            frame.parts = read_parts(self.files, self.parts)
-            frame.part_sources = {name: part.source for name, part in self.parts.items()}
-        return frame
-
-    def _read_guides(
-        self, matches: Mapping[Role, Match], scratch: Scratch | None
-    ) -> dict[Role, np.ndarray]:
-        """Guides at their size."""
-        assert self.guides is not None, "guides were matched"
-        of = self._guiding or self
-        return read_planes(
-            of.files, of.plan.rows(matches, of.files), self.guides.camera, scratch
+        return Choice(
+            planes=tuple(wanted),
+            first=next(iter(matches.values())).channels[0],
+            rows=plan_rows(matches, self.files),
+            guide_rows=plan_rows(guide_matches, (self._guiding or self).files),
         )
 
     def select_present(
@@ -381,7 +403,7 @@ class FrameFiles(ExitStack):
             reset=bool(facts.number("reset")),
             samples=int(facts.number("samples") or 0) or None,
             world_to_camera=camera.world_to_camera,
-            fov_x=camera.fov_over(part.area.width),
+            fov_x=camera.fov_over(next(iter(planes.values())).shape[1]),
             metadata={**layout.attributes, **windows},
             source=str(self.files[first.word].path),
             colour_source=source,

@@ -361,18 +361,20 @@ def _locate_files(names: list[str | os.PathLike[str]]) -> tuple[Pattern, list[in
         return locate(names[0])
     paths = [Path(with_slashes(os.path.expanduser(name))) for name in names]
     absent = [path for path in paths if not os.path.isfile(path)]
+    if any(parse_pattern(with_slashes(str(path))).is_numbered for path in absent):
+        raise SequenceError(f"{absent[-1]}: is one of {len(names)} inputs: give one pattern, or "
+                            "files alone (postfx run takes the output behind -o)")
     if absent or not paths:
-        raise SequenceError(f"{absent[0] if absent else 'INPUT'}: no such file: check the folder, "
-                            "or put a pattern like 'shot.####.exr' in quotes")
-    return _gather_files(paths, f"{len(paths)} files")
+        raise SequenceError(f"{absent[0] if absent else 'INPUT'}: no such file: check the folder "
+                            "(postfx run takes the output behind -o)")
+    return _gather_files(paths, f"INPUT of {len(paths)} files")
 
 
 def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
     """Pattern of the files, or of the one folder, that wildcards fit."""
-    wild = (glob.escape(pattern.folder) + pattern.prefix + ("*" if pattern.is_numbered else "")
-            + pattern.suffix)
-    wild = wild.replace(PLANE_FIELD, "*").replace(VIEW_FIELD, "*")
-    found = sorted(map(Path, _glob(wild)))
+    name = pattern.prefix + ("*" if pattern.is_numbered else "") + pattern.suffix
+    name = name.replace(PLANE_FIELD, "*").replace(VIEW_FIELD, "*")
+    found = sorted(map(Path, _glob(glob.escape(pattern.folder) + name)))
     folders = [path for path in found if os.path.isdir(path)]  # False without the right to look
     files = [path for path in found if os.path.isfile(path)]
     paths = ([path for path in files if path.suffix.lower() in READABLE]

@@ -52,11 +52,6 @@ class Area(NamedTuple):
     display: Window
     window: Window
 
-    @property
-    def is_wider(self) -> bool:
-        """Whether there is more than the display window."""
-        return self.window != self.display
-
 
 class Settled(NamedTuple):
     """What a sequence has settled before it opens a frame.
@@ -144,6 +139,22 @@ def _find_columns(
     return tuple(parts.values())
 
 
+class Choice(NamedTuple):
+    """What is read of a frame where some planes and guides are asked for.
+
+    Attributes:
+        planes: roles of the frame's planes, those that are made of others included.
+        first: the first channel: of its file and part the frame is.
+        rows: how planes of the frame's size are read.
+        guide_rows: the same of guides.
+    """
+
+    planes: tuple[Role, ...]
+    first: Channel
+    rows: list[RowsPlan]
+    guide_rows: list[RowsPlan]
+
+
 @dataclass(frozen=True, eq=False)
 class ReadPlan:
     """Where all that is read of a frame lies.
@@ -164,11 +175,12 @@ class ReadPlan:
             in several parts.
         known: which numbers of the camera the header told, on which the planes depend that could be
             used.
+        choices: what is read, by what is asked for.
     """
 
     index: ChannelIndex
     layout: Layout
-    guides: Mapping[Role, Match]
+    guides: dict[Role, Match]
     guiding: ReadPlan | None
     parts: Mapping[str, FoundPart]
     views: tuple[str, ...]
@@ -176,9 +188,7 @@ class ReadPlan:
     colours: Mapping[str, Any] | None
     source: ColourSource | None
     known: tuple[bool, ...]
-    _rows: dict[tuple[Role, ...], tuple[Mapping[Role, Match], list[RowsPlan]]] = field(
-        default_factory=dict
-    )
+    choices: dict[tuple[object, ...], Choice] = field(default_factory=dict)
 
     def tell_layout(
         self, attributes: Mapping[str, Any], depth: DepthOption | None,
@@ -191,7 +201,7 @@ class ReadPlan:
         camera = depth.camera(camera) if depth else camera
         if known_of(camera) != self.known:
             return None
-        if self.area and self.area.is_wider:
+        if self.area and self.area.window != self.area.display:
             camera = camera_over(camera, self.area)
         if self.colours is not None:
             rest = {name: value
@@ -199,17 +209,6 @@ class ReadPlan:
             attributes = {**rest, **self.colours}
         paths = {word: file.path for word, file in files.items()}
         return replace(self.layout, attributes=attributes, camera=camera, paths=paths)
-
-    def rows(
-        self, matches: Mapping[Role, Match], files: Mapping[str, ImageFile]
-    ) -> list[RowsPlan]:
-        """How these planes are read, found once for the rules that they have first: whoever looks
-        for mistakes, as `postfx inspect`, tries others on the same files."""
-        roles = tuple(matches)
-        held = self._rows.get(roles)
-        if held is None:
-            held = self._rows[roles] = matches, plan_rows(matches, files)
-        return held[1] if held[0] == matches else plan_rows(matches, files)
 
 
 def camera_over(camera: Camera, area: Area) -> Camera:
@@ -275,7 +274,7 @@ class Planner:
         # Where the planes are within the display window, then within all that holds data.
         self.index, self._layout = self._look()
         self._area = _area_of(self._layout, settled.area)
-        if self._area and self._area.is_wider:
+        if self._area and self._area.window != self._area.display:
             display, window = self._area
             self._files = {
                 word: _widen(parts, display, window) for word, parts in self._files.items()

@@ -16,7 +16,7 @@ import numpy as np
 
 from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
 from postfx.frame import LOG, Frame, Role
-from postfx.io.colours import InputColours, parse_colourspace
+from postfx.io.colours import ColourSpace, InputColours, parse_colourspace
 from postfx.io.frame_reader import READ_ALL, FrameFiles
 from postfx.io.pattern import (
     VIEW_FIELD,
@@ -89,8 +89,9 @@ class Sequence:
             self._choose_views()
         self._known_views = (self.view, *self.views)
         self._named = False
-        # The plan and the colours whose warnings were told last.
+        # The plan and the colours whose warnings were told last, and the space that they mean.
         self._told: tuple[ReadPlan, InputColours] | None = None
+        self._space: ColourSpace | None = None
         self._areas: dict[str | None, Area | None] = {}
         self.coverage = Coverage()
         self.colours = parse_colourspace(options.colourspace)
@@ -247,13 +248,12 @@ class Sequence:
 
     def inputs(self, number: int) -> list[Path]:
         """All files that a frame is read from; MissingFrameError when one of them is not there."""
-        of_views = [self, *map(self.reader, self.views if self.pattern.has_views else ())]
-        return [
-            path
-            for one in of_views
-            for files in (one.files(number), one.guide_files(number) or {})
-            for path in files.values()
-        ]
+        found: list[Path] = []
+        for one in (self, *map(self.reader, self.views if self.pattern.has_views else ())):
+            found += one.files(number).values()
+            if one.guides:
+                found += one._guide_files(number, one.guides).values()
+        return found
 
     def files(self, number: int) -> dict[str, Path]:
         """Plane word ('' where one file holds all planes) -> file of a frame; MissingFrameError
@@ -266,15 +266,13 @@ class Sequence:
             )
         return frames[number]
 
-    def guide_files(self, number: int) -> dict[str, Path] | None:
-        """Files of a frame's guides, by plane word; None where they have no files of their own."""
-        if self.guides is None:
-            return None
-        frames = self.guides._found[self._key]
-        if not self.guides.pattern.is_numbered:
+    def _guide_files(self, number: int, guides: Sequence) -> dict[str, Path]:
+        """Files of a frame's guides, by plane word, of those that have files of their own."""
+        frames = guides._found[self._key]
+        if not guides.pattern.is_numbered:
             return next(iter(frames.values()))
         if number not in frames:
-            path = self.guides.pattern.of_view(self._key).path(number)
+            path = guides.pattern.of_view(self._key).path(number)
             raise MissingFrameError(
                 f"{path}: guides of frame {number} are missing: render them or leave the frame out "
                 "with --frames"
@@ -294,7 +292,8 @@ class Sequence:
     def open(self, number: int) -> FrameFiles:
         """Open files of a frame: its header and layout without its pixels. Use as a context
         manager."""
-        guides, view = self.guide_files(number), None if self._key else self.view
+        guides = self._guide_files(number, self.guides) if self.guides else None
+        view = None if self._key else self.view
         settled = Settled(view, self._layer, self._areas.get(self.view), self._named)
         files = FrameFiles(self.files(number), self.options, settled, guides, self._plans)
         self._layer = self._layer or files.layout.chosen_layer
@@ -304,22 +303,23 @@ class Sequence:
             self.views, self._known_views, self._all_views = tuple(others), files.views, False
         self._areas[self.view] = self._areas.get(self.view) or files.area
         if self._told != (files.plan, self.colours):
-            self._tell_of(files)
+            self._space = self._tell_of(files)
             self._told = files.plan, self.colours
         return files
 
-    def _tell_of(self, files: FrameFiles) -> None:
-        """Warn of what all frames with the plan of these files have in common. Raises ColourError,
-        and closes the files, where their colours are of no known space."""
+    def _tell_of(self, files: FrameFiles) -> ColourSpace:
+        """Warn of what all frames with the plan of these files have in common; the space of their
+        colours. Raises ColourError, and closes the files, where that is not known."""
         try:
-            of_colours = self.colours.warnings(files.layout.attributes)
+            space = self.colours.space(files.layout.attributes)
         except ColourError as error:
             files.close()
             raise ColourError(f"{files.path}: {error}") from None
-        for warning in (*files.layout.warnings, *of_colours):
+        for warning in (*files.layout.warnings, *self.colours.warnings(space)):
             self.warn(warning)
         if files.views:
             self._warn_of_views(files.views)
+        return space
 
     def read(
         self,
@@ -360,6 +360,7 @@ class Sequence:
         """A frame that comes after `previous`, with all views; if `is_lenient`, without planes that
         it lacks, except the colour."""
         with self.open(number) as files:
+            space = self._space
             wanted, guiding = self.options.planes if planes is None else planes, guides
             if is_lenient:
                 wanted, guiding = files.select_present(wanted, guiding)
@@ -376,7 +377,8 @@ class Sequence:
         self._estimate_motion(frame, begins, is_motion_wanted)
         for role in more:
             del frame.planes[role]
-        self.colours.apply(frame)
+        assert space is not None, "it was found where the files were opened"
+        self.colours.apply(frame, space)
         if self.options.brightest and Role.COLOUR in frame:
             clamp_fireflies(frame, self.options.brightest, self.fireflies, lights)
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
+from postfx.caching import Kept
 from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import FrameError, OutputExistsError, WriteError
 from postfx.files import is_utf8, output_file, with_slashes
@@ -55,6 +56,11 @@ _PNG_LEVEL = 3
 """Of compression with alpha: half the time of level 6 and a filter chosen for each row, for 4 %
 more."""
 _PNG_PAETH = 128
+MOST_KINDS_OF_OUTPUTS = 32
+"""That are known to be possible."""
+_HOLDS_CODES: Kept[tuple[object, ...], bool] = Kept(MOST_KINDS_OF_OUTPUTS)
+"""Whether files hold pictures for a display, by suffix, bits, compression and encoding: those that
+can be written."""
 
 SRGB_DISPLAY = parse_display("srgb")
 LEAST_FACTOR = np.float32(1 / 256)
@@ -154,8 +160,12 @@ def write_frame(
         raise FrameError("write_frame takes a path and a postfx.Frame, not "
                          f"{type(frame).__name__}: give Frame({{'colour': array}})")
     path = Path(path)
-    shown = is_display_format(path)
-    check_storage(path, bits, compression, frame.encoding)
+    kind = (path.suffix, bits, compression, frame.encoding)
+    shown = _HOLDS_CODES.find(kind)
+    if shown is None:  # the first file of its kind
+        shown = is_display_format(path)
+        check_storage(path, bits, compression, frame.encoding)
+        _HOLDS_CODES.keep(kind, shown)
     if shown and frame.views:
         raise WriteError(f"{path}: {path.suffix[1:].upper()} holds one view: write EXR, or choose "
                          "one with --view NAME")
@@ -448,7 +458,14 @@ class OutputFiles:
                  existing: ExistingFiles = ExistingFiles.REFUSE) -> None:
         self.existing, self._sequence = existing, sequence
         target = with_slashes(os.path.expanduser(target))
+        if target == "-":
+            raise WriteError("-: frames are written to files, not to standard output: write it "
+                             "like out/clean.####.exr")
         self._pattern = _output_pattern(target, sequence.pattern)
+        wild = next((letter for letter in "*?" if letter in self._pattern.prefix), "")
+        if wild and not self._pattern.is_numbered:
+            raise WriteError(f"{target}: '{wild}' finds files, it names none: write # for each "
+                             "digit of the frame's number, as in clean.####.exr")
         self.display = is_display_format(str(self._pattern))
         self.has_views = self._pattern.has_views
         if len(sequence) > 1 and not self._pattern.is_numbered:

@@ -17,7 +17,7 @@ from postfx.errors import FrameError, ModelError, PassOptionError
 from postfx.frame import DEPTH_MISS, TOLD, Frame, FrameSpec, Role
 from postfx.kernels.occlusion import CAMERA, FIND_SURFACE, HORIZONS, SMOOTH_OCCLUSION
 from postfx.passes import Pass, Reflection, ResidentFrame
-from postfx.passes.scene_points import POINT, SceneBox, light_of, points_of
+from postfx.passes.scene_points import POINT, SceneBox, find_points, light_of
 from postfx.runtime import (
     ArgumentTable,
     CommandBuffer,
@@ -439,7 +439,8 @@ class SceneShading(_Linear):
 
         def look(camera: np.ndarray, depth: np.ndarray, normal: np.ndarray,
                  seen: np.ndarray) -> None:
-            seen[...] = points_of(camera, depth, normal, box)
+            in_bands(len(depth), find_points, camera, depth, normal, box,
+                     seen.reshape(*depth.shape[:2], POINT))
 
         looks = device.host_state("points of a scene", ("camera", "depth", "normal"), ("points",),
                                   look)
@@ -491,7 +492,13 @@ class SceneShading(_Linear):
 
 def _shade(values: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, colour: np.ndarray,
            output: np.ndarray) -> None:
-    output[...] = light_of(values, diffuse, specular, colour)
+    by_pixel = values.reshape(colour.shape)
+
+    def shade(first: int, last: int) -> None:
+        rows = slice(first, last)
+        output[rows] = light_of(by_pixel[rows], diffuse[rows], specular[rows], colour[rows])
+
+    in_bands(len(output), shade)
 
 
 def camera_of(frame: Frame | ResidentFrame) -> np.ndarray:

@@ -55,16 +55,18 @@ class SceneBox(NamedTuple):
         return {CARD: {"middle": [float(side) for side in self.middle], "reach": self.reach}}
 
 
-def rays_of(camera: np.ndarray, height: int, width: int) -> np.ndarray:
-    """View rays (height, width, 3), 1 long along the view axis.
+def rays_of(camera: np.ndarray, height: int, width: int,
+            rows: slice = slice(None)) -> np.ndarray:
+    """View rays (height, width, 3) of a picture or of some of its rows, 1 long along the view axis.
 
     camera: (16,): its axes left, up and forward, its place, tangents of half the field of view,
         and jitter.
     """
     across = (1 - 2 * (np.arange(width, dtype=np.float32) + 0.5 + camera[14]) / width) * camera[12]
-    down = (1 - 2 * (np.arange(height, dtype=np.float32) + 0.5 + camera[15]) / height) * camera[13]
-    rows = down[:, None] * camera[3:6] + camera[6:9]
-    return np.asarray(across[None, :, None] * camera[:3] + rows[:, None], np.float32)
+    places = np.arange(height, dtype=np.float32)[rows]
+    down = (1 - 2 * (places + 0.5 + camera[15]) / height) * camera[13]
+    along = down[:, None] * camera[3:6] + camera[6:9]
+    return np.asarray(across[None, :, None] * camera[:3] + along[:, None], np.float32)
 
 
 def places_of(camera: np.ndarray, depth: np.ndarray) -> np.ndarray:
@@ -79,14 +81,22 @@ def points_of(
 
     depth: (height, width, 1). normal: (height, width, 3), in the world.
     """
-    rays = rays_of(camera, *depth.shape[:2])
     points = np.empty((*depth.shape[:2], POINT), np.float32)
-    place = camera[9:12] - box.middle + depth * rays
-    np.clip(place / np.float32(box.reach), -FARTHEST_PLACE, FARTHEST_PLACE, out=points[..., :3])
-    points[..., 3:6] = normal
-    rays /= np.sqrt(np.einsum("ijk,ijk->ij", rays, rays))[..., None]
-    points[..., 6:] = rays - 2 * np.einsum("ijk,ijk->ij", rays, normal)[..., None] * normal
+    find_points(0, len(points), camera, depth, normal, box, points)
     return points.reshape(-1, POINT)
+
+
+def find_points(first: int, last: int, camera: np.ndarray, depth: np.ndarray, normal: np.ndarray,
+                box: SceneBox, points: np.ndarray) -> None:
+    """Rows `first` to `last` - 1 of `points` (height, width, 9), as `points_of` makes them."""
+    rows = slice(first, last)
+    height, width = depth.shape[:2]
+    rays, here, facing = rays_of(camera, height, width, rows), points[rows], normal[rows]
+    place = camera[9:12] - box.middle + depth[rows] * rays
+    np.clip(place / np.float32(box.reach), -FARTHEST_PLACE, FARTHEST_PLACE, out=here[..., :3])
+    here[..., 3:6] = facing
+    rays /= np.sqrt(np.einsum("ijk,ijk->ij", rays, rays))[..., None]
+    here[..., 6:] = rays - 2 * np.einsum("ijk,ijk->ij", rays, facing)[..., None] * facing
 
 
 def reflectance_of(diffuse: np.ndarray, specular: np.ndarray) -> np.ndarray:

@@ -61,7 +61,9 @@ def read(path: str | Path) -> tuple[dict[str, Any], Path]:
     try:
         data = parse_json(read_text(file))
     except (OSError, ValueError) as error:
-        raise ReadError(f"capture '{file}' cannot be read: {error}") from error
+        why = getattr(error, "strerror", None) or error
+        raise ReadError(f"capture '{file}' cannot be read: {why}: give a folder that "
+                        "postfx run --capture wrote") from error
     if not isinstance(data, dict) or data.get("format") != CAPTURE_FORMAT:
         raise ReadError(f"'{file}' is not a capture by this version of postfx: make one with "
                         "postfx run --capture")

@@ -15,7 +15,7 @@ from postfx.errors import WriteError
 from postfx.exposure.debugger import DRIFTING_VERDICT, RIGHT_VERDICT, Report, Shot
 from postfx.files import write_atomically
 from postfx.report.frame_log import Row
-from postfx.report.pictures import png
+from postfx.thumbnails import png
 
 Colour = tuple[int, int, int]
 

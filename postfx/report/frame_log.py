@@ -18,8 +18,9 @@ from postfx.colour.views import to_codes
 from postfx.errors import ReportError
 from postfx.frame import Role
 from postfx.io.sequence import Sequence as FrameSequence
-from postfx.report.pictures import encode_light, pack_codes, png_uri, shrink
+from postfx.report.pictures import encode_light, pack_codes
 from postfx.sampling import Curve, bilinear, is_inside, motion_at
+from postfx.thumbnails import png_uri, shrink
 from postfx.version import pip_install
 
 LONGEST_SIDE_PX = 800

@@ -252,7 +252,9 @@ class CommandBuffer:
         self._handled = threading.Event() if self._handlers else None
         with self.device.commit_lock:
             key = self._recognise()
-            self._order()
+            # before transient tensors get their memory, by the barriers between commands
+            if not (self.device.hazards.explicit or self._footprint):
+                self.records = with_barriers(Accesses(self.records))
             self._place()
             stands_apart = self.device.hazards.commit(self)
             if self.known and key:
@@ -283,7 +285,7 @@ class CommandBuffer:
             raise EncodingError(f"'{self.label}' cannot be waited for: it is {self._state}, commit "
                                 "it first")
         begin, handled = time.monotonic(), self._handled
-        if not self.is_done(timeout):
+        if not self._done.wait(timeout):
             raise timeout_error(f"'{self.label}' was not done after {timeout:g} s",
                                 self.device.hazards.in_flight())
         left = None if timeout is None else max(0.0, timeout - (time.monotonic() - begin))
@@ -376,12 +378,6 @@ class CommandBuffer:
         self.records, self._placement, self._footprint, _ = again
         return None
 
-    def _order(self) -> None:
-        """Add the barriers that commands need among themselves, before transient tensors get their
-        memory by them."""
-        if not (self.device.hazards.explicit or self._footprint):
-            self.records = with_barriers(Accesses(self.records))
-
     def _place(self) -> None:
         placement = self.device.heap.arena.place(self.records, self._kept, self._placement,
                                                  self.label)
@@ -441,7 +437,9 @@ class Execution:
     def run(self) -> None:
         """Run the dispatches up to the first that fails, and wait until they are done."""
         try:
-            spans = self._at_once()
+            spans = None
+            if self._recorder is None and (self._memory.replays or self._footprint.narrow):
+                spans = self._at_once()
             if spans is None:
                 beside = (self._footprint.narrow and self._recorder is None
                           and runs_side_by_side(self._device))
@@ -459,7 +457,7 @@ class Execution:
         be looked at."""
         dispatches, memory, footprint = self._dispatches, self._memory, self._footprint
         forks = footprint.narrow and any(map(_stream, dispatches))
-        if not (memory.replays or forks) or self._recorder is not None:
+        if not (memory.replays or forks):
             return None
         if any(allocation.lost for allocation in footprint.users):
             return None
@@ -491,12 +489,12 @@ class Execution:
                 else None)
         if fork is not None:
             with fork:
-                return [Span(dispatch.encoder, dispatch.label, *fork.run(index, _work(dispatch)))
+                return [Span(dispatch.encoder, dispatch.label, *fork.run(index, dispatch.execute))
                         for index, dispatch in enumerate(dispatches)]
         spans, begin = [], self._memory.mark()
         for (label, _), group in groupby(dispatches, self._measured_with):
             for dispatch in group:
-                _work(dispatch)()
+                dispatch.execute()
             # where the next one begins: a mark takes a GPU as long as a small kernel
             end = self._memory.mark()
             spans.append(Span(dispatch.encoder, label, begin, end))
@@ -572,7 +570,7 @@ class Execution:
             spans = self._enqueue([dispatch])
         else:
             begin = memory.mark()
-            _work(dispatch)()
+            dispatch.execute()
             spans = [Span(dispatch.encoder, dispatch.label, begin, memory.mark())]
         memory.relax()
         for tensor in dispatch.writes:
@@ -619,11 +617,6 @@ def _threads(dispatch: Dispatch) -> int:
 def _stream(dispatch: Dispatch) -> int:
     """A GPU's stream of its own, 0 for the device's."""
     return dispatch.state.stream if dispatch.state else 0
-
-
-def _work(dispatch: Dispatch) -> Callable[[], None]:
-    assert dispatch.execute is not None  # since commit
-    return dispatch.execute
 
 
 def _timings(memory: Memory, spans: Sequence[Span]) -> dict[int, tuple[str, float]]:

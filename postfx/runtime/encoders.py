@@ -26,7 +26,7 @@ class Dispatch:
         stage: one of `STAGES`.
         encoder: number of the encoder within the device; barriers refer to it.
         reads, writes: the tensors that were bound when it was recorded.
-        execute: does the work; None until a commit gives transient tensors their memory.
+        execute: does the work, once a commit has given transient tensors their memory.
         model: file of the network; None for a kernel.
         state: the kernel or network that runs.
         arguments: the tensors as bound.
@@ -38,7 +38,7 @@ class Dispatch:
     encoder: int
     reads: tuple[Tensor, ...]
     writes: tuple[Tensor, ...]
-    execute: Callable[[], None] | None
+    execute: Callable[[], None]
     model: Path | None = None
     state: State | None = None
     arguments: Arguments | None = None

@@ -73,8 +73,13 @@ class Hazards:
         may run beside those that are not done. HazardError if a check fails."""
         with self._lock:
             footprint = commands.footprint()
-            self._check_content(footprint)
-            self._check_order(commands, footprint)
+            if not footprint.filled or any([allocation.released or allocation.lost
+                                            for allocation in footprint.users]):
+                self._check_content(footprint)
+            # as barriers were made before memory was shared by them
+            footprint.ordered |= not self.explicit
+            if self._flying or not footprint.ordered:
+                self._check_order(commands, footprint)
             stands_apart = footprint.narrow and self._stands_apart(footprint)
             for allocation, ranges in footprint.writes.items():
                 if allocation.transient:  # it holds nothing from other buffers
@@ -193,9 +198,6 @@ class Hazards:
         return bool(others) and not any(mask & (1 << count) - 1 for mask in before[count:])
 
     def _check_content(self, footprint: Footprint) -> None:
-        if footprint.filled and not any([allocation.released or allocation.lost
-                                         for allocation in footprint.users]):
-            return
         for allocation, (tensor, dispatch) in footprint.users.items():
             if allocation.released:
                 raise _released_error(tensor, dispatch)
@@ -207,10 +209,6 @@ class Hazards:
                 raise _lost_error(need, failed)
 
     def _check_order(self, commands: RecordedCommands, footprint: Footprint) -> None:
-        # as barriers were made before memory was shared by them
-        footprint.ordered |= not self.explicit
-        if footprint.ordered and not self._flying:
-            return
         earlier = [buffer.footprint() for buffer in self._flying]
         if not self.explicit:
             footprint.records = commands.records = with_barriers(footprint, earlier)

@@ -68,6 +68,8 @@ class Heap:
 
     Attributes:
         arena: memory that transient tensors share.
+        explain_loss: why a transient tensor lost its content, as a clause; None while it still has
+            it.
         allocations: how many tensors were allocated so far.
     """
 
@@ -82,6 +84,7 @@ class Heap:
         self._peak = 0
         self._networks = 0
         self.arena = Arena(device)
+        self.explain_loss = self.arena.explain_loss
         self.allocations = 0
 
     def tensor(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
@@ -109,10 +112,6 @@ class Heap:
             return self.tensor(name, shape, dtype)
         return self.arena.tensor(name, shape, dtype)
 
-    def explain_loss(self, transient: Transient) -> str | None:
-        """Why a transient tensor lost its content, as a clause; None while it still has it."""
-        return self.arena.explain_loss(transient)
-
     @property
     def size(self) -> int:
         """Bytes allocated from the system, used or free, those of `networks` included."""
@@ -121,9 +120,9 @@ class Heap:
 
     @property
     def networks(self) -> int:
-        """Bytes that ONNX Runtime's arena took from the system for the intermediates of this
-        device's networks. All devices of the process share the arena, which keeps what it has. 0 on
-        a GPU and where the system does not tell.
+        """Bytes that ONNX Runtime's arena has touched for the intermediates of this device's
+        networks. All devices of the process share the arena, which keeps what it has. 0 on a GPU
+        and where the system does not tell.
         """
         return self._networks
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import mmap
 import os
 import platform
 import re
@@ -28,7 +29,7 @@ from postfx.errors import DeviceError, ModelError
 from postfx.files import atomic_file, parse_json
 from postfx.runtime.model_file import read_tables
 from postfx.runtime.tensor import Tensor, element_type
-from postfx.system import allocated_bytes, private_folder, usable_memory
+from postfx.system import held_bytes, private_folder, usable_memory
 
 __all__ = ["CPU", "FirstRun", "Placement", "Provider", "Session", "TableSession", "find_provider",
            "first_line", "has_networks", "ort", "parse_provider", "providers_of", "session_options"]
@@ -78,7 +79,7 @@ HASH_BYTES = hashlib.sha256().digest_size
 EXTERNAL_WEIGHTS = b"location"
 """Occurs in every model with weights in other files, so its content does not identify it."""
 LEAST_GROWTH = 1 << 18
-"""Bytes: an arena grows by 1 MiB or more, so less is what the run itself and other threads took."""
+"""Bytes: less is what the run itself and other threads took."""
 PROCESSOR = ("model name", "flags", "Features")
 
 
@@ -323,18 +324,24 @@ class Session:
 
 
 class FirstRun:
-    """Runs a session; the first time it tells by how many bytes that made ONNX Runtime's memory
-    grow.
+    """Runs a session; the first time it tells how much memory ONNX Runtime took for it.
 
-    ONNX Runtime tells nobody what its arena holds, so the C library is asked before and after. What
-    other threads take meanwhile is counted, too.
+    ONNX Runtime tells nobody what its arena holds, and the arena takes more from the system than
+    networks touch. So the pages that the process has touched are counted before and after. What
+    other threads touch meanwhile is counted, too.
+
+    Args:
+        tell: gets the bytes.
+        results: arrays that the run writes, whose pages are no part of it.
     """
 
     _ALONE = threading.Lock()
 
-    def __init__(self, run: Callable[[], None], tell: Callable[[int], None]) -> None:
+    def __init__(self, run: Callable[[], None], tell: Callable[[int], None],
+                 results: Sequence[np.ndarray] = ()) -> None:
         self._run = run
         self._tell: Callable[[int], None] | None = tell
+        self._results = results
 
     def __call__(self) -> None:
         """Run it."""
@@ -343,11 +350,14 @@ class FirstRun:
             return
         with self._ALONE:
             tell, self._tell = self._tell, None
-            before = allocated_bytes()
+            for array in self._results:
+                array.reshape(-1).view(np.uint8)[::mmap.PAGESIZE] = 0  # they are written as a whole
+            self._results = ()
+            before = held_bytes()
             try:
                 self._run()
             finally:
-                after = allocated_bytes()
+                after = held_bytes()
                 if tell is not None and before is not None and after is not None:
                     grown = after - before
                     tell(grown if grown >= LEAST_GROWTH else 0)

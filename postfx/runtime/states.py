@@ -358,11 +358,12 @@ def _bind_session(
     outputs = {binding.name: bound[binding.name]
                for binding in bindings if binding.access == "write"}
     if not in_place:
-        return _counted(session.bind(inputs, outputs), tensors)
+        return _counted(session.bind(inputs, outputs), [*outputs.values()])
     replaced = [(bound[name],
                  bound[name].device.heap.tensor(result, bound[name].shape, bound[name].dtype))
                 for name, result in in_place.items()]
-    run = _counted(session.bind(inputs, outputs | {new.name: new for _, new in replaced}), tensors)
+    outputs |= {new.name: new for _, new in replaced}
+    run = _counted(session.bind(inputs, outputs), [*outputs.values()])
 
     def run_in_place() -> None:
         run()
@@ -372,11 +373,12 @@ def _bind_session(
     return run_in_place
 
 
-def _counted(run: Callable[[], None], tensors: Sequence[Tensor]) -> Callable[[], None]:
+def _counted(run: Callable[[], None], outputs: Sequence[Tensor]) -> Callable[[], None]:
     """The run of a session, of whose memory the heap learns if it is the host's."""
-    if not tensors or not tensors[0].device.memory.host_visible:
+    if not outputs or not outputs[0].device.memory.host_visible:
         return run
-    return FirstRun(run, tensors[0].device.heap.note_arena)
+    return FirstRun(run, outputs[0].device.heap.note_arena,
+                    [output.host_view() for output in outputs])
 
 
 _BIND = "set table['name'] = tensor"
@@ -389,7 +391,7 @@ class Arguments:
         reads, writes: the tensors that it reads and writes, the memory of its intermediates among
             the latter.
         transients: allocations of transient tensors without memory yet.
-        execute: runs the state on them; None while some have no memory.
+        execute: runs the state on them, if all have memory.
         aliases: two tensors on the same memory, the second of which is written; None if there are
             none.
     """
@@ -403,8 +405,7 @@ class Arguments:
         self.writes = (*[tensor for binding, tensor in pairs if binding.access != "read"], *changed)
         self.transients = tuple(dict.fromkeys(a for a in (t.allocation for t in tensors)
                                               if isinstance(a, Transient)))
-        self.execute: Callable[[], None] | None = (None if self.transients
-                                                   else _prepare(state, tensors, memory))
+        self.execute = _refuse if self.transients else _prepare(state, tensors, memory)
         self._tensors, self._memory = tensors, memory
         self.aliases = self._aliases()
         self._placed: tuple[tuple[Allocation | None, ...], Arguments] | None = None
@@ -434,6 +435,11 @@ class Arguments:
             resident = tuple(tensor.resident() for tensor in self._tensors)
             self._placed = places, Arguments(self.state, resident, self._memory)
         return self._placed[1]
+
+
+def _refuse() -> None:
+    """In place of a run on transient tensors that no commit has placed."""
+    raise AssertionError("a commit gives transient tensors their memory first")
 
 
 def _prepare(state: State, tensors: tuple[Tensor, ...],

@@ -1,6 +1,7 @@
 """Small things that cost trust: each message says what is wrong, and nothing stops frames from
 being written."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -30,6 +31,8 @@ def here(shot, tmp_path, monkeypatch) -> Path:
      "there are frames 1-3, none of 100-200: give --frames that are there"),
     (("--model", "XL"), "did you mean xl? give s, m, l"),
     (("--model", "large"), "did you mean l? give s, m, l"),
+    (("--compression", "zip9"), "--compression zip9: use one of none, rle"),
+    (("--bits", "8"), "cannot have 8 bits: EXR has 16 or 32"),
 ])
 def test_a_wrong_value_is_told_before_files_that_are_there(here, capsys, words, said):
     assert main([*RUN, *QUICK]) == 0
@@ -38,6 +41,56 @@ def test_a_wrong_value_is_told_before_files_that_are_there(here, capsys, words, 
     told = capsys.readouterr().err
     assert (said in told and "already there" not in told and told.count("\n") == 1
             and len(told) < 250)
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (("denoise", "in/", "-o", "out/"), "did you mean postfx run?"),
+    (("upscale", "in/"), "did you mean postfx run with --scale 2?"),
+    (("check", "in/"), "did you mean postfx inspect?"),
+    (("help",), "did you mean postfx --help?"),
+    (("version",), "did you mean postfx --version?"),
+    ((*RUN, "--gpu"), "did you mean --device cuda?"),
+    ((*RUN, "--look", "agx"), "did you mean --tonemap?"),
+    (("inspect", "in/", "--upscale", "2"), "unrecognized arguments: --upscale 2 ("),
+    ((*RUN, "--scale", "2x"), "'2x' is not a number like 2 or 1.5"),
+])
+def test_words_of_other_programs_are_understood(here, capsys, words, said):
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    told = capsys.readouterr().err
+    assert ended.value.code == 2 and said in told and told.count("\n") == 1
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (("run", "in/shot.####.exr", "out/shot.####.exr"), "takes the output behind -o"),
+    (("run", "in/shot.####.exr", "\u2013o", "out/"), "begins with a long dash: type - or --"),
+    (("run", "in/", "-o", "out/shot.*.exr"), "write # for each digit of the frame's number"),
+    (("run", "in/shot.0001.exr", "-o", "out/shot.?.exr"), "'?' finds files, it names none"),
+    (("run", "in/", "-o", "-"), "not to standard output: write it like out/clean.####.exr"),
+    (("capture-compare", "a", "b"), "capture 'a' cannot be read: No such file or directory: give"),
+])
+def test_a_slip_is_told_with_the_way_out(here, capsys, words, said):
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert said in told and told.count("\n") == 1 and not (here / "out").exists()
+
+
+def test_the_command_alone_shows_its_help(capsys):
+    assert main([]) == 2
+    assert "'postfx VERB --help' explains a verb" in capsys.readouterr().err
+
+
+def test_what_one_frame_took_leaves_out_the_frames_before_it(here, write_exr, capsys):
+    picture = {name: np.full((180, 320), 0.5) for name in ("R", "G", "B")}
+    still = {f"motion.{axis}": np.zeros((180, 320)) for axis in "XY"}
+    for number in range(1, 9):
+        write_exr(f"in/still.{number:04d}.exr", {**picture, **still})
+    assert main(["run", "in/still.0001.exr", "-o", "out/a.exr", "--device", "cpu", "--json",
+                 "--model", "m"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    ahead = report["run_up"]
+    assert ahead["frames"] == 7
+    assert report["ms_per_frame"]["max"] < ahead["frames"] * ahead["ms_per_frame"]["median"]
 
 
 @pytest.mark.parametrize("frames", ["0", "4", "9-12"])

@@ -47,6 +47,7 @@ def sheet(frames: list[Frame]) -> Image.Image:
         breakage = next(breakage for breakage in BREAKAGES if breakage.name == name)
         role = Role(breakage.role)
         broken = breakage.apply(frames)
+        assert broken is not None, "it is of these planes"
         columns.append(np.concatenate([labelled(frames[2], role, str(role)),
                                        labelled(broken[2], role, name)]))
     return Image.fromarray(np.concatenate(columns, axis=1))

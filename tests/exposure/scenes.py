@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -20,12 +21,13 @@ def picture(ev: float = 0.0, height: int = HEIGHT, width: int = WIDTH) -> np.nda
 
 def scene(
     needed: Iterable[float], given: Iterable[float] | None = None, cuts: Container[int] = (),
-    **values: object
+    **values: Any
 ) -> Iterator[Frame]:
     """Frames 1, 2, ... whose pictures need these stops; `given`: stops that their headers give."""
     needed = list(needed)
-    given = [None] * len(needed) if given is None else list(given)
-    for index, (ev, header) in enumerate(zip(needed, given, strict=True)):
+    headers: list[float | None]
+    headers = [None] * len(needed) if given is None else list(given)
+    for index, (ev, header) in enumerate(zip(needed, headers, strict=True)):
         yield Frame(
             {Role.COLOUR: picture(ev)}, number=index + 1, exposure=header,
             reset=index == 0 or index in cuts, **values

@@ -140,7 +140,7 @@ def _profile(content: bytes) -> Callable[[], None]:
     return read_it
 
 
-BOMBS: dict[str, Callable[[], None]] = {
+BOMBS: dict[str, Callable[[], object]] = {
     "a data window of 2^31 a side": _window("dataWindow", 0, 0, 2**31 - 1, 2**31 - 1),
     "a data window of 2^32 a side": _window("dataWindow", -(2**31), -(2**31), 2**31 - 1, 2**31 - 1),
     "a data window of 2^31 columns": _window("dataWindow", 0, 0, 2**31 - 1, 6),

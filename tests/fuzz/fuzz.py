@@ -85,6 +85,7 @@ def fuzz(name: str, seconds: str, reproducers: list[str], flags: list[str], home
     """Fuzz in a folder of its own; ends the process."""
     import atheris
 
+    from postfx.errors import PostfxError
     from tests.fuzz import targets
 
     out = os.path.abspath(os.environ.get("POSTFX_FUZZ_OUT", "."))
@@ -98,7 +99,7 @@ def fuzz(name: str, seconds: str, reproducers: list[str], flags: list[str], home
         target = targets.TARGETS[name]
         # imports what is left, and compiles: no input's time
         for seed in sorted((home / "corpus").iterdir()):
-            with suppress(targets.PostfxError):
+            with suppress(PostfxError):
                 target(seed.read_bytes())
     fence = Fence(str(home), *filter(None, sys.path), sys.prefix, sys.base_prefix, "/proc",
                   "/dev/fd")

@@ -172,10 +172,10 @@ def seeds(name: str, folder: Path) -> None:
         for path in BUILTIN.glob("*.toml"):
             add(path.stem, path.read_bytes())
     if name == "patterns":
-        for path in ("in/0001.exr", "in/0002.exr", "shot.0007.exr", "left/depth.12.exr",
-                     "deep/er/1/a.exr"):
-            (FOLDER / path).parent.mkdir(parents=True, exist_ok=True)
-            (FOLDER / path).touch()
+        for place in ("in/0001.exr", "in/0002.exr", "shot.0007.exr", "left/depth.12.exr",
+                      "deep/er/1/a.exr"):
+            (FOLDER / place).parent.mkdir(parents=True, exist_ok=True)
+            (FOLDER / place).touch()
         for text in ("shot.####.exr", "in/%04d.exr", "1-100x2,5", "ray,fov=54.4,miss=0",
                      "auto,logo=0.5,7-9@id", "<F4>.$F4.@@.exr", "{plane}.##.exr", "*/*.exr",
                      "**/*/a.exr", "{view}/d*.##.exr", "4.5G", "1,48,90"):

@@ -9,6 +9,7 @@ import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import bpy
 
@@ -16,7 +17,7 @@ EXTENSION, FOLDER, COMMAND = sys.argv[1:]
 found = {"version": bpy.app.version_string}
 
 
-def attempt(operator, **options) -> str:
+def attempt(operator: Any, **options: Any) -> str:
     """An operator's answer, or the error that it reports."""
     try:
         return next(iter(operator(**options)))
@@ -62,7 +63,7 @@ scene.postfx.look = "NONE"
 Path(FOLDER, "shot", "box_0002.exr").write_bytes(b"no picture")
 found["broken"] = attempt(bpy.ops.postfx.denoise, whole=False)
 
-module = sys.modules[name]
+module: Any = sys.modules[name]
 found["options"] = {}
 for preset in ("NONE", "preview", "final", "animation"):
     scene.postfx.preset = preset

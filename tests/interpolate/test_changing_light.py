@@ -289,14 +289,14 @@ def test_where_vectors_do_not_fit_light_does_not_change_along_them_either():
     assert psnr(found, wanted) > psnr(flow, wanted) - 0.1
 
 
-def wire(time: float, vectors: bool) -> Frame:
+def wire(time: float, vectors: bool, step: float = 5.0, seed: int = 3) -> Frame:
     """A line of one pixel in front of a wall that stands still, with vectors of what covers most of
     a pixel."""
-    size, step = 6, 5.0
+    size = 6
     y, x = (np.mgrid[:HEIGHT * size, :WIDTH * size] + 0.5) / size
     cover = np.abs((x - 30 - step * time) - (y - 40) * 0.3) / np.hypot(1, 0.3) < 0.5
     cover = cover.reshape(HEIGHT, size, WIDTH, size).mean((1, 3))[..., None]
-    planes = {Role.COLOUR: texture(X, Y, 3) * (1 - cover) + 0.02 * cover}
+    planes = {Role.COLOUR: texture(X, Y, seed) * (1 - cover) + 0.02 * cover}
     if vectors:
         planes[Role.DEPTH] = np.where(cover > 0.3, 3.0, 10.0)
         planes[Role.MOTION] = np.where(cover > 0.3, (-step, 0.0), (0.0, 0.0))
@@ -304,14 +304,20 @@ def wire(time: float, vectors: bool) -> Frame:
                  number=int(time))
 
 
-def test_a_wire_is_no_cut_and_no_worse_with_vectors():
+@pytest.mark.parametrize("step, seed", [(5.0, 3), (5.0, 7), (8.0, 3), (3.0, 3)])
+def test_a_wire_is_no_cut_and_no_worse_with_vectors(step, seed):
+    """Last of four frames, as those beside them are looked at. Nothing dissolves there. The worst
+    was 5.2 dB below estimated motion; 0.6 are left, where that is right to the pixel."""
     detect = CutDetector()
-    assert not any(detect(wire(time, True)) for time in range(3))
-    wanted, quality = wire(0.5, False)[Role.COLOUR], {}
+    assert not any(detect(wire(time, True, step, seed)) for time in range(4))
+    wanted, quality = wire(2.5, False, step, seed)[Role.COLOUR], {}
     for vectors in (True, False):
-        frames = [wire(time, vectors) for time in range(3)]
-        quality[vectors] = psnr(Between(*frames).frame(0.5)[Role.COLOUR], wanted)
-    assert quality[True] > quality[False] - 0.5
+        frames, last = [wire(time, vectors, step, seed) for time in range(5)], None
+        for time in range(3):
+            last = Between(*frames[time:time + 3], last=last)
+        quality[vectors] = psnr(last.frame(0.5)[Role.COLOUR], wanted)
+    mean = (frames[2][Role.COLOUR] + frames[3][Role.COLOUR]) / 2
+    assert quality[True] > max(quality[False], psnr(mean, wanted)) - 0.6
 
 
 @pytest.mark.parametrize("none", [np.nan, 1e10, -65504.0, -999.0, 200.0])
@@ -342,3 +348,76 @@ def test_lost_motion_is_that_of_what_is_lost_around():
     np.testing.assert_array_equal(found[:, 10:], estimated[:, 10:])
     np.testing.assert_array_equal(motion_of_lost(estimated, np.full_like(estimated, np.nan),
                                                  is_lost), estimated)
+
+
+RAMP = np.linspace(0, 1, WIDTH)[None, :, None]
+GROUPS = {
+    "a lamp that moves": lambda time: {"key": picture(time)[0] * (lamp(time) - 1),
+                                       "fill": picture(time)[0]},
+    "one that goes as another comes": lambda time: {
+        "key": picture(time)[0] * RAMP * max(1 - time, 0),
+        "fill": picture(time)[0] * (1 - RAMP) * min(time, 1)},
+    "a shot that goes over into one that stands still": lambda time: {
+        "key": picture(time)[0] * RAMP * (1 - time / 8) + time / 8 * texture(X, Y, 12) * (1 - RAMP),
+        "fill": picture(time)[0] * (1 - RAMP) * (1 - time / 8) + time / 8 * texture(X, Y, 12)
+        * RAMP},
+    "light below 0": lambda time: {"key": 2 * picture(time)[0], "dark": -picture(time)[0] * RAMP},
+}
+
+
+def grouped(time: float, kind: str, vectors: bool) -> Frame:
+    parts = {name: part.astype(np.float32) for name, part in GROUPS[kind](time).items()}
+    found = frame(time, vectors=vectors)
+    return replace(found, parts=parts,
+                   planes={**found.planes, Role.COLOUR: sum(parts.values())})
+
+
+@pytest.mark.parametrize("vectors", [True, False])
+@pytest.mark.parametrize("kind", GROUPS)
+def test_light_groups_add_up_to_the_picture_and_have_the_light_of_the_time(kind, vectors):
+    """They were up to 4.7 % of its light apart, and up to 9 dB worse than they are."""
+    frames = [grouped(time, kind, vectors) for time in (-1, 0, 1, 2)]
+    found = Between(*frames[1:], last=Between(*frames[:2])).frame(0.5)
+    np.testing.assert_allclose(sum(found.parts.values()), found[Role.COLOUR], rtol=1e-4, atol=1e-5)
+    for name, wanted in GROUPS[kind](0.5).items():
+        blend = (frames[1].parts[name] + frames[2].parts[name]) / 2
+        sign = -1 if name == "dark" else 1
+        least = psnr(sign * blend, sign * wanted) + (1 if vectors else -0.3)
+        assert psnr(sign * found.parts[name], sign * wanted) > least
+
+
+@pytest.mark.parametrize("kind", SHOTS)
+def test_a_dissolve_without_vectors_is_hardly_worse_than_a_mean(kind):
+    """Estimated motion alone was up to 6.6 dB below. Where it matches other waves of the same
+    pattern, 4.0 are left."""
+    def at(time: float) -> Frame:
+        shown = picture(time)[0] * (1 - time / 7) + SHOTS[kind](time) * time / 7
+        return Frame({Role.COLOUR: shown.astype(np.float32)}, number=1)
+
+    frames, last = [at(time) for time in range(8)], None
+    worse = []
+    for time in range(7):
+        last = Between(*frames[time:time + 3], last=last)
+        wanted, mean = at(time + 0.5)[Role.COLOUR], (last.before[Role.COLOUR]
+                                                     + last.after[Role.COLOUR]) / 2
+        worse.append(psnr(mean, wanted) - psnr(last.frame(0.5)[Role.COLOUR], wanted))
+    assert max(worse) < 4.2
+
+
+def test_parts_of_a_dissolve_between_shots_that_stand_still_are_exact():
+    def at(time: float) -> Frame:
+        parts = {"key": texture(X, Y, 3) * (1 - time / 8), "fill": texture(X, Y, 12) * time / 8}
+        parts = {name: part.astype(np.float32) for name, part in parts.items()}
+        return Frame({Role.COLOUR: sum(parts.values()),
+                      Role.MOTION: np.zeros((HEIGHT, WIDTH, 2), np.float32)}, parts=parts)
+
+    found = Between(at(3), at(4)).frame(0.25)
+    for name, part in at(3.25).parts.items():
+        np.testing.assert_allclose(found.parts[name], part, atol=2e-6)
+
+
+def test_parts_that_do_not_add_up_keep_their_own_light():
+    """One brighter than the picture, such as light before it is filtered."""
+    pair = [replace(one, parts={"other": 3 * one[Role.COLOUR]}) for one in (frame(0), frame(1))]
+    found = Between(*pair).frame(0.5)
+    assert abs(found.parts["other"].mean() / pair[0].parts["other"].mean() - 1) < 0.02

@@ -104,6 +104,27 @@ def test_a_little_late_is_shown_at_once() -> None:
     assert renderer.presenter.present("1").due == pytest.approx(renderer.seen[0][1] + 2 * TURN)
 
 
+def test_steps_stay_whole_where_the_system_wakes_late_by_most_of_a_turn() -> None:
+    """As on a busy machine: no picture comes right before the next one."""
+    late = iter([0.0, 0.0, 0.95 * TURN, 0.0, 0.0, 0.0, 1.4 * TURN] * 100)
+    renderer = Renderer(MovedClock(lambda: next(late)))
+    for number in range(60):
+        renderer.frame(number, 0.003)
+    pacing = renderer.presenter.pacing()
+    turns = [one / TURN for one in pacing.intervals]
+    assert turns == pytest.approx([round(one) for one in turns]) and min(turns) > 0.9
+    assert pacing.dropped and pacing.late == 0
+    rendered = [name for name, _ in renderer.seen if "." not in name]
+    assert rendered == [f"{number}" for number in range(60)]
+
+
+def test_a_clock_that_always_wakes_late_shows_rendered_frames_all_the_same() -> None:
+    renderer = Renderer(MovedClock(lambda: 0.6 * TURN))
+    for number in range(5):
+        renderer.frame(number, 0.003)
+    assert [name for name, _ in renderer.seen if "." not in name] == list("01234")
+
+
 def test_what_the_system_says_of_a_picture_counts() -> None:
     clock = MovedClock()
     presenter = Presenter(lambda _: clock.time + 0.001, TURN, clock)

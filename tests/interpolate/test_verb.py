@@ -139,6 +139,50 @@ def test_cryptomattes_come_from_the_nearest_pixel_bit_for_bit(scene, tmp_path):
     assert made.metadata["cryptomatte/abc1234/name"] == "CryptoObject"
 
 
+def write_groups(scene, folder: Path, key_light: tuple[float, ...] = (1, 1, 1)) -> str:
+    """Frames whose picture is the sum of two light groups, one of which may change, beside ids."""
+    ramp = np.linspace(0, 1, 112, dtype=np.float32)[None, :, None]
+    for number, light in enumerate(key_light, 1):
+        frame = scene(number - 1)
+        parts = {"key": frame[Role.COLOUR] * ramp * np.float32(light),
+                 "fill": frame[Role.COLOUR] * (1 - ramp),
+                 "id": np.ones((72, 112, 1), np.float32)}
+        sources = {name: PartSource(tuple(f"{name}.{letter}" for letter in letters))
+                   for name, letters in (("key", "RGB"), ("fill", "RGB"), ("id", "V"))}
+        planes = {**frame.planes, Role.COLOUR: parts["key"] + parts["fill"]}
+        write_frame(folder / f"in/a.{number:04d}.exr", with_parts(replace(
+            frame, planes=planes, parts=parts, part_sources=sources)), bits=32)
+    return f"{folder}/in/"
+
+
+@pytest.mark.parametrize("more", [[], ["--planes"]])
+def test_layers_that_new_frames_lack_are_told(scene, tmp_path, capsys, more):
+    source = write_groups(scene, tmp_path)
+    assert main(["interpolate", source, "-o", f"{tmp_path}/out/", *more]) == 0
+    assert "new frames lack fill.R,G,B; id.V; key.R,G,B: --aov NAMES" in " ".join(
+        capsys.readouterr().out.split())
+    assert main(["interpolate", source, "-o", f"{tmp_path}/out/", "--overwrite", "--json",
+                 "--aov", "key,fill", *more]) == 0
+    assert [one for one in json.loads(capsys.readouterr().out)["warnings"] if "lack" in one] == [
+        "new frames lack id.V: --aov NAMES makes layers of light"
+        + ", --planes Cryptomattes" * (not more)]
+
+
+def test_light_groups_of_new_frames_add_up_to_the_picture(scene, tmp_path):
+    """Also where the light of one of them changes."""
+    source = write_groups(scene, tmp_path, (1, 4, 4))
+    assert main(["interpolate", source, "-o", f"{tmp_path}/out/", "--aov", "key,fill",
+                 "--bits", "32"]) == 0
+    ramp = np.linspace(0, 1, 112, dtype=np.float32)[None, :, None]
+    for number, time, light in ((2, 0.5, 2.5), (3, 1.0, 4.0), (4, 1.5, 4.0)):
+        found = read_sequence(f"{tmp_path}/out/", aov="key,fill").read(number)
+        np.testing.assert_allclose(found.parts["key"] + found.parts["fill"], found[Role.COLOUR],
+                                   rtol=1e-4, atol=1e-4)
+        wanted = picture(time)[0] * ramp * light
+        apart = np.abs(np.log2(found.parts["key"][8:-8, 16:-8] / wanted[8:-8, 16:-8]))
+        assert apart.mean() < 0.1
+
+
 def test_both_eyes_are_interpolated(scene, tmp_path):
     for number in (1, 2):
         for view, shift in (("left", 0.0), ("right", 0.5)):

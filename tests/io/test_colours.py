@@ -60,8 +60,9 @@ def assert_turned(frame: Frame, stored: np.ndarray) -> None:
     assert frame.metadata["chromaticities"] == REC709
 
 
-def test_chromaticities_of_zeros_say_nothing(write, stored) -> None:
-    sequence = read_sequence(write(chromaticities=(0.0,) * 8))
+@pytest.mark.parametrize("white", [0.0, 1 / 3])
+def test_chromaticities_of_zeros_say_nothing(write, stored, white) -> None:
+    sequence = read_sequence(write(chromaticities=(*(0.0,) * 6, white, white)))
     (frame,) = sequence
     np.testing.assert_array_equal(frame[Role.COLOUR], stored[..., :3])
     assert sequence.warnings == [] and "chromaticities" not in frame.metadata

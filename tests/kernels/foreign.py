@@ -59,7 +59,7 @@ class Call:
     """A kernel, its first row and the one after its last, and all of its arrays."""
 
     name: str
-    rows: int
+    rows: tuple[int, int]
     arrays: Sequence[np.ndarray]
 
 

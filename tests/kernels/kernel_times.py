@@ -20,6 +20,7 @@ import tempfile
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -124,7 +125,8 @@ def compare(before: Path, kernel: str, level: str) -> str:
     place = module if module.startswith("samples.") else f"postfx.kernels.{module}"
     given, rows = arguments(module, getattr(import_module(place), name))
     with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder) / "given.npz", **given, **{"number of rows": rows})
+        kept: dict[str, Any] = {**given, "number of rows": rows}
+        np.savez(Path(folder) / "given.npz", **kept)
         sides = [Side(tree, f"{place}:{name}", Path(folder), level) for tree in (before, ROOT)]
         return f"{kernel} {level}: {in_turn(sides)}"
 

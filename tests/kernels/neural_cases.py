@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
 from postfx.kernels.neural import ADAM, FORWARD, GRADIENTS, GRID, GRID_PULL, GRID_STEP, UNITS
 from postfx.neural import DECAYS, EPSILON, Grid, Network
@@ -13,7 +14,7 @@ NETWORKS = (Network(3, (4, 4), 3), Network(3, (16, 16), 3, "gelu"),
             Network(9, (64, 64, 64), 3, bands=4, encoded=3),
             Network(2, (128, 127, 5, 33), 7, "sine", bands=3), Network(5, (), 2))
 TIMED = Network(9, (64, 64, 64), 3, "gelu", bands=4, encoded=3)
-HYPER = np.float32([0.01, *DECAYS, EPSILON])
+HYPER = np.array([0.01, *DECAYS, EPSILON], np.float32)
 GROUPS = 3
 
 
@@ -70,5 +71,6 @@ def run(kernel: Kernel, given: dict[str, np.ndarray],
     """What a kernel writes, at a level of the processor."""
     arrays = {name: array.copy() if name in kernel.writes else array
               for name, array in given.items()}
-    type(kernel.rows)(kernel.rows.name, level=level)(0, rows_of(kernel, given), *arrays.values())
+    assert isinstance(kernel.rows, Rows)
+    Rows(kernel.rows.name, level=level)(0, rows_of(kernel, given), *arrays.values())
     return {name: arrays[name] for name in kernel.writes}

@@ -60,11 +60,11 @@ def _learn(random: np.random.Generator) -> None:
 def _frame(random: np.random.Generator, number: int) -> Frame:
     """A wall that moves to the right, with stripes and noise."""
     y, x = np.mgrid[:SIZE[0], :SIZE[1]]
-    stripes = 0.5 + 0.4 * np.sin((x - 3 * number) / 4 + y / 9)
+    stripes = (0.5 + 0.4 * np.sin((x - 3 * number) / 4 + y / 9))[..., None]
     noise = random.gamma(2, 0.5, (*SIZE, 3))
-    planes = {Role.COLOUR: np.float32(stripes[..., None] * noise),
-              Role.DIFFUSE_ALBEDO: np.repeat(np.float32(stripes)[..., None], 3, axis=2),
-              Role.DEPTH: np.float32(4 + x / 50)[..., None],
+    planes = {Role.COLOUR: (stripes * noise).astype(np.float32),
+              Role.DIFFUSE_ALBEDO: np.repeat(stripes.astype(np.float32), 3, axis=2),
+              Role.DEPTH: (4 + x / 50)[..., None].astype(np.float32),
               Role.NORMAL: np.full((*SIZE, 3), (0, 0, 1), np.float32),
               Role.MOTION: np.full((*SIZE, 2), (-3, 0), np.float32)}
     return Frame(planes, number=number)

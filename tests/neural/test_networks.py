@@ -13,11 +13,12 @@ import pytest
 import torch
 
 from postfx.compiled import library
-from postfx.errors import BindingError, ModelError
+from postfx.errors import BindingError, DeviceError, ModelError
 from postfx.kernels.neural import ADAM, FORWARD, GRADIENTS, GRID, GRID_PULL, GRID_STEP, UNITS
 from postfx.neural import DECAYS, EPSILON, Grid, Learner, Network
 from postfx.runtime import ArgumentTable, Device, Library
 from postfx.runtime.device import cuda_fault
+from postfx.runtime.encoders import EncoderBarrier
 from tests.kernels import host_cuda, neural_cases
 from tests.kernels.neural_cases import HYPER, NETWORKS
 
@@ -487,6 +488,28 @@ def test_what_does_not_fit_is_told():
         in_frame(device, learner, np.zeros((5, 2), np.float32), np.zeros((5, 3), np.float32))
     with pytest.raises(BindingError, match="this network has"):
         learner.restart(np.zeros(3, np.float32))
+    with pytest.raises(DeviceError, match="without explicit_barriers"):
+        Learner(Device("cpu", threads=1, explicit_barriers=True), NETWORKS[0])
+
+
+def test_what_a_network_learns_by_is_ordered_by_what_it_reads_and_writes():
+    device, grid = Device("cpu", threads=1), Grid(2)
+    learner = Learner(device, Network(grid.width, (16,), 1), grid=grid)
+    points, targets = (device.wrap(name, np.zeros((64, count), np.float32))
+                       for name, count in (("points", 2), ("targets", 1)))
+    values = device.heap.tensor("values", (64, 1))
+    commands = device.command_buffer("two steps, then a look")
+    with commands.compute_encoder("learn") as encoder:
+        learner.learn(encoder, points, targets)
+        learner.learn(encoder, points, targets)
+        learner.run(encoder, points, values)
+    commands.commit()
+    commands.wait()
+    order = ["|" if isinstance(record, EncoderBarrier) else record.command
+             for record in commands.records]
+    step = "grid | gradients | adam grid_pull | grid_step"
+    words = " ".join(order).replace("kernel 'neural_", "").replace("'", "")
+    assert words == f"{step} | {step} | grid | forward"
 
 
 def test_the_example_of_the_document_learns(capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO
 
 
 def noisy(number: int, height: int = 37, width: int = 50, planes: tuple[Role, ...] = PLANES,
-          **kept) -> Frame:
+          **kept: Any) -> Frame:
     """Random planes with the ranges of real ones; another `number` gives other ones."""
     random = np.random.default_rng([number, height, width])
     unit = {role: random.random((height, width, _CHANNELS.get(role, 3)), np.float32)
@@ -30,13 +31,13 @@ def noisy(number: int, height: int = 37, width: int = 50, planes: tuple[Role, ..
 
 
 def guided(frame: Frame, height: int, width: int, roles: tuple[Role, ...] = GUIDE_ROLES,
-           **kept) -> Frame:
+           **kept: Any) -> Frame:
     """The same frame with random guides of this size."""
     guides = noisy(100 + frame.number, height, width, roles).planes
     return replace(frame, guides=guides, guide_source="guides.exr", **kept)
 
 
-def flat(number: int, value: float, height: int = 24, width: int = 40, **kept) -> Frame:
+def flat(number: int, value: float, height: int = 24, width: int = 40, **kept: Any) -> Frame:
     """A picture of one colour at rest: whatever a network predicts, normalised filters leave it as
     it is."""
     constant = {Role.COLOUR: value, Role.DEPTH: 3.0, Role.MOTION: 0.0, Role.NORMAL: 0.5,

@@ -55,8 +55,9 @@ def reference(overlay: np.ndarray, size: tuple[int, int],
     return np.concatenate([np.clip(result[..., :3], low, high), alpha], 2)
 
 
-def image(size: int, shape: Callable[[np.ndarray, np.ndarray], np.ndarray], jitter=(0.0, 0.0),
-          scale: float = 1.0, colour=(0.9, 0.5, 0.2)) -> np.ndarray:
+def image(size: int, shape: Callable[[np.ndarray, np.ndarray], np.ndarray],
+          jitter: tuple[float, float] = (0.0, 0.0), scale: float = 1.0,
+          colour: tuple[float, float, float] = (0.9, 0.5, 0.2)) -> np.ndarray:
     """A premultiplied picture of coverage shape(x, y), sampled at pixel centres plus jitter, in
     units of `size`."""
     side = round(size * scale)

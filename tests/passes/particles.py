@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -41,13 +42,14 @@ def shots(seed: int = 1, count: int = 24) -> Iterator[Shot]:
         yield _shot(number, list(zip(now, radii, lights, strict=True)), random)
 
 
-def _shot(number: int, sparks: list, random: np.random.Generator) -> Shot:
+def _shot(number: int, sparks: list[Any], random: np.random.Generator) -> Shot:
     jitter = tuple(random.uniform(-0.5, 0.5, 2))
     albedo, light = _wall(number, *_points(1, *jitter))
     glow, alpha = _sparks(sparks, *_points(1, *jitter))
     noise = random.gamma(SAMPLES, 1 / SAMPLES, light.shape)
     colour = albedo * light * noise
     size = colour.shape[:2]
+    constant: dict[Role, Any]
     constant = {Role.DEPTH: [3.0], Role.MOTION: -PAN, Role.NORMAL: [0.0, 0.0, 1.0],
                 Role.ROUGHNESS: [0.8], Role.SPECULAR_ALBEDO: [0.0] * 3}
     planes = {role: np.broadcast_to(np.float32(value), (*size, len(value)))
@@ -61,9 +63,9 @@ def _shot(number: int, sparks: list, random: np.random.Generator) -> Shot:
                 reference, covered)
 
 
-def _reference(number: int, sparks: list) -> tuple[np.ndarray, np.ndarray]:
+def _reference(number: int, sparks: list[Any]) -> tuple[np.ndarray, np.ndarray]:
     """Mean of 3x3 points of each output pixel."""
-    total, most = 0.0, 0.0
+    total, most = np.zeros(()), np.zeros(())
     for dx, dy in np.ndindex(3, 3):
         at = _points(2, (dx - 1) / 3, (dy - 1) / 3)
         albedo, light = _wall(number, *at)
@@ -85,7 +87,7 @@ def _wall(number: int, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.nda
     return 0.45 + 0.3 * waves, (0.6 + 0.3 * np.sin(u / 31 + v / 23))[..., None]
 
 
-def _sparks(sparks: list, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _sparks(sparks: list[Any], x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Premultiplied light and coverage of round sparks with soft edges."""
     glow, alpha = np.zeros((*x.shape, 3)), np.zeros((*x.shape, 1))
     for (left, top), radius, light in sparks:

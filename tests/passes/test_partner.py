@@ -14,7 +14,12 @@ from postfx import DenoiseUpscale, Frame, MixPartner, Oidn, Partner, Pipeline, R
 from postfx.errors import DeviceError, FrameError, OptionError, PassOptionError, RegistryError
 from postfx.frame import FrameSpec
 from postfx.passes import Pass, Reflection, registry
-from postfx.passes.partner import BACKWARD_FRAMES, MIXTURE_REACH_SHARE, partner_weight
+from postfx.passes.partner import (
+    BACKWARD_FRAMES,
+    MIXTURE_REACH_SHARE,
+    SHARE_BESIDE_A_PICTURE,
+    partner_weight,
+)
 from postfx.plan import make_plan
 from postfx.runtime import Device
 
@@ -234,7 +239,7 @@ def test_a_first_frame_is_the_weighted_mean_of_logarithms(device: Device) -> Non
     np.testing.assert_allclose(found, between(1, 7, FIRST), rtol=1e-5)
 
 
-def test_the_partner_counts_less_the_longer_the_history_and_the_larger_the_picture(
+def test_the_partner_counts_less_beside_a_history_a_larger_picture_and_a_better_network(
     device: Device
 ) -> None:
     weights = [partner_weight(frames) for frames in range(1, 40)]
@@ -244,6 +249,9 @@ def test_the_partner_counts_less_the_longer_the_history_and_the_larger_the_pictu
     np.testing.assert_allclose(enlarged, between(1, 7, partner_weight(1, 2.0)), rtol=1e-5)
     (known,) = mix([pair(1, 7)], device, both_ways=True)
     np.testing.assert_allclose(known, between(1, 7, partner_weight(1 + BACKWARD_FRAMES)), rtol=1e-5)
+    (beside,) = mix([pair(1, 7)], device, model="xl")
+    share = SHARE_BESIDE_A_PICTURE * partner_weight(1)
+    np.testing.assert_allclose(beside, between(1, 7, share), rtol=1e-5)
     apart = [pair(0, light, motion=even(0, 2)) for light in (10, 1e3, 10, 1e3, 10, 1e3)]
     found = [float(np.log1p(picture).mean() / np.log1p(frame[Role.PARTNER]).mean())
              for picture, frame in zip(mix(apart, device), apart, strict=True)]

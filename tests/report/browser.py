@@ -107,7 +107,9 @@ class Tab:
         """A PNG of the window at `path`, and its pixels (height, width, 3), uint8."""
         shot = self._call("Page.captureScreenshot", format="png")
         path.write_bytes(base64.b64decode(shot["data"]))
-        return oiio.ImageBuf(str(path)).get_pixels(oiio.UINT8)[..., :3]
+        pixels = oiio.ImageBuf(str(path)).get_pixels(oiio.UINT8)
+        assert pixels is not None, path
+        return pixels[..., :3]
 
     def _call(self, method: str, **parameters: Any) -> dict[str, Any]:
         self._count += 1
@@ -151,6 +153,7 @@ def chromium(folder: Path) -> Iterator[Tab]:
                                    "--remote-debugging-pipe"]
     (command_end, commands), (answers, answer_end) = os.pipe(), os.pipe()
     ends = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 10) for end in (command_end, answer_end)]
+    actions: list[tuple[Any, ...]]
     actions = [(os.POSIX_SPAWN_OPEN, quiet, os.devnull, os.O_WRONLY, 0) for quiet in (1, 2)]
     actions += [(os.POSIX_SPAWN_DUP2, end, wanted)
                 for end, wanted in zip(ends, (3, 4), strict=True)]

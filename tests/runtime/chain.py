@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from postfx.runtime import (
@@ -44,7 +46,7 @@ class Chain:
         """Record y = 2 x."""
         encoder.dispatch_network(self.state, ArgumentTable(self.state, {"x": x, "y": y}))
 
-    def run(self, **options: object) -> CommandBuffer:
+    def run(self, **options: Any) -> CommandBuffer:
         """Record, commit and wait."""
         commands = self.record(**options)
         commands.commit()

@@ -77,6 +77,16 @@ def test_files_know_neither_kernels_nor_what_is_made_of_frames():
         assert name != "postfx.motion" or "postfx.io" not in found
 
 
+def test_frames_and_passes_know_neither_reports_nor_benchmarks():
+    """Who may look at them from above: the command line, the doctor, and a presenter, which draws
+    its pacing."""
+    allowed = {"bench", "cli", "doctor", "report"}
+    looking = {name for name, found in import_graph(PACKAGE).items()
+               if room_of(name) not in allowed and {room_of(one) for one in found} & {"bench",
+                                                                                      "report"}}
+    assert looking == {"postfx.presenter"}
+
+
 def test_no_two_rooms_import_each_other():
     """A room is a folder of the package."""
     pairs = set()

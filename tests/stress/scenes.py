@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,8 @@ SIZES = ((1, 1), (1, 40), (40, 1), (2, 3), (13, 17), (31, 29), (3, 257), (199, 2
 """Heights and widths: single pixels and rows, odd and prime sides, extreme aspects."""
 
 
-def pipeline(model: str, device: Device, exposure: str | float = 0.0, **options) -> Pipeline:
+def pipeline(model: str, device: Device, exposure: str | float = 0.0,
+             **options: Any) -> Pipeline:
     """The denoiser alone, to twice the size by default; cuts are only where the test says so."""
     return Pipeline([DenoiseUpscale(model=model, **{"scale": 2, **options})], device, exposure,
                     cuts="none")

@@ -24,8 +24,7 @@ def small_model(guides: bool = False,
                 config: TrunkConfig | ResidualConfig = SMALL) -> DenoiseUpscale:
     """A network whose weights make all its outputs vary."""
     torch.manual_seed(0)
-    residual = isinstance(config, ResidualConfig)
-    model = DenoiseUpscale(trunk=ResidualTrunk(config) if residual
+    model = DenoiseUpscale(trunk=ResidualTrunk(config) if isinstance(config, ResidualConfig)
                                  else Trunk(replace(config, guides=guides)))
     with torch.no_grad():
         for parameter in model.parameters():

@@ -26,7 +26,7 @@ from postfx.integrate import rigid_previous_positions, write_planes
 from training.datagen.variant import use_variant
 
 WIDTH, HEIGHT, FOV, LIGHT_SAMPLES = 320, 180, 55.0, 8
-Thing = tuple[dict, np.ndarray]
+Thing = tuple[dict[str, Any], np.ndarray]
 """A shape's description without its place, and its transform to the world (4, 4), column
 vectors."""
 
@@ -44,7 +44,7 @@ class Moment:
     eye: np.ndarray
     target: np.ndarray
     things: dict[str, Thing]
-    lights: dict[str, dict] = field(default_factory=dict)
+    lights: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
 # Things -------------------------------------------------------------------------------------------
@@ -62,7 +62,7 @@ def place(*at: float, scale: tuple[float, ...] = (1, 1, 1), axis: tuple[float, .
     return matrix
 
 
-def spotted(seed: int, size: int = 256, tint: tuple[float, ...] = (1, 1, 1)) -> dict:
+def spotted(seed: int, size: int = 256, tint: tuple[float, ...] = (1, 1, 1)) -> dict[str, Any]:
     """A rough surface with detail of all sizes."""
     rng = np.random.default_rng(seed)
     levels = [np.kron(rng.random((2**k, 2**k, 3)), np.ones((size >> k, size >> k, 1)))
@@ -74,14 +74,14 @@ def spotted(seed: int, size: int = 256, tint: tuple[float, ...] = (1, 1, 1)) -> 
                                                "raw": True, "filter_type": "bilinear"}}
 
 
-def plain(*colour: float) -> dict:
+def plain(*colour: float) -> dict[str, Any]:
     return {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(colour)}}
 
 
 MIRROR = {"type": "conductor", "material": "Al"}
 
 
-def shape(kind: str, material: dict, **more: Any) -> dict:
+def shape(kind: str, material: dict[str, Any], **more: Any) -> dict[str, Any]:
     return {"type": kind, "bsdf": material if material["type"] == "thindielectric" else
             {"type": "twosided", "bsdf": material}, **more}
 
@@ -97,7 +97,7 @@ def room(seed: int = 1) -> dict[str, Thing]:
 SKY = {"sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.7, 0.8, 1.0]}}}
 
 
-def sun(x: float = 3.0, y: float = 6.0, z: float = 4.0) -> dict:
+def sun(x: float = 3.0, y: float = 6.0, z: float = 4.0) -> dict[str, Any]:
     """A ball of light that casts shadows with soft edges."""
     return {"sun": {"type": "sphere", "center": [x, y, z], "radius": 0.4, "emitter": {
         "type": "area", "radiance": {"type": "rgb", "value": [90, 80, 65]}}}}

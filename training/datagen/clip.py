@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -46,7 +47,7 @@ def filter_table(name: str) -> np.ndarray:
         return position.astype(np.float32)
     fine = np.linspace(0, 1, 16 * TABLE)
     a = (0.35875, -0.48829, 0.14128, -0.01168)
-    density = sum(c * np.cos(2 * np.pi * k * fine) for k, c in enumerate(a))
+    density = sum((c * np.cos(2 * np.pi * k * fine) for k, c in enumerate(a)), np.zeros(fine.size))
     cumulative = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2)])
     offset = np.interp(position, cumulative / cumulative[-1], fine)
     return (0.5 + 1.5 * (offset - 0.5)).astype(np.float32)
@@ -159,7 +160,7 @@ class ClipOptions:
 
 
 def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealScenes, seed: int,
-              index: int) -> tuple[np.ndarray, list[dict], dict]:
+              index: int) -> tuple[np.ndarray, list[dict[str, Any]], dict[str, Any]]:
     """Reference (T, H, W, 3), variants and facts for `save_clip`; the same seed and index give the
     same clip."""
     rng = np.random.default_rng([seed, index])
@@ -180,7 +181,8 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
     spp = int(np.clip(wanted, options.reference_spp / 2, 4 * options.reference_spp)) // 16 * 16 or 1
     steps = REPLACED if rng.random() < 0.5 and not fine else 0
     guide_style = draw_guide_style(options.frames, pixel_filter, rng)
-    table, references, guides, variants = filter_table(pixel_filter), [], [], [[] for _ in styles]
+    table, references, guides = filter_table(pixel_filter), [], []
+    variants: list[list[dict[str, Any]]] = [[] for _ in styles]
     for frame in range(options.frames):
         built.move(frame, frame - 1)
         camera, previous = path.at(frame), path.at(frame - 1)
@@ -265,7 +267,7 @@ def _lens(camera: Camera, size: tuple[int, int], spp: int,
 
 
 def _scene(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealScenes,
-           rng: np.random.Generator) -> tuple:
+           rng: np.random.Generator) -> tuple[Any, ...]:
     """Draw scenes until one has a usable view."""
     while True:
         taken = real and rng.random() < options.real_share
@@ -302,7 +304,7 @@ def _cut(tracer: Tracer, options: ClipOptions, drafted: Draft, built: BuiltScene
     return Cut(path, second[0], frame), reset
 
 
-def _path_facts(path: CameraPath | Cut) -> dict:
+def _path_facts(path: CameraPath | Cut) -> dict[str, Any]:
     first = path.before if isinstance(path, Cut) else path
     return {"camera": first.kind, "amplitude": first.amplitude}
 
@@ -316,6 +318,6 @@ def _seed(rng: np.random.Generator) -> int:
     return int(rng.integers(1 << 31))
 
 
-def _stack(frames: list[dict], style: Style) -> dict:
+def _stack(frames: list[dict[str, Any]], style: Style) -> dict[str, Any]:
     planes = {name: np.stack([f[name] for f in frames]) for name in frames[0]}
     return planes | {"jitter": style.jitter, "spp": style.spp, "style": style.kind}

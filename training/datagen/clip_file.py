@@ -35,7 +35,7 @@ import argparse
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -75,8 +75,8 @@ def half_depth(depth: np.ndarray) -> np.ndarray:
 def guide_depth(stored: np.ndarray) -> np.ndarray:
     """Depth float32, the inverse of `half_depth`; misses become 1e10 again."""
     depth = np.exp2(stored.astype(np.float32))
-    return np.where(stored >= half_depth(np.float32(DEPTH_RANGE[1])), np.float32(DEPTH_RANGE[1]),
-                    depth)
+    farthest = np.array(DEPTH_RANGE[1], np.float32)
+    return np.where(stored >= half_depth(farthest), farthest, depth)
 
 
 def exposure_of(colour: np.ndarray, key: float = 0.18, block: int = 4) -> float:
@@ -92,13 +92,14 @@ def exposure_of(colour: np.ndarray, key: float = 0.18, block: int = 4) -> float:
     return float(key / np.exp(np.log(mean + 1e-4).mean()))
 
 
-def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: dict) -> None:
+def save_clip(path: Path, reference: np.ndarray, variants: list[dict[str, Any]],
+              facts: dict[str, Any]) -> None:
     """Write a clip atomically.
 
     `variants` hold the planes by name plus jitter, spp and style; `facts` hold scale, seed, scene,
     meta and perhaps guides by name plus jitter.
     """
-    arrays = {"reference": to_half(reference)}
+    arrays: dict[str, Any] = {"reference": to_half(reference)}
     if "half" in facts:
         arrays["half"] = to_half(facts["half"])
     if "guides" in facts:
@@ -133,7 +134,7 @@ def _guide_arrays(guides: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
                      "guide_jitter": guides["jitter"].astype(np.float32)}
 
 
-def load_clip(path: Path) -> dict:
+def load_clip(path: Path) -> dict[str, Any]:
     """All of a clip: arrays by key, scalars as Python values, `meta` decoded, `variants` the number
     of variants."""
     with np.load(path) as file:
@@ -158,7 +159,7 @@ CHANNELS = {
 FULL = ("depth",)  # misses are 1e10, beyond half float
 
 
-def write_exr(path: Path, planes: dict[str, np.ndarray], header: dict) -> None:
+def write_exr(path: Path, planes: dict[str, np.ndarray], header: dict[str, Any]) -> None:
     """Write planes (H, W) or (H, W, C), named as in CHANNELS, atomically; header values: number,
     (2,) or (4, 4)."""
     import OpenImageIO as oiio
@@ -176,6 +177,8 @@ def write_exr(path: Path, planes: dict[str, np.ndarray], header: dict) -> None:
         _set(spec, name, value)
     partial = path.with_name(f".{path.stem}.partial.exr")
     out = oiio.ImageOutput.create(str(partial))
+    if out is None:
+        raise OSError(f"{path}: {oiio.geterror()}")
     if not out.open(str(partial), spec) or not out.write_image(np.ascontiguousarray(pixels)):
         raise OSError(f"{path}: {out.geterror()}")
     out.close()
@@ -188,13 +191,14 @@ def _set(spec: oiio.ImageSpec, name: str, value: float | int | np.ndarray) -> No
     if np.ndim(value) == 2:
         spec.attribute(name, oiio.TypeMatrix44, tuple(float(x) for x in np.ravel(value)))
     elif np.ndim(value) == 1:
-        spec.attribute(name, oiio.TypeDesc(oiio.FLOAT, oiio.VEC2), tuple(float(x) for x in value))
+        spec.attribute(name, oiio.TypeDesc(oiio.FLOAT, oiio.VEC2),
+                       tuple(float(x) for x in np.ravel(value)))
     else:
         spec.attribute(name, value)
 
 
 def frame_header(to_world: np.ndarray, fov: float, jitter: np.ndarray, spp: int, exposure: float,
-                 reset: bool) -> dict:
+                 reset: bool) -> dict[str, Any]:
     """Headers of a noisy frame; worldToCamera is for row vectors: the camera looks along +Z, +X is
     left."""
     return {
@@ -204,7 +208,7 @@ def frame_header(to_world: np.ndarray, fov: float, jitter: np.ndarray, spp: int,
     }
 
 
-def guide_planes(clip: dict, frame: int) -> dict[str, np.ndarray]:
+def guide_planes(clip: dict[str, Any], frame: int) -> dict[str, np.ndarray]:
     """A frame's guides (H, W) or (H, W, 3) float32, by plane."""
     planes = {name: clip[f"guide_{name}"][frame].astype(np.float32) for name in GUIDES}
     return planes | {"depth": guide_depth(clip["guide_depth"][frame])}
@@ -234,7 +238,7 @@ def export_exr(args: argparse.Namespace, parser: argparse.ArgumentParser) -> Non
 
 # A picture of many clips --------------------------------------------------------------------------
 
-def row(clip: dict, frame: int, size: int) -> np.ndarray:
+def row(clip: dict[str, Any], frame: int, size: int) -> np.ndarray:
     """One clip's frame, or its last one, as (size, 6 size, 3) uint8."""
     frame = min(frame, len(clip["reference"]) - 1)
     from PIL import Image

@@ -19,6 +19,7 @@ import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -183,17 +184,20 @@ def look(scene: Scene, places: Tensor, time: float) -> Seen:
     found: dict[str, Tensor] = {}
     for i in range(LAYERS):
         local = places - scene.speed[:, i, None] * time
-        cells = (local / scene.cell[:, i, None, None]).unbind(2)
-        albedo = lattice_at(scene.albedo[:, i], *cells, scene.smooth[:, i, None])
-        light = lattice_at(scene.light[:, i], *(local / scene.span[:, i, None, None]).unbind(2),
+        u, v = (local / scene.cell[:, i, None, None]).unbind(2)
+        albedo = lattice_at(scene.albedo[:, i], u, v, scene.smooth[:, i, None])
+        u, v = (local / scene.span[:, i, None, None]).unbind(2)
+        light = lattice_at(scene.light[:, i], u, v,
                            torch.ones_like(scene.smooth[:, i, None]))
         mine = {"albedo": albedo, "light": light,
                 "glow": scene.glow[:, i, :, None].expand_as(albedo)}
         here = within(scene, i, local)
         layer = torch.where(here, i, layer)
-        found = {k: torch.where(here[:, None], v, found[k]) if i else v for k, v in mine.items()}
+        found = {name: torch.where(here[:, None], own, found[name]) if i else own
+                 for name, own in mine.items()}
     ground = places - scene.speed[:, 0, None] * time
-    cover = lattice_at(scene.cover[:, None], *(ground / 16).unbind(2),
+    u, v = (ground / 16).unbind(2)
+    cover = lattice_at(scene.cover[:, None], u, v,
                        torch.ones_like(scene.smooth[:, :1]))
     return Seen(found["albedo"], found["albedo"] * found["light"], found["light"], found["glow"],
                 layer, cover)
@@ -255,7 +259,8 @@ def draw_sampling(count: int, device: torch.device, noisy: bool = True) -> Sampl
 
 
 def draw_clips(count: int, frames: int, side: int, scale: float,
-               device: torch.device) -> list[tuple[np.ndarray, list[dict], dict]]:
+               device: torch.device) -> list[tuple[np.ndarray, list[dict[str, Any]],
+                                                   dict[str, Any]]]:
     """Clips of ``frames`` frames at ``side`` x ``side`` render pixels, for `save_clip`: the
     reference at ``scale`` times that, the noisy renders, and guides of one sample a pixel."""
     scene, full = draw_scenes(count, side, device), round(side * scale)
@@ -263,7 +268,8 @@ def draw_clips(count: int, frames: int, side: int, scale: float,
     jitter = (torch.rand(count, frames, 2, device=device) - 0.5) * jittered[:, None, None]
     false = draw_share(FALSE_MOTION, count, device)
     draws = [draw_sampling(count, device, noisy=v < VARIANTS) for v in range(VARIANTS + 1)]
-    references, renders, guides = [], [[] for _ in draws], []
+    references, guides = [], []
+    renders: list[list[dict[str, Any]]] = [[] for _ in draws]
     for t in range(frames):
         truth = look(scene, grid(full, full, full / side, 3 if scale < 2 else 2, device), t)
         references.append(mean_of(clean_light(scene, truth), full, full))

@@ -83,7 +83,9 @@ def shows(tracer: Tracer, built: BuiltScene, path: CameraPath, trait: str, frame
     camera, centres = path.at(middle), (np.arange(GRID, dtype=np.float32) + 0.5) / GRID
     u, v = (mi.Float(axis.ravel()) for axis in np.meshgrid(centres, centres))
     planes = tracer.planes(built, camera, camera, (UNIT, UNIT), Film(u, v))
-    return TRAITS[trait].shows(planes).mean() >= SHARE
+    hits = TRAITS[trait].shows
+    assert hits is not None, "but flicker, all are seen in one frame"
+    return bool(hits(planes).mean() >= SHARE)
 
 
 def _flickers(tracer: Tracer, built: BuiltScene, path: CameraPath, frames: int, seed: int) -> bool:
@@ -165,6 +167,7 @@ def _view(tracer: Tracer, drafted: Draft, rng: np.random.Generator, width: int, 
     chosen = choose_path(tracer, built, drafted.view, rng, width, drafted.near)
     if chosen is None or not shows_enough(chosen[2]):
         return None
+    path: CameraPath | Cut
     path, gain, look = chosen
     if kind.trait and not shows(tracer, built, path, kind.trait, kind.frames,
                                 int(rng.integers(1 << 31))):

@@ -26,12 +26,13 @@ import argparse
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from fileseq import FrameSet
+from fileseq.frameset import FrameSet
 
-from postfx.bench.metrics import psnr, to_codes
+from postfx.bench.metrics import psnr
+from postfx.colour.views import to_codes
 from training.datagen.variant import use_variant
 
 if TYPE_CHECKING:
@@ -122,9 +123,11 @@ def make_frames(args: argparse.Namespace) -> None:
     facts = {"postfx:exposure": exposure, "postfx:spp": 2 * half, "compression": PACKED}
     for t in (number - 1 for number in args.reference):
         built.move(*moments(t))
-        halves = of_halves(
-            lambda k, t=t: tracer.reference(built.scene, camera_at(t), large, table, half,
-                                            2 * t + k), exposure)
+
+        def render(k: int, t: int = t) -> np.ndarray:
+            return tracer.reference(built.scene, camera_at(t), large, table, half, 2 * t + k)
+
+        halves = of_halves(render, exposure)
         write_exr(args.out / f"reference.{t + 1:04d}.exr", {"colour": (halves[0] + halves[1]) / 2},
                   facts)
 
@@ -154,8 +157,8 @@ def make_views(args: argparse.Namespace) -> None:
     for name, seed, spp, stack in every[part::parts]:
         path = args.out / name
         if not path.exists() and time.monotonic() - began < args.seconds:
-            found = make_view(tracer, built, (args.width, args.height), seed, spp, stack,
-                              PASSES * (seed >= HELD_OUT))
+            found: dict[str, Any] = make_view(tracer, built, (args.width, args.height), seed, spp,
+                                              stack, PASSES * (seed >= HELD_OUT))
             np.savez(path.with_suffix(".partial.npz"), **found)
             path.with_suffix(".partial.npz").replace(path)
             print(f"{path.name}: {time.monotonic() - began:.0f} s", flush=True)
@@ -169,12 +172,14 @@ def make_view(tracer: Tracer, built: BuiltScene, size: tuple[int, int], seed: in
     from training.datagen.scenes.motion import Camera, look_at
     from training.measure.equivalent_samples import prefix_counts
 
-    rng, frames = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    frames: list[dict[str, np.ndarray]] = []
     (width, height), pixels, table = size, size[0] * size[1], filter_table("box")
     while not frames or np.percentile(frames[-1]["depth"], 4) < CLOSEST:
         pose, step = draw_pose(rng)
         cameras = [Camera(look_at(*(pose + k * step)), FOV) for k in range(-1, FRAMES)]
-        start, now, frames = int(rng.integers(64)), float(rng.uniform(0, 8)), []
+        start, now = int(rng.integers(64)), float(rng.uniform(0, 8))
+        frames = []
         jitter = [[radical_inverse(start + k, 2), radical_inverse(start + k, 3)]
                   for k in range(FRAMES + passes)]
         style = Style("realtime", 1, np.array(jitter, np.float32) - 0.5)
@@ -215,9 +220,11 @@ def make_view(tracer: Tracer, built: BuiltScene, size: tuple[int, int], seed: in
             total += image
             means += [total / n] if n in counts else []
     further = [planes(FRAMES + k) for k in range(passes)]
-    made |= {f"pass_{name}": np.float32([one[name] for one in further])
+    made |= {f"pass_{name}": np.array([one[name] for one in further], np.float32)
              for name in (further[0] if further else ())}
-    return made | ({"counts": np.array(counts), "means": np.float32(means)} if stack else {})
+    if stack:
+        made |= {"counts": np.array(counts), "means": np.array(means, np.float32)}
+    return made
 
 
 def draw_pose(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -235,7 +242,7 @@ def camera_vector(to_world: np.ndarray, fov: float, aspect: float,
     its place in the world, the tangents of half the field of view across and down, and the jitter
     in pixels."""
     tangent = np.tan(np.radians(fov) / 2)
-    return np.float32([*to_world[:3, :4].T.ravel(), tangent, tangent / aspect, *jitter])
+    return np.array([*to_world[:3, :4].T.ravel(), tangent, tangent / aspect, *jitter], np.float32)
 
 
 if __name__ == "__main__":

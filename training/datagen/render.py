@@ -22,6 +22,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from training.datagen.render_worker import add_options, clip_path
 
@@ -34,11 +35,17 @@ class Worker:
 
     gpu: str
     number: int
-    process: subprocess.Popen | None = None
+    process: subprocess.Popen[str] | None = None
     clip: int | None = None
     ready: bool = False
     since: float = 0.0
     deaths: int = 0
+
+    @property
+    def running(self) -> subprocess.Popen[str]:
+        """Its process, which was started."""
+        assert self.process is not None
+        return self.process
 
 
 def options() -> argparse.ArgumentParser:
@@ -94,7 +101,7 @@ class Farm:
         skipped = {int(line.split()[0]) for line in lines}
         there = {index for index in range(args.clips) if clip_path(args.out, index).exists()}
         self._todo = deque(index for index in range(args.clips) if index not in there | skipped)
-        self._events: queue.SimpleQueue = queue.SimpleQueue()
+        self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         slots = [gpu for _ in range(args.processes_per_gpu) for gpu in args.gpus.split(",")]
         self._workers = [Worker(gpu, k) for k, gpu in enumerate(slots)]
         self._began, self._ended = time.monotonic(), False
@@ -140,7 +147,8 @@ class Farm:
         threading.Thread(target=self._listen, args=(worker, worker.process), daemon=True).start()
         self._next(worker)
 
-    def _listen(self, worker: Worker, process: subprocess.Popen) -> None:
+    def _listen(self, worker: Worker, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None, "it is a pipe"
         for line in process.stdout:
             self._events.put((worker, process, line))
         process.wait()
@@ -148,14 +156,15 @@ class Farm:
 
     def _next(self, worker: Worker) -> None:
         """Hand out a clip. When none is left, the worker ends by itself."""
-        worker.clip = None
+        worker.clip, pipe = None, worker.running.stdin
+        assert pipe is not None
         try:
             if self._todo and not self._late():
                 worker.clip, worker.since = self._todo.popleft(), time.monotonic()
-                worker.process.stdin.write(f"{worker.clip}\n")
-                worker.process.stdin.flush()
+                pipe.write(f"{worker.clip}\n")
+                pipe.flush()
             else:
-                worker.process.stdin.close()
+                pipe.close()
         except BrokenPipeError:
             pass  # it has died: the end of its output follows
 
@@ -165,7 +174,7 @@ class Farm:
         elif line.startswith("{"):
             self._count(worker, json.loads(line))
 
-    def _count(self, worker: Worker, answer: dict) -> None:
+    def _count(self, worker: Worker, answer: dict[str, Any]) -> None:
         worker.ready, worker.since = True, time.monotonic()
         if "clip" in answer:
             self.made, self.samples = self.made + 1, self.samples + answer["samples"]
@@ -175,9 +184,9 @@ class Farm:
     def _died(self, worker: Worker) -> None:
         """Restart a worker. The clip that it died of is skipped; one that it never began goes back
         to the queue."""
-        self._sweep(worker.process.pid)
+        self._sweep(worker.running.pid)
         clip, reason = (worker.clip,
-                        f"exit status {worker.process.returncode}, see worker.{worker.number}.log")
+                        f"exit status {worker.running.returncode}, see worker.{worker.number}.log")
         if clip is not None:
             worker.deaths += 1
             print(f"worker {worker.number} ended at clip {clip}: {reason}", flush=True)
@@ -193,7 +202,7 @@ class Farm:
         for worker in self._workers:
             if (worker.clip is not None
                 and time.monotonic() - worker.since > 60 * self._args.clip_minutes):
-                worker.process.kill()
+                worker.running.kill()
 
     def _kill(self) -> None:
         running = [worker.process

@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -76,13 +77,14 @@ def clip_path(folder: Path, index: int) -> Path:
     return folder / f"clip.{index:05d}.npz"
 
 
-def light_paths(reference: np.ndarray, variants: list[dict], facts: dict) -> int:
+def light_paths(reference: np.ndarray, variants: list[dict[str, Any]],
+                facts: dict[str, Any]) -> int:
     """Camera samples that a clip took."""
     count = reference[..., 0].size * facts["meta"]["reference_spp"]
     return int(count + sum(v["colour"][..., 0].size * v["spp"] for v in variants))
 
 
-def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
+def maker(args: argparse.Namespace) -> Callable[[int], tuple[Any, ...]]:
     """A function from a clip's number to the arguments of `save_clip`."""
     if args.blender:
         return cycles_maker(args)
@@ -102,7 +104,9 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
     families = tuple(args.families.split(",")) if args.families else ()
     if unknown := [name for name in families if name not in FINE]:
         sys.exit(f"--families: no kind '{unknown[0]}': there are {', '.join(FINE)}")
-    fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}
+    fixed: dict[str, Any] = {}
+    if args.scale is not None:
+        fixed = {"scales": (args.scale,), "scale_chances": (1.0,)}
     options = ClipOptions(args.width, args.height, args.frames,
                           args.variants or ClipOptions.variants, args.reference_spp,
                           args.reference_error, real_share=args.real_share, even_spp=args.even_spp,
@@ -112,11 +116,13 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
     return lambda index: make_clip(tracer, options, maps, real, args.seed, index)
 
 
-def cycles_maker(args: argparse.Namespace) -> Callable[[int], tuple]:
+def cycles_maker(args: argparse.Namespace) -> Callable[[int], tuple[Any, ...]]:
     """The same with Cycles; `--real` is the folder of glTF scenes, panoramas and pages."""
     from training.datagen.cycles.clips import Blender, CyclesOptions, make_clip
 
-    fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}
+    fixed: dict[str, Any] = {}
+    if args.scale is not None:
+        fixed = {"scales": (args.scale,), "scale_chances": (1.0,)}
     options = CyclesOptions(args.width, args.height, args.frames,
                             args.even_spp or CyclesOptions.most_spp,
                             args.half_samples, args.variants or CyclesOptions.renders,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -317,7 +318,7 @@ def _offset(table: mi.Float, drawn: mi.Float) -> mi.Float:
     return dr.lerp(low, dr.gather(mi.Float, table, index + 1), position - mi.Float(index))
 
 
-def _properties(table: mi.Float, row: mi.UInt32, active: mi.Bool) -> tuple:
+def _properties(table: mi.Float, row: mi.UInt32, active: mi.Bool) -> tuple[Any, ...]:
     value = [dr.gather(mi.Float, table, row * ROW + k, active) for k in range(7)]
     return mi.Color3f(*value[:3]), *value[3:]
 

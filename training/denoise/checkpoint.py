@@ -25,6 +25,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from postfx.kernels.denoise import BLEND, SHARPEN
 from training.denoise.picture import ADDED_LAYERS
 
 PREFIX, HALF = "trunk.", "_half"
@@ -188,9 +189,10 @@ def unpack(path: Path) -> dict[str, Any]:
 
 # Mixtures -----------------------------------------------------------------------------------------
 
-BLEND_BIAS = PREFIX + "controls.bias"
-"""Of a picture network: its first value is the logit of the new picture's share beside the
-history."""
+NEWER_LOGITS = {PREFIX + "controls.bias": slice(0, 1),
+                PREFIX + "fine.bias": slice(4 * BLEND, 4 * SHARPEN)}
+"""By layer, of a picture network and of one that predicts filters: where the logits of the new
+picture's share beside the history are."""
 
 
 def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None,
@@ -199,9 +201,9 @@ def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None,
     name the mixture.
 
     The first part is a checkpoint; others may be exported networks, also with fewer channels or
-    levels. Of the mean, the finest ``levels`` stay (None: all). ``newer`` raises the share of a
-    picture network's new picture beside the history, in logits. Raises ValueError if shares do not
-    add up to 1 or a network does not fit.
+    levels. Of the mean, the finest ``levels`` stay (None: all). ``newer`` raises the share of the
+    new picture beside the history, in logits. Raises ValueError if shares do not add up to 1 or a
+    network does not fit.
     """
     if abs(sum(share for _, share in parts) - 1) > 1e-6:
         raise ValueError(f"shares add up to {sum(share for _, share in parts):g}, not to 1")
@@ -230,9 +232,8 @@ def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None,
         weights, config = keep_levels(weights, levels), {**config,
                                                          "widths": config["widths"][:levels]}
     if newer:
-        if BLEND_BIAS not in weights:
-            raise ValueError(f"{parts[0][0]}: no picture network: --newer is for those alone")
-        weights[BLEND_BIAS][0] += newer
+        name = next(name for name in NEWER_LOGITS if name in weights)
+        weights[name][NEWER_LOGITS[name]] += newer
         told += f", new pictures {newer:+g} logits"
     notes = {**first["notes"], **begun, "weights": told}
     return {"config": config, "weights": weights, "notes": notes}
@@ -268,8 +269,7 @@ def options() -> argparse.ArgumentParser:
     mixing.add_argument("--levels", type=int, metavar="N",
                         help="keep the N finest levels (default: all)")
     mixing.add_argument("--newer", type=float, default=0.0, metavar="LOGITS",
-                        help="of a picture network: raise the new picture's share beside the "
-                        "history")
+                        help="raise the new picture's share beside the history")
     mixing.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
     grafting = commands.add_parser("graft",
                                    help="give a network the layers of another one that it lacks")

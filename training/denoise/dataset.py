@@ -228,11 +228,12 @@ PAIRS = {"inverse": inverse_motion, "static": static_motion}
 
 class ClipPool:
     """All clips of some folders, each with the weight of its clips; grows while the data factory is
-    still writing."""
+    still writing. ``prepare`` changes each clip that is loaded."""
 
     def __init__(self, folders: Mapping[Path, float], device: torch.device, guides: bool = False,
                  share: int = 0, shares: int = 1, held_out: int = 20, pairs: tuple[str, ...] = (),
-                 blank_volumes: bool = True):
+                 blank_volumes: bool = True, prepare: Callable[[Clip], Clip] | None = None):
+        self.prepare = prepare
         self.folders, self.device, self.guides, self.pairs = folders, device, guides, pairs
         self.blank_volumes = blank_volumes
         self.share, self.shares, self.held_out = share, shares, held_out
@@ -288,7 +289,8 @@ class ClipPool:
     def _load(self, path: Path) -> Clip | None:
         for _ in range(MOST_TRIES):
             try:
-                return load(path, self.device, self.guides, self.pairs, self.blank_volumes)
+                clip = load(path, self.device, self.guides, self.pairs, self.blank_volumes)
+                return self.prepare(clip) if self.prepare else clip
             except ValueError as fault:
                 print(f"left out: {fault}", flush=True)
                 return None
@@ -447,7 +449,7 @@ def _window(clip: Clip, crop: int | None) -> tuple[slice, slice, slice, slice]:
 def to_batch(stack: Stack) -> Batch:
     guides = [None] * stack.planes.shape[1] if stack.guides is None else stack.guides.unbind(1)
     planes, *motions = stack.planes.split([CHANNELS, *[2] * len(stack.pairs)], 2)
-    frames = [_inputs(p, j, g, stack.exposure)
+    frames = [frame_inputs(p, j, g, stack.exposure)
               for p, j, g in zip(planes.unbind(1), stack.jitter.unbind(1), guides, strict=True)]
     references = (stack.reference * stack.exposure[:, None]).clamp(0, 1e4).transpose(0, 1)
     pairs = {name: list(motion.unbind(1))
@@ -459,7 +461,8 @@ def to_batch(stack: Stack) -> Batch:
                  **pairs)
 
 
-def _inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None, exposure: Tensor) -> Inputs:
+def frame_inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None,
+                 exposure: Tensor) -> Inputs:
     """Inputs of one frame from stacked planes (N, 22, h, w); ``exposure`` (N, 1, 1, 1)."""
     split = _split(planes, PLANES)
     split["colour"] = (torch.nan_to_num(split["colour"]).clamp(min=0) * exposure).clamp(max=1e4)
@@ -478,7 +481,7 @@ def _split(stacked: Tensor, planes: tuple[tuple[str, int], ...]) -> dict[str, Te
 # of noise, with false motion or missing planes.
 
 # First channels of these planes in a stack; further kinds of motion follow motion.
-NORMAL, MIRRORED_ALBEDO, MIRRORED_NORMAL, MOTION = 9, 14, 17, 20
+NORMAL, DEPTH, MIRRORED_ALBEDO, MIRRORED_NORMAL, MOTION = 9, 13, 14, 17, 20
 # Albedos, normals and roughness: means over a pixel's samples, where those are spread.
 SURFACE = slice(3, 13), slice(14, 20)
 # Values for a plane that a file lacks; postfx/passes/denoise/planes.py fills in the same ones.

@@ -91,8 +91,12 @@ from training.kernels import denoise as kernels
 from training.kernels import extras, partner, parts
 
 CHECKED = (48, 80)  # size at which the export is compared with torch: not the size that is traced
-SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x", UNSCALED: "recurrent denoised upscaler, "
-             "for 1x", GUIDED: "recurrent denoised upscaler, 1x to 3x, guides at output size"}
+MIXTURES = "xl"
+"""Tag of the network that enlarges mixtures of noisy and denoised frames."""
+SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x",
+             UNSCALED: "recurrent denoised upscaler, for 1x",
+             GUIDED: "recurrent denoised upscaler, 1x to 3x, guides at output size",
+             MIXTURES: "recurrent upscaler, 1x to 3x, of frames that xl.1x has denoised first"}
 CONTENT = (f"logits of 5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend and "
            f"sharpening at four phases 4 + 4, mix, distrust, importance, hidden state {HIDDEN}")
 MEANING = {
@@ -116,8 +120,8 @@ HALO = 80
 """Render pixels around a window of a network of the render size: on four sequences with the network
 `l` the result then differs from the whole frame's by at most 3e-5, with 64 pixels by 2e-3
 (docs/lab/denoiser.md)."""
-FILTERED_HALO = 96
-"""The same where a filter for the albedo runs before: with `xl` by at most 1.5e-4, with 80 pixels
+FILTERED_HALO = 84
+"""The same where a filter for the albedo runs before: with `xl` by at most 8.1e-4, with 80 pixels
 by 1.1e-3."""
 
 
@@ -356,7 +360,7 @@ def card(checkpoint: dict[str, Any], tag: str, error: float,
         "name": f"denoise_upscale.{tag}",
         "pass": "denoise_upscale",
         "tag": tag,
-        "summary": SUMMARIES[split_ending(tag)[1]],
+        "summary": SUMMARIES[tag if tag == MIXTURES else split_ending(tag)[1]],
         "parameters": sum(weight.numel() for weight in checkpoint["weights"].values()),
         "inputs": {
             name: {

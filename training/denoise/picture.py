@@ -67,6 +67,7 @@ EVEN_SIDE_PX = 7  # side of the windows in which light is taken as even
 GUARDED_SIDE_PX = 15  # side of the windows in which a history is compared with the new picture
 USUAL_CHANGE = 0.3  # squared difference of such a history, over the expected squared error
 LEAST_CHANGE = 1e-9  # squared, in codes
+LEAST_VALID = 1e-3  # share of a window: less than one of its pixels
 LEAST_LIGHT = 1e-5  # whose code still has a small gradient
 LEAST_ALBEDO = 0.01  # is added, so that ratios of black surfaces stay small
 DETAIL_BEGINS = -3.0  # logit of the share of the albedo's texture: 5 %
@@ -354,7 +355,9 @@ class PictureNetwork(PublishedNetwork):
             judged = judged.float()
             controls, error = self.controls(judged), self.error(judged)
             if self.config.guarded:
-                controls = with_guarded_history(controls, codes - history.float(), error)
+                change = codes - history.float()
+                valid = further[:, VALID:VALID + 1].float()
+                controls = with_guarded_history(controls, change, valid, error)
             found = activate(codes, controls, error)
         return *found, corrected[:, 3:]
 
@@ -529,16 +532,19 @@ def albedo_in_even_light(light: Tensor, albedo: Tensor) -> Tensor:
     return factor * local_mean(light) / local_mean(factor)
 
 
-def with_guarded_history(controls: Tensor, change: Tensor, error: Tensor) -> Tensor:
+def with_guarded_history(controls: Tensor, change: Tensor, valid: Tensor, error: Tensor) -> Tensor:
     """The controls (N, 11, h, w) before they are activated, with a larger share of the new picture
     where it has moved away from the history.
 
     Under moving water, light and shadow do not go where the motion leads. Single pixels of such a
     history look as right as noise lets them, but all of them together differ from the new picture
     by more than its expected error. ``change`` (N, 3, h, w) are the differences of codes,
-    ``error`` (N, 1, h, w) the logarithms of the expected squared errors.
+    ``valid`` (N, 1, h, w) is 1 where a pixel has a history, and ``error`` (N, 1, h, w) are the
+    logarithms of the expected squared errors. Pixels without a history say nothing about that of
+    their neighbours.
     """
-    squared = local_mean(change.square().mean(1, keepdim=True), GUARDED_SIDE_PX)
+    changed = local_mean(valid * change.square().mean(1, keepdim=True), GUARDED_SIDE_PX)
+    squared = changed / local_mean(valid, GUARDED_SIDE_PX).clamp(min=LEAST_VALID)
     excess = F.relu(torch.log((squared + LEAST_CHANGE) / USUAL_CHANGE) - error)
     return torch.cat((controls[:, :DISTRUST] + excess, controls[:, DISTRUST:]), 1)
 

@@ -42,6 +42,7 @@ from torch import Tensor, nn
 
 from training.denoise.checkpoint import git_commit, load_weights, read, save, unpack, widen
 from training.denoise.dataset import Augment, Batch, Clip, ClipPool, collate, to_batch
+from training.denoise.first_stage import FirstStage
 from training.denoise.gradient import FlatGradient, GradientStep, fuse
 from training.denoise.loss import LIGHT, ClipLoss
 from training.denoise.model import DenoiseUpscale, State, Trunk, TrunkConfig, empty_state
@@ -60,7 +61,7 @@ DECAY = 0.9995  # of the average of the weights
 LARGEST_NORM = 1.0  # of a gradient
 PLAYING = 8  # playbacks between which --carry draws
 # arguments that name files: no checkpoint keeps them
-PLACES = ("clips", "out", "start", "resume", "onward", "log")
+PLACES = ("clips", "out", "start", "resume", "onward", "log", "first")
 
 
 def options() -> argparse.ArgumentParser:
@@ -91,6 +92,10 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--picture", action="store_true",
                         help="a network that gives the picture itself (picture.py); --start with "
                         "the file of training.denoise.open_weights")
+    parser.add_argument("--first", type=Path, metavar="FILE",
+                        help="train a network that enlarges by 2 what the picture network of this "
+                        "checkpoint has denoised: clips of the render's size are shrunk, denoised "
+                        "by it, and mixed with the noisy colour (first_stage.py)")
     parser.add_argument("--published-rate", type=float, default=0.05, metavar="SHARE",
                         help="with --picture: of the learning rate, for the weights of a published "
                         "network; 0 keeps them (default: %(default)s)")
@@ -387,7 +392,8 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1,
     kinds = (("inverse",) if args.both_ways or args.carry else ()) + (("static",)
                                                                       if args.false_motion else ())
     pool = ClipPool(dict(args.clips), device, args.guides, rank, world, pairs=kinds,
-                    blank_volumes=not args.volumes)
+                    blank_volumes=not args.volumes,
+                    prepare=FirstStage(args.first, device) if args.first else None)
     wait_for_clips(pool, args.wait, folder_names(args))
     tell_empty_folders(pool)
     augment = Augment(clean=args.clean, false_motion=args.false_motion)

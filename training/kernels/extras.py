@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise import FARTHEST, MOST_MOTION, NEAREST
+from postfx.kernels.denoise import FARTHEST, MAX_COLOUR, MOST_MOTION, NEAREST
 from postfx.kernels.denoise import history as layout
 from postfx.kernels.denoise.history import SPREAD
 from postfx.kernels.denoise.output import (
@@ -93,7 +93,7 @@ def over(front: Tensor, alpha: Tensor, behind: Tensor) -> Tensor:
 
 def compress(colour: Tensor, exposure: Tensor) -> Tensor:
     """Exposed light as a display shows it, 0 to 1."""
-    light = (ops.sanitise(colour, 0, MAX_FLOAT) * exposure).clamp(max=ops.MAX_COLOUR)
+    light = (ops.sanitise(colour, 0, MAX_FLOAT) * exposure).clamp(max=MAX_COLOUR)
     return torch.sqrt(light / (1 + light))
 
 
@@ -284,7 +284,7 @@ class Restore(nn.Module):
 
 def light(colour: Tensor, params: Tensor) -> Tensor:
     """Exposed luminance (h, w), within the network's range."""
-    exposed = (ops.sanitise(colour, 0, MAX_FLOAT) * params[0]).clamp(max=ops.MAX_COLOUR)
+    exposed = (ops.sanitise(colour, 0, MAX_FLOAT) * params[0]).clamp(max=MAX_COLOUR)
     return 0.2126 * exposed[..., 0] + 0.7152 * exposed[..., 1] + 0.0722 * exposed[..., 2]
 
 

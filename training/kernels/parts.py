@@ -7,11 +7,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise import NEAR_CELL
+from postfx.kernels.denoise import (
+    BLEND,
+    DISTRUST,
+    IMPORTANCE,
+    KERNEL,
+    NEAR_CELL,
+    SHARPEN,
+)
 from postfx.kernels.denoise import alpha as means
 from training import ops
-from training.denoise import model as network
-from training.denoise.model import DISTRUST, IMPORTANCE, KERNEL, MAX_FLOAT
+from training.denoise.model import MAX_FLOAT
 from training.kernels.denoise import Window, part, shares, to_image, to_picture
 
 DARKEST = 1e-30
@@ -61,11 +67,11 @@ class UpsampleLight(nn.Module):
         motion = frame.enlarged_motion(moved, at)
         held = ops.inside(motion, place, (frame.height, frame.width))
         known = ops.pick((to_image(past)[:, 3:] >= 0).to(moved.dtype), at.rows, at.columns)
-        weights = fine[:, KERNEL:network.BLEND, :h, :w].reshape(1, 9, 4, h, w)
+        weights = fine[:, KERNEL:BLEND, :h, :w].reshape(1, 9, 4, h, w)
         now, _ = ops.upsample_at(radiance[None, :, 1:1 + h, 1:1 + w], weights, params[None, 1:3],
                                  at)
         now = torch.where(now <= MAX_FLOAT, now / params[0], 0)[0].unflatten(0, (-1, 3))
-        phases = fine[:, network.BLEND:network.SHARPEN, :h, :w].reshape(1, 1, 4, h, w)
+        phases = fine[:, BLEND:SHARPEN, :h, :w].reshape(1, 1, 4, h, w)
         trust = held * known * shares(keep, at.rows,
                                       at.columns) * (1 - ops.interpolate_at(phases, at))
         before = ops.warp(last.permute(0, 3, 1, 2).flatten(0, 1)[None], motion, "bicubic",
@@ -141,7 +147,7 @@ class EnlargeAlpha(nn.Module):
                 window: Tensor, near: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
         frame, (h, w) = Window.of(window), (part_rows.shape[0], part_columns.shape[0])
         at = frame.centres((rows.long(), columns.long()), fine[0, 0, :h, :w, None])
-        weights = fine[:, KERNEL:network.BLEND, :h, :w].reshape(1, 9, 4, h, w)
+        weights = fine[:, KERNEL:BLEND, :h, :w].reshape(1, 9, 4, h, w)
         held = filtered[None, :, :h, :w]
         now, _ = ops.upsample_at(held, weights, params[None, 1:3], at)
         own = ops.pick(held, at.rows, at.columns)

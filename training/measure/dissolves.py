@@ -5,9 +5,9 @@ python -m training.measure.dissolves
 Three shots with vectors dissolve into eight others in eight steps. A row says how far frames
 between are above the better of both, in dB: on average, at worst, and how many are more than 0.2
 and 1 dB below. Ways: by the two frames alone; with those beside them, by the most even way alone;
-and by all ways as even as they are, as it is. Then the dissolves one by one as it is, the worst
-first, and the three rows again for dissolves that are drawn by chance: pans, zooms and turns of
-other speeds and lights, half of them with a disc, in five to eleven steps.
+by all ways as even as they are, as it is; and the same without vectors. Then the dissolves one by
+one as it is, the worst first, and the four rows again for dissolves that are drawn by chance: pans,
+zooms and turns of other speeds and lights, half of them with a disc, in five to eleven steps.
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from postfx import Between, Frame, Role
-from postfx.interpolate import ways
+from postfx.interpolate import BY_VECTORS, ways
 
 HEIGHT, WIDTH, STEPS = 96, 160, 8
 SEEN_DB = 52
 """Frames that are better than that by either way are left out: nobody sees a difference."""
 BEST_ALONE_POWER = 60
 """Power of unevenness by which next to only the best way counts."""
+WAYS = ("by two frames", "the most even one alone", "all as even as they are", "without vectors")
+AS_IT_IS = 2
+"""Which of them is what postfx does."""
 Y, X = np.mgrid[:HEIGHT, :WIDTH] + 0.5
 Shot = Callable[[float], np.ndarray]
 
@@ -142,8 +145,9 @@ def gains(going: tuple[Shot, Shot], coming: Shot, steps: int = STEPS) -> list[li
     for time in range(steps):
         earlier, before, after, later = frames[time:time + 4]
         wanted, mean = shown(time + 0.5), (before[Role.COLOUR] + after[Role.COLOUR]) / 2
-        flow = Between(frame(time, False), frame(time + 1, False)).frame(0.5)[Role.COLOUR]
-        best = max(psnr(flow, wanted), psnr(mean, wanted))
+        alone = Between(frame(time, False), frame(time + 1, False))
+        alone._shares = BY_VECTORS  # which are estimated
+        best = max(psnr(alone.frame(0.5)[Role.COLOUR], wanted), psnr(mean, wanted))
         if best > SEEN_DB:
             continue
         row = [Between(before, after)]
@@ -154,6 +158,9 @@ def gains(going: tuple[Shot, Shot], coming: Shot, steps: int = STEPS) -> list[li
             ways.UNEVEN_POWER = power
             shares.append(psnr(between.frame(0.5)[Role.COLOUR], wanted) - best)
             ways.UNEVEN_POWER = usual
+        earlier, before, after, later = (frame(time + k, False) for k in range(-1, 3))
+        none = Between(before, after, later, last=Between(earlier, before))
+        shares.append(psnr(none.frame(0.5)[Role.COLOUR], wanted) - best)
         found.append(shares)
     return found
 
@@ -164,7 +171,7 @@ def main() -> None:
              for name, going in GOING.items() for other, coming in COMING.items()}
     _print_ways(list(found.values()), "frames between")
     print("dissolve | mean | worst | below -0.2 | below -1")
-    as_it_is = {name: rows[:, -1] for name, rows in found.items() if len(rows)}
+    as_it_is = {name: rows[:, AS_IT_IS] for name, rows in found.items() if len(rows)}
     for name, gain in sorted(as_it_is.items(), key=lambda one: one[1].min()):
         print(f"{name} | {_row(gain)}")
     random = np.random.default_rng(DRAWN_SEED)
@@ -177,8 +184,7 @@ def _print_ways(found: Sequence[np.ndarray], name: str) -> None:
     """A row for each way, of gains of dissolves."""
     every = np.concatenate([rows for rows in found if len(rows)])
     print(f"{len(every)} {name} | mean | worst | below -0.2 | below -1")
-    for way, gain in zip(("by two frames", "the most even one alone", "all as even as they are"),
-                         every.T, strict=True):
+    for way, gain in zip(WAYS, every.T, strict=True):
         print(f"{way} | {_row(gain)}")
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -147,7 +148,8 @@ def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, dict
     frames. A static
         curve shows a render's noise and detail as flicker, in proportion to its contrast.
     """
-    before, sums, count = {}, {name: np.zeros(2) for name in looks}, 0
+    before: dict[str, Any] = {}
+    sums, count = {name: np.zeros(2) for name in looks}, 0
     for frame, motion in zip(exposed_frames(folder), motions(folder), strict=False):
         now = {name: make(frame) for name, make in looks.items()}
         if before:

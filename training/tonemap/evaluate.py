@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ from training.measure.quality_report.document import Block, compose, number, par
 from training.tonemap.checks import (
     SRGB,
     STEPS,
+    Maker,
     Render,
     exposed_frames,
     flicker,
@@ -164,7 +166,8 @@ class Mapper:
     """
 
     def __init__(self, tag: str, keep: float | None = None) -> None:
-        self._device, self._tag, self._keep, self._pipelines = Device("cpu"), tag, keep, {}
+        self._device, self._tag, self._keep = Device("cpu"), tag, keep
+        self._pipelines: dict[Any, Any] = {}
         library, model = find_model(tag)
         self.name, self.card = model.removeprefix("tonemap."), library.card(model)
 
@@ -236,11 +239,16 @@ def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, dict[str, 
     if not look.is_global:
         renders["still"] = mapper.hold(np.mean([mapper.smooth_state(frame) for frame in frames], 0))
         renders["cube"] = nearest_cube(look.view, light, shown)
-    makers = {name: lambda frame, render=render: render(frame[Role.COLOUR])
-              for name, render in renders.items()}
-    figures = flicker(folder, {"look": mapper.follow} | makers, "view")
+    makers: dict[str, Maker] = {"look": mapper.follow}
+    for name, render in renders.items():
+        makers[name] = partial(_render_colour, render)
+    figures = flicker(folder, makers, "view")
     figures["look"]["psnr"] = round(psnr(shown[-1], exact_target(light[-1], look)), 2)
     return figures
+
+
+def _render_colour(render: Render, frame: Frame) -> np.ndarray:
+    return render(frame[Role.COLOUR])
 
 
 def nearest_cube(view: View, light: list[np.ndarray], shown: list[np.ndarray]) -> Render:
@@ -322,9 +330,9 @@ def print_following(tag: str, pictures: dict[str, np.ndarray]) -> None:
     for stops in STEPPED:
         frames = span(frames_of_step(mapper, rgb, way * stops) for rgb in lights for way in (-1, 1))
         print(f"{tag}: a step of {stops:g} stops is followed in {frames} frames", flush=True)
-    for frames in RAMPS:
-        print(f"{tag}: lags by {span(measure_lag(mapper, alone, rgb, frames) for rgb in lights)} "
-              f"code values in a ramp of a stop in {frames} frames", flush=True)
+    for length in RAMPS:
+        print(f"{tag}: lags by {span(measure_lag(mapper, alone, rgb, length) for rgb in lights)} "
+              f"code values in a ramp of a stop in {length} frames", flush=True)
 
 
 # The command --------------------------------------------------------------------------------------

@@ -102,7 +102,7 @@ def _table(view: Lut) -> Transform:
 
 
 @cache
-def _processor(view: Ocio) -> object:
+def _processor(view: Ocio) -> Any:
     import PyOpenColorIO as OCIO
 
     try:
@@ -111,7 +111,7 @@ def _processor(view: Ocio) -> object:
         raise SystemExit(f"{view.config}: {error}") from None
 
 
-def _config(ocio: object, name: str) -> object:
+def _config(ocio: Any, name: str) -> Any:
     """A built-in config by name, or one from a file."""
     if name in {entry[0] for entry in ocio.BuiltinConfigRegistry().getBuiltinConfigs()}:
         return ocio.Config.CreateFromBuiltinConfig(name)
@@ -123,7 +123,7 @@ def _config(ocio: object, name: str) -> object:
         raise SystemExit(f"{name}: {error}") from None
 
 
-def _display(ocio: object, view: Ocio) -> object:
+def _display(ocio: Any, view: Ocio) -> Any:
     shown = next((kind.title for name, kind in DISPLAY_KINDS.items()
                   if view.display in DISPLAYS[name] and name != SRGB), None)
     if shown:
@@ -138,7 +138,7 @@ def _display(ocio: object, view: Ocio) -> object:
     return pipeline.getProcessor(config)
 
 
-def _linear_rec709(config: object) -> str:
+def _linear_rec709(config: Any) -> str:
     """The config's name of linear Rec.709."""
     for name in (ACES_LINEAR, "lin_rec709", "Linear Rec.709", "Utility - Linear - sRGB",
                  "lin_srgb"):

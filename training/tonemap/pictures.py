@@ -18,6 +18,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -129,7 +130,7 @@ def read(path: str, space: str | None = None) -> np.ndarray:
 def expose(rgb: np.ndarray) -> np.ndarray:
     """Scale so that the geometric mean of the luminance between the 2nd and 98th percentile is mid
     grey, 0.18."""
-    log = np.log2(np.maximum(rgb @ np.float32([0.2126, 0.7152, 0.0722]), 2.0**-30))
+    log = np.log2(np.maximum(rgb @ np.array([0.2126, 0.7152, 0.0722], np.float32), 2.0**-30))
     log = log[log > -30]
     if not log.size:  # black
         return rgb
@@ -239,7 +240,7 @@ def lesson(look: Look, pictures: Pictures) -> Lesson:
 
 
 def save(path: str, pictures: Pictures, lessons: dict[str, Lesson]) -> None:
-    arrays = {f"train/{name}": picture for name, picture in pictures.train.items()}
+    arrays: dict[str, Any] = {f"train/{name}": picture for name, picture in pictures.train.items()}
     arrays |= {f"held/{name}": picture for name, picture in pictures.held.items()}
     arrays["panoramas"] = np.array(sorted(pictures.panoramas))
     for name, one in lessons.items():

@@ -313,8 +313,8 @@ def train_grid(net: HDRNet, source: Source, recipe: Recipe, held: HeldOut, wante
             group["lr"] = recipe.rate * warm * (0.5 + 0.5 * math.cos(math.pi * progress)) + 1e-6
         with torch.no_grad():
             batch = source.batch(recipe.batch, recipe.scale)
-        shift = tuple(int(v) for v in source.random.integers(0, SHIFT + 1, 2))
-        picture, consistency = losses(net, batch, shaper, shift)
+        down, right = map(int, source.random.integers(0, SHIFT + 1, 2))
+        picture, consistency = losses(net, batch, shaper, (down, right))
         optimizer.zero_grad(set_to_none=True)
         (picture + CONSISTENCY * consistency).backward()
         torch.nn.utils.clip_grad_norm_(trained, 1.0)
@@ -489,7 +489,8 @@ def teach(args: argparse.Namespace, device: torch.device, log: Path) -> Checkpoi
         if args.pairs:
             from training.tonemap.pairs import read_pairs
 
-            pairs = read_pairs(*args.pairs, args.space, SIDE, args.hold_out)
+            hdr, sdr = args.pairs
+            pairs = read_pairs(hdr, sdr, args.space, SIDE, args.hold_out)
             return teach_pairs(pairs, args.start, recipe, device, watch)
         if args.set:
             pictures, task = load(args.set, args.tag)

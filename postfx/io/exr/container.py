@@ -76,6 +76,7 @@ class Storage:
         sizes: the numbers after them, as `struct` writes it.
         least_bytes: of a file whose part has so many pixels.
         window, display: data window and display window.
+        width, height: of the data window.
         is_display_possible: whether the display window is of a size that files have.
         lines: rows of a chunk of scanlines.
         compression: OpenEXR's number of it.
@@ -90,6 +91,8 @@ class Storage:
     least_bytes: int
     window: Window
     display: Window
+    width: int
+    height: int
     is_display_possible: bool
     lines: int
     compression: int
@@ -125,6 +128,8 @@ def _find_storage(*stored: Attribute | None) -> Storage:
         least_bytes=_find_least_bytes(header),
         window=data,
         display=display,
+        width=data.width,
+        height=data.height,
         is_display_possible=_is_display_possible(display, data),
         lines=LINES[header.compression],
         compression=header.compression,
@@ -465,7 +470,7 @@ def read_rows(file: ExrContainer, part: int, planes: ChannelPlanes, first: int, 
 
     storage = file.storages[part]
     begin, end = first // storage.lines, -(-last // storage.lines)
-    if not 0 <= first < last <= storage.window.height or end > file.counts[part]:
+    if not 0 <= first < last <= storage.height or end > file.counts[part]:
         return False
     stored = file.read_chunks(part, begin, end)
     step = max(1, ZIP_LINES // storage.lines)
@@ -493,7 +498,7 @@ def read_stored(file: ExrContainer, part: int, names: Sequence[str], first: int,
     if words is None:
         return None
     rows = words[first - begin * storage.lines:][:last - first]
-    found, width = [], storage.window.width
+    found, width = [], storage.width
     for name in names:
         kind, column = storage.channels[name]
         end = column + width * SAMPLE_BYTES[kind] // 2
@@ -517,13 +522,13 @@ def _unpack(storage: Storage, stored: list[memoryview], top: int) -> np.ndarray 
     broken."""
     from postfx.io.pixel_formats import decompress_rows  # headers must not wait
 
-    lines, window = storage.lines, storage.window
-    words = np.empty((min(len(stored) * lines, window.height - top), storage.line_bytes // 2),
+    lines = storage.lines
+    words = np.empty((min(len(stored) * lines, storage.height - top), storage.line_bytes // 2),
                      np.uint16)
     for place, chunk in enumerate(stored):
         row = place * lines
         is_whole = decompress_rows(chunk[8:], words[row : row + lines].reshape(-1))
-        if not is_whole or struct.unpack_from("<i", chunk)[0] != window.y0 + top + row:
+        if not is_whole or struct.unpack_from("<i", chunk)[0] != storage.window.y0 + top + row:
             return None
     return words
 
@@ -650,20 +655,20 @@ def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
 
 def _plain_chunks(storage: Storage, read: Rows, apart: bool) -> Iterator[tuple[int, bytes]]:
     """The same from the top, packed here."""
-    data, line_bytes = storage.window, storage.line_bytes
+    height, line_bytes = storage.height, storage.line_bytes
     count = oiio.get_int_attribute("threads")
     rows = rows_of_task(count)
     step = rows if apart else max(1, _PIECE_BYTES // (line_bytes * rows)) * rows
 
     def tasks() -> Iterator[Callable[[], list[bytes]]]:
-        for first in range(0, data.height, step):
-            last = min(data.height, first + step)
+        for first in range(0, height, step):
+            last = min(height, first + step)
             channels = [] if apart else read(first, last)
             for top in range(first, last, rows):
                 some = slice(top - first, top - first + rows)
                 get = (partial(read, first, last) if apart
                        else partial(list, [channel[some] for channel in channels]))
-                yield partial(_pack, get, storage, data.y0 + top)
+                yield partial(_pack, get, storage, storage.window.y0 + top)
 
     packed = (chunk for chunks in run_in_order(file_threads(count), tasks(), 2 * count)
               for chunk in chunks)

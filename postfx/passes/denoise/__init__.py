@@ -460,7 +460,7 @@ class DenoiseUpscale(Pass):
             ready.passthrough.encode(commands, frame)
         for role in (*READ_PLANES, *MIRRORED_ROLES, Role.STRENGTH, Role.REACTIVE,
                      Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
-            if not self._output.has(role):
+            if role not in self._output.roles:
                 frame.tensors.pop(role, None)
         frame.guides.clear()
         frame.spec, frame.jitter = self._output, (0.0, 0.0)

@@ -38,8 +38,9 @@ def validate_scale(scale: float | None) -> float | None:
         found = math.nan
     if found is not None and not LEAST_SCALE <= found <= MOST_SCALE:
         shown = f"{found:g}" if isinstance(scale, int | float) else repr(scale)
+        network = "; a network is model=" if isinstance(scale, str) else ""
         raise PassOptionError(f"pass 'denoise_upscale' scales by 1 to 3, not {shown}: give a scale "
-                              "in between")
+                              f"in between{network}")
     return found
 
 

@@ -109,7 +109,7 @@ class Savings:
         if not tally.times:
             return "time not measured yet"
         if not whole:
-            return f"{median(tally.times):.0f} ms a frame; no whole frame was run to compare with"
+            return f"{median(tally.times):.0f} ms a frame"
         return f"{median(tally.times):.0f} ms a frame instead of {median(whole):.0f} ms"
 
 

@@ -308,10 +308,21 @@ def test_a_history_that_differs_as_a_whole_counts_less():
     change = torch.zeros(1, 3, 32, 64)
     change[..., 32:] = 0.05
     change[..., 10, 10] = 0.05  # one pixel is noise
-    found = with_guarded_history(controls, change, error)
+    found = with_guarded_history(controls, change, torch.ones_like(error), error)
     assert (found[:, 0, :, 48:] > 2).all()
     assert not found[:, 0, :, :24].any()
     assert not found[:, 1:].any()
+
+
+def test_pixels_without_a_history_say_nothing_about_their_neighbours_history():
+    controls = torch.zeros(1, 11, 32, 64)
+    error = torch.full((1, 1, 32, 64), float(np.log(1e-4)))
+    change = torch.zeros(1, 3, 32, 64)
+    change[..., 32:] = 0.5
+    valid = torch.ones_like(error)
+    valid[..., 32:] = 0
+    assert with_guarded_history(controls, change, torch.ones_like(error), error)[:, 0, :, 31].all()
+    assert not with_guarded_history(controls, change, valid, error).any()
 
 
 def test_a_deep_branch_begins_as_the_other_one():

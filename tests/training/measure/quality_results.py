@@ -8,7 +8,7 @@ from postfx.bench import report
 
 
 def method(name: str, ms: float, psnr: float, flicker: float, family: str, first: float,
-           **facts: Any) -> dict:
+           **facts: Any) -> dict[str, Any]:
     """A row of bench.json: four frames of which the first has another PSNR than the mean of the
     second half."""
     figures = {"psnr": psnr, "ssim": psnr / 40, "flip": 1 / psnr, "relmse": 0.01,
@@ -22,7 +22,7 @@ def method(name: str, ms: float, psnr: float, flicker: float, family: str, first
             "frames": [{"frame": n + 1, "psnr": first if n == 0 else psnr} for n in range(4)]}
 
 
-def bench(network: float, *more: dict) -> dict:
+def bench(network: float, *more: dict[str, Any]) -> dict[str, Any]:
     """bench.json of a network of that PSNR, of OIDN at 30 dB and accumulated OIDN at 31 dB, and of
     what is given."""
     rows = [method("m", 60, network, 8, "ours", 29.5, model="m"),
@@ -46,7 +46,7 @@ def bench(network: float, *more: dict) -> dict:
                        for figure in ("psnr_late", "flicker_late")}}
 
 
-def comparison() -> dict:
+def comparison() -> dict[str, Any]:
     """comparison.json of two clips at two scales, by the code that writes it."""
     from training.measure.validation.compare import equal_rays, summary
 

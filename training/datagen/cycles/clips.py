@@ -16,6 +16,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +59,7 @@ class Blender:
                                         stderr=sys.stderr, text=True, env=environment)
         self._answer()
 
-    def render(self, **request: object) -> dict:
+    def render(self, **request: object) -> dict[str, Any]:
         """Facts of a rendered clip. Raises RuntimeError with Blender's message if it fails."""
         line = json.dumps({"library": self.library and str(self.library), **request})
         print(line, file=self.process.stdin, flush=True)
@@ -67,7 +68,8 @@ class Blender:
             raise RuntimeError(answer["error"])
         return answer["facts"]
 
-    def _answer(self) -> dict:
+    def _answer(self) -> dict[str, Any]:
+        assert self.process.stdout is not None, "it is a pipe"
         for line in self.process.stdout:
             if line.startswith("{"):  # Blender itself may print other lines
                 return json.loads(line)
@@ -75,7 +77,7 @@ class Blender:
 
 
 def make_clip(blender: Blender, options: CyclesOptions, seed: int,
-              index: int) -> tuple[np.ndarray, list[dict], dict]:
+              index: int) -> tuple[np.ndarray, list[dict[str, Any]], dict[str, Any]]:
     """Reference (T, H, W, 3), noisy renders and facts for `save_clip`; the same seed and index give
     the same clip."""
     rng = np.random.default_rng([seed, index, 1])
@@ -142,7 +144,8 @@ def read_render(paths: list[Path], plain: bool,
     return stacked | {"roughness": np.full(stacked["depth"].shape, NO_ROUGHNESS, np.float32)}
 
 
-def read_motion(folder: Path, facts: dict, frames: int, render: dict, still: bool,
+def read_motion(folder: Path, facts: dict[str, Any], frames: int, render: dict[str, Any],
+                still: bool,
                 scale: float) -> np.ndarray:
     """Motion (T, H, W, 2) at output size, in its pixels."""
     if not facts["blur"] or still:

@@ -46,6 +46,8 @@ def read_pass(path: Path, name: str, channels: int | None = None) -> np.ndarray:
     Raises KeyError where the file has no such pass.
     """
     file, part = oiio.ImageInput.open(str(path)), 0
+    if file is None:
+        raise OSError(f"{path}: {oiio.geterror()}")
     while file.seek_subimage(part, 0):
         spec = file.spec()
         if f".{name}." in spec.channelnames[0]:

@@ -4,6 +4,7 @@ lights)."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -99,9 +100,9 @@ class Description:
     name: str
     materials: list[Material] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
-    movers: list = field(default_factory=list)
-    glows: list = field(default_factory=list)
-    bends: list = field(default_factory=list)
+    movers: list[Any] = field(default_factory=list)
+    glows: list[Any] = field(default_factory=list)
+    bends: list[Any] = field(default_factory=list)
     environment: np.ndarray | None = None
     environment_turn: float = 0.0
     environment_gain: float = 1.0
@@ -147,12 +148,15 @@ class BuiltScene:
         black = mi.load_dict(BLACK.bsdf())
         self._shapes = [_shape(i, g, description, bsdfs, black)
                         for i, g in enumerate(_grouped(description.parts))]
-        entries = {"type": "scene"} | {f"shape{i}": s.mesh for i, s in enumerate(self._shapes)}
+        entries: dict[str, Any] = {"type": "scene"}
+        entries |= {f"shape{i}": s.mesh for i, s in enumerate(self._shapes)}
         if description.environment is not None:
             entries["environment"] = _environment(description)
         self.scene = mi.load_dict(entries)
         self._params = mi.traverse(self.scene)
-        ids = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s.mesh))[0]) for s in self._shapes]
+        numbers: list[Any] = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s.mesh))
+                              for s in self._shapes]
+        ids = [int(number[0]) for number in numbers]
         self._rows = max(ids) + 1
         properties = np.zeros((self._rows, ROW), np.float32)
         for shape_id, shape in zip(ids, self._shapes, strict=True):
@@ -172,9 +176,9 @@ class BuiltScene:
                                                                .ravel())
             self._params[f"{key}.vertex_normals"] = mi.Float(mesh.normals.astype(np.float32)
                                                              .ravel())
-        glowing = [s for s in self._shapes if s.first.glow is not None]
-        for shape in glowing:
-            radiance = shape.first.emission * self.description.glows[shape.first.glow](time)
+        glowing = [(s, s.first.glow) for s in self._shapes if s.first.glow is not None]
+        for shape, glow in glowing:
+            radiance = shape.first.emission * self.description.glows[glow](time)
             value = mi.Color3f(*(dr.opaque(mi.Float, float(x)) for x in radiance))
             self._params[f"{shape.mesh.id()}.emitter.radiance.value"] = value
         if moved or glowing:
@@ -196,7 +200,7 @@ class BuiltScene:
         return Motions.of(matrices, bending)
 
 
-def anchors(count: int = 96) -> list:
+def anchors(count: int = 96) -> list[Any]:
     """Objects that keep the instance tables of compiled kernels at one length, so all scenes share
     kernels.
 
@@ -220,14 +224,14 @@ def _posed(source: Mesh, part: Part, description: Description, time: float) -> M
 def _grouped(parts: list[Part]) -> list[list[Part]]:
     """Groups of parts that can be one shape: same mover, same material or emission. Few shapes
     trace faster."""
-    groups: dict[tuple, list[Part]] = {}
+    groups: dict[tuple[Any, ...], list[Part]] = {}
     for part in parts:
         light = None if part.emission is None else tuple(part.emission)
         groups.setdefault((part.mover, part.material, part.glow, part.bend, light), []).append(part)
     return list(groups.values())
 
 
-def _shape(index: int, group: list[Part], description: Description, bsdfs: list,
+def _shape(index: int, group: list[Part], description: Description, bsdfs: list[Any],
            black: mi.BSDF) -> _Shape:
     first, source = group[0], merge([p.mesh for p in group])
     props = mi.Properties()
@@ -253,7 +257,8 @@ def _shape(index: int, group: list[Part], description: Description, bsdfs: list,
     return _Shape(mesh, source, row, first)
 
 
-def _environment(description: Description) -> dict:
+def _environment(description: Description) -> dict[str, Any]:
+    assert description.environment is not None
     turn = mi.ScalarTransform4f().rotate([0, 1, 0], description.environment_turn)
     bitmap = mi.Bitmap(np.ascontiguousarray(description.environment * description.environment_gain,
                                             np.float32))

@@ -3,6 +3,9 @@ on y = 0."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from training.datagen.scenes import meshes, solids
@@ -17,7 +20,7 @@ def place_at(thing: Thing, x: float, y: float, z: float, turn: float = 0.0) -> T
     return [(mesh.transform(matrix), slot) for mesh, slot in thing]
 
 
-def smooth_lathe(profile: np.ndarray, segments: int = 28) -> Mesh:
+def smooth_lathe(profile: Sequence[Sequence[float]] | np.ndarray, segments: int = 28) -> Mesh:
     """A smooth lathe through a few (radius, height) points, finely interpolated; sharp where points
     repeat."""
     runs, start = [], 0
@@ -58,9 +61,9 @@ def book_row(rng: np.random.Generator, width: float, room: float, depth: float) 
         high.append([x + thick, tall, -inset])
         slot.append(name)
         x += thick + 0.0015
-    slot = np.array(slot, int)
-    for name in np.unique(slot):
-        parts.append((solids.boxes(np.array(low)[slot == name], np.array(high)[slot == name]),
+    slots = np.array(slot, int)
+    for name in np.unique(slots):
+        parts.append((solids.boxes(np.array(low)[slots == name], np.array(high)[slots == name]),
                       BOOKS[name]))
     return parts
 
@@ -93,8 +96,10 @@ def tumbler(rng: np.random.Generator) -> Thing:
     """A drinking glass or cup with a wall, an inside and, at times, a stem."""
     r, h, wall = rng.uniform(0.025, 0.04), rng.uniform(0.07, 0.12), 0.003
     foot = rng.uniform(0.04, 0.09) if rng.random() < 0.4 else 0.0
+    base: list[list[float]]
     base = ([[0, 0], [0.8 * r, 0], [0.8 * r, 0], [0.7 * r, 0.004], [0.005, 0.008], [0.005, foot]]
             if foot else [[0, 0]])
+    cup: list[list[float]]
     cup = [[0.85 * r, foot + 0.002], [r, foot + 0.6 * h], [r, foot + h], [r, foot + h],
            [r - wall, foot + h], [r - wall, foot + h], [r - wall, foot + 0.6 * h],
            [0.8 * r, foot + 0.01], [0, foot + 0.008]]
@@ -192,10 +197,11 @@ SMALL = (book_pile, book_pile, bottle, bottle, tumbler, tumbler, bowl, vase, lam
 
 
 def arrange(rng: np.random.Generator, x0: float, x1: float, z0: float, z1: float, y: float,
-            count: int, kinds: tuple = SMALL, most: float = 1.0) -> Thing:
+            count: int, kinds: tuple[Any, ...] = SMALL, most: float = 1.0) -> Thing:
     """Up to `count` small things on a surface, apart from one another; none higher than `most`
     metres."""
-    made, taken = [], []
+    made: Thing = []
+    taken: list[Any] = []
     for _ in range(count):
         thing = kinds[int(rng.integers(len(kinds)))](rng)
         points = np.concatenate([mesh.vertices for mesh, _ in thing])

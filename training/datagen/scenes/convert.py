@@ -16,6 +16,7 @@ import json
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -28,6 +29,9 @@ from training.datagen.scenes.lights import Environments
 from training.datagen.scenes.materials import Material, random_material
 from training.datagen.scenes.meshes import Mesh, merge, quad
 
+Facts = dict[str, Any]
+"""Of a file or of a thing in it, by their names."""
+
 # glTF ---------------------------------------------------------------------------------------------
 # The part of glTF 2.0 that static scenes need: nodes, meshes, base colours and their textures.
 
@@ -37,21 +41,21 @@ WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 def load_gltf(path: Path,
-              plain: dict) -> tuple[list[tuple[Mesh, str, None]], dict[str, dict], list[dict]]:
+              plain: Facts) -> tuple[list[tuple[Mesh, str, None]], dict[str, Facts], list[Facts]]:
     """(world mesh, material name, no emission) of each primitive; material facts based on `plain`;
     no camera."""
     document = json.loads(path.read_text())
     buffers = [(path.parent / b["uri"]).read_bytes() for b in document["buffers"]]
     materials = {f"m{i}": _material(document, m, plain)
                  for i, m in enumerate(document["materials"])}
-    shapes = []
+    shapes: list[Any] = []
     for root in document["scenes"][document.get("scene", 0)]["nodes"]:
         _walk(document, buffers, root, np.eye(4), shapes)
     return shapes, materials, []
 
 
-def _walk(document: dict, buffers: list[bytes], index: int, parent: np.ndarray,
-          shapes: list) -> None:
+def _walk(document: Facts, buffers: list[bytes], index: int, parent: np.ndarray,
+          shapes: list[Any]) -> None:
     node = document["nodes"][index]
     world = parent @ _matrix(node)
     if "mesh" in node:
@@ -62,7 +66,7 @@ def _walk(document: dict, buffers: list[bytes], index: int, parent: np.ndarray,
         _walk(document, buffers, child, world, shapes)
 
 
-def _primitive(document: dict, buffers: list[bytes], primitive: dict) -> Mesh:
+def _primitive(document: Facts, buffers: list[bytes], primitive: Facts) -> Mesh:
     attributes = {k: _accessor(document, buffers, v) for k, v in primitive["attributes"].items()}
     vertices = attributes["POSITION"].astype(np.float64)
     uvs = attributes.get("TEXCOORD_0", np.zeros((len(vertices), 2))).astype(np.float64)
@@ -70,7 +74,7 @@ def _primitive(document: dict, buffers: list[bytes], primitive: dict) -> Mesh:
     return Mesh(vertices, attributes["NORMAL"].astype(np.float64), uvs, faces)
 
 
-def _accessor(document: dict, buffers: list[bytes], index: int) -> np.ndarray:
+def _accessor(document: Facts, buffers: list[bytes], index: int) -> np.ndarray:
     accessor = document["accessors"][index]
     view = document["bufferViews"][accessor["bufferView"]]
     dtype, width = np.dtype(TYPES[accessor["componentType"]]), WIDTHS[accessor["type"]]
@@ -80,7 +84,7 @@ def _accessor(document: dict, buffers: list[bytes], index: int) -> np.ndarray:
                       (stride, dtype.itemsize))
 
 
-def _matrix(node: dict) -> np.ndarray:
+def _matrix(node: Facts) -> np.ndarray:
     if "matrix" in node:
         return np.array(node["matrix"]).reshape(4, 4).T
     x, y, z, w = node.get("rotation", (0, 0, 0, 1))
@@ -94,7 +98,7 @@ def _matrix(node: dict) -> np.ndarray:
     return matrix
 
 
-def _material(document: dict, material: dict, plain: dict) -> dict:
+def _material(document: Facts, material: Facts, plain: Facts) -> Facts:
     """Diffuse, or rough plastic below roughness 0.9; a missing metallic factor counts as none
     (low-poly exports)."""
     surface = material.get("pbrMetallicRoughness", {})
@@ -148,18 +152,21 @@ def flat(vertices: np.ndarray, uvs: np.ndarray, faces: np.ndarray) -> Mesh:
 
 def _numbers(node: ElementTree.Element) -> list[float]:
     """Three numbers; a single one stands for all."""
-    found = [float(x) for x in node.get("value").replace(",", " ").split()]
+    found = [float(x) for x in node.get("value", "").replace(",", " ").split()]
     return found * 3 if len(found) == 1 else found
 
 
-def material_from_xml(node: ElementTree.Element) -> dict:
+def material_from_xml(node: ElementTree.Element) -> Facts:
     """Facts of a <bsdf>, looking through twosided and bumpmap."""
     while node.get("type") in ("twosided", "bumpmap"):
-        node = node.find("bsdf")
-    facts = dict(PLAIN, kind={"plastic": "roughplastic"}.get(node.get("type"), node.get("type")))
+        inner = node.find("bsdf")
+        assert inner is not None, "such a <bsdf> holds another"
+        node = inner
+    kind = node.get("type", "")
+    facts = dict(PLAIN, kind={"plastic": "roughplastic"}.get(kind, kind))
     values = {child.get("name"): child for child in node}
-    number = {name: float(c.get("value")) for name, c in values.items() if c.tag == "float"}
-    facts["alpha"] = number.get("alpha", 0.003 if node.get("type") == "plastic" else 0.1)
+    number = {name: float(c.get("value", "")) for name, c in values.items() if c.tag == "float"}
+    facts["alpha"] = number.get("alpha", 0.003 if kind == "plastic" else 0.1)
     facts["ior"] = number.get("intIOR", number.get("int_ior", 1.5))
     for name in ("eta", "k"):
         if name in values:
@@ -173,11 +180,12 @@ def material_from_xml(node: ElementTree.Element) -> dict:
     return facts
 
 
-def load_xml(path: Path) -> tuple[list[tuple[Mesh, str, list | None]], dict[str, dict], list[dict]]:
+def load_xml(path: Path) -> tuple[list[tuple[Mesh, str, list[Any] | None]], dict[str, Facts],
+                                  list[Facts]]:
     """(mesh, material name, emission) of each shape; facts of each material; the camera."""
     root = ElementTree.parse(path).getroot()
-    materials = {node.get("id"): material_from_xml(node)
-                 for node in root.iter("bsdf") if node.get("id")}
+    materials = {name: material_from_xml(node)
+                 for node in root.iter("bsdf") if (name := node.get("id"))}
     scene = mi.load_file(str(path))
     shapes = []
     for shape in scene.shapes():
@@ -198,14 +206,15 @@ def _rectangle(shape: mi.Shape) -> Mesh:
     return quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]).transform(matrix)
 
 
-def write(name: str, loaded: tuple, folder: Path, source: Path) -> None:
+def write(name: str, loaded: tuple[Any, ...], folder: Path, source: Path) -> None:
     shapes, materials, cameras = loaded
     names = sorted({material for _, material, _ in shapes})
-    groups: dict[tuple, list[Mesh]] = {}
+    groups: dict[tuple[Any, ...], list[Mesh]] = {}
     for mesh, material, emission in shapes:
         groups.setdefault((names.index(material), tuple(emission or ())), []).append(mesh)
     folder.mkdir(parents=True, exist_ok=True)
-    arrays, facts = {}, dict(HOW.get(name, DEFAULT), shapes=[], cameras=cameras)
+    arrays: dict[str, Any] = {}
+    facts = dict(HOW.get(name, DEFAULT), shapes=[], cameras=cameras)
     points = []
     for i, ((material, emission), meshes) in enumerate(groups.items()):
         mesh = merge(meshes)
@@ -229,19 +238,19 @@ def write(name: str, loaded: tuple, folder: Path, source: Path) -> None:
           file=sys.stderr)
 
 
-def _with_texture(facts: dict, source: Path, folder: Path) -> dict:
+def _with_texture(facts: Facts, source: Path, folder: Path) -> Facts:
     if not facts["texture"]:
         return facts
     from PIL import Image  # which a machine that only renders may lack
 
     image = Image.open(source / facts["texture"]).convert("RGB")
-    image.thumbnail((TEXTURE, TEXTURE), Image.LANCZOS)
+    image.thumbnail((TEXTURE, TEXTURE), Image.Resampling.LANCZOS)
     name = Path(facts["texture"]).stem + ".jpg"
     image.save(folder / name, quality=88)
     return dict(facts, texture=name)
 
 
-def y_up(loaded: tuple) -> tuple:
+def y_up(loaded: tuple[Any, ...]) -> tuple[Any, ...]:
     shapes, materials, cameras = loaded
     turn = np.eye(4)[[0, 2, 1, 3]] * np.array([[1], [1], [-1], [1]])
     cameras = [{key: (turn[:3, :3] @ point).tolist() for key, point in camera.items()}
@@ -270,7 +279,7 @@ class _Scene:
         images = {m["texture"] for m in self.facts["materials"] if m.get("texture")}
         self.images = {name: load_image(folder / name) for name in images}
 
-    def material(self, facts: dict, rng: np.random.Generator) -> Material:
+    def material(self, facts: Facts, rng: np.random.Generator) -> Material:
         if len(self.meshes) > 8 and rng.random() < 0.15 and facts["kind"] != "dielectric":
             return random_material(rng, metal=0.05)
         albedo = (self.images[facts["texture"]] if facts.get("texture")
@@ -332,7 +341,7 @@ def _light(d: Description, scene: _Scene, rng: np.random.Generator, maps: Enviro
                      rng.uniform(5, 40) * metre**2)
 
 
-def draw_view(facts: dict, rng: np.random.Generator, own: float = 0.6, shift: float = 0.12,
+def draw_view(facts: Facts, rng: np.random.Generator, own: float = 0.6, shift: float = 0.12,
               inside: float = 0.3) -> View:
     """A pose near one of a scene's own cameras, or anywhere in its inner box.
 
@@ -366,9 +375,13 @@ def main() -> None:
     mi.set_variant("scalar_rgb")
     for source in sorted(p for p in args.source.iterdir() if p.is_dir()):
         xml, gltf = source / "scene.xml", next(source.glob("*.gltf"), None)
-        if not xml.exists() and gltf is None:
+        loaded: tuple[Any, ...]
+        if xml.exists():
+            loaded = load_xml(xml)
+        elif gltf is not None:
+            loaded = load_gltf(gltf, PLAIN)
+        else:
             continue
-        loaded = load_xml(xml) if xml.exists() else load_gltf(gltf, PLAIN)
         write(source.name, y_up(loaded) if source.name == "matpreview" else loaded,
               args.out / source.name, source)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -48,7 +49,8 @@ class Pool:
         return {name: int(self.rng.choice(self.indices)) for name in names}
 
 
-def draft_thing(rng: np.random.Generator, kinds: tuple = furniture.OBJECTS) -> furniture.Thing:
+def draft_thing(rng: np.random.Generator,
+                kinds: tuple[Any, ...] = furniture.OBJECTS) -> furniture.Thing:
     """Mostly one of `kinds`, at times a plant of many leaves or something thin."""
     pick = rng.random()
     return furniture.pick(rng,
@@ -216,8 +218,8 @@ def image_speed(path: CameraPath, points: np.ndarray, width: int) -> float:
     return float(np.nanmean(steps))
 
 
-def choose_path(tracer: Tracer, built: BuiltScene, view: Callable, rng: np.random.Generator,
-                width: int,
+def choose_path(tracer: Tracer, built: BuiltScene, view: Callable[..., Any],
+                rng: np.random.Generator, width: int,
                 near: float = 0.3, attempts: int = 8) -> tuple[CameraPath, float, Probe] | None:
     """A camera path, the gain for its frames and a probe from it, or None if no drawn view is
     usable."""

@@ -5,6 +5,8 @@ Things as in furniture, with their backs at z = 0, centred on x = 0; they look a
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from training.datagen.scenes import clutter, foliage, meshes, solids
@@ -67,7 +69,7 @@ def cabinet(rng: np.random.Generator, width: float | None = None, height: float 
     return [(meshes.merge(parts), slot), (meshes.merge(handles), "metal")]
 
 
-def _handle(knob: bool, flat: bool, grip: np.ndarray, z: float) -> list:
+def _handle(knob: bool, flat: bool, grip: np.ndarray, z: float) -> list[Any]:
     if knob:
         return [meshes.sphere(0.013, 16).transform(translation(grip[0], grip[1], z + 0.02)),
                 meshes.cylinder(0.005, 0.02, 8)
@@ -153,15 +155,15 @@ def _bevelled(rng: np.random.Generator, corners: np.ndarray, z: float) -> meshes
 
     low, top = ring(0.0, 0.001), ring(b, 0.006)
     parts = [(top, np.concatenate([lean, np.ones((n, 1))], 1))]
-    for k, normal in enumerate(([0, -0.8, 0.6], [0.8, 0, 0.6], [0, 0.8, 0.6], [-0.8, 0, 0.6])):
+    for k, facing in enumerate(([0, -0.8, 0.6], [0.8, 0, 0.6], [0, 0.8, 0.6], [-0.8, 0, 0.6])):
         m = (k + 1) % 4
         parts.append((np.stack([low[:, k], low[:, m], top[:, m], top[:, k]], 1),
-                      np.tile(normal, (n, 1))))
+                      np.tile(facing, (n, 1))))
     made = []
     for vertices, normal in parts:
-        normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         uvs = vertices[..., :2]
-        made.append(solids.many(vertices, normal[:, None], uvs, solids.QUAD))
+        made.append(solids.many(vertices, unit[:, None], uvs, solids.QUAD))
     return meshes.merge(made)
 
 

@@ -3,6 +3,8 @@ curved, smooth leaves. Things as in furniture, standing on y = 0."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from training.datagen.scenes import meshes, solids
@@ -76,7 +78,7 @@ def tube(points: np.ndarray, radius: float, sides: int = 6) -> Mesh:
     return Mesh(vertices.reshape(-1, 3), normals.reshape(-1, 3), uvs.reshape(-1, 2), faces)
 
 
-def grass(rng: np.random.Generator) -> list:
+def grass(rng: np.random.Generator) -> list[Any]:
     """A tuft of grass."""
     n, reach = int(rng.integers(80, 500)), rng.uniform(0.15, 0.5)
     root = rng.normal(0, reach, (n, 3)) * [1, 0, 1]
@@ -84,7 +86,7 @@ def grass(rng: np.random.Generator) -> list:
     return [(blades(rng, root, length, rng.uniform(0.003, 0.012), rng.uniform(0.1, 1.0)), "leaf")]
 
 
-def bush(rng: np.random.Generator) -> list:
+def bush(rng: np.random.Generator) -> list[Any]:
     """A ball of leaves on a few twigs."""
     n, radius = int(rng.integers(200, 1200)), rng.uniform(0.3, 0.6)
     shell = rng.normal(0, 1, (n, 3))
@@ -102,7 +104,7 @@ def _twig(rng: np.random.Generator, end: np.ndarray) -> Mesh:
     return tube(t * end + np.sin(np.pi * t) * sway, rng.uniform(0.004, 0.012))
 
 
-def fern(rng: np.random.Generator) -> list:
+def fern(rng: np.random.Generator) -> list[Any]:
     """Arching fronds with leaflets on both sides."""
     parts = []
     for turn in rng.uniform(0, 2 * np.pi, int(rng.integers(6, 14))):
@@ -121,7 +123,7 @@ def fern(rng: np.random.Generator) -> list:
     return parts
 
 
-def leafy_tree(rng: np.random.Generator) -> list:
+def leafy_tree(rng: np.random.Generator) -> list[Any]:
     """A trunk with branches and some hundreds of pointed leaves."""
     tall, parts, ends = rng.uniform(1.0, 1.6), [], []
     trunk = np.array([[0, 0, 0], [0.02, 0.5 * tall, 0.01], [0, tall, 0.0]])
@@ -137,7 +139,7 @@ def leafy_tree(rng: np.random.Generator) -> list:
     return parts
 
 
-def wires(rng: np.random.Generator) -> list:
+def wires(rng: np.random.Generator) -> list[Any]:
     """Hanging cables between two poles."""
     span, tall = rng.uniform(0.6, 1.5), rng.uniform(0.8, 1.8)
     parts = [(meshes.cylinder(0.02, tall, 8).transform(meshes.translation(x, 0, 0)), "second")
@@ -149,11 +151,11 @@ def wires(rng: np.random.Generator) -> list:
     return parts
 
 
-def lattice(rng: np.random.Generator) -> list:
+def lattice(rng: np.random.Generator) -> list[Any]:
     """Wire mesh in a frame: upright or diagonal, fine or coarse."""
     w, h, pitch = rng.uniform(0.3, 0.9), rng.uniform(0.5, 1.4), rng.uniform(0.03, 0.15)
     radius, parts = rng.uniform(0.002, 0.006), []
-    lines = []
+    lines: list[tuple[tuple[float, float], tuple[float, float]]] = []
     if rng.random() < 0.5:
         lines += [((x, 0), (x, h)) for x in np.arange(-w, w, pitch)]
         lines += [((-w, y), (w, y)) for y in np.arange(0, h, pitch)]
@@ -171,7 +173,7 @@ def lattice(rng: np.random.Generator) -> list:
     return parts
 
 
-def railing(rng: np.random.Generator) -> list:
+def railing(rng: np.random.Generator) -> list[Any]:
     """Upright bars under a rail, straight or round."""
     count, h, radius = int(rng.integers(10, 40)), rng.uniform(0.5, 1.1), rng.uniform(0.004, 0.015)
     t = np.linspace(-1, 1, count)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -56,13 +57,13 @@ def tile_walls(house: House) -> None:
                       side.matrix)
 
 
-def _footprint(thing: Thing, matrix: np.ndarray) -> tuple:
+def _footprint(thing: Thing, matrix: np.ndarray) -> tuple[Any, ...]:
     points = np.concatenate([mesh.vertices for mesh, _ in thing]) @ matrix[:3, :3].T + matrix[:3, 3]
     low, high = points.min(0), points.max(0)
     return low[0], high[0], low[2], high[2], high[1]
 
 
-def _fits(house: House, box: tuple, low: float) -> bool:
+def _fits(house: House, box: tuple[Any, ...], low: float) -> bool:
     """Whether a footprint lies in the room, under its ceiling, apart from others (a rug may lie
     under them)."""
     x0, x1, z0, z1, top = box
@@ -71,7 +72,7 @@ def _fits(house: House, box: tuple, low: float) -> bool:
               and z1 < depth / 2 + 1e-3)
     under = top < min(house.headroom(x0), house.headroom(x1)) - 0.05
     apart = low or not any(x0 < b and x1 > a and z0 < d and z1 > c for a, b, c, d, _ in house.taken)
-    return inside and under and apart
+    return bool(inside and under and apart)
 
 
 def _clear(house: House, spot: np.ndarray, reach: float, height: float) -> bool:
@@ -176,7 +177,7 @@ def _pictures(house: House, side: Side, a: float, b: float) -> None:
     count = int(rng.integers(1, 4)) if b - a > 1.5 else 1
     size = np.minimum(rng.uniform(0.25, 0.8, 2), [(b - a) / count - 0.1, 0.85])
     for x in a + (np.arange(count) + 0.5) * (b - a) / count:
-        picture, spot = (clutter.picture_frame(rng, *size, "art"),
+        picture, spot = (clutter.picture_frame(rng, size[0], size[1], "art"),
                          side.matrix @ translation(x, y, 0.02))
         if _clear(house, spot[:3, 3], 0.5 * size[0], y - 0.5 * size[1]):
             house.put(picture, spot)

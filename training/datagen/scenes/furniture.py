@@ -8,6 +8,7 @@ material.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -184,7 +185,7 @@ OBJECTS: tuple[Callable[[np.random.Generator], Thing], ...] = (
     chair)
 
 
-def pick(rng: np.random.Generator, kinds: tuple = OBJECTS) -> Thing:
+def pick(rng: np.random.Generator, kinds: tuple[Any, ...] = OBJECTS) -> Thing:
     return kinds[int(rng.integers(len(kinds)))](rng)
 
 

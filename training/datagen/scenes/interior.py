@@ -153,6 +153,7 @@ def light(house: House, maps: Environments, calm: bool) -> None:
     if house.sky:
         lights.set_environment(house.d, rng, maps, calm, float(rng.uniform(2, 8)),
                                rng.random() < 0.25)
+        assert house.d.environment is not None, "it was set"
         outward = np.stack([-side.matrix[:3, 2] for side in every])
         house.d.environment = outside_only(house.d.environment, house.d.environment_turn, outward)
         gap = 2.0
@@ -214,8 +215,10 @@ def _before_windows(house: House, side: Side, gap: float) -> None:
     for hole in holes:
         if rng.random() < 0.5 and gap > 0.2:
             high = rng.uniform(0.3, 0.6)
-            ends = [np.array([x, hole.y0 + 0.02, z]) for x in (hole.x0 + 0.01, hole.x1 - 0.01)]
-            bars = fixtures.rail_between(rng, *ends, meshes.cylinder(0.008, high, 8), high, 0.11)
+            left, right = (np.array([x, hole.y0 + 0.02, z])
+                           for x in (hole.x0 + 0.01, hole.x1 - 0.01))
+            bars = fixtures.rail_between(rng, left, right, meshes.cylinder(0.008, high, 8), high,
+                                         0.11)
             house.put([(meshes.merge(bars), "metal")], side.matrix)
         elif gap > 0.4:
             plant = foliage.bushy(rng)

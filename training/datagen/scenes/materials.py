@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -64,13 +65,13 @@ class Material:
             return np.full(3, dielectric), 0.0, 0.0
         return np.full(3, dielectric * (1 - self.metallic)), self.metallic, 1.0 - self.metallic
 
-    def bsdf(self) -> dict:
+    def bsdf(self) -> dict[str, Any]:
         """The Mitsuba plugin; reflectances are always bitmaps so that scenes share compiled
         kernels."""
         if self.kind == "dielectric":
             return {"type": "dielectric", "int_ior": self.ior}
         if self.kind in ("conductor", "roughconductor"):
-            plugin = {"type": self.kind, "eta": _rgb(self.eta), "k": _rgb(self.k)}
+            plugin: dict[str, Any] = {"type": self.kind, "eta": _rgb(self.eta), "k": _rgb(self.k)}
             if self.kind == "roughconductor":
                 plugin |= {"alpha": self.alpha, "distribution": "ggx"}
             return {"type": "twosided", "bsdf": plugin}
@@ -89,7 +90,7 @@ class Material:
         return {"type": "twosided", "bsdf": plugin}
 
 
-def _rgb(value: tuple[float, float, float]) -> dict:
+def _rgb(value: tuple[float, float, float]) -> dict[str, Any]:
     return {"type": "rgb", "value": list(value)}
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def grid_faces(rows: int, columns: int) -> np.ndarray:
     return np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)]).astype(np.uint32)
 
 
-def quad(origin: np.ndarray, edge_u: np.ndarray, edge_v: np.ndarray) -> Mesh:
+def quad(origin: ArrayLike, edge_u: ArrayLike, edge_v: ArrayLike) -> Mesh:
     """A parallelogram; its normal is edge_u x edge_v; texture coordinates are in metres."""
     origin, edge_u, edge_v = (np.asarray(x, float) for x in (origin, edge_u, edge_v))
     vertices = np.stack([origin, origin + edge_u, origin + edge_u + edge_v, origin + edge_v])
@@ -58,7 +59,7 @@ def quad(origin: np.ndarray, edge_u: np.ndarray, edge_v: np.ndarray) -> Mesh:
     return Mesh(vertices, normals, uvs, np.array([[0, 1, 2], [0, 2, 3]], np.uint32))
 
 
-def box(low: np.ndarray, high: np.ndarray) -> Mesh:
+def box(low: ArrayLike, high: ArrayLike) -> Mesh:
     """An axis-aligned box between two corners."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     x, y, z = np.diag(high - low)
@@ -67,7 +68,7 @@ def box(low: np.ndarray, high: np.ndarray) -> Mesh:
     return merge([quad(*side) for side in sides])
 
 
-def lathe(radii: np.ndarray, heights: np.ndarray, segments: int = 32) -> Mesh:
+def lathe(radii: ArrayLike, heights: ArrayLike, segments: int = 32) -> Mesh:
     """A profile of (radius, height) pairs, bottom to top, turned about the y axis; smooth
     normals."""
     radii, heights = np.asarray(radii, float), np.asarray(heights, float)

@@ -6,6 +6,8 @@ Things as in furniture. Seats and beds have their backs at z = 0 and look along 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from training.datagen.scenes import furniture, meshes, solids
@@ -56,7 +58,7 @@ CUSHIONS = ("fabric2", "cloth", "accent", "fabric", "pattern")
 
 
 def _stuffed(rng: np.random.Generator, width: float, depth: float, thick: float,
-             centre: tuple) -> Mesh:
+             centre: tuple[Any, ...]) -> Mesh:
     """A box cushion: round edges, a crown and a few soft creases."""
     half = np.array([width / 2 - 0.004, thick / 2, depth / 2])
     mesh = solids.rounded_box(-half, half, 0.05, 6)

@@ -305,7 +305,7 @@ def _thin(rng: np.random.Generator) -> meshes.Mesh:
         bow = np.linspace(-1, 1, 9)
         for y in rng.uniform(0.4, 1.2, int(rng.integers(2, 7))) * height:
             lines.append(np.stack([2 * wide * bow, y + 0.15 * bow**2, 0 * bow + rng.normal(0, 0.1)],
-                                  1))
+                                  1).tolist())
     return meshes.merge([foliage.tube(np.asarray(line, float), radius * rng.uniform(0.7, 1.4))
                          for line in lines])
 
@@ -318,5 +318,5 @@ def draft(rng: np.random.Generator, maps: Environments, families: tuple[str, ...
     """A scene of a random kind, or of one of FINE by name."""
     if families:
         return FINE[families[int(rng.integers(len(families)))]](rng, maps)
-    makers, weights = zip(*FAMILIES, strict=True)
-    return makers[int(rng.choice(len(makers), p=weights))](rng, maps)
+    chosen = int(rng.choice(len(FAMILIES), p=[weight for _, weight in FAMILIES]))
+    return FAMILIES[chosen][0](rng, maps)

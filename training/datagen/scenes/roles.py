@@ -4,6 +4,7 @@ cloth, leaves."""
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Callable
 
 import numpy as np
 
@@ -22,7 +23,10 @@ def white(rng: np.random.Generator, low: float = 0.6, high: float = 0.9) -> np.n
     return _flat(rng.uniform(low, high) * (1 - rng.uniform(0, 0.12) * rng.random(3)))
 
 
-def _hsv(rng: np.random.Generator, hue: tuple, saturation: tuple, value: tuple) -> np.ndarray:
+Range = tuple[float, float]
+
+
+def _hsv(rng: np.random.Generator, hue: Range, saturation: Range, value: Range) -> np.ndarray:
     """Linear colour from ranges of hue, saturation and displayed value."""
     return np.array(colorsys.hsv_to_rgb(rng.uniform(*hue) % 1, rng.uniform(*saturation),
                                         rng.uniform(*value))) ** 2.2
@@ -118,7 +122,7 @@ def _glass(rng: np.random.Generator) -> Material:
     return _plastic(rng, _flat(_hsv(rng, (0, 1), (0.1, 0.9), (0.05, 0.5))), 0.08, 0.2)
 
 
-ROLES = {
+ROLES: dict[str, Callable[[np.random.Generator], Material]] = {
     "wall": _wall, "trim": _trim, "floor": _floor, "bedding": _bedding, "leaf": _leaf,
     "tile": _tile, "glass": _glass,
     "counter": _counter, "gloss": _colour_gloss, "fabric": _fabric, "fabric2": _fabric,
@@ -139,7 +143,7 @@ ROLES = {
                          else _plastic(rng, _wood(rng), 0.3, 0.6),
     "pot": lambda rng: Material("diffuse", _flat(_hsv(rng, (0.02, 0.07), (0.4, 0.7), (0.5, 0.8)))),
     "ground": lambda rng: Material("diffuse", _flat(_hsv(rng, (0.05, 0.4), (0, 0.4), (0.3, 0.7)))),
-    "soil": lambda rng: Material("diffuse", _flat([0.05, 0.035, 0.025])),
+    "soil": lambda rng: Material("diffuse", _flat(np.array([0.05, 0.035, 0.025]))),
     "soot": lambda rng: Material("diffuse", _flat(rng.uniform(0.015, 0.08, 1) * np.ones(3))),
     "dark": lambda rng: _plastic(rng, _flat(np.full(3, rng.uniform(0.015, 0.06))), 0.3, 0.6),
     "gloss_dark": lambda rng: _plastic(rng, _flat(np.full(3, 0.012)), 0.08, 0.2),
@@ -153,7 +157,8 @@ class Roles:
     """A scene's material for each role, made on first use."""
 
     def __init__(self, d: Description, rng: np.random.Generator) -> None:
-        self._d, self._rng, self._known = d, rng, {}
+        self._d, self._rng = d, rng
+        self._known: dict[str, int] = {}
         self._panel = "trim" if rng.random() < 0.55 else "wall"
 
     def __getitem__(self, role: str) -> int:

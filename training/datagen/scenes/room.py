@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from training.datagen.scenes import furniture, lights, meshes, textures
@@ -25,7 +28,7 @@ LIGHTS = {"windows": 0.25, "small": 0.15, "ceiling": 0.2, "lamps": 0.15, "cove":
 
 
 def wall(low: np.ndarray, edge: np.ndarray, height: float,
-         holes: list[tuple[float, float, float, float]]) -> list:
+         holes: list[tuple[float, float, float, float]]) -> list[Any]:
     """Quads of an upright wall from `low` along `edge`, leaving out holes (from, to as fractions;
     sill, top in m)."""
     up, parts, x = np.array([0, height, 0]), [], 0.0
@@ -49,7 +52,7 @@ def _windows(rng: np.random.Generator, height: float,
 
 
 def bars(low: np.ndarray, edge: np.ndarray, hole: tuple[float, float, float, float],
-         count: int) -> list:
+         count: int) -> list[Any]:
     """Window bars, upright and across."""
     start, end, sill, top = hole
     a, span = low + start * edge, (end - start) * edge
@@ -127,7 +130,8 @@ def _outside(low: np.ndarray, edge: np.ndarray,
     return meshes.quad(corner, (end - start + 0.1) * edge, np.array([0, top - sill + 0.6, 0]))
 
 
-def _light_room(d: Description, rng: np.random.Generator, light: str, size: tuple) -> None:
+def _light_room(d: Description, rng: np.random.Generator, light: str,
+                size: tuple[float, float, float]) -> None:
     w, h, depth = size
     if light in ("ceiling", "both"):
         for _ in range(int(rng.integers(1, 3))):
@@ -152,7 +156,8 @@ def _light_room(d: Description, rng: np.random.Generator, light: str, size: tupl
         d.emit(strip, lights.tint(rng) * rng.uniform(5, 20))
 
 
-def _furnish(d: Description, rng: np.random.Generator, pool: Pool, size: tuple) -> None:
+def _furnish(d: Description, rng: np.random.Generator, pool: Pool,
+             size: tuple[float, float, float]) -> None:
     w, h, depth = size
     moving = int(rng.choice([0, 1, 2, 3], p=[0.35, 0.35, 0.2, 0.1]))
     for index in range(int(rng.integers(5, 14))):
@@ -225,7 +230,8 @@ def _furnish_sample(d: Description, rng: np.random.Generator, white: int, blue: 
     copper = d.material(Material("roughconductor", alpha=0.06, eta=eta, k=k))
     table = furniture.table(rng)
     top = max(mesh.vertices[:, 1].max() for mesh, _ in table)
-    things = [
+    things: list[tuple[Callable[[np.random.Generator], Any], tuple[float, float, float], float,
+                       dict[str, int]]] = [
         (lambda _: table, (0.1, 0, -0.9), 0.0, dict(main=wood, second=black)),
         (furniture.chair, (-0.9, 0, -0.5), 0.9, dict(main=wood, second=black)),
         (furniture.chair, (1.3, 0, -1.3), -2.2, dict(main=red, second=black)),

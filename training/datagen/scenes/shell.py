@@ -4,6 +4,7 @@ behind doors."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class House:
     sky: bool = False
     sides: list[Side] = field(default_factory=list)
     pitch: float = 0.0
-    taken: list[tuple] = field(default_factory=list)
+    taken: list[tuple[Any, ...]] = field(default_factory=list)
     sights: list[np.ndarray] = field(default_factory=list)
     far_windows: list[Side] = field(default_factory=list)
 
@@ -225,5 +226,5 @@ def _behind(house: House, side: Side, hole: Opening) -> None:
     house.put(joinery.faces(b - a, top, end, "wall"), side.matrix @ translation(a, 0, z - length))
 
 
-def _world(side: Side, point: tuple) -> np.ndarray:
+def _world(side: Side, point: tuple[Any, ...]) -> np.ndarray:
     return (side.matrix @ np.array([*point, 1.0]))[:3]

@@ -4,6 +4,7 @@ and their profiles, smooth sheets, cloth."""
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from training.datagen.scenes import meshes
 from training.datagen.scenes.meshes import Mesh
@@ -22,7 +23,7 @@ def many(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, faces: np.n
                 uvs.reshape(-1, 2), index.reshape(-1, 3).astype(np.uint32))
 
 
-def boxes(low: np.ndarray, high: np.ndarray) -> Mesh:
+def boxes(low: ArrayLike, high: ArrayLike) -> Mesh:
     """Axis-aligned boxes between corners (N, 3) or (3,)."""
     low, high = np.broadcast_arrays(np.atleast_2d(np.asarray(low, float)), np.asarray(high, float))
     size = high - low
@@ -31,7 +32,7 @@ def boxes(low: np.ndarray, high: np.ndarray) -> Mesh:
     return many(vertices, _UNIT.normals, uvs + low[:, :1, None], _UNIT.faces)
 
 
-def rounded_box(low: np.ndarray, high: np.ndarray, radius: float, steps: int = 3) -> Mesh:
+def rounded_box(low: ArrayLike, high: ArrayLike, radius: float, steps: int = 3) -> Mesh:
     """A box with round edges and corners; their radius is at most half of its thinnest side."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     half, centre = (high - low) / 2, (high + low) / 2
@@ -56,7 +57,7 @@ def rounded_box(low: np.ndarray, high: np.ndarray, radius: float, steps: int = 3
     return meshes.merge(parts)
 
 
-def moulding(path: np.ndarray, profile: np.ndarray, closed: bool = False) -> Mesh:
+def moulding(path: ArrayLike, profile: ArrayLike, closed: bool = False) -> Mesh:
     """A profile (K, 2) swept along a polyline (P, 2) in the plane z = 0, mitred at its corners.
 
     Profile points are (to the left of the path, off the plane); the solid lies to the right as one
@@ -92,9 +93,9 @@ def moulding(path: np.ndarray, profile: np.ndarray, closed: bool = False) -> Mes
         places = (uv_along[ahead: len(points) - 1 + ahead, None],
                   uv_across[None, second: len(profile) - 1 + second])
         uvs.append(np.stack(np.broadcast_arrays(*places), -1))
-    stacked = [np.stack(values, 2).reshape(-1, 4, values[0].shape[-1])
-               for values in (corners, normals, uvs)]
-    return many(*stacked, QUAD)
+    vertices, turned, places_on = (np.stack(values, 2).reshape(-1, 4, values[0].shape[-1])
+                                   for values in (corners, normals, uvs))
+    return many(vertices, turned, places_on, QUAD)
 
 
 def _edge_normals(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

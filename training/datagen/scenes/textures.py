@@ -162,7 +162,7 @@ def _gravel(size: int, rng: np.random.Generator) -> np.ndarray:
     """Pebbles or cracked earth: cells about random points, dark between them."""
     points = rng.random((int(rng.choice([150, 500, 1500])), 2)) * size
     tree = spatial.cKDTree(points, boxsize=size)
-    grid = np.stack(np.mgrid[0:size, 0:size], -1).reshape(-1, 2)
+    grid = np.stack(list(np.mgrid[0:size, 0:size]), -1).reshape(-1, 2)
     distance, index = tree.query(grid, 2)
     gap = np.clip((distance[:, 1] - distance[:, 0]) / rng.uniform(1.5, 4), 0, 1).reshape(size, size)
     tone = rng.random(len(points))[index[:, 0]].reshape(size, size)

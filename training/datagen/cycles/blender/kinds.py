@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -71,6 +73,7 @@ class Library:
              pick: int | None = None) -> tuple[list[bpy.types.Object], np.ndarray, np.ndarray]:
         """Import a file; of a set keep ``pick`` pieces. Root objects and the bounds (3,), (3,) of
         its meshes."""
+        assert self.root is not None, "a library of things has a folder"
         before = set(bpy.data.objects)
         bpy.ops.import_scene.gltf(filepath=str(self.root / name / "scene.gltf"))
         made = [o for o in bpy.data.objects if o not in before]
@@ -135,7 +138,7 @@ class Shot:
 
     target: np.ndarray
     size: float  # of the subject, metres
-    facts: dict = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
 
 
 def build(kind: str, library: Library, frames: int, width: int, rng: Rng) -> Shot:
@@ -263,7 +266,7 @@ def furnish(library: Library, w: float, d: float, rng: Rng) -> list[bpy.types.Ob
             top = at + (rng.uniform(-0.4, 0.4) * size[0], rng.uniform(-0.4, 0.4) * size[1], size[2])
             things.append(parts.solid(rng, top, rng.uniform(0.1, 0.4), parts.material(rng)))
     for _ in range(int(rng.integers(0, 4))):
-        at = (rng.uniform(-0.4, 0.4) * w, rng.uniform(-0.1, 0.4) * d, 0)
+        at = np.array((rng.uniform(-0.4, 0.4) * w, rng.uniform(-0.1, 0.4) * d, 0))
         things.append(parts.solid(rng, at, rng.uniform(0.2, 0.8), parts.material(rng)))
     things += props(library, rng, int(rng.integers(0, 4)), 0.4 * w, 0.35 * d, (0.3, 1.5))
     return things
@@ -439,8 +442,10 @@ def fog(library: Library, frames: int, rng: Rng) -> Shot:
     """Mist, smoke or lit dust all over a setting, or a cloud in it."""
     setting = str(rng.choice(["room", "outdoor", "studio", "foliage", "dark"],
                              p=[0.3, 0.3, 0.15, 0.1, 0.15]))
-    shot = {"room": room, "outdoor": outdoor, "studio": studio, "foliage": foliage,
-            "dark": lambda *a: room(*a, dark=True)}[setting](library, frames, rng)
+    settings: dict[str, Callable[[Library, int, Rng], Shot]] = {
+        "room": room, "outdoor": outdoor, "studio": studio, "foliage": foliage,
+        "dark": partial(room, dark=True)}
+    shot = settings[setting](library, frames, rng)
     reach = {"room": 5, "dark": 5, "studio": 4}.get(setting, 5 * shot.size)
     density = 2 ** rng.uniform(-3.5, 1.5) / reach
     whole = rng.random() < 0.7

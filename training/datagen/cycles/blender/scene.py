@@ -17,6 +17,8 @@ from mathutils import Matrix, Vector
 
 Rng = np.random.Generator
 Colour = tuple[float, float, float]
+Place = Sequence[float] | np.ndarray
+"""Or a direction: three numbers."""
 
 OPEN_WATER = 0.6  # share of clear water that shadow rays pass
 OPEN_GLASS = 0.25  # share of glass that shadow rays pass
@@ -40,7 +42,7 @@ def link(name: str, data: bpy.types.ID | None) -> bpy.types.Object:
 # Cameras and motion
 
 
-def camera_at(eye: Sequence[float], target: Sequence[float], fov: float) -> bpy.types.Object:
+def camera_at(eye: Place, target: Place, fov: float) -> bpy.types.Object:
     """The scene's camera; ``fov`` is the horizontal field of view in degrees."""
     data = bpy.data.cameras.new("camera")
     data.angle, data.clip_start, data.clip_end = math.radians(fov), 0.01, 10000.0
@@ -50,10 +52,10 @@ def camera_at(eye: Sequence[float], target: Sequence[float], fov: float) -> bpy.
     return camera
 
 
-def look(eye: Sequence[float], target: Sequence[float]) -> Matrix:
-    eye, target = Vector(eye), Vector(target)
-    turn = (target - eye).to_track_quat("-Z", "Y")
-    return Matrix.Translation(eye) @ turn.to_matrix().to_4x4()
+def look(eye: Place, target: Place) -> Matrix:
+    place = Vector(eye)
+    turn = (Vector(target) - place).to_track_quat("-Z", "Y")
+    return Matrix.Translation(place) @ turn.to_matrix().to_4x4()
 
 
 def keyframe(item: bpy.types.Object, first: Matrix, last: Matrix, frames: int) -> None:
@@ -81,7 +83,7 @@ def make_linear(item: bpy.types.ID) -> None:
                         point.interpolation = "LINEAR"
 
 
-def move_camera(camera: bpy.types.Object, target: Sequence[float], frames: int, width: int,
+def move_camera(camera: bpy.types.Object, target: Place, frames: int, width: int,
                 rng: Rng) -> str:
     """Keyframes of a random path that moves the picture by 0.2 to 8 pixels a frame, or none;
     returns its kind."""
@@ -225,7 +227,8 @@ def colour_of(rng: Rng) -> Colour:
                    rng.uniform(0.3, 1) if rng.random() < 0.6 else rng.uniform(0, 0.3))
     hue = rng.random(3)
     hue = hue / hue.max()
-    return tuple(float(x) for x in value * (dull + (1 - dull) * hue))
+    red, green, blue = (float(x) for x in value * (dull + (1 - dull) * hue))
+    return red, green, blue
 
 
 def material(rng: Rng, kind: str | None = None) -> bpy.types.Material:
@@ -599,7 +602,7 @@ def mesh(name: str, vertices: np.ndarray, faces: np.ndarray, made: bpy.types.Mat
     return link(name, data)
 
 
-def quad(centre: Sequence[float], u: Sequence[float], v: Sequence[float],
+def quad(centre: Place, u: Place, v: Place,
          made: bpy.types.Material | None) -> bpy.types.Object:
     """A rectangle with half sides ``u`` and ``v``, and texture coordinates over it."""
     c, u, v = (np.array(x, float) for x in (centre, u, v))
@@ -608,7 +611,7 @@ def quad(centre: Sequence[float], u: Sequence[float], v: Sequence[float],
                 uv=np.array([[0, 0], [1, 0], [1, 1], [0, 1]]))
 
 
-def box(low: Sequence[float], high: Sequence[float],
+def box(low: Place, high: Place,
         made: bpy.types.Material | None) -> bpy.types.Object:
     low, high = np.array(low, float), np.array(high, float)
     corners = (np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)]) * (high - low)
@@ -620,7 +623,7 @@ def box(low: Sequence[float], high: Sequence[float],
     return item
 
 
-def solid(rng: Rng, at: Sequence[float], size: float, made: bpy.types.Material) -> bpy.types.Object:
+def solid(rng: Rng, at: Place, size: float, made: bpy.types.Material) -> bpy.types.Object:
     """A random body that stands on ``at``: ball, box, torus, cone, cylinder, monkey or a lump."""
     kind = str(rng.choice(["ball", "box", "torus", "cone", "cylinder", "monkey", "lump"]))
     calls = {

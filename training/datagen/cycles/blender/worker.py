@@ -15,6 +15,7 @@ import os
 import sys
 import traceback
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -53,7 +54,7 @@ def use_device() -> str:
     return "GPU" if cards else "CPU"
 
 
-def set_up(scene: bpy.types.Scene, device: str, rng: np.random.Generator) -> dict:
+def set_up(scene: bpy.types.Scene, device: str, rng: np.random.Generator) -> dict[str, Any]:
     """Apply settings that all renders of a clip share; returns the random choices."""
     cycles, render, layer = scene.cycles, scene.render, scene.view_layers[0]
     cycles.device = device
@@ -111,7 +112,7 @@ def probe(scene: bpy.types.Scene, folder: Path, frame: int) -> tuple[float, floa
     return level, float((light < 1e-6).mean()), float((np.max(change, 0) > 0.15).mean())
 
 
-def make(request: dict, library: Library) -> dict:
+def make(request: dict[str, Any], library: Library) -> dict[str, Any]:
     """Build and render a clip; returns its facts."""
     folder, seed, clip = Path(request["folder"]), request["seed"], request["clip"]
     chooser = clip_generator(seed, clip)
@@ -153,6 +154,7 @@ def main() -> None:
     for line in sys.stdin:
         request = json.loads(line)
         library = library or Library(request["library"] and Path(request["library"]))
+        answer: dict[str, Any]
         try:
             answer = {"facts": make(request, library)}
         except Exception as fault:  # the next clip may well work
