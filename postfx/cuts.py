@@ -41,6 +41,8 @@ LAYOUT_CELLS = 17  # cells; wider structure is layout
 SMOOTHED_CELLS = 3
 LEAST_RELIABILITY = 0.5  # share of a plane's variance that is no noise
 BLACK_LIGHT_RATIO = 1e-2  # of the mean light: anything darker is just black
+FIREFLY_LIGHT_RATIO = 16  # of the middle light of windows: anything brighter is just bright
+MOST_LIGHT = np.float32(1e30)  # that counts: sums of it are finite
 LEAST_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role.DEPTH: 0.02}
 """Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors,
 doublings."""
@@ -250,7 +252,7 @@ def _picture(frame: Frame) -> Picture | None:
 
 def _light(colour: np.ndarray) -> np.ndarray:
     """Light (rows, columns) of a picture (rows, columns, 3); what is not finite counts as 0."""
-    light: np.ndarray = np.maximum(np.nan_to_num(luminance(colour), nan=0, posinf=0), 0)
+    light: np.ndarray = np.nan_to_num(luminance(np.clip(colour, 0, MOST_LIGHT)))
     return light
 
 
@@ -311,9 +313,10 @@ def _relation_of_windows(before: Picture, now: Picture) -> float | None:
 
 
 def _in_stops(windows: np.ndarray) -> np.ndarray:
-    """log2 of light above what is black beside it."""
-    stops: np.ndarray = np.log2(windows + (BLACK_LIGHT_RATIO * float(windows.mean())
-                                           if windows.any() else 1.0))
+    """log2 of light above what is black beside it, and below what is a firefly."""
+    middle = float(np.median(windows)) if windows.size else 0.0
+    held = np.minimum(windows, FIREFLY_LIGHT_RATIO * middle)
+    stops: np.ndarray = np.log2(held + (BLACK_LIGHT_RATIO * middle or 1.0))
     return stops
 
 

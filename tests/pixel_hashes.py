@@ -105,7 +105,7 @@ def list_cases() -> Iterator[Case]:
     yield Case("reflections", "mirror", "--model m")
     yield Case("reflections-window", "mirror", "--model s --leave 7@id")
     yield Case("memory", "room", "--memory 425M --model m")
-    yield Case("memory-l.fp32", "room", "--memory 390M --model l.fp32", frames="1-2")
+    yield Case("memory-l.fp32", "room", "--memory 410M --model l.fp32", frames="1-2")
     yield Case("memory-window", "window", "--memory 425M --model s --run-up 2")
     yield Case("memory-1x", "room", "--memory 425M --model s --scale 1", frames="1-2")
     yield Case("both-ways", "room", "--both-ways --model m")

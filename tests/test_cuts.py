@@ -312,3 +312,15 @@ def test_a_detector_goes_on_from_its_history_in_rain_and_before_texture():
         continued.recall(past)
         assert continued(frame) == wanted
         past = whole.history()
+
+
+@pytest.mark.filterwarnings("error")
+def test_broken_pixels_hide_no_cut_and_make_none():
+    broken = np.array([np.nan, np.inf, -np.inf, 3e38, 1e10, -1e10])
+    pictures = [wall(1), wall(1, 3), wall(2), wall(2, 3)]
+    for number, one in enumerate(pictures):
+        random = np.random.default_rng(number)
+        one[random.integers(HEIGHT, size=6), random.integers(WIDTH, size=6)] = broken[:, None]
+    assert cuts(shown(pictures)) == [2]
+    for value in broken:
+        assert not cuts(shown([np.full((HEIGHT, WIDTH, 3), value)] * 2))

@@ -372,10 +372,9 @@ def _locate_files(names: list[str | os.PathLike[str]]) -> tuple[Pattern, list[in
 
 def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
     """Pattern of the files, or of the one folder, that wildcards fit."""
-    wild = (glob.escape(pattern.folder) + pattern.prefix + ("*" if pattern.is_numbered else "")
-            + pattern.suffix)
-    wild = wild.replace(PLANE_FIELD, "*").replace(VIEW_FIELD, "*")
-    found = sorted(map(Path, _glob(wild)))
+    name = pattern.prefix + ("*" if pattern.is_numbered else "") + pattern.suffix
+    name = name.replace(PLANE_FIELD, "*").replace(VIEW_FIELD, "*")
+    found = sorted(map(Path, _glob(glob.escape(pattern.folder) + name)))
     folders = [path for path in found if os.path.isdir(path)]  # False without the right to look
     files = [path for path in found if os.path.isfile(path)]
     paths = ([path for path in files if path.suffix.lower() in READABLE]

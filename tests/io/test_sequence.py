@@ -54,9 +54,12 @@ def test_two_numbers_in_a_name_are_refused():
 @pytest.mark.parametrize("name", ["shots #12", "a@@b", "take %04d", "$F4", "{view}", "{plane}",
                                   "%V", "[x]*?"])
 def test_signs_in_the_name_of_a_folder_that_is_there_are_part_of_it(name, shot, tmp_path):
-    folder = tmp_path / name
+    """Also where a wildcard in its place would fit another folder."""
+    folder, beside = tmp_path / name, tmp_path / "another shot"
     folder.mkdir()
+    beside.mkdir()
     for path in shot(1, 2).glob("*.exr"):
+        (beside / path.name).write_bytes(path.read_bytes())
         path.rename(folder / path.name)
     for source in (folder, f"{folder}/shot.####.exr", f"{folder}/shot.*.exr",
                    [folder / "shot.0001.exr"]):

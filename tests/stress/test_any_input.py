@@ -4,6 +4,7 @@ by Hypothesis."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -71,6 +72,8 @@ def in_a_line(call: Callable[[], Frame | np.ndarray | None]) -> None:
         return
     colour = found[Role.COLOUR] if isinstance(found, Frame) else found
     assert colour is None or np.isfinite(colour).all()
+    assert not isinstance(found, Frame) or all(np.isfinite(part).all()
+                                               for part in found.parts.values())
 
 
 def by_pipeline(shot: list[Frame]) -> None:
@@ -89,10 +92,18 @@ def by_denoise(shot: list[Frame]) -> None:
     in_a_line(lambda: postfx.denoise(frame[Role.COLOUR], model="s", device="cpu", **more))
 
 
+def with_light_groups(frame: Frame) -> Frame:
+    """The frame with two parts that add up to it, and one of its own."""
+    colour = frame[Role.COLOUR]
+    with np.errstate(all="ignore"):
+        key = np.float32(0.25) * colour
+        return replace(frame, parts={"key": key, "fill": colour - key, "own": colour[..., :1]})
+
+
 def by_interpolator(shot: list[Frame]) -> None:
     between = Interpolator()
     for frame in shot:
-        in_a_line(partial(between.push, frame))
+        in_a_line(partial(between.push, with_light_groups(frame)))
         if between.ready and between.reason is None:  # else the nearer frame is given as it is
             in_a_line(partial(between.frame, 0.5))
 

@@ -19,7 +19,12 @@ from torch import Tensor
 from training.denoise.checkpoint import read
 from training.denoise.dataset import CHANNELS, DEPTH, MOTION, Clip, frame_inputs
 from training.denoise.model import empty_state
-from training.denoise.picture import PictureDenoiser, PictureNetwork, layout_from
+from training.denoise.picture import (
+    PictureConfig,
+    PictureDenoiser,
+    PictureNetwork,
+    layout_from,
+)
 
 HALF_MAX = 65504.0
 SHARES = 0.6, 0.9
@@ -42,7 +47,9 @@ class FirstStage:
         if not saved["config"].get("picture"):
             raise ValueError(f"{checkpoint}: does not give the picture itself: take a checkpoint "
                              "of train.py --picture")
-        self._model = PictureDenoiser(PictureNetwork(layout_from(saved["config"])))
+        config = layout_from(saved["config"])
+        assert isinstance(config, PictureConfig), "as it says"
+        self._model = PictureDenoiser(PictureNetwork(config))
         self._model.load_state_dict({name: values.float()
                                      for name, values in saved["weights"].items()})
         self._model.to(device).eval()
