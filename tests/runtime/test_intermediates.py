@@ -123,7 +123,8 @@ def test_a_second_network_runs_in_the_arena_of_the_first(tmp_path: Path) -> None
         return device.heap.networks - before
 
     run(2 * SIDE)
-    assert run(SIDE) < MIB and run(2 * SIDE) < MIB
+    # other threads of this process may touch a page of 2 MiB meanwhile
+    assert run(SIDE) < PLANE / 4 and run(2 * SIDE) < PLANE / 4
     assert device.heap.size >= device.heap.used + device.heap.networks
 
 
