@@ -67,6 +67,7 @@ from postfx.interpolate.ways import (
     DOUBTING_ROWS,
     FLOW_HANDICAP,
     LEAST_LEFT_OF_FLOW,
+    LEAST_SPREAD_OF_FLOW,
     LEAST_UNEVEN,
     LESS_EVEN_THAN_FLOW,
     MORE_EVEN,
@@ -493,7 +494,7 @@ class Between:
             return BY_VECTORS
         flow = self._estimated_back
         explained = compare_ways(*self._small, flow, flow)
-        if explained is None or explained.is_thin or (
+        if explained is None or explained.spread < LEAST_SPREAD_OF_FLOW or (
                 explained.flow < LEAST_LEFT_OF_FLOW * explained.still):
             return BY_VECTORS
         way, measure = np.float32(self._scale) * flow, self._unevenness

@@ -73,6 +73,9 @@ LEAST_LEFT = 0.5
 moves may hide and uncover much that is uneven."""
 LEAST_LEFT_ALONE = 0.9
 """The same by two frames alone."""
+LEAST_SPREAD_OF_FLOW = 0.25
+"""Share of the pixels over which it must be spread for that: 0.09 to 0.13 of a wire, 0.35 and more
+in dissolves."""
 LEAST_LEFT_OF_FLOW = 0.4
 """Misfit of estimated motion, in that of standing still, from which a blend may count where there
 are no vectors."""

@@ -7,6 +7,7 @@ import pytest
 
 from postfx import Between, Frame, Role
 from postfx.cuts import CutDetector
+from postfx.interpolate import BY_VECTORS
 from postfx.interpolate.lost import motion_of_lost
 from postfx.interpolate.ways import unevenness
 
@@ -317,6 +318,7 @@ def test_a_wire_is_no_cut_and_no_worse_with_vectors(step, seed):
             last = Between(*frames[time:time + 3], last=last)
         quality[vectors] = psnr(last.frame(0.5)[Role.COLOUR], wanted)
     mean = (frames[2][Role.COLOUR] + frames[3][Role.COLOUR]) / 2
+    assert last._shares == BY_VECTORS, "without vectors, estimated motion alone"
     assert quality[True] > max(quality[False], psnr(mean, wanted)) - 0.6
 
 
