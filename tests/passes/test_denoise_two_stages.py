@@ -217,7 +217,7 @@ def test_a_network_that_enlarges_of_its_own_comes_after_the_first(tmp_path: Path
     (found,) = pictures(pipeline, [frame])
     mixture = chain(scale=1, strength=DENOISED_SHARE)(frame)[Role.COLOUR]
     assert_same([found], pictures(chain("s.fp32"), [with_planes(frame, colour=mixture)]))
-    assert pipeline.passes[0].choice() == "xl then xl"
+    assert pipeline.passes[0].choice() == "xl in two stages"
     by_file = chain(str(tmp_path / "denoise_upscale.xl.onnx"))
     assert_same(pictures(by_file, [frame]), [found])
 
@@ -240,7 +240,7 @@ def test_a_shipped_network_for_mixtures_has_no_other_frames(
         wanted += pictures(whole, [frame])
         chosen.append(whole.passes[0].choice())
         kept.append({name: np.array(value) for name, value in (whole.history() or {}).items()})
-    assert chosen == ["xl then xl", "l", "xl then xl", "xl then xl"]
+    assert chosen == ["xl in two stages", "l", "xl in two stages", "xl in two stages"]
     assert_same(wanted[:1], [by_own])
     for at in (0, 1):
         again = chain()

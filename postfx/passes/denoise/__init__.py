@@ -400,8 +400,9 @@ class DenoiseUpscale(Pass):
         if not (self._used and model):
             return None
         name = network_name(self._used, model)
-        both = isinstance(ready, ReadyNetwork) and ready.first and ready.first.runs
-        return f"{self._used} then {name}" if both else name
+        if not (isinstance(ready, ReadyNetwork) and ready.first and ready.first.runs):
+            return name
+        return f"{name} in two stages" if name == self._used else f"{self._used} then {name}"
 
     def notice(self) -> str | None:
         told, self._notice = self._notice, None
