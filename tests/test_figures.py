@@ -144,7 +144,7 @@ def test_figures_that_are_repeated_are_those_of_their_page(page: Path) -> None:
 
 
 def test_the_figures_of_the_help_are_measured() -> None:
-    runs = [load("kinds"), load("kinds_1x"), load("kinds_xl")]
+    runs = [load("kinds_2x"), load("kinds_1x"), load("kinds_xl")]
     figures = [figure for line in EXAMPLES.splitlines() if line.startswith("  postfx run")
                for figure in CELL.findall(line)]
     assert len(figures) == 10

@@ -37,8 +37,8 @@ examples:
   postfx run shot/ -o out/ --skip-existing                             # go on after a stop
 
 PSNR in dB to the best of Open Image Denoise for the same rays, at 4, 16 and 64 samples a pixel:
-  postfx run, the render's size                    +0.82, +0.80, +0.46
-  postfx run --with oidn                           +0.79, +0.81, +0.60
+  postfx run, the render's size                    +0.91, +0.86, +0.50
+  postfx run --with oidn                           +0.93, +0.92, +0.67
   postfx run --model m, a tenth of the time        -1.04, -0.98, -1.15
   postfx run --scale 2, half size, 4x the samples  -2.44: only for what cannot be rendered larger
 
