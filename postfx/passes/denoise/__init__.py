@@ -19,7 +19,7 @@ from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.passes import MOST_SIZES, Pass, Reflection, ResidentFrame
 from postfx.passes.denoise.first_stage import DENOISED_SHARE
 from postfx.passes.denoise.frame import Ready, ReadyNetwork, Wishes
-from postfx.passes.denoise.history import History, PartHistory
+from postfx.passes.denoise.history import ALPHA_PICTURE, History, PartHistory
 from postfx.passes.denoise.models import (
     CLASSIC,
     GUIDED,
@@ -49,7 +49,7 @@ from postfx.passes.denoise.options import (
     validate_scale,
     validate_size,
 )
-from postfx.passes.denoise.parts import Layers, checked_parts, has_noisy_alpha
+from postfx.passes.denoise.parts import Layers, checked_parts
 from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES, passthrough_roles
 from postfx.passes.denoise.primaries import widen_history
 from postfx.passes.denoise.reflections import Cameras, can_follow
@@ -271,7 +271,8 @@ class DenoiseUpscale(Pass):
             reactive = self._mask.role(spec) is not None
             sizes = Sizes(spec.height, spec.width, *size)
             self._history = History(device, sizes, reactive)
-            own = {name: History(device, sizes, reactive) for name in self._own}
+            beside = (ALPHA_PICTURE,) if self._alpha_model(spec, models) else ()
+            own = {name: History(device, sizes, reactive) for name in (*self._own, *beside)}
             self._part_history = PartHistory(device, size, self._parts, own)
         self._sizes: LRUCache[FrameSpec, Ready] = LRUCache(MOST_SIZES)
         self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
@@ -305,10 +306,10 @@ class DenoiseUpscale(Pass):
                       else None)
             return Ready(self._device, spec, size, layers)
         models, guided = self._models(spec), self._is_guided(spec)
-        models |= self._alpha_models(spec, models)
+        alpha_model = self._alpha_model(spec, models)
         models |= self._alone_models(spec, models)
-        wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, self._error,
-                        self._first_stage() if self._has_first_stage(spec) else None)
+        wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, alpha_model,
+                        self._error, self._first_stage() if self._has_first_stage(spec) else None)
         return ReadyNetwork(self._device, spec, size, models, guided, wishes, self._history,
                             self._part_history)
 
@@ -362,17 +363,12 @@ class DenoiseUpscale(Pass):
         return {short_tag(tag): model_of(tag, ending, self._device, bool(self._parts))
                 for tag in tags}
 
-    def _alpha_models(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
-        """The network that noisy alpha takes instead, by its tag, where one of the ``models`` has
-        no filters for it.
-
-        A frame whose error is asked for keeps its network and its alpha.
-        """
-        filters_alpha = self._alpha and spec.has(Role.ALPHA) and not self._error
-        if not filters_alpha or not any(map(gives_picture, models.values())):
-            return {}
-        model = model_of(self._tag, self._ending(spec), self._device, filters=True)
-        return {} if model in models.values() else {short_tag(model): model}
+    def _alpha_model(self, spec: FrameSpec, models: Mapping[str, str]) -> str | None:
+        """The network that filters noisy alpha, where one of the ``models`` gives the picture
+        alone."""
+        if not (self._alpha and spec.has(Role.ALPHA) and any(map(gives_picture, models.values()))):
+            return None
+        return model_of(self._tag, self._ending(spec), self._device, filters=True)
 
     def _alone_models(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
         """The network of frames that are not denoised first, by its tag, where it is not the one of
@@ -518,17 +514,14 @@ class DenoiseUpscale(Pass):
         return colour
 
     def _choose(self, frame: ResidentFrame, ready: ReadyNetwork) -> str:
-        """The tag of a frame's network: by the budget; another one for noisy alpha."""
+        """The tag of a frame's network: by the budget; another one for what is enlarged as it
+        is."""
         tag = self._tags[self._ladder.rung if self._ladder else 0]
         if ready.first and not ready.first.look(frame):
             if not self._has_told_of_alpha and ready.first.filters_alpha(frame):
                 self._tell_of_alpha(network_name(ready.alone_tag, ready.models[ready.alone_tag]))
             return ready.alone_tag
-        if not (ready.alpha_tag and ready.models[tag] in ready.pictures and has_noisy_alpha(frame)):
-            return tag
-        if not self._has_told_of_alpha:
-            self._tell_of_alpha(ready.alpha_tag)
-        return ready.alpha_tag
+        return tag
 
     def _tell_of_alpha(self, other: str) -> None:
         """Have the user told that another network runs alone, which filters alpha."""

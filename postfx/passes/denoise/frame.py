@@ -13,9 +13,10 @@ from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise import GAIN
 from postfx.kernels.statistics import OUTSIDE, light_outside, lit_cells
 from postfx.passes import Pass, ResidentFrame
+from postfx.passes.denoise.alpha_picture import AlphaPicture
 from postfx.passes.denoise.assembly import Frames
 from postfx.passes.denoise.first_stage import FirstStage
-from postfx.passes.denoise.history import History, PartHistory
+from postfx.passes.denoise.history import ALPHA_PICTURE, History, PartHistory
 from postfx.passes.denoise.models import (
     CLASSIC,
     blanks_volumes,
@@ -98,6 +99,7 @@ class Wishes(NamedTuple):
         mask: where the history is not used.
         parts: what is denoised with the picture.
         alpha: whether alpha is, too.
+        alpha_model: the network that filters it, where the others give the picture alone.
         error: whether the expected error is told.
         first: what denoises frames before they are enlarged; None where nothing does.
     """
@@ -106,6 +108,7 @@ class Wishes(NamedTuple):
     mask: ReactiveOption
     parts: Sequence[Part]
     alpha: bool
+    alpha_model: str | None
     error: bool
     first: Pass | None
 
@@ -116,8 +119,8 @@ class ReadyNetwork(Ready):
     Attributes:
         models: the networks of this size by tag; each frame takes one.
         pictures: those that give the picture itself, and no filters.
-        alpha_tag: the largest network that filters noisy alpha, where others give the picture
-            alone.
+        alpha: filters noisy alpha where the picture's network has no filters; None where none
+            does.
         first: denoises frames before they are enlarged; None where nothing does.
         alone_tag: the network that enlarges the frames which it leaves out.
         frames: runs the models.
@@ -139,8 +142,6 @@ class ReadyNetwork(Ready):
                                               grid_of(models.values()))
         self.models = models
         self.pictures = {model for model in names if gives_picture(model)}
-        filtering = [tag for tag, model in models.items() if model not in self.pictures]
-        self.alpha_tag = filtering[-1] if alpha and self.pictures and filtering else None
         self._blanking = {model for model in names if blanks_volumes(model)}
         self._planes = Planes(device, spec, output, guided, any(map(reads_mirrored, names)))
         reactive = wishes.mask.role(spec) is not None
@@ -148,7 +149,10 @@ class ReadyNetwork(Ready):
         self.reflections = Reflections(device, spec) if can_follow(spec) else None
         self.frames = Frames(device, sizes, list(names), history, guided, reactive,
                              layers is not None)
-        self._own = {name: self.frames.beside(own) for name, own in part_history.own.items()}
+        self.alpha = (AlphaPicture(device, sizes, wishes.alpha_model, reactive, layers,
+                                   part_history) if layers and wishes.alpha_model else None)
+        self._own = {name: self.frames.beside(own) for name, own in part_history.own.items()
+                     if name != ALPHA_PICTURE}
         self.restore = Restore(device, output) if output == (spec.height, spec.width) else None
         full = wishes.strength == 1 and not spec.has(Role.STRENGTH)
         self.strength = (None if full
@@ -183,9 +187,13 @@ class ReadyNetwork(Ready):
         if self.reflections and work.camera is not None:
             planes["motion"] = self.reflections.encode(commands, frame, work.camera, planes)
 
-        filtered = None if work.model in (CLASSIC, *self.pictures) else self.layers
-        layers, targets = (filtered.begin(commands, frame, planes, work) if filtered
+        filters = work.model not in (CLASSIC, *self.pictures)
+        alpha = self.alpha if not filters and self.alpha and self.alpha.runs_on(frame) else None
+        filtered = self.layers if filters or alpha else None
+        layers, targets = (filtered.begin(commands, frame, planes, work) if filtered and filters
                            else ([], {}))
+        filtered_picture = (alpha.encode(commands, frame, planes, self._planes, work) if alpha
+                            else None)
         if self.layers and not filtered:  # alpha is only resampled
             self.layers.skip()
         restore = self.restore if self.may_restore(frame) else None
@@ -197,7 +205,7 @@ class ReadyNetwork(Ready):
         if self.error:
             picture |= self.error.written
         denoised = self.frames.encode(commands, planes, work, layers, targets)
-        if filtered:
+        if filtered and filters:
             self._encode_own(commands, filtered.own_runs(frame, planes, work), work)
 
         strength = self.strength
@@ -210,7 +218,8 @@ class ReadyNetwork(Ready):
         if strength:
             colour = strength.encode(commands, frame, colour, rows)
         if filtered:
-            filtered.finish(commands, frame, (denoised, colour), rows, restore, strength)
+            filtered.finish(commands, frame, (filtered_picture or denoised, colour), rows, restore,
+                            strength)
         return self.wider.narrow(commands, frame, colour) if work.wider else colour
 
     def _encode_own(self, commands: CommandBuffer, runs: Iterable[OwnRun], work: Work) -> None:

@@ -181,6 +181,8 @@ WHOLE = "whole picture"
 """Name of a layer: the picture filtered like its parts, beside parts that are not all of it."""
 ALPHA_LAYER = "alpha of the picture"
 """Name of the layer of alpha, beside those of parts."""
+ALPHA_PICTURE = "picture beside alpha"
+"""Name of the history of a network that runs for alpha alone."""
 ALPHA_CHANNELS = {"samples": 4, "doubt": 1}
 """What alpha leaves beside: means of its samples by quarter-pixels, and their variance."""
 
@@ -318,6 +320,7 @@ class PartHistory:
 
     def turn(self) -> None:
         """Begin a frame."""
+        self.ran = ()
         self.stacks.reverse()
 
     def forget(self) -> None:

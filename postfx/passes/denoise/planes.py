@@ -138,11 +138,11 @@ class Planes:
         planes |= {str(role): resampler.output for role, resampler in self._reduced.items()}
         planes |= {f"guide_{role}": resampler.output for role, resampler in self._enlarged.items()}
         self.hazy = blank and self.hazy
-        return planes | self._constants | (self._find_haze(frame) if blank else {})
+        return planes | self._constants | (self.stand_ins(frame) if blank else {})
 
-    def _find_haze(self, frame: ResidentFrame) -> dict[str, Tensor]:
-        """Stand-ins for the planes that a volume hides, if it does. Planes on the device are looked
-        at where a sequence begins."""
+    def stand_ins(self, frame: ResidentFrame) -> dict[str, Tensor]:
+        """What stands in for the planes that a volume hides, if it does. Planes on the device are
+        looked at where a sequence begins."""
         if Role.DEPTH not in self._held:
             return {}
         if not frame.is_away or frame.reset or not self._looked:
