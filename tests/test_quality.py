@@ -48,7 +48,7 @@ PLAIN = [method for method in OTHERS if method.family == "plain"]
 # psnr_late, and what a failing test prints. Whoever ships other networks writes theirs here.
 MEASURED = {
     "s": 26.89, "s-int8": 26.94, "s-fp16": 26.89, "l": 27.31, "l-int8": 27.30,
-    "m": 27.33, "m-int8": 27.34, "m-guides": 27.00, "m-int8-guides": 27.00,
+    "m": 27.33, "m-int8": 27.34, "m-guides": 27.00, "m-int8-guides": 27.00, "xl": 27.22,
 }
 SLACK = 0.4
 ABOVE_PLAIN = 4.0

@@ -390,10 +390,11 @@ class DenoiseUpscale(Pass):
 
     def choice(self) -> str | None:
         """The network of the last frame that took one, or both."""
+        if not self._used:
+            return None
         ready = self._ready
-        model = (ready.models.get(self._used)
-                 if self._used and isinstance(ready, ReadyNetwork) else None)
-        if not (self._used and model):
+        model = ready.models.get(self._used) if isinstance(ready, ReadyNetwork) else None
+        if not model:
             return None
         name = network_name(self._used, model)
         if not (isinstance(ready, ReadyNetwork) and ready.first and ready.first.runs):
