@@ -108,9 +108,10 @@ def share_one_heap() -> None:
         mallopt(MOST_HEAPS, 1)
 
 
-HELD_BY_PROCESS = Path("/proc/self/smaps_rollup")
-"""Where Linux counts the pages of a process one by one; its other counts lag behind."""
-ANONYMOUS = re.compile(r"^Anonymous: +(\d+) kB$", re.MULTILINE)
+HELD_BY_PROCESS = Path("/proc/self/status")
+"""Where Linux says how many pages a process has touched. Its count may lag behind by a quarter of a
+MiB a thread. To count them one by one (smaps_rollup) takes 84 ms in a process of 4 GiB."""
+ANONYMOUS = re.compile(r"^RssAnon:\s+(\d+) kB$", re.MULTILINE)
 
 
 def held_bytes() -> int | None:
