@@ -1,4 +1,4 @@
-"""A network that gives the picture alone: alpha and parts take another one."""
+"""A network that gives the picture alone: another one filters its alpha, and parts take that."""
 
 from __future__ import annotations
 

@@ -113,9 +113,9 @@ class DenoiseUpscale(Pass):
             frames without parts. The default here is 'm'. `postfx run` and `postfx.denoise` take
             'xl' by themselves for frames of the render's size that fit into memory: it is cleaner,
             and on a CPU takes ten times as long. Where frames are enlarged 'xl' denoises them at
-            their own size first, and 'l' enlarges a mixture of that and the noisy picture; not with
-            parts, noisy alpha, jitter, a budget, or guides in place of planes, where 'l' alone
-            runs.
+            their own size first, and a second network enlarges a mixture of that and the noisy
+            picture. With parts, noisy alpha, jitter, a budget, or guides in place of planes 'l'
+            enlarges the noisy picture instead.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit. Where `model`

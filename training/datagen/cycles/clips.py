@@ -145,8 +145,7 @@ def read_render(paths: list[Path], plain: bool,
 
 
 def read_motion(folder: Path, facts: dict[str, Any], frames: int, render: dict[str, Any],
-                still: bool,
-                scale: float) -> np.ndarray:
+                still: bool, scale: float) -> np.ndarray:
     """Motion (T, H, W, 2) at output size, in its pixels."""
     if not facts["blur"] or still:
         return render["motion"]
