@@ -29,7 +29,7 @@ from postfx.errors import DeviceError, ModelError
 from postfx.files import atomic_file, parse_json
 from postfx.runtime.model_file import read_tables
 from postfx.runtime.tensor import Tensor, element_type
-from postfx.system import held_bytes, private_folder, usable_memory
+from postfx.system import held_bytes, private_folder, return_free_memory, usable_memory
 
 __all__ = ["CPU", "FirstRun", "Placement", "Provider", "Session", "TableSession", "find_provider",
            "first_line", "has_networks", "ort", "parse_provider", "providers_of", "session_options"]
@@ -276,6 +276,7 @@ class Session:
             element = _BFLOAT16 if value.dtype == "bfloat16" else array.dtype.type
             bind(value.name, "cpu", 0, element, array.shape, array.ctypes.data)
         grown: list[int] = []
+        return_free_memory()
         try:
             FirstRun(partial(self._session.run_with_iobinding, binding), grown.append)()
         except Exception as error:
