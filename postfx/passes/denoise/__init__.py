@@ -29,6 +29,7 @@ from postfx.passes.denoise.models import (
     denoises_first,
     enlarging_remarks,
     family,
+    filter_model,
     filter_remarks,
     gives_picture,
     has_model,
@@ -114,8 +115,8 @@ class DenoiseUpscale(Pass):
             'xl' by themselves for frames of the render's size that fit into memory: it is cleaner,
             and on a CPU takes ten times as long. Where frames are enlarged 'xl' denoises them at
             their own size first, and a second network enlarges a mixture of that and the noisy
-            picture. With parts, noisy alpha, jitter, a budget, or guides in place of planes 'l'
-            enlarges the noisy picture instead.
+            picture. With parts, jitter, a budget, or guides in place of planes 'l' enlarges the
+            noisy picture instead.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit. Where `model`
@@ -188,7 +189,7 @@ class DenoiseUpscale(Pass):
         self._cameras, self._repeats = Cameras(), RepeatDetector()
         self._memory = FrameMemory()
         self._notice: str | None = None
-        self._has_told = self._has_told_of_alpha = False
+        self._has_told = False
         own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
         asked = validate_tag(str(model), own)
         self._tag = CLASSIC if self._falls_back(asked) else asked
@@ -365,10 +366,11 @@ class DenoiseUpscale(Pass):
 
     def _alpha_model(self, spec: FrameSpec, models: Mapping[str, str]) -> str | None:
         """The network that filters noisy alpha, where one of the ``models`` gives the picture
-        alone."""
-        if not (self._alpha and spec.has(Role.ALPHA) and any(map(gives_picture, models.values()))):
+        alone, or sees one that was denoised."""
+        is_beside = self._has_first_stage(spec) or any(map(gives_picture, models.values()))
+        if not (self._alpha and spec.has(Role.ALPHA) and is_beside):
             return None
-        return model_of(self._tag, self._ending(spec), self._device, filters=True)
+        return filter_model(self._tag, self._ending(spec), self._device)
 
     def _alone_models(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
         """The network of frames that are not denoised first, by its tag, where it is not the one of
@@ -518,17 +520,7 @@ class DenoiseUpscale(Pass):
         """The tag of a frame's network: by the budget; another one for what is enlarged as it
         is."""
         tag = self._tags[self._ladder.rung if self._ladder else 0]
-        if ready.first and not ready.first.look(frame):
-            if not self._has_told_of_alpha and ready.first.filters_alpha(frame):
-                self._tell_of_alpha(network_name(ready.alone_tag, ready.models[ready.alone_tag]))
-            return ready.alone_tag
-        return tag
-
-    def _tell_of_alpha(self, other: str) -> None:
-        """Have the user told that another network runs alone, which filters alpha."""
-        self._notice = (f"its alpha is noisy, so model '{other}' runs: '{short_tag(self._tag)}' "
-                        "filters the picture alone; fix: --no-alpha-denoise keeps alpha as it is")
-        self._has_told_of_alpha = True
+        return ready.alone_tag if ready.first and not ready.first.look(frame) else tag
 
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
         """What a frame is beside the one before. Only what is denoised alone, from planes of the

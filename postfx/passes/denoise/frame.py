@@ -119,8 +119,8 @@ class ReadyNetwork(Ready):
     Attributes:
         models: the networks of this size by tag; each frame takes one.
         pictures: those that give the picture itself, and no filters.
-        alpha: filters noisy alpha where the picture's network has no filters; None where none
-            does.
+        alpha: filters noisy alpha where the picture's network has no filters, or none that fit the
+            noisy picture; None where nothing does.
         first: denoises frames before they are enlarged; None where nothing does.
         alone_tag: the network that enlarges the frames which it leaves out.
         frames: runs the models.
@@ -161,8 +161,7 @@ class ReadyNetwork(Ready):
         self.error = ExpectedError(device, spec, output) if wishes.error else None
         self.alone_tag = list(models)[-1]
         reach, halo = reach_of(names), halo_of(names)
-        self.first = (FirstStage(device, spec, wishes.first, alpha, halo) if wishes.first
-                      else None)
+        self.first = FirstStage(device, spec, wishes.first, halo) if wishes.first else None
         # beside which windows have their halo
         self._reach = (reach and LIGHT_REACH + max(0, reach - halo))
         # whether all that is made of a frame are weighed means of its pixels
@@ -177,22 +176,23 @@ class ReadyNetwork(Ready):
             self.wider.widen(commands, frame)
         self.frames.use(work.model)
         planes = self._planes.encode(commands, frame, work.model in self._blanking)
-        if mixture:
-            planes["colour"] = (self.wider.widen_light(commands, "mixture", mixture) if work.wider
-                                else mixture)
         if self._planes.hazy:
             reasons.append(HAZY_DEPTH)
         if self._mask:
             planes["reactive"] = self._mask.encode(commands, frame)
         if self.reflections and work.camera is not None:
             planes["motion"] = self.reflections.encode(commands, frame, work.camera, planes)
+        noisy = planes
+        if mixture:
+            planes = {**planes, "colour": self.wider.widen_light(commands, "mixture", mixture)
+                      if work.wider else mixture}
 
-        filters = work.model not in (CLASSIC, *self.pictures)
+        filters = not (work.model in (CLASSIC, *self.pictures) or mixture)
         alpha = self.alpha if not filters and self.alpha and self.alpha.runs_on(frame) else None
         filtered = self.layers if filters or alpha else None
         layers, targets = (filtered.begin(commands, frame, planes, work) if filtered and filters
                            else ([], {}))
-        filtered_picture = (alpha.encode(commands, frame, planes, self._planes, work) if alpha
+        filtered_picture = (alpha.encode(commands, frame, noisy, self._planes, work) if alpha
                             else None)
         if self.layers and not filtered:  # alpha is only resampled
             self.layers.skip()

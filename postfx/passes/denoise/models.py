@@ -181,6 +181,14 @@ def unscaled_remarks(tag: str) -> list[str]:
     return [f"model '{tag}' has no network for 1x: '{other}' stands in, which is better there"]
 
 
+def filter_model(tag: str, ending: str, device: Device) -> str:
+    """Name of the model that filters what a tag's own cannot, as it gives the picture alone or sees
+    a denoised one: the stand-in's, or else one of the tag itself."""
+    found = _named(_stand_in(tag, STAND_INS), ending, device)
+    return found if has_model(found) and not gives_picture(found) else model_of(tag, ending, device,
+                                                                                filters=True)
+
+
 def denoises_first(tag: str) -> bool:
     """Whether frames that are enlarged are denoised first by the tag's network for the render size,
     which must give the picture itself."""
