@@ -112,11 +112,11 @@ class DenoiseUpscale(Pass):
             network, 'nets/mine.onnx', with its card beside it, and mine.guides.onnx and
             mine.1x.onnx if they exist; or 'classic', a filter without a network, on a CPU and for
             frames without parts. The default here is 'm'. `postfx run` and `postfx.denoise` take
-            'xl' by themselves for frames of the render's size that fit into memory: it is cleaner,
-            and on a CPU takes ten times as long. Where frames are enlarged 'xl' denoises them at
-            their own size first, and a second network enlarges a mixture of that and the noisy
-            picture. With parts, jitter, a budget, or guides in place of planes 'l' enlarges the
-            noisy picture instead.
+            'xl' by themselves for frames that fit into memory, but not for larger ones with guides:
+            it is cleaner, and on a CPU takes ten times as long. Where frames are enlarged 'xl'
+            denoises them at their own size first, and a second network enlarges a mixture of that
+            and the noisy picture. With parts, jitter, a budget, or guides in place of planes 'l'
+            enlarges the noisy picture instead.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit. Where `model`
