@@ -12,7 +12,7 @@ import pytest
 
 import postfx
 from postfx.colour import TO_WIDER_PRIMARIES
-from postfx.frame import GUIDE_ROLES, Frame, Part, Role
+from postfx.frame import GUIDE_ROLES, Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise import models as model_names
 from postfx.passes.denoise.first_stage import DENOISED_SHARE
@@ -182,7 +182,6 @@ def test_alpha_beside_both_networks_goes_on_from_a_recalled_history() -> None:
 
 
 @pytest.mark.parametrize(("options", "reason"), [
-    ({"parts": ("key",)}, "parts need filters that fit the noisy picture"),
     ({"budget": 1e6}, "there is a budget"),
 ], ids=str)
 def test_options_leave_the_first_stage_out(options: dict, reason: str) -> None:
@@ -198,14 +197,19 @@ def test_options_leave_the_first_stage_out(options: dict, reason: str) -> None:
     assert not {name for name in pipeline.device.models if "xl" in name}
 
 
-def test_parts_add_up_as_with_the_network_that_enlarges() -> None:
-    given = [replace(frame, parts={"key": 0.25 * frame[Role.COLOUR]}) for frame in frames(2)]
-    parts = [Part("key")]
-    found, alone = (chain(model, parts=parts) for model in ("xl", "l"))
-    for frame in given:
-        one, other = found(frame), alone(frame)
-        np.testing.assert_array_equal(one[Role.COLOUR], other[Role.COLOUR])
-        np.testing.assert_array_equal(one.parts["key"], other.parts["key"])
+def test_parts_beside_both_networks_add_up_to_their_picture() -> None:
+    """By the share that `m` finds, which filters them from the noisy frame."""
+    names = ["key", "fill"]
+    given = [replace(frame, parts={"key": 0.25 * frame[Role.COLOUR],
+                                   "fill": 0.75 * frame[Role.COLOUR]}) for frame in frames(2)]
+    ours, other = (chain(model, parts=names) for model in ("xl", "m"))
+    for frame, wanted in zip(given, by_hand(frames(2)), strict=True):
+        found, filtered = ours(frame), other(frame)
+        np.testing.assert_array_equal(found[Role.COLOUR], wanted)
+        for name in names:
+            np.testing.assert_allclose(found.parts[name] / found[Role.COLOUR],
+                                       filtered.parts[name] / filtered[Role.COLOUR], rtol=1e-4)
+        np.testing.assert_allclose(sum(found.parts.values()), wanted, rtol=1e-5)
 
 
 def test_guides_in_place_of_planes_leave_the_first_stage_out() -> None:

@@ -190,7 +190,7 @@ def unscaled_remarks(tag: str) -> list[str]:
     return [f"model '{tag}' has no network for 1x: '{other}' stands in, which is better there"]
 
 
-def filter_model(tag: str, ending: str, device: Device) -> str:
+def filter_model(tag: str, ending: str, device: Device | None = None) -> str:
     """Name of the model that filters what a tag's own cannot, as it gives the picture alone or sees
     a denoised one: the stand-in's, or else one of the tag itself."""
     found = _named(_stand_in(tag, STAND_INS), ending, device)
@@ -222,15 +222,6 @@ def enlarging_remarks(tag: str) -> list[str]:
         return [f"model '{tag}' has no network in {precision}: '{other}' stands in; give model "
                 f"'{size}' for the better picture"]
     return [f"model '{tag}' does not enlarge: '{other}' stands in"]
-
-
-def filter_remarks(tag: str) -> list[str]:
-    """What a plan says of parts of the picture where a network gives the picture alone."""
-    if not gives_picture(model_of(tag, UNSCALED)):
-        return []
-    other = short_tag(model_of(tag, UNSCALED, filters=True)).removesuffix(UNSCALED)
-    return [f"model '{short_tag(tag)}' filters the picture alone: '{other}' runs, which filters "
-            "its parts, too"]
 
 
 def _stand_in(tag: str, stand_ins: Mapping[str, str]) -> str:
