@@ -79,8 +79,8 @@ def main(argv: list[str]) -> None:
                        columns=", ".join(columns), showcase=SHOWN if SHOWCASE.exists() else "")
     (out / "index.html").write_text(page, encoding="utf-8")
     print(f"\nOpen {out / 'index.html'}. The same by two commands:")
-    print(f"  postfx run 'samples/room/noisy.####.exr' -o '{clean}' --scale {SCALE} --exposure "
-          "metadata")
+    print(f"  postfx run 'samples/room/noisy.####.exr' -o '{clean}' --scale {SCALE} --model m "
+          "--exposure metadata")
     print(f"  postfx run '{clean}' -o '{out}/picture.####.png' --no-denoise --exposure metadata")
 
 

@@ -50,7 +50,7 @@ from postfx.cli.summary import (
     warn_of_budget,
 )
 from postfx.cli.told import Told
-from postfx.cli.usual_network import is_chosen, keeps_render_size
+from postfx.cli.usual_network import choose_network, is_chosen
 from postfx.compiled.library import CompileWatch
 from postfx.cuts import CutDetector
 from postfx.errors import OptionError, PostfxError, WriteError
@@ -71,7 +71,6 @@ from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
 from postfx.passes.denoise import NO_HISTORY_REMARK
-from postfx.passes.denoise.models import lacks_memory, runs_render_size, usual_network
 from postfx.passes.denoise.options import enlargement
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
@@ -202,18 +201,15 @@ class Job:
         return RUN.values_for(part, self._arguments)
 
     def _denoiser_options(self, device: Device) -> dict[str, Any]:
-        """The denoiser's options. Without --model they name the network that is best at the
-        output's size, unless time or memory is bounded."""
+        """The denoiser's options. Without --model they name the network that is best, unless time
+        or memory is bounded."""
         given = self._values("denoiser")
         if is_chosen(self._arguments, given):
             return given
-        size = self._first_spec.width, self._first_spec.height
-        keeps_size = keeps_render_size(self._first_spec, given)
-        could = keeps_size and runs_render_size(device)
-        missing = lacks_memory(size, device) if could else None
-        if missing:
-            self.skips.append(Skip("the network for this size", missing))
-        return {**given, "model": usual_network(size, keeps_size, device)}
+        choice = choose_network(self._first_spec, given, device)
+        if choice.lack:
+            self.skips.append(Skip("the network for this size", choice.lack))
+        return {**given, "model": choice.network}
 
     def _has_flat_albedo(self) -> bool:
         """Whether the first frame's diffuse albedo is one grey or colour: a default, or an override
