@@ -175,7 +175,9 @@ class FrameFiles(ExitStack):
                 word: self.enter_context(ImageFile(path)) for word, path in paths.items()
             }
             self.path = next(iter(self.files.values())).path
-            self.plan, self.layout = self._find_plan(settled, guides, plans or Plans(1))
+            self.plan, self.layout = self._find_plan(
+                settled, guides, Plans(1) if plans is None else plans
+            )
             self.guides = self._find_guides() if self.plan.guides else None
             entries = options.left_alone
             self.alone = (
@@ -274,7 +276,12 @@ class FrameFiles(ExitStack):
         asked = (None if roles is None else tuple(roles),
                  None if guides is None else tuple(guides))
         key = (*asked, self.lacks_motion, self.alone and self.alone.reads)
-        choices = self.plan.choices if self._is_as_planned else {}
+        # Who looks for mistakes, as `postfx inspect`, tries other rules than the plan's on the same
+        # files.
+        guiding = self.guides.planes if self.guides else None
+        is_as_planned = (self.layout.planes is self.plan.layout.planes
+                         and guiding is (self.plan.guides or None))
+        choices = self.plan.choices if is_as_planned else {}
         choice = choices.get(key)
         if choice is None:
             choice = choices[key] = self._choose(*asked)
@@ -297,14 +304,6 @@ class FrameFiles(ExitStack):
             frame.parts = read_parts(self.files, self.parts)
             frame.part_sources = {name: part.source for name, part in self.parts.items()}
         return frame
-
-    @property
-    def _is_as_planned(self) -> bool:
-        """Whether planes are read by the rules of the plan: who looks for mistakes, as `postfx
-        inspect`, tries others on the same files."""
-        guides = self.guides.planes if self.guides else None
-        return (self.layout.planes is self.plan.layout.planes
-                and guides is (self.plan.guides or None))
 
     def _choose(
         self, roles: Iterable[Role] | None, guides: Iterable[Role] | None

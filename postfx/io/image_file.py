@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.caching import Kept
+from postfx.caching import LRUCache
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8
 from postfx.io.exr.container import (
@@ -297,7 +297,7 @@ _PART_ATTRIBUTES = (*STORAGE_ATTRIBUTES, "name", "view", "multiView", PICTURE_AT
 """Of a header: those that tell what is known of its part."""
 MOST_KINDS_OF_FILES = 64
 """Whose parts are kept."""
-_PARTS: Kept[tuple[object, ...], tuple[Part, ...]] = Kept(MOST_KINDS_OF_FILES)
+_PARTS: LRUCache[tuple[object, ...], tuple[Part, ...]] = LRUCache(MOST_KINDS_OF_FILES)
 """Parts of files by what their headers tell of them, or else by all that is known of them."""
 
 

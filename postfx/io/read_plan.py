@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from postfx.caching import Kept
+from postfx.caching import LRUCache
 from postfx.errors import MissingPlaneError, ReadError
 from postfx.frame import ColourSource, Role
 from postfx.io.channels import Channel, ChannelIndex, Parts, are_together
@@ -72,7 +72,7 @@ class Settled(NamedTuple):
 MOST_READ_PLANS = 32
 """That are kept: a sequence has one for each view, and for each kind of header that its frames
 have."""
-Plans = Kept[object, "ReadPlan"]
+Plans = LRUCache[object, "ReadPlan"]
 """The plans of a sequence by their keys."""
 
 

@@ -131,7 +131,7 @@ class Header:
 
     def pack(self) -> bytes:
         """The header as a file holds it."""
-        entries = [raw(name) + b"\0" + raw(kind) + b"\0" + struct.pack("<i", len(value)) + value
+        entries = [f"{name}\0{kind}\0".encode(*_AS_TEXT) + struct.pack("<i", len(value)) + value
                    for name, (kind, value) in self.attributes.items()]
         return b"".join(entries) + b"\0"
 
