@@ -216,7 +216,7 @@ EQUIVALENT = {
     "number: 0.0 -> -1.0 in signal = np.clip(": "what is below 0 becomes 0, too",
     "number: 0 -> -1 in mix_row(": "the output of a network holds one frame, the first and the "
     "last",
-    "number: 0 -> -1 in _correct_type(headers[0]": "a file of one part has one header",
+    "number: 0 -> -1 in headers[0].part_type == other": "a file of one part has one header",
     "number: 7 -> 6 in shifted = [correlation(": "noise is as unrelated to that of six pixels away "
     "as of seven",
     "number: 1 -> 0 in x += 1": "the pixel is computed a second time",

@@ -17,8 +17,8 @@ from postfx.files import file_threads, run_in_order
 from postfx.frame import ROLES, Frame, FrameSpec, Role
 from postfx.io.channels import Channel, ChannelIndex, read_channels
 from postfx.io.convert import Camera, convert, fill_background_motion
-from postfx.io.exr.container import rows_of_task
-from postfx.io.facts import Facts, merge_headers
+from postfx.io.exr.container import read_rows, rows_of_task
+from postfx.io.facts import merge_headers, read_facts
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import GuideLayout, Layout, Match
 from postfx.io.masks import LeftAlone
@@ -119,7 +119,8 @@ class _Rows:
             return False
         for word, part, columns in self.plan.parts:
             wanted = [(own, self.planes[role][slice(*rows)]) for role, own in columns.items()]
-            if not self.files[word].read_planes(part, wanted, rows):
+            container = self.files[word].container
+            if container is None or not read_rows(container, part.index, wanted, *rows):
                 return False
         self._convert(rows)
         return True
@@ -244,13 +245,13 @@ class FrameFiles(ExitStack):
             return GuideLayout(self._guiding.path, planes, self._guiding.layout.camera)
         first, layout = next(iter(planes.values())).channels[0], self.layout
         file = self.files[first.word]
-        own = Facts(layout.profile, layout.layer, file.headers[first.part.index])
-        return GuideLayout(file.path, planes, replace(layout.camera, jitter=own.jitter()))
+        own = read_facts(layout.profile, layout.layer, file.headers[first.part.index])
+        return GuideLayout(file.path, planes, replace(layout.camera, jitter=own.camera.jitter))
 
     @property
     def begins_shot(self) -> bool:
         """Whether the header says so."""
-        return bool(self.layout.facts.number("reset"))
+        return self.layout.facts.begins_shot
 
     def spec(self) -> FrameSpec:
         """Size, planes and guides of the frame; MissingPlaneError when there is no colour."""
@@ -388,7 +389,6 @@ class FrameFiles(ExitStack):
         layout, camera, part = self.layout, self.layout.camera, first.part
         source = self.plan.source if Role.COLOUR in layout.planes else None
         source = source and replace(source, attributes=layout.attributes)
-        facts = Facts(layout.profile, layout.layer, layout.attributes)
         windows = {
             "displayWindow": tuple(part.display),
             "dataWindow": tuple(part.data),
@@ -398,9 +398,9 @@ class FrameFiles(ExitStack):
             planes,
             number=number,
             jitter=camera.jitter,
-            exposure=facts.exposure(),
-            reset=bool(facts.number("reset")),
-            samples=int(facts.number("samples") or 0) or None,
+            exposure=layout.facts.exposure,
+            reset=layout.facts.begins_shot,
+            samples=layout.facts.samples,
             world_to_camera=camera.world_to_camera,
             fov_x=camera.fov_over(next(iter(planes.values())).shape[1]),
             metadata={**layout.attributes, **windows},
