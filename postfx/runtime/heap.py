@@ -326,7 +326,7 @@ class Arena:
             with self._live_lock:
                 needed = max(item.needs for item in self._live)
             if memory is None or memory.nbytes != needed:
-                self._replaced = self._memory
+                self._replaced = None if self._memory is _no_memory else self._memory
                 memory = self._device.heap.tensor("arena", (needed,), "uint8")
         self._memory, self._count = weakref.ref(memory), count
         return memory
