@@ -326,7 +326,8 @@ class Job:
             self._tell(self._planes_of_later_frames([number]), tell)
         frame = self.sequence.read(number, self.plan.planes, self._guides)
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
-        self._look(frame, tell)
+        if self._looker and not self._looker.is_done:
+            self._tell(self._looker.look(frame), tell)
         result = self.pipeline(frame)
         for text in self.pipeline.noticed:
             self._tell([f"frame {number}: {text}"], tell)
@@ -454,7 +455,8 @@ class Job:
                         run.recall(work, frame)
                     continue
                 if frame is not None:
-                    self._look(frame, progress.note, self._is_still)
+                    if self._looker and not self._looker.is_done:  # at once, not after a night
+                        self._tell(self._looker.look(frame, self._is_still), progress.note)
                     frame.reset = frame.reset or is_unseen
                     if self._backwards:
                         ahead = partial(self._look_ahead, self._backwards, frame, work.write, stop,
@@ -513,7 +515,8 @@ class Job:
 
     @cached_property
     def _looker(self) -> FirstFrames | None:
-        """What looks at the first frames; None where AOVs are not read, so that none is missing."""
+        """What tells what is plainly wrong with the first frames; None where AOVs are not read, so
+        that none is missing."""
         if (self._arguments.no_denoise or self._arguments.strength == 0
             or self.pipeline.device.scratch):
             return None
@@ -522,12 +525,6 @@ class Job:
 
         return FirstFrames(self._channels, self._enable,
                            not self.pipeline.device.memory.host_visible)
-
-    def _look(self, frame: Frame, tell: Callable[[str], None],
-              is_alone: bool = False) -> None:
-        """Tell what is plainly wrong with the first frames at once, not after a night."""
-        if self._looker and not self._looker.is_done:
-            self._tell(self._looker.look(frame, is_alone), tell)
 
     def _tell(self, texts: Iterable[str], tell: Callable[[str], None]) -> None:
         """Tell at once what is to be mended, and again at the end of a long run."""

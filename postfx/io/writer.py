@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.caching import Kept
+from postfx.caching import LRUCache
 from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import FrameError, OutputExistsError, WriteError
 from postfx.files import is_utf8, output_file, with_slashes
@@ -58,7 +58,7 @@ more."""
 _PNG_PAETH = 128
 MOST_KINDS_OF_OUTPUTS = 32
 """That are known to be possible."""
-_HOLDS_CODES: Kept[tuple[object, ...], bool] = Kept(MOST_KINDS_OF_OUTPUTS)
+_HOLDS_CODES: LRUCache[tuple[object, ...], bool] = LRUCache(MOST_KINDS_OF_OUTPUTS)
 """Whether files hold pictures for a display, by suffix, bits, compression and encoding: those that
 can be written."""
 

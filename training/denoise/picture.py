@@ -168,8 +168,9 @@ class PictureConfig:
     @classmethod
     def from_dict(cls, config: dict[str, Any]) -> PictureConfig:
         known = {field.name: config[field.name] for field in fields(cls) if field.name in config}
-        return cls(**{name: tuple(value) if isinstance(value, list) else value
-                      for name, value in known.items()})
+        given: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
+                                 for name, value in known.items()}
+        return cls(**given)
 
     def published_layers(self, inputs: int = GUIDED_INPUTS) -> dict[str, Layer]:
         """The convolutions that a published network with so many inputs has, by their names

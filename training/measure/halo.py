@@ -94,7 +94,9 @@ def main(words: Sequence[str] | None = None) -> None:
         frame = guided(frame, given.scale) if given.guides else frame
         way = Pipeline([DenoiseUpscale(**options)], Device("cpu"))  # type: ignore[arg-type]
         whole = way(frame)[Role.COLOUR]
-        found = (f"{halo}: {difference(frame, whole, way.exposure_factor, options, halo):.1e}"
+        exposed = way.exposure_factor
+        assert exposed is not None, "a pass ran"
+        found = (f"{halo}: {difference(frame, whole, exposed, options, halo):.1e}"
                  for halo in given.halos)
         name = f"{given.model} {given.scale}x{' guides' * given.guides}"
         print(f"{name}, {pattern}: {', '.join(found)}", flush=True)

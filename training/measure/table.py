@@ -35,7 +35,7 @@ import numpy as np
 from postfx.bench.baselines import Accumulator, HostKernels, Oidn
 from postfx.bench.metrics import SequenceScore
 from postfx.errors import PostfxError
-from postfx.frame import Role
+from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.oidn import GUIDE_WAYS
 from postfx.runtime import Device
@@ -116,10 +116,13 @@ class Judge:
         self.frames = [self.noisy.read(number) for number in self.noisy.numbers]
         self._targets = {number: references.read(number, [Role.COLOUR])
                          for number in references.numbers}
-        others = Sequence(shot.second) if any(shot.folder.glob("second.*.exr")) else None
-        self._seconds = {number: others.read(number, [Role.COLOUR])
-                         for number in (others.numbers if others else ())}
-        self.size = next(iter(self._targets.values()))[Role.COLOUR].shape[:2]
+        self._seconds: dict[int, Frame] = {}
+        if any(shot.folder.glob("second.*.exr")):
+            others = Sequence(shot.second)
+            self._seconds = {number: others.read(number, [Role.COLOUR])
+                             for number in others.numbers}
+        height, width, _ = next(iter(self._targets.values()))[Role.COLOUR].shape
+        self.size = height, width
 
     def score(self, pictures: list[np.ndarray]) -> Scores:
         """Means over the second half of the frames that have references."""
@@ -142,7 +145,7 @@ def five_ways(judge: Judge, threads: int) -> dict[str, Scores]:
         made[planes] = [kernels.enlarge(denoise(frame), *judge.size, frame.jitter)
                         for frame in judge.frames]
         scores[planes] = judge.score(made[planes])
-    best = max(scores, key=lambda planes: scores[planes]["psnr"])
+    best = max(scores, key=lambda planes: psnr_of(scores[planes]))
     if all(Role.MOTION in frame for frame in judge.frames):
         accumulate = Accumulator(kernels)
         scores[ACCUMULATED] = judge.score([accumulate(picture, frame) for picture, frame
@@ -218,19 +221,27 @@ class Gain:
     flicker: float | None
 
 
+def psnr_of(scores: Scores) -> float:
+    """PSNR in dB, which every picture has."""
+    found = scores["psnr"]
+    assert found is not None, "there is a reference"
+    return found
+
+
 def best_psnr(oidn: dict[str, Scores]) -> tuple[str, float]:
     """The best way in PSNR, and its PSNR."""
-    name = max(oidn, key=lambda way: oidn[way]["psnr"])
-    return name, oidn[name]["psnr"]
+    name = max(oidn, key=lambda way: psnr_of(oidn[way]))
+    return name, psnr_of(oidn[name])
 
 
 def compare(kind: str, samples: int, ours: Scores, oidn: dict[str, Scores]) -> Gain:
     name, level = best_psnr(oidn)
     ratios = {}
     for figure in ("flip", "flicker"):
-        known = [scores[figure] for scores in oidn.values() if scores[figure]]
-        ratios[figure] = ours[figure] / min(known) if known and ours[figure] is not None else None
-    return Gain(kind, samples, name, ours["psnr"] - level, ratios["flip"], ratios["flicker"])
+        known = [value for scores in oidn.values() if (value := scores[figure])]
+        own = ours[figure]
+        ratios[figure] = own / min(known) if known and own is not None else None
+    return Gain(kind, samples, name, psnr_of(ours) - level, ratios["flip"], ratios["flicker"])
 
 
 def gains(rows: list[Row], size: str, way: str) -> list[Gain]:
