@@ -44,6 +44,7 @@ from postfx.io.wholeness import has_end
 from postfx.io.windows import Pixels, Window, crop, output_windows
 from postfx.planes import LARGEST_HALF, largest_bits_of
 from postfx.streams import make_printable
+from postfx.workers import finished_before_the_end
 
 LINEAR_FORMATS = (".exr",)
 DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG_SUFFIXES)
@@ -115,6 +116,7 @@ def check_compression(path: Path, compression: str) -> None:
         raise WriteError(f"{path}: --compression is for EXR files: leave it out")
 
 
+@finished_before_the_end()
 def write_frame(
     path: str | PathLike[str],
     frame: Frame,
