@@ -40,7 +40,7 @@ def test_a_pipeline_of_something_else_is_refused_in_one_line(passes, said):
 
 
 @pytest.mark.parametrize(("options", "said"), [
-    ({"scale": [2]}, r"scales by 1 to 3, not \[2\]"), ({"model": ["m"]}, "no model"),
+    ({"scale": [2]}, r"scale \[2\]: give a number from 1 to 3"), ({"model": ["m"]}, "no network"),
     ({"strength": np.ones(2)}, "give a number"), ({"exposure": None}, "exposure 'None': use auto"),
     ({"exposure": [1]}, r"exposure '\[1\]': use auto"), ({"device": False}, "no device 'False'"),
     ({"device": ["cpu"]}, "no device")])
@@ -89,7 +89,7 @@ def test_one_frame_and_a_device_go_by_their_plain_names(write_exr, tmp_path):
 def test_a_file_in_the_place_of_an_array_is_told_who_reads_it():
     with pytest.raises(FrameError, match="color is str: .*; postfx.read_sequence reads files"):
         postfx.denoise("shot.0001.exr")
-    with pytest.raises(PassOptionError, match="not 'xl': give a scale in between; a network is"):
+    with pytest.raises(PassOptionError, match="scale .xl.: give a number .*; a network is"):
         postfx.DenoiseUpscale("xl")
 
 

@@ -173,6 +173,9 @@ class Job:
         self._noticed, self._has_compared = (self._planes_of_later_frames(self._later_frames()),
                                              False)
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
+        self._capture = self._make_capture(device) if arguments.capture else None
+        self._viewer = self._find_viewer()
+        self._page = self._make_page() if arguments.report else None
         if self.outputs:
             self.outputs.check_storage(self.plan.output.encoding, arguments.bits,
                                        arguments.compression)
@@ -184,9 +187,6 @@ class Job:
             standin = Standin(self.sequence, plain, device, exposure)
         self._faults = Faults(policy, standin)
         self._warnings: list[str] = []
-        self._capture = self._make_capture(device) if arguments.capture else None
-        self._viewer = self._find_viewer()
-        self._page = self._make_page() if arguments.report else None
         self._seconds, self._preparation = 0.0, Preparation()
         self._exposure = ExposureUsed(str(arguments.exposure), self._is_exposed)
         self._frame_ms: list[float] = []
@@ -718,8 +718,8 @@ def announce_run_up(check: Callable[[], None],
         nonlocal told
         check()
         if first != told:
-            tell(f"run-up from frame {other} back to frame {first}, for its history (--run-up 0 "
-                 "leaves it out)")
+            tell(f"frames {other} back to {first} first, unwritten, so that frame {first} is as "
+                 "clean as the others (--run-up 0 leaves them out)")
         told = first
 
     return before_frame

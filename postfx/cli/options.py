@@ -356,7 +356,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print a line, with what a mistyped verb may have meant, and end the process with 2."""
-        choice = re.search(r"argument VERB: invalid choice: '([^']*)'", message)
+        choice = re.search(r"argument COMMAND: invalid choice: '([^']*)'", message)
         verbs = [name for action in self._actions if isinstance(action, argparse._SubParsersAction)
                  for name in action.choices] if choice else []
         meant = suggest(choice[1], verbs) if choice else ""
@@ -364,6 +364,7 @@ class Parser(argparse.ArgumentParser):
             meant = f": did you mean postfx run {choice[1]}?"
         if choice and choice[1] in MEANT_VERBS:
             meant = f": did you mean postfx {MEANT_VERBS[choice[1]]}?"
+        message = f"there is no command '{choice[1]}'" if choice else message
         help = "--help-all" if any(option.basic for option in self.declared or ()) else "--help"
         self.exit(2, f"error: {message}{meant} ('{self.prog} {help}' shows all)\n")
 
