@@ -506,13 +506,14 @@ class Job:
                 continue
             if more:
                 names = " and ".join(sorted(map(str, more)))
-                return [f"frame {self.first} has no {names}, frame {number} does: no frame is "
-                        "denoised with it; render it for all frames, or choose frames that have "
-                        "it (--frames)"]
+                return [f"frame {self.first} has no {names}, but frame {number} has: no frame "
+                        "uses what is not in all; render it for every frame, or choose frames "
+                        "that have it (--frames)"]
             if fewer:
                 names = " and ".join(sorted(map(str, fewer)))
-                return [f"frame {number} has no {names}, frame {self.first} does: it cannot be "
-                        "denoised; render it again, or choose other frames (--frames)"]
+                return [f"frame {number} has no {names}, but frame {self.first} has: frame "
+                        f"{number} cannot be denoised; render it again, or choose other frames "
+                        "(--frames)"]
         return []
 
     @cached_property

@@ -576,7 +576,7 @@ class DenoiseUpscale(Pass):
         repeats = self._repeats(planes) and self._fresh
         if repeats and not self._has_told:
             cause, fix = ONE_SEED
-            self._notice = ("its noise is that of the frame next to it, so it is denoised alone; "
+            self._notice = ("it has the noise of the frame next to it, so it is denoised alone; "
                             f"likely: {cause}; fix: {fix}")
             self._has_told = True
         return repeats
