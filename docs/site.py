@@ -36,7 +36,8 @@ def options() -> str:
                 for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     lines = ["# Options", "",
              "Every option of every command, from the parser itself. `postfx COMMAND --help` "
-             "prints the same, and the wheel has it as a man page.", "", "| command | |", "| --- | --- |"]
+             "prints the same, and the wheel has it as a man page.", "",
+             "| command | |", "| --- | --- |"]
     lines += [f"| [`postfx {name}`](#postfx-{name}) | {_cell(summary)} |"
               for name, summary in VERBS.items()]
     for name, verb in verbs.items():

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, NoReturn
 
@@ -340,8 +341,11 @@ class Parser(argparse.ArgumentParser):
         return formatter.format_help()
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """The arguments; ends the process with a message for those that it does not know."""
-        found, unknown = self.parse_known_args(args, namespace)
+        """The arguments; ends the process with a message for those that it does not know. Options
+        may be written with 'color'."""
+        words = [re.sub("^(--[^=]*)color", r"\1colour", word)
+                 for word in (sys.argv[1:] if args is None else args)]
+        found, unknown = self.parse_known_args(words, namespace)
         if unknown:
             used = getattr(found, "parser", self)
             flags = [flag for action in used._actions for flag in action.option_strings]
