@@ -172,6 +172,9 @@ class Job:
         self._noticed, self._has_compared = (self._planes_of_later_frames(self._later_frames()),
                                              False)
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
+        self._capture = self._make_capture(device) if arguments.capture else None
+        self._viewer = self._find_viewer()
+        self._page = self._make_page() if arguments.report else None
         if self.outputs:
             self.outputs.check_storage(self.plan.output.encoding, arguments.bits,
                                        arguments.compression)
@@ -183,9 +186,6 @@ class Job:
             standin = Standin(self.sequence, plain, device, exposure)
         self._faults = Faults(policy, standin)
         self._warnings: list[str] = []
-        self._capture = self._make_capture(device) if arguments.capture else None
-        self._viewer = self._find_viewer()
-        self._page = self._make_page() if arguments.report else None
         self._seconds, self._preparation = 0.0, Preparation()
         self._exposure = ExposureUsed(str(arguments.exposure), self._is_exposed)
         self._frame_ms: list[float] = []
@@ -504,13 +504,14 @@ class Job:
                 continue
             if more:
                 names = " and ".join(sorted(map(str, more)))
-                return [f"frame {self.first} has no {names}, frame {number} does: no frame is "
-                        "denoised with it; render it for all frames, or choose frames that have "
-                        "it (--frames)"]
+                return [f"frame {self.first} has no {names}, but frame {number} has: no frame "
+                        "uses what is not in all; render it for every frame, or choose frames "
+                        "that have it (--frames)"]
             if fewer:
                 names = " and ".join(sorted(map(str, fewer)))
-                return [f"frame {number} has no {names}, frame {self.first} does: it cannot be "
-                        "denoised; render it again, or choose other frames (--frames)"]
+                return [f"frame {number} has no {names}, but frame {self.first} has: frame "
+                        f"{number} cannot be denoised; render it again, or choose other frames "
+                        "(--frames)"]
         return []
 
     @cached_property
@@ -711,8 +712,8 @@ def announce_run_up(check: Callable[[], None],
         nonlocal told
         check()
         if first != told:
-            tell(f"run-up from frame {other} back to frame {first}, for its history (--run-up 0 "
-                 "leaves it out)")
+            tell(f"frames {other} back to {first} first, unwritten, so that frame {first} is as "
+                 "clean as the others (--run-up 0 leaves them out)")
         told = first
 
     return before_frame

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -162,6 +163,9 @@ def write_frame(
         raise FrameError("write_frame takes a path and a postfx.Frame, not "
                          f"{type(frame).__name__}: give Frame({{'colour': array}})")
     path = Path(path)
+    if re.search(r"##|%0\dd", path.name):
+        raise WriteError(f"{path}: is a pattern, and write_frame writes one file: name it by "
+                         "frame.number, as in f'clean.{frame.number:04d}.exr'")
     kind = (path.suffix, bits, compression, frame.encoding)
     shown = _HOLDS_CODES.find(kind)
     if shown is None:  # the first file of its kind

@@ -172,8 +172,7 @@ class DenoiseUpscale(Pass):
         self.size = validate_size(size, self.scale)
         self.strength = self._number("strength", strength)
         if not 0 <= self.strength <= 1:
-            raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not "
-                                  f"{self.strength:g}: give one of them")
+            raise PassOptionError(f"strength {self.strength:g}: give a number from 0 to 1")
         self.budget = None if budget is None else self._number("budget", budget)
         if self.budget is not None and not self.budget > 0:
             raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a "
@@ -565,7 +564,7 @@ class DenoiseUpscale(Pass):
         repeats = self._repeats(planes) and self._fresh
         if repeats and not self._has_told:
             cause, fix = ONE_SEED
-            self._notice = ("its noise is that of the frame next to it, so it is denoised alone; "
+            self._notice = ("it has the noise of the frame next to it, so it is denoised alone; "
                             f"likely: {cause}; fix: {fix}")
             self._has_told = True
         return repeats
