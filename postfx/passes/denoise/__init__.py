@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -31,6 +31,7 @@ from postfx.passes.denoise.models import (
     family,
     filter_model,
     gives_picture,
+    halo_of,
     has_model,
     mixture_model,
     model_of,
@@ -61,7 +62,7 @@ from postfx.passes.denoise.savings import (
     Amount,
     Savings,
 )
-from postfx.passes.denoise.tiling import Sizes, active_cells, whole_tiles
+from postfx.passes.denoise.tiling import CELL, Sizes, active_cells, whole_tiles
 from postfx.passes.denoise.window import Work
 from postfx.repeats import ONE_SEED, Alike, FrameMemory, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
@@ -189,6 +190,7 @@ class DenoiseUpscale(Pass):
         self._memory = FrameMemory()
         self._notice: str | None = None
         self._has_told = False
+        self._spared = 0
         own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
         asked = validate_tag(str(model), own)
         self._tag = CLASSIC if self._falls_back(asked) else asked
@@ -307,16 +309,21 @@ class DenoiseUpscale(Pass):
         models, guided = self._models(spec), self._is_guided(spec)
         filters = self._filter_model(spec, models)
         models |= self._alone_models(spec, models)
+        first = self._first_stage(models.values()) if self._has_first_stage(spec) else None
         wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, filters,
-                        self._error, self._first_stage() if self._has_first_stage(spec) else None)
+                        self._error, first, self._spared)
         return ReadyNetwork(self._device, spec, size, models, guided, wishes, self._history,
                             self._part_history)
 
-    def _first_stage(self) -> DenoiseUpscale:
-        """What denoises frames before they are enlarged, and mixes them with the noisy ones."""
-        return DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False,
-                              **{name: self.options[name]
-                                 for name in ("model", "reactive", "library")})
+    def _first_stage(self, models: Iterable[str]) -> DenoiseUpscale:
+        """What denoises frames before they are enlarged by these networks, and mixes them with the
+        noisy ones. Its strength is 1 in the halo of these, too, where little of what it does comes
+        to the result: so both halos are one."""
+        stage = DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False,
+                               **{name: self.options[name]
+                                  for name in ("model", "reactive", "library")})
+        stage._spared = halo_of(models) + CELL
+        return stage
 
     def _has_first_stage(self, spec: FrameSpec) -> bool:
         """Whether frames of a spec are denoised at their own size before they are enlarged."""
@@ -463,7 +470,8 @@ class DenoiseUpscale(Pass):
     def _denoise(self, commands: CommandBuffer, frame: ResidentFrame,
                  ready: ReadyNetwork) -> Tensor:
         """The denoised colour, by as much work as the frame needs."""
-        cells = self._active(frame, ready) if Role.STRENGTH in frame.host_planes else None
+        strength = frame.host_planes.get(Role.STRENGTH)
+        cells = None if strength is None else active_cells(strength)
         if ready.error and cells is not None:
             ready.error.forget()
         savings = Savings() if frame.history_only else self._savings
@@ -485,7 +493,10 @@ class DenoiseUpscale(Pass):
 
         lit = ready.lit_cells(frame) if cells is None and Role.MOTION not in frame else None
         active = cells if lit is None else lit
-        band = None if active is None else ready.frames.layout(active)
+        judged = cells is not None and ready.may_restore(frame)
+        band = None if active is None else ready.frames.layout(active, judged)
+        if cells is not None and judged:
+            cells = whole_tiles(cells)
         if band and lit is not None:
             band = band.over(frame.spec.height)  # what is not lit is written, too
         gain = frame.exposure_factor / self._exposure if keep else 1.0
@@ -546,12 +557,6 @@ class DenoiseUpscale(Pass):
         if keep:
             self.recall(widen_history(self.history(), self._parts))
         self._wider = True
-
-    def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray:
-        """Where the frame's strength is not 0, as squares of 4 pixels, or as tiles if these are
-        judged."""
-        cells = active_cells(frame.host_planes[Role.STRENGTH])
-        return whole_tiles(cells) if ready.may_restore(frame) else cells
 
     def _is_repeated(self, frame: ResidentFrame) -> bool:
         """Whether a frame's noise is that of the frame before. Not looked for where frames come on

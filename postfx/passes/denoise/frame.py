@@ -102,6 +102,7 @@ class Wishes(NamedTuple):
             see a denoised one.
         error: whether the expected error is told.
         first: what denoises frames before they are enlarged; None where nothing does.
+        spared: render pixels that the halo around what is active is smaller.
     """
 
     strength: float
@@ -111,6 +112,7 @@ class Wishes(NamedTuple):
     filter_model: str | None
     error: bool
     first: Pass | None
+    spared: int = 0
 
 
 class ReadyNetwork(Ready):
@@ -148,7 +150,7 @@ class ReadyNetwork(Ready):
         self._mask = Reactive(device, spec, wishes.mask) if reactive else None
         self.reflections = Reflections(device, spec) if can_follow(spec) else None
         self.frames = Frames(device, sizes, list(names), history, guided, reactive,
-                             layers is not None)
+                             layers is not None, wishes.spared)
         self.filtered = (FilteredPicture(device, sizes, wishes.filter_model, reactive, parts,
                                          layers, part_history)
                          if layers and wishes.filter_model else None)
