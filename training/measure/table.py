@@ -6,7 +6,8 @@
 FOLDER holds one folder for each kind, as `training/measure/validation/render_scenes.py` writes
 them: noisy.SPP.####.exr at the references' size, half.SPP.####.exr at half of it, and
 reference.####.exr. Frames that also have a second.####.exr, a reference with other noise, are
-measured without the noise of references. A way is a name, and options of `postfx run`. There are
+measured without the noise of references. The first frames of a shot may have no reference: they
+run before the others, and are not measured. A way is a name, and options of `postfx run`. There are
 three comparisons:
 
     1x           both on the full size
@@ -14,10 +15,7 @@ three comparisons:
     same rays    postfx at 2x on half the size and four times the samples, OIDN on the full size
 
 The five ways of Open Image Denoise: planes as clean, planes prefiltered each alone, planes as they
-are, colour alone, and the best of these accumulated along the motion. For each figure the best of
-them counts. All figures are means over the second half of the frames. OIDN's are kept in FILE,
-by name, size and time of the files that they were made of.
-"""
+are, XX"""
 
 from __future__ import annotations
 
@@ -116,20 +114,23 @@ class Judge:
         references = Sequence(shot.reference)
         self.noisy = Sequence(shot.noisy)
         self.frames = [self.noisy.read(number) for number in self.noisy.numbers]
-        self._targets = [references.read(frame.number, [Role.COLOUR]) for frame in self.frames]
+        self._targets = {number: references.read(number, [Role.COLOUR])
+                         for number in references.numbers}
         self._seconds: dict[int, Frame] = {}
         if any(shot.folder.glob("second.*.exr")):
             others = Sequence(shot.second)
             self._seconds = {number: others.read(number, [Role.COLOUR])
                              for number in others.numbers}
-        height, width, _ = self._targets[0][Role.COLOUR].shape
+        height, width, _ = next(iter(self._targets.values()))[Role.COLOUR].shape
         self.size = height, width
 
     def score(self, pictures: list[np.ndarray]) -> Scores:
-        """Means over the second half of the frames."""
+        """Means over the second half of the frames that have references."""
         scores = SequenceScore()
-        for picture, target, frame in zip(pictures, self._targets, self.frames, strict=True):
-            scores.add(picture, target, frame, self._seconds.get(frame.number))
+        for picture, frame in zip(pictures, self.frames, strict=True):
+            number = frame.number
+            if number in self._targets:
+                scores.add(picture, self._targets[number], frame, self._seconds.get(number))
         summary = scores.summary()
         return {figure: summary[f"{figure}_late"] for figure in FIGURES}
 
