@@ -28,6 +28,8 @@ from postfx.io.image_file import ImageFile
 from postfx.io.layout import (
     Layout,
     Match,
+    PictureChoice,
+    choose_picture,
     drop_smaller_planes,
     make_layout,
     planes_that_guide,
@@ -274,6 +276,7 @@ class Planner:
         self._attributes = attributes
         self._options, self._settled = options, settled
         self._layer = settled.layer or options.layer
+        self._choice: PictureChoice | None = None
 
         # Where the planes are within the display window, then within all that holds data.
         self.index, self._layout = self._look()
@@ -317,6 +320,8 @@ class Planner:
             parts = find_parts(
                 self._options.parts, self.index, layout, str(self._path), colour.size
             )
+        if self._choice and not self._settled.layer:
+            layout.warnings += self._choice.told(layout, [p.channels for p in parts.values()])
         return ReadPlan(
             self.index,
             layout,
@@ -344,6 +349,11 @@ class Planner:
         chosen = load_profile(options.profile) if options.profile else None
         given = self._paths, self._attributes, chosen, options.stored_depth, options.absent
         layout = make_layout(index, *given, layer)
+        if Role.COLOUR in layout.planes and not options.layer and not layout.chosen_layer:
+            self._choice = choose_picture(layout, index)
+            if self._choice:
+                layout = make_layout(index, *given, layer)
+                layout.chosen_layer = self._choice.name
         if Role.COLOUR in {*layout.planes, *options.absent} or layer:
             return index, layout
         lone = index.find_lone_picture()
