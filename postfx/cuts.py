@@ -44,8 +44,8 @@ LEAST_MISS = DEPTH_MISS / 8
 LEAST_RELIABILITY = 0.5  # share of a plane's variance that is no noise
 BLACK_LIGHT_RATIO = 1e-2  # of the mean light: anything darker is just black
 FIREFLY_LIGHT_RATIO = 16  # of the middle light of windows: anything brighter is just bright
-MOST_LIGHT = np.float32(1e30)  # that counts: sums of it are finite
-LEAST_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role.DEPTH: 0.02}
+LARGEST_LIGHT = np.float32(1e30)  # that counts: sums of it are finite
+LEAST_BAND_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role.DEPTH: 0.02}
 """Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors,
 doublings."""
 
@@ -257,7 +257,7 @@ def _picture(frame: Frame) -> Picture | None:
 
 def _light(colour: np.ndarray) -> np.ndarray:
     """Light (rows, columns) of a picture (rows, columns, 3); what is not finite counts as 0."""
-    light: np.ndarray = np.nan_to_num(luminance(np.clip(colour, 0, MOST_LIGHT)))
+    light: np.ndarray = np.nan_to_num(luminance(np.clip(colour, 0, LARGEST_LIGHT)))
     return light
 
 
@@ -329,7 +329,7 @@ def _is_telling(window: np.ndarray) -> bool:
     """Whether a window shows more than noise."""
     apart = window - window.mean()
     spread = float(np.square(apart).mean())
-    if spread < LEAST_SPREAD["light"]**2:
+    if spread < LEAST_BAND_SPREAD["light"]**2:
         return False
     beside, below = (float((apart[:, 1:] * apart[:, :-1]).mean()),
                      float((apart[1:] * apart[:-1]).mean()))
@@ -346,7 +346,7 @@ def _find(window: np.ndarray, around: np.ndarray) -> float:
     products, total, squares = (
         np.fft.irfft2(np.fft.rfft2(one) * other, shape)
         for one, other in ((around, of_window), (around, of_one), (around**2, of_one)))
-    least = LEAST_SPREAD["light"]**2 * size  # of a place that tells
+    least = LEAST_BAND_SPREAD["light"]**2 * size  # of a place that tells
     spread = np.maximum(squares - total**2 / size, least)
     whole = tuple(slice(0, side - part + 1)
                   for side, part in zip(shape, window.shape, strict=True))
@@ -400,10 +400,10 @@ def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
     places = places_inside(motion)
     if len(places[0]) < max(LEAST_COMPARED, LEAST_OVERLAP * cells):
         return 0.0
-    light = _correlation(before.light, now.light, places, LEAST_SPREAD["light"])
+    light = _correlation(before.light, now.light, places, LEAST_BAND_SPREAD["light"])
     if light is not None and light >= SAME_SHOT_CORRELATION:
         return light
-    guides = [_correlation(before.band(role), now.band(role), places, LEAST_SPREAD[role])
+    guides = [_correlation(before.band(role), now.band(role), places, LEAST_BAND_SPREAD[role])
               for role in now.guides if role in before.guides
               and max(_extent(before.band(role)), _extent(now.band(role))) > LEAST_CELLS]
     known = [value for value in guides if value is not None]

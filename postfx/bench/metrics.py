@@ -23,7 +23,7 @@ from postfx.sampling import bilinear, motion_at
 
 LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
 TRIMMED = 0.999
-LEAST_ERROR = 1e-12  # squared: 120 dB
+LEAST_SQUARED_ERROR = 1e-12  # squared: 120 dB
 FOLLOWED_DIFFERENCE = 0.1
 FIGURES = ("psnr", "ssim", "flip", "relmse", "flicker")
 """Names of the figures. More is better for psnr (dB) and ssim (up to 1), less for flip (0..1),
@@ -45,7 +45,7 @@ def psnr(picture: np.ndarray, reference: np.ndarray) -> float:
 def psnr_of_two(picture: np.ndarray, reference: np.ndarray, second: np.ndarray) -> float:
     """`psnr` from two references whose noise is independent: their noise does not count."""
     error = ((picture - reference) * (picture - second)).mean()
-    return float(-10 * np.log10(max(error, 0.0) + LEAST_ERROR))
+    return float(-10 * np.log10(max(error, 0.0) + LEAST_SQUARED_ERROR))
 
 
 def ssim(picture: np.ndarray, reference: np.ndarray) -> float:

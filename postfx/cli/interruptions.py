@@ -9,7 +9,7 @@ from enum import StrEnum
 from types import FrameType
 from typing import Any, TypeVar
 
-from postfx.cli.summary import RESAMPLED, Fault, FrameResult
+from postfx.cli.summary import RESAMPLED_INSTEAD, Fault, FrameResult
 from postfx.errors import (
     FrameError,
     GuideError,
@@ -111,7 +111,7 @@ class Faults:
             done = self._standin(number)
         except PostfxError:
             return None
-        next(fault for fault in self.found if fault.frame == number).instead = RESAMPLED
+        next(fault for fault in self.found if fault.frame == number).instead = RESAMPLED_INSTEAD
         return done
 
     def _note(self, fault: Fault) -> None:

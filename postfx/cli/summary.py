@@ -302,13 +302,13 @@ class FrameResult:
 
 
 LEFT_OUT = "left out"
-RESAMPLED = "resampled"
+RESAMPLED_INSTEAD = "resampled"
 
 
 @dataclass
 class Fault:
     """A frame that could not be processed, why, and what became of its output: LEFT_OUT or
-    RESAMPLED."""
+    RESAMPLED_INSTEAD."""
 
     frame: int
     why: str

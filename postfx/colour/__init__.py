@@ -49,7 +49,7 @@ _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367],
 _ROUNDED = 2.1e-5
 _ALIKE = 2e-3
 
-_FLAT = 1e-6
+_FLAT_PRIMARIES = 1e-6
 
 
 def round_to_known(primaries: Chromaticities) -> Chromaticities:
@@ -69,10 +69,10 @@ def name_of(primaries: Chromaticities) -> str | None:
 def is_degenerate(primaries: Chromaticities) -> bool:
     """Whether primaries and white span no colours: three on a line, no white, or NaN."""
     columns = _columns(primaries)
-    if (not np.isfinite(columns).all() or abs(columns[1, 3]) < _FLAT
-        or abs(np.linalg.det(columns[:, :3])) < _FLAT):
+    if (not np.isfinite(columns).all() or abs(columns[1, 3]) < _FLAT_PRIMARIES
+        or abs(np.linalg.det(columns[:, :3])) < _FLAT_PRIMARIES):
         return True
-    return bool(np.abs(np.linalg.solve(columns[:, :3], columns[:, 3])).min() < _FLAT)
+    return bool(np.abs(np.linalg.solve(columns[:, :3], columns[:, 3])).min() < _FLAT_PRIMARIES)
 
 
 def _columns(primaries: Chromaticities) -> np.ndarray:

@@ -405,7 +405,7 @@ Model = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 LEAST_F0 = 0.015
 MOST_F0 = 1.0
 LEAST_PIXELS = 150
-LEAST_ERROR = 2e-4
+LEAST_FIT_ERROR = 2e-4
 FOLLOWS_ANGLE = 0.5
 
 
@@ -471,14 +471,14 @@ class RoughnessFit:
     def is_telling(self) -> bool:
         """Whether specular albedo follows the view angle as the model says; some renderers write
         one that does not."""
-        return max(self.errors[self.best], LEAST_ERROR) < FOLLOWS_ANGLE * self.without_angle
+        return max(self.errors[self.best], LEAST_FIT_ERROR) < FOLLOWS_ANGLE * self.without_angle
 
     @property
     def certainty(self) -> float:
         """0 when the best kind fits no better than the plane as it is, 1 when it leaves no
         error."""
-        best = max(self.errors[self.best], LEAST_ERROR)
-        return max(0.0, 1 - best / max(self.as_it_is, LEAST_ERROR))
+        best = max(self.errors[self.best], LEAST_FIT_ERROR)
+        return max(0.0, 1 - best / max(self.as_it_is, LEAST_FIT_ERROR))
 
 
 def environment_brdf(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -43,7 +43,7 @@ COVERS = np.float32(0.9)
 
 # Points that the fit of a camera takes, the least that it needs, and the least share that it must
 # explain.
-POINTS = 2000
+FITTED_POINTS = 2000
 LEAST_POINTS = 64
 FITTING = 0.4
 
@@ -183,7 +183,7 @@ def motion_of_reflections(motion: np.ndarray, depth: np.ndarray, length: np.ndar
     found = np.full((h, w, 2), np.nan, np.float32)
     is_mirror = (length[..., 0] > 0) & (depth[..., 0] < DEPTH_MISS)
     some = np.zeros((h, w), bool)
-    step = max(1, round(math.sqrt(depth.size / POINTS)))
+    step = max(1, round(math.sqrt(depth.size / FITTED_POINTS)))
     some[::step, ::step] = True
     rows, columns = np.nonzero(some & (depth[..., 0] < DEPTH_MISS) & np.isfinite(motion[..., 0]))
     if not is_mirror.any() or rows.size < LEAST_POINTS:

@@ -63,7 +63,7 @@ def _missing_planes(spec: FrameSpec, roles: tuple[Role, ...]) -> str | None:
             "before=denoise_upscale")
 
 
-POINTS = "points"
+POINTS_INPUT = "points"
 """The input of networks that see each pixel alone."""
 
 
@@ -87,7 +87,7 @@ def _find_model(pass_name: str, model: str) -> _Model:
         raise PassOptionError(f"pass '{pass_name}' finds no model '{model}': give an ONNX file")
     library = Library(path.parent)
     shapes = {value.name: value.shape for value in parse_model(library.load(path.stem)).inputs}
-    width = (shapes.get(POINTS) or (0,))[-1] if len(shapes) == 1 else 0
+    width = (shapes.get(POINTS_INPUT) or (0,))[-1] if len(shapes) == 1 else 0
     return _Model(library, path.stem, tuple(shapes), width if isinstance(width, int) else 0)
 
 

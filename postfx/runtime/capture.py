@@ -51,7 +51,7 @@ TENSORS_FOLDER = "tensors"
 """Where the files of tensors are, in the folder of a capture."""
 _KEPT_BY = re.compile(r"(?P<process>\d{1,9})-[0-9a-f]{8}")
 """Name of the folder of one capture's tensors."""
-_FLAT = re.compile(r"\d{4}\..+\.npy")
+_TENSOR_FILE = re.compile(r"\d{4}\..+\.npy")
 """Name of a tensor of version 0.2.0 and before, which kept all captures in one place."""
 KEPT_TENSORS = ("thumbnails", "none", "all")
 """What a capture keeps of tensors: figures and small pictures, nothing, or also the whole content
@@ -254,7 +254,7 @@ class Capture:
             if path.is_dir() and made and (int(made["process"]) == os.getpid()
                                            or not is_process_alive(int(made["process"]))):
                 shutil.rmtree(path, ignore_errors=True)
-            elif path.is_file() and _FLAT.fullmatch(path.name):
+            elif path.is_file() and _TENSOR_FILE.fullmatch(path.name):
                 with suppress(OSError):
                     path.unlink()
 

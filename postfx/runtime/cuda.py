@@ -32,7 +32,7 @@ from postfx.version import pip_install
 if TYPE_CHECKING:
     from postfx.runtime.tensor import Tensor
 
-T = TypeVar("T")
+Made = TypeVar("Made")
 SMALL_WRITE_BYTES = 1 << 14
 """Bytes of arrays, such as parameters, that are written without waiting."""
 
@@ -159,10 +159,10 @@ class CudaMemory:
         """Time between two events that have both happened."""
         return begin.until(end)
 
-    def replay(self, key: Hashable, kept: object, enqueue: Callable[[], T]) -> T | None:
+    def replay(self, key: Hashable, kept: object, enqueue: Callable[[], Made]) -> Made | None:
         """Launch commands as one CUDA graph, see `CudaGraphs.replay`."""
         with self._hold():
-            result: T | None = self._graphs.replay(key, kept, enqueue)
+            result: Made | None = self._graphs.replay(key, kept, enqueue)
             return result
 
     def synchronise(self) -> None:

@@ -80,7 +80,7 @@ NETWORK_PREFIX = "network "
 """In a history, the name of the network's entry ends in the network's tag."""
 LARGEST_TAG = "xl"
 """Tag of the largest network that comes with postfx."""
-FIRST = "first stage "
+FIRST_STAGE = "first stage "
 """In a history, names of what denoises frames before they are enlarged begin so."""
 WIDER = "wider primaries"
 """In a history, whether its light is in wider primaries than the frames'."""
@@ -424,7 +424,7 @@ class DenoiseUpscale(Pass):
                  WIDER: np.array(self._wider, np.int64)}
         known |= {f"{REPEATS}{name}": array for name, array in self._repeats.history().items()}
         if isinstance(self._ready, ReadyNetwork) and self._ready.first:
-            known |= {f"{FIRST}{name}": array
+            known |= {f"{FIRST_STAGE}{name}": array
                       for name, array in self._ready.first.history().items()}
         return (known | self._cameras.snapshot() | self._history.snapshot()
                 | self._part_history.snapshot())
@@ -446,9 +446,9 @@ class DenoiseUpscale(Pass):
             self._repeats.recall({name.removeprefix(REPEATS): array
                                   for name, array in history.items() if name.startswith(REPEATS)})
             if self._ready.first:
-                self._ready.first.recall({name.removeprefix(FIRST): array
+                self._ready.first.recall({name.removeprefix(FIRST_STAGE): array
                                           for name, array in history.items()
-                                          if name.startswith(FIRST)})
+                                          if name.startswith(FIRST_STAGE)})
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)

@@ -19,7 +19,7 @@ from postfx.runtime import CommandBuffer, Device, Tensor
 DENOISED_SHARE = 0.75
 """Share of the denoised picture in the mixture with the noisy one. What stays noisy shows detail
 that the first network lost, and where its picture is not to be trusted."""
-READ_PLANES = (Role.COLOUR, *ABSENT, *MIRRORED_ROLES, Role.STRENGTH, Role.REACTIVE,
+FIRST_STAGE_PLANES = (Role.COLOUR, *ABSENT, *MIRRORED_ROLES, Role.STRENGTH, Role.REACTIVE,
                Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE)
 """Planes that the first network may read."""
 
@@ -38,7 +38,7 @@ class FirstStage:
 
     def __init__(self, device: Device, spec: FrameSpec, stage: Pass, halo: int) -> None:
         self._stage, self._halo = stage, halo
-        planes = tuple(plane for plane in spec.planes if plane[0] in READ_PLANES)
+        planes = tuple(plane for plane in spec.planes if plane[0] in FIRST_STAGE_PLANES)
         self._spec = replace(spec, planes=planes, guides=None, parts=())
         self._strength = (device.heap.tensor("strength of the first stage",
                                              (spec.height, spec.width, 1))

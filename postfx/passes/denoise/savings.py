@@ -30,7 +30,7 @@ LESS = {
     Amount.EMPTY: "all is black",
     Amount.SAME: "all is as in the frame before"}
 """Why it left out some of a frame, or all of it."""
-PARTIAL = (Amount.TILES, Amount.LIT)
+PARTIAL_AMOUNTS = (Amount.TILES, Amount.LIT)
 """Amounts that are some of a frame."""
 
 FULL_STRENGTH: Reason = ("blend with the input for", "strength is 1 everywhere")
@@ -94,7 +94,7 @@ class Savings:
             tally = self._tallies[amount]
             if tally.frames:
                 some = f"outside of {100 * tally.share / tally.frames:.0f} % of"
-                found.append((f"network {some if amount in PARTIAL else 'for'} "
+                found.append((f"network {some if amount in PARTIAL_AMOUNTS else 'for'} "
                               f"{_count(tally.frames)}", f"{why}; {self._saved(tally)}"))
         others = [reason for reason in self._reasons if reason not in REASONS]
         found += [(f"{what} {_count(self._reasons[what, why])}", why)
