@@ -180,8 +180,7 @@ class MixPartner(Pass):
         self._more = BACKWARD_FRAMES if both_ways else 0
         self._strength = self._number("strength", strength)
         if not 0 <= self._strength <= 1:
-            raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not "
-                                  f"{self._strength:g}: give one of them")
+            raise PassOptionError(f"strength {self._strength:g}: give a number from 0 to 1")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         kept = tuple(plane

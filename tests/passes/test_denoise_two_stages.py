@@ -301,6 +301,32 @@ def test_masked_pixels_are_as_in_the_whole_frame() -> None:
     assert_same(pictures(chain(), [nothing]), [plain])
 
 
+def test_one_halo_is_enough_for_both_networks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first network sees around what is active what it sees where nothing is enlarged, and not
+    the other one's halo, too."""
+    frame = with_planes(*frames(1, (MASKED, 32)), strength=rows_from(MASKED - 16, MASKED))
+    pipeline, alone = chain(), chain(scale=1)
+    seen: dict[Pipeline, set[int]] = {pipeline: set(), alone: set()}
+    for one, rows in seen.items():
+        make = one.device.pipeline_state
+
+        def noted(library: Library, name: str, dims: dict[str, int], *, make=make, rows=rows,
+                  **named) -> object:
+            rows |= {dims["height"]} if name.endswith("xl.1x") else set()
+            return make(library, name, dims, **named)
+
+        monkeypatch.setattr(one.device, "pipeline_state", noted)
+        pictures(one, [frame])
+    assert seen[pipeline] == seen[alone] and min(seen[alone]) < MASKED / 2
+
+
+def rows_from(first: int, height: int) -> np.ndarray:
+    """Strength in the last rows of a frame."""
+    strength = np.zeros((height, 32, 1), np.float32)
+    strength[first:] = 1
+    return strength
+
+
 def test_black_frames_stay_black_and_keep_their_neighbours() -> None:
     given = frames(3)
     given[1] = with_planes(given[1], colour=np.zeros((*SIZE, 3), np.float32))

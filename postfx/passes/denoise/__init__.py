@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -32,6 +32,7 @@ from postfx.passes.denoise.models import (
     family,
     filter_model,
     gives_picture,
+    halo_of,
     has_model,
     mixture_model,
     model_of,
@@ -62,7 +63,7 @@ from postfx.passes.denoise.savings import (
     Amount,
     Savings,
 )
-from postfx.passes.denoise.tiling import Sizes, active_cells, whole_tiles
+from postfx.passes.denoise.tiling import CELL, Sizes, active_cells, whole_tiles
 from postfx.passes.denoise.window import Work
 from postfx.repeats import ONE_SEED, Alike, FrameMemory, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
@@ -173,8 +174,7 @@ class DenoiseUpscale(Pass):
         self.size = validate_size(size, self.scale)
         self.strength = self._number("strength", strength)
         if not 0 <= self.strength <= 1:
-            raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not "
-                                  f"{self.strength:g}: give one of them")
+            raise PassOptionError(f"strength {self.strength:g}: give a number from 0 to 1")
         self.budget = None if budget is None else self._number("budget", budget)
         if self.budget is not None and not self.budget > 0:
             raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a "
@@ -191,6 +191,7 @@ class DenoiseUpscale(Pass):
         self._memory = FrameMemory()
         self._notice: str | None = None
         self._has_told = False
+        self._spared = 0
         own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
         asked = validate_tag(str(model), own)
         self._tag = CLASSIC if self._falls_back(asked) else asked
@@ -309,19 +310,23 @@ class DenoiseUpscale(Pass):
             return Ready(self._device, spec, size, layers)
         models, guided = self._models(spec), self._is_guided(spec)
         filters = self._filter_model(spec, models)
-        first = self._first_stage() if self._has_first_stage(spec) else None
-        alone = self._alone_model(spec, models) if first else {}
+        alone = self._alone_model(spec, models) if self._has_first_stage(spec) else {}
         models |= alone
+        first = self._first_stage(models.values()) if alone else None
         wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, filters, self._error,
-                        first, next(iter(alone), ""))
+                        first, next(iter(alone), ""), self._spared)
         return ReadyNetwork(self._device, spec, size, models, guided, wishes, self._history,
                             self._part_history)
 
-    def _first_stage(self) -> DenoiseUpscale:
-        """What denoises frames before they are enlarged, and mixes them with the noisy ones."""
-        return DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False,
-                              **{name: self.options[name]
-                                 for name in ("model", "reactive", "library")})
+    def _first_stage(self, models: Iterable[str]) -> DenoiseUpscale:
+        """What denoises frames before they are enlarged by these networks, and mixes them with the
+        noisy ones. Its strength is 1 in the halo of these, too, where little of what it does comes
+        to the result: so both halos are one."""
+        stage = DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False,
+                               **{name: self.options[name]
+                                  for name in ("model", "reactive", "library")})
+        stage._spared = halo_of(models) + CELL
+        return stage
 
     def _has_first_stage(self, spec: FrameSpec) -> bool:
         """Whether frames of a spec are denoised at their own size before they are enlarged."""
@@ -457,7 +462,8 @@ class DenoiseUpscale(Pass):
     def _denoise(self, commands: CommandBuffer, frame: ResidentFrame,
                  ready: ReadyNetwork) -> Tensor:
         """The denoised colour, by as much work as the frame needs."""
-        cells = self._active(frame, ready) if Role.STRENGTH in frame.host_planes else None
+        strength = frame.host_planes.get(Role.STRENGTH)
+        cells = None if strength is None else active_cells(strength)
         if ready.error and cells is not None:
             ready.error.forget()
         savings = Savings() if frame.history_only else self._savings
@@ -479,7 +485,10 @@ class DenoiseUpscale(Pass):
 
         lit = ready.lit_cells(frame) if cells is None and Role.MOTION not in frame else None
         active = cells if lit is None else lit
-        band = None if active is None else ready.frames.layout(active)
+        judged = cells is not None and ready.may_restore(frame)
+        band = None if active is None else ready.frames.layout(active, judged)
+        if cells is not None and judged:
+            cells = whole_tiles(cells)
         if band and lit is not None:
             band = band.over(frame.spec.height)  # what is not lit is written, too
         gain = frame.exposure_factor / self._exposure if keep else 1.0
@@ -544,12 +553,6 @@ class DenoiseUpscale(Pass):
             self.recall(widen_history(self.history(), self._parts))
         self._wider = True
 
-    def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray:
-        """Where the frame's strength is not 0, as squares of 4 pixels, or as tiles if these are
-        judged."""
-        cells = active_cells(frame.host_planes[Role.STRENGTH])
-        return whole_tiles(cells) if ready.may_restore(frame) else cells
-
     def _is_repeated(self, frame: ResidentFrame) -> bool:
         """Whether a frame's noise is that of the frame before. Not looked for where frames come on
         a GPU."""
@@ -561,7 +564,7 @@ class DenoiseUpscale(Pass):
         repeats = self._repeats(planes) and self._fresh
         if repeats and not self._has_told:
             cause, fix = ONE_SEED
-            self._notice = ("its noise is that of the frame next to it, so it is denoised alone; "
+            self._notice = ("it has the noise of the frame next to it, so it is denoised alone; "
                             f"likely: {cause}; fix: {fix}")
             self._has_told = True
         return repeats

@@ -103,6 +103,7 @@ class Wishes(NamedTuple):
         error: whether the expected error is told.
         first: what denoises frames before they are enlarged; None where nothing does.
         alone_tag: the network of frames that it leaves out.
+        spared: render pixels that the halo around what is active is smaller.
     """
 
     strength: float
@@ -113,6 +114,7 @@ class Wishes(NamedTuple):
     error: bool
     first: Pass | None
     alone_tag: str
+    spared: int = 0
 
 
 class ReadyNetwork(Ready):
@@ -150,7 +152,7 @@ class ReadyNetwork(Ready):
         self._mask = Reactive(device, spec, wishes.mask) if reactive else None
         self.reflections = Reflections(device, spec) if can_follow(spec) else None
         self.frames = Frames(device, sizes, list(names), history, guided, reactive,
-                             layers is not None)
+                             layers is not None, wishes.spared)
         self.filtered = (FilteredPicture(device, sizes, wishes.filter_model, reactive, parts,
                                          layers, part_history)
                          if layers and wishes.filter_model else None)

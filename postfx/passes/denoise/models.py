@@ -4,6 +4,7 @@ time budget."""
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -142,9 +143,11 @@ def check_is_there(tag: str) -> None:
     try:
         library.path(name)
     except ModelError as error:
-        known, _, _ = str(error).partition(" there are ")
-        raise ModelError(f"{known} give s, m, l, xl, classic or FILE.onnx; 'postfx models' lists "
-                         "all") from None
+        if not library.names():
+            raise
+        meant = re.search(": did you mean [^?]*\\?|$", str(error))
+        raise ModelError(f"no network '{short_tag(tag)}'{meant and meant[0] or ':'} give s, m, l, "
+                         "xl, classic or FILE.onnx; 'postfx models' lists all") from None
 
 
 def short_tag(tag: str) -> str:
