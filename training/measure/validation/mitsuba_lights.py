@@ -23,7 +23,7 @@ EYE, TARGET = np.array((1.2, 1.35, 2.3)), np.array((-0.15, 0.75, -0.6))
 STEP = np.array((0.02, 0.005, 0.0))
 """Metres that the camera moves from frame to frame."""
 DARK = (0.0, 0.0, 0.0)
-LAMP, SPOT, PANEL = (90.0, 72.0, 48.0), (10.0, 40.0, 25.0), (2.0, 2.4, 3.2)
+KEY, SPOT, PANEL = (90.0, 72.0, 48.0), (10.0, 40.0, 25.0), (2.0, 2.4, 3.2)
 """Radiance of the lights."""
 
 
@@ -36,7 +36,7 @@ def lights(only: str) -> dict[str, Any]:
     turn = mi.ScalarTransform4f
     panel = turn().translate((0.6, 2.48, 0.6)).rotate((1, 0, 0), 90).scale((0.5, 0.5, 1))
     found = {
-        "lamp": ({"type": "sphere", "center": [-1.75, 1.2, -1.45], "radius": 0.09}, LAMP),
+        "key": ({"type": "sphere", "center": [-1.75, 1.2, -1.45], "radius": 0.09}, KEY),
         "fill": ({"type": "rectangle", "to_world": panel}, PANEL),
         "spot": ({"type": "sphere", "center": [1.6, 0.7, -1.5], "radius": 0.05}, SPOT),
     }
@@ -67,7 +67,7 @@ def planes(frame: int) -> dict[str, np.ndarray]:
     """Albedo, normal, depth and motion of a frame."""
     aovs = {"type": "aov", "aovs": "albedo:albedo,normal:sh_normal,place:position",
             "picture": {"type": "direct"}}
-    found = np.array(mi.render(scene(frame, 1, "lamp", aovs), spp=SAMPLES, seed=frame), np.float32)
+    found = np.array(mi.render(scene(frame, 1, "key", aovs), spp=SAMPLES, seed=frame), np.float32)
     albedo, normal, place = np.split(found[..., -9:], 3, axis=-1)
     now, depth = projected(place, frame)
     before, _ = projected(place, max(frame - 1, 0))
