@@ -84,11 +84,17 @@ def shown_psnr(result: np.ndarray, reference: np.ndarray) -> float:
     return psnr(*(srgb_encode(light / (1 + light)) for light in exposed))
 
 
-def by_oidn(frame: Frame, light: np.ndarray, size: int, kernels: HostKernels) -> np.ndarray:
+def by_oidn(frame: Frame, light: np.ndarray, scale: int, kernels: HostKernels) -> np.ndarray:
     """A light denoised alone with the frame's planes, and enlarged."""
     alone = Frame({**frame.planes, Role.COLOUR: light}, number=frame.number)
-    found = Oidn("high", "cpu", 2)(alone)
-    return found if found.shape[1] == size else kernels.enlarge(found, size, size, (0.0, 0.0))
+    return enlarged(Oidn("high", "cpu", 2)(alone), scale, kernels)
+
+
+def enlarged(light: np.ndarray, scale: int, kernels: HostKernels) -> np.ndarray:
+    """A picture, so many times as large, by cubic interpolation."""
+    height, width = light.shape[:2]
+    return light if scale == 1 else kernels.enlarge(light, scale * height, scale * width,
+                                                    (0.0, 0.0))
 
 
 def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], model: str,
@@ -107,9 +113,9 @@ def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], m
           "it alone |")
     for name in names:
         reference, part = references[name][size], frames[-1].parts[name]
-        plain = part if scale == 1 else kernels.enlarge(part, size, size, (0.0, 0.0))
         row = [shown_psnr(light, reference) for light in (
-            plain, found.parts[name], own[name], by_oidn(frames[-1], part, size, kernels))]
+            enlarged(part, scale, kernels), found.parts[name], own[name],
+            by_oidn(frames[-1], part, scale, kernels))]
         print(f"| {name} | " + " | ".join(f"{value:.2f}" for value in row) + " |")
     picture, whole = found[Role.COLOUR], added(references[name][size] for name in names)
     print(f"picture {shown_psnr(picture, whole):.2f} dB")
@@ -120,7 +126,7 @@ def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], m
         apart = np.abs(added(parts[name] for name in names) - picture).sum() / picture.sum()
         print(f"filters {filters}: sum apart by {apart:.1e} of the light; graded ({grade}) after "
               f"{shown_psnr(after, wanted):.2f} dB")
-    oidn = added(GRADE.get(name, 1.0) * by_oidn(frames[-1], frames[-1].parts[name], size, kernels)
+    oidn = added(GRADE.get(name, 1.0) * by_oidn(frames[-1], frames[-1].parts[name], scale, kernels)
                  for name in names)
     first, others = shown_psnr(picture_graded_before, wanted), shown_psnr(oidn, wanted)
     print(f"graded before {first:.2f} dB, OIDN's parts {others:.2f} dB")

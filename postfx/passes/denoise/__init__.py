@@ -23,6 +23,7 @@ from postfx.passes.denoise.history import FILTERED_PICTURE, History, PartHistory
 from postfx.passes.denoise.models import (
     CLASSIC,
     GUIDED,
+    TWO_STAGES_COST,
     UNSCALED,
     Ladder,
     cost,
@@ -115,8 +116,8 @@ class DenoiseUpscale(Pass):
             'xl' by themselves for frames that fit into memory, but not for larger ones with guides:
             it is cleaner, and on a CPU takes ten times as long. Where frames are enlarged 'xl'
             denoises them at their own size first, and a second network enlarges a mixture of that
-            and the noisy picture. With jitter, a budget, or guides in place of planes 'l' enlarges
-            the noisy picture instead. Beside 'xl', and 'l' at the render's size, 'm' filters parts
+            and the noisy picture. With jitter or guides in place of planes 'l' enlarges the noisy
+            picture instead. Beside 'xl', and 'l' at the render's size, 'm' filters parts
             and noisy alpha.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
@@ -262,6 +263,7 @@ class DenoiseUpscale(Pass):
         if self.strength:
             models, size = self._models(spec), self._output_size(spec)
             self._tags, costs = tuple(models), list(map(cost, models.values()))
+            costs[-1] = TWO_STAGES_COST if self._has_first_stage(spec) else costs[-1]
             first = int(len(models) > 1 and self._tags[0] == CLASSIC)
             self._ladder = Ladder(costs, self.budget, first) if self.budget else None
             if self.size:  # so that files of a frame are the same wherever a run begins
@@ -308,10 +310,11 @@ class DenoiseUpscale(Pass):
             return Ready(self._device, spec, size, layers)
         models, guided = self._models(spec), self._is_guided(spec)
         filters = self._filter_model(spec, models)
-        models |= self._alone_models(spec, models)
-        first = self._first_stage(models.values()) if self._has_first_stage(spec) else None
-        wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, filters,
-                        self._error, first, self._spared)
+        alone = self._alone_model(spec, models) if self._has_first_stage(spec) else {}
+        models |= alone
+        first = self._first_stage(models.values()) if alone else None
+        wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, filters, self._error,
+                        first, next(iter(alone), ""), self._spared)
         return ReadyNetwork(self._device, spec, size, models, guided, wishes, self._history,
                             self._part_history)
 
@@ -328,25 +331,15 @@ class DenoiseUpscale(Pass):
     def _has_first_stage(self, spec: FrameSpec) -> bool:
         """Whether frames of a spec are denoised at their own size before they are enlarged."""
         may = bool(self.strength) and not self._is_render_size(spec) and denoises_first(self._tag)
-        return may and not self._one_stage_reason(spec)
-
-    def _one_stage_reason(self, spec: FrameSpec) -> str:
-        """Why frames of a spec are enlarged as they are; empty if nothing speaks against two
-        stages."""
-        if self.budget:
-            return "there is a budget"
-        if any(role in spec.guide_roles and not spec.has(role) for role in GUIDE_ROLES):
-            return "guides stand in for planes of the render's size"
-        return ""
+        return may and not _guides_stand_in(spec)
 
     def _one_stage_remarks(self, spec: FrameSpec) -> list[str]:
         """What a plan says of frames that are enlarged as they are by a model of two stages."""
-        reason = self._one_stage_reason(spec)
-        if not (reason and denoises_first(self._tag)):
+        if not (_guides_stand_in(spec) and denoises_first(self._tag)):
             return []
         asked, other = short_tag(self._tag), short_tag(model_of(self._tag))
         return [f"'{asked}' does not denoise at the render's size first, '{other}' alone runs: "
-                f"{reason}"]
+                "guides stand in for planes of the render's size"]
 
     def _tags_for(self, spec: FrameSpec, has_classic: bool = True) -> tuple[str, ...]:
         """Tags to choose from for frames of a spec, fastest first; one without a budget."""
@@ -362,9 +355,10 @@ class DenoiseUpscale(Pass):
     def _models(self, spec: FrameSpec) -> dict[str, str]:
         """The networks to choose from for frames of a spec, by their short tags."""
         tags, ending = self._tags_for(spec, runs_classic(self._device)), self._ending(spec)
+        found = {short_tag(tag): model_of(tag, ending, self._device) for tag in tags}
         if self._has_first_stage(spec):
-            return {short_tag(tag): mixture_model(tag, ending, self._device) for tag in tags}
-        return {short_tag(tag): model_of(tag, ending, self._device) for tag in tags}
+            found[short_tag(self._tag)] = mixture_model(self._tag, ending, self._device)
+        return found
 
     def _filter_model(self, spec: FrameSpec, models: Mapping[str, str]) -> str | None:
         """The network that filters parts and noisy alpha, where one of the ``models`` gives the
@@ -374,14 +368,12 @@ class DenoiseUpscale(Pass):
             return None
         return filter_model(self._tag, self._ending(spec), self._device)
 
-    def _alone_models(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
-        """The network of frames that are not denoised first, by its tag, where it is not the one of
-        those that are."""
-        if not self._has_first_stage(spec):
-            return {}
+    def _alone_model(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
+        """The network of frames that are not denoised first, by its tag: one of the ``models``, or
+        one more."""
         model = model_of(self._tag, self._ending(spec), self._device)
-        name = network_name(short_tag(self._tag), model)
-        return {} if model in models.values() else {name: model}
+        known = (tag for tag, one in models.items() if one == model)
+        return {next(known, network_name(short_tag(self._tag), model)): model}
 
     def note_time(self, milliseconds: float) -> None:
         if self.strength:
@@ -526,7 +518,10 @@ class DenoiseUpscale(Pass):
         """The tag of a frame's network: by the budget; another one for what is enlarged as it
         is."""
         tag = self._tags[self._ladder.rung if self._ladder else 0]
-        return ready.alone_tag if ready.first and not ready.first.look(frame) else tag
+        is_last = tag == self._tags[-1]
+        if ready.first and not ready.first.look(frame, is_last) and is_last:
+            return ready.alone_tag
+        return tag
 
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
         """What a frame is beside the one before. Only what is denoised alone, from planes of the
@@ -651,7 +646,7 @@ class DenoiseUpscale(Pass):
             asked = short_tag(self._tag)
             second = network_name(asked, mixture_model(self._tag, self._ending(spec)))
             return (f"network {asked} at the render's size first, then {second} enlarges; {name} "
-                    "alone where frames have jitter")
+                    f"alone where frames have jitter{faster}")
         return f"network {name}{faster}"
 
     def _output_size(self, spec: FrameSpec) -> Size:
@@ -687,3 +682,8 @@ class DenoiseUpscale(Pass):
         rough = [str(role)
                  for role in GUIDE_ROLES if spec.has(role) and role not in spec.guide_roles]
         return [f"edges are less exact without the guides {', '.join(rough)}"] if rough else []
+
+
+def _guides_stand_in(spec: FrameSpec) -> bool:
+    """Whether frames of a spec have guides in place of planes of the render's size."""
+    return any(role in spec.guide_roles and not spec.has(role) for role in GUIDE_ROLES)

@@ -46,10 +46,10 @@ class FirstStage:
         self.runs = False
         stage.compile(device, self._spec)
 
-    def look(self, frame: ResidentFrame) -> bool:
-        """Decide whether a frame is denoised first. Not where its samples do not lie at the pixels'
-        centres: then they know more than a picture of its own size holds."""
-        self.runs = frame.jitter == (0.0, 0.0)
+    def look(self, frame: ResidentFrame, has_time: bool) -> bool:
+        """Decide whether a frame is denoised first, if there is time. Not where its samples do not
+        lie at the pixels' centres: then they know more than a picture of its own size holds."""
+        self.runs = has_time and frame.jitter == (0.0, 0.0)
         return self.runs
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, work: Work) -> Tensor | None:

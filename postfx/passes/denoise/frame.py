@@ -102,6 +102,7 @@ class Wishes(NamedTuple):
             see a denoised one.
         error: whether the expected error is told.
         first: what denoises frames before they are enlarged; None where nothing does.
+        alone_tag: the network of frames that it leaves out.
         spared: render pixels that the halo around what is active is smaller.
     """
 
@@ -112,6 +113,7 @@ class Wishes(NamedTuple):
     filter_model: str | None
     error: bool
     first: Pass | None
+    alone_tag: str
     spared: int = 0
 
 
@@ -124,7 +126,7 @@ class ReadyNetwork(Ready):
         filtered: filters parts and noisy alpha where the picture's network has no filters, or none
             that fit the noisy picture; None where nothing does.
         first: denoises frames before they are enlarged; None where nothing does.
-        alone_tag: the network that enlarges the frames which it leaves out.
+        alone_tag: the network that enlarges the frames which that leaves out.
         frames: runs the models.
         reflections: None if frames lack the planes for it.
         restore: at render size only, else None.
@@ -161,7 +163,7 @@ class ReadyNetwork(Ready):
                          else Strength(device, spec, output, wishes.strength, self.plain))
         self.wider = WiderPrimaries(device, parts)
         self.error = ExpectedError(device, spec, output) if wishes.error else None
-        self.alone_tag = list(models)[-1]
+        self.alone_tag = wishes.alone_tag
         reach, halo = reach_of(names), halo_of(names)
         self.first = FirstStage(device, spec, wishes.first, halo) if wishes.first else None
         # beside which windows have their halo
