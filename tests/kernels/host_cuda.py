@@ -206,6 +206,16 @@ static void add_product(float (&sums)[4], const unsigned (&left)[4], const unsig
     meet();
 }
 
+// What common.cuh has of single instructions.
+static inline float from_half(unsigned short bits) { return __builtin_bit_cast(_Float16, bits); }
+static inline unsigned short to_half(float value) {
+    return __builtin_bit_cast(unsigned short, _Float16(value));
+}
+static inline float log2_of(float value) { return log2f(value); }
+static inline float exp2_of(float value) { return exp2f(value); }
+static inline float over_one(float value) { return 1.0f / value; }
+template <class T> static inline const T* behind(const T* at, size_t count) { return at + count; }
+
 template <class T> static inline T __ldg(const T* at) { return *at; }
 static inline float __int_as_float(int bits) {
     float value;

@@ -103,8 +103,9 @@ def main(words: Sequence[str] | None = None) -> None:
         frame = replace(frame, jitter=(0.0, 0.0)) if given.centred else frame
         way = Pipeline([DenoiseUpscale(**options)], Device("cpu"))  # type: ignore[arg-type]
         whole = way(frame)[Role.COLOUR]
-        exposure = way.exposure_factor
-        found = (f"{halo}: {difference(frame, whole, exposure, options, halo, given.in_use):.1e}"
+        exposed = way.exposure_factor
+        assert exposed is not None, "a pass ran"
+        found = (f"{halo}: {difference(frame, whole, exposed, options, halo, given.in_use):.1e}"
                  for halo in given.halos)
         name = f"{given.model} {given.scale}x{' guides' * given.guides}{' centred' * given.centred}"
         print(f"{name}, {pattern}: {', '.join(found)}", flush=True)
