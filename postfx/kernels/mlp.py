@@ -5,8 +5,9 @@ A kernel in C++ includes `mlp.h`, one for CUDA `<postfx/mlp.cuh>`; both call the
     mlp<GELU, 14, 64, 64, 3>(parameters.at, features, values);
 
 `parameters` is a binding: those of a `postfx.neural.Network` without bands. A vector of points is
-evaluated at once, on a GPU a thread's point. Rows that are Python evaluate some points by the
-functions here:
+evaluated at once, on a GPU a warp's points by its matrix units, or a thread's own where not all of
+a warp's threads call, or the network is tiny or wide. Rows that are Python evaluate some points by
+the functions here:
 
     space = mlp_space(network)
     features = mlp_features(space)            # (numbers, points), which the rows fill
