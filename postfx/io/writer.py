@@ -161,7 +161,10 @@ def write_frame(
     if not isinstance(frame, Frame):
         raise FrameError("write_frame takes a path and a postfx.Frame, not "
                          f"{type(frame).__name__}: give Frame({{'colour': array}})")
-    path = Path(path)
+    path = _path_of(path)
+    if not isinstance(compression, str) or not isinstance(bits, int | None):
+        raise WriteError(f"{path}: compression {compression!r} and bits {bits!r}: give a text and "
+                         "a whole number")
     kind = (path.suffix, bits, compression, frame.encoding)
     shown = _HOLDS_CODES.find(kind)
     if shown is None:  # the first file of its kind
@@ -184,6 +187,12 @@ def write_frame(
     for note, *facts in notes:
         TOLD.warning(note, path, *facts)
     return path
+
+
+def _path_of(path: object) -> Path:
+    if not isinstance(path, str | PathLike):
+        raise WriteError(f"{path!r} is no file name: give a text or a path")
+    return Path(path)
 
 
 def _write_light(path: Path, found: list[tuple[Frame, LightPlan, Header]], keep: bool,
