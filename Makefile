@@ -11,7 +11,7 @@ THREE := build/npm/node_modules/three
 
 # The sample sequence: pictures, a video and a page that shows them. Installs postfx without torch.
 demo:
-	@test -e $(VENV)/installed || echo "1 of 4  install into $(VENV) and compile kernels: one to three minutes, by your network ..."
+	@test -e $(VENV)/installed || echo "1 of 4  install into $(VENV) and compile kernels: one to three minutes ..."
 	@$(MAKE) --no-print-directory $(VENV)/installed
 	@$(BIN)/python samples/demo.py $(OUT)
 

@@ -35,8 +35,9 @@ def options() -> str:
     (verbs,) = (action.choices
                 for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     lines = ["# Options", "",
-             "Every option of every command, from the parser itself. `postfx VERB --help` prints "
-             "the same, and the wheel has it as a man page.", "", "| command | |", "| --- | --- |"]
+             "Every option of every command, from the parser itself. `postfx COMMAND --help` "
+             "prints the same, and the wheel has it as a man page.", "",
+             "| command | |", "| --- | --- |"]
     lines += [f"| [`postfx {name}`](#postfx-{name}) | {_cell(summary)} |"
               for name, summary in VERBS.items()]
     for name, verb in verbs.items():

@@ -51,7 +51,7 @@ FEWEST_REPEATING_SQUARES = 4
 BLACK_ALBEDO = np.float32(0.03)  # of albedo: what is darker is as good as black
 DARK_LIGHT = np.float32(1e-6)
 ONE_SEED = ("the same random seed in every frame",
-            "change the seed with the frame number (Blender: Noise > Seed, clock icon; Mitsuba: "
+            "change the seed with the frame number (Blender: the clock beside Seed; Mitsuba: "
             "seed of render)")
 """The likely cause, and the fix."""
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from shutil import copyfile
 
 import numpy as np
-from pictures import beside, crops, split, write_animation
+from pictures import beside, crops, means_of_blocks, name_corner, split, write_animation
 
 import postfx
 from postfx import oidn
@@ -24,11 +24,14 @@ from postfx.frame import Frame, Role
 HERE = Path(__file__).parent
 ROOM = HERE / "room"
 SHOWCASE = HERE.parent / "docs/images/showcase.jpg"
-SCALE = 2
+NETWORK = "xl"
+"""What `postfx run` takes at the render's size."""
+SHOWN = 2
+"""Pixels along a side of what shows one pixel."""
 FRAMES_A_SECOND = 8
-PLACES = ((90, 200), (330, 90))
-"""Left upper corners of the enlarged crops, in pixels of the result."""
-SIDE, ZOOM = 80, 4
+PLACES = ((60, 150), (380, 180))
+"""Left upper corners of the enlarged crops, in pixels as shown."""
+SIDE, ZOOM = 160, 2
 PAGE = """<!doctype html><meta charset="utf-8"><title>postfx: the demo</title>
 <style>
   body {{ font: 16px system-ui; margin: 2em auto; max-width: 1000px;
@@ -36,7 +39,7 @@ PAGE = """<!doctype html><meta charset="utf-8"><title>postfx: the demo</title>
   img {{ max-width: 100% }}
 </style>
 <h1>Made on this machine, in {seconds:.0f} s</h1>
-<p>Frame {number}: as rendered, at 4 samples a pixel and half the size, and the result.</p>
+<p>Frame {number}, at twice its size: denoised, and as rendered with 4 samples a pixel.</p>
 <img src="before_after.png">
 <p>Enlarged: {columns}.</p><img src="crops.png">
 <p>All frames, as rendered and denoised:</p><img src="video.png">
@@ -44,7 +47,7 @@ PAGE = """<!doctype html><meta charset="utf-8"><title>postfx: the demo</title>
 <p>The files beside this page: <code>clean.*.exr</code> (scene-linear) and
 <code>picture.*.png</code>.</p>
 """
-SHOWN = """<h1>A product shot from Blender</h1>
+PRODUCT = """<h1>A product shot from Blender</h1>
 <p>960x540, 4 samples a pixel, denoised at its own size (docs/gallery.md):</p>
 <img src="showcase.jpg">
 """
@@ -57,8 +60,8 @@ def main(argv: list[str]) -> None:
     sequence = postfx.read_sequence(ROOM / "noisy.####.exr")
     shot, clean = list(sequence), out / "clean.####.exr"
     run_up = postfx.RunUp(sequence)
-    denoise = postfx.Pipeline([postfx.DenoiseUpscale(scale=SCALE)], exposure="metadata",
-                              run_up=run_up)
+    denoise = postfx.Pipeline([postfx.DenoiseUpscale(scale=1, model=NETWORK)],
+                              exposure="metadata", run_up=run_up)
     show = postfx.Pipeline([postfx.ToneMap()], exposure="metadata")
     with step("2 of 4", "first frame, and those after it for its history: some seconds"):
         keep(clean, denoise(shot[0]))
@@ -68,7 +71,7 @@ def main(argv: list[str]) -> None:
     with step("4 of 4", "pictures, crops and the video: some seconds"):
         before = [enlarge(show(frame)[Role.COLOUR]) for frame in shot]
         shown = [show(frame) for frame in postfx.read_sequence(clean)]
-        after = [frame[Role.COLOUR] for frame in shown]
+        after = [enlarge(frame[Role.COLOUR]) for frame in shown]
         for frame in shown:
             keep(out / "picture.####.png", frame)
         columns = compare(out, before[-1], after[-1], shot[-1], show)
@@ -76,11 +79,10 @@ def main(argv: list[str]) -> None:
     if SHOWCASE.exists():
         copyfile(SHOWCASE, out / SHOWCASE.name)
     page = PAGE.format(seconds=time.perf_counter() - began, number=shot[-1].number,
-                       columns=", ".join(columns), showcase=SHOWN if SHOWCASE.exists() else "")
+                       columns=", ".join(columns), showcase=PRODUCT if SHOWCASE.exists() else "")
     (out / "index.html").write_text(page, encoding="utf-8")
     print(f"\nOpen {out / 'index.html'}. The same by two commands:")
-    print(f"  postfx run 'samples/room/noisy.####.exr' -o '{clean}' --scale {SCALE} --exposure "
-          "metadata")
+    print(f"  postfx run 'samples/room/noisy.####.exr' -o '{clean}' --exposure metadata")
     print(f"  postfx run '{clean}' -o '{out}/picture.####.png' --no-denoise --exposure metadata")
 
 
@@ -100,8 +102,8 @@ def keep(pattern: Path, frame: Frame) -> None:
 
 
 def enlarge(picture: np.ndarray) -> np.ndarray:
-    """A picture at the result's size, by repeating pixels."""
-    return picture.repeat(SCALE, 0).repeat(SCALE, 1)
+    """A picture as it is shown, by repeating pixels."""
+    return picture.repeat(SHOWN, 0).repeat(SHOWN, 1)
 
 
 def compare(out: Path, before: np.ndarray, after: np.ndarray, noisy: Frame,
@@ -112,8 +114,11 @@ def compare(out: Path, before: np.ndarray, after: np.ndarray, noisy: Frame,
     if oidn.is_installed():
         alone = postfx.Pipeline([postfx.Oidn()], exposure="metadata")(noisy)
         columns["Open Image Denoise"] = enlarge(show(alone)[Role.COLOUR])
-    columns |= {"postfx": after, "192 samples a pixel": show(reference)[Role.COLOUR]}
-    write(out / "before_after.png", split(before, after))
+    light = means_of_blocks(reference[Role.COLOUR], len(noisy[Role.COLOUR]))
+    best = show(Frame({Role.COLOUR: light}, exposure=noisy.exposure))
+    columns |= {"postfx": after, "192 samples a pixel": enlarge(best[Role.COLOUR])}
+    write(out / "before_after.png",
+          name_corner(name_corner(split(after, before), "postfx"), "as rendered", "right"))
     write(out / "crops.png", crops(list(columns.values()), PLACES, SIDE, ZOOM))
     return list(columns)
 

@@ -17,6 +17,8 @@ _NAME_HEIGHT = 24
 """Pixels of a row of names."""
 _LETTER_HEIGHT = 16
 """Pixels of a line of text."""
+_MARGIN = 6
+"""Pixels around a name within a picture."""
 
 
 def crops(pictures: Sequence[np.ndarray], places: Sequence[tuple[int, int]], side: int,
@@ -55,6 +57,27 @@ def name_columns(names: Sequence[str], width: int) -> np.ndarray:
         middle = number * (width + _GAP) + width / 2
         draw.text((middle, _NAME_HEIGHT / 2), name, "black", font, anchor="mm")
     return np.asarray(row, np.float32) / 255
+
+
+def name_corner(picture: np.ndarray, name: str, corner: str = "left") -> np.ndarray:
+    """A picture (height, width, 3) of code values with its name in white on black in a lower
+    corner, "left" or "right"."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    font = ImageFont.load_default(_LETTER_HEIGHT)
+    width, height = round(font.getlength(name)) + 2 * _MARGIN, _LETTER_HEIGHT + 2 * _MARGIN
+    box = Image.new("RGB", (width, height))
+    ImageDraw.Draw(box).text((width / 2, height / 2), name, "white", font, anchor="mm")
+    named = picture.copy()
+    named[-height:, slice(width) if corner == "left" else slice(-width, None)] = (
+        np.asarray(box, np.float32) / 255)
+    return named
+
+
+def means_of_blocks(light: np.ndarray, height: int) -> np.ndarray:
+    """A picture (n * height, n * width, channels) as means over n x n pixels."""
+    step = light.shape[0] // height
+    return light.reshape(height, step, -1, step, light.shape[2]).mean((1, 3))
 
 
 def split(left: np.ndarray, right: np.ndarray) -> np.ndarray:

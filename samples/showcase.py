@@ -2,6 +2,7 @@
 video, and figures.
 
     python samples/showcase.py FOLDER OUT [--name showcase] [--places 310,105 490,70] [--side 79]
+                               [--rendered "4 samples" --reference "80 samples"]
 
 FOLDER holds noisy.####.exr and reference.####.exr, as `training/measure/validation/showcase.py`
 renders them. They are denoised as `postfx run` does it by default. The last frame that has a
@@ -17,7 +18,15 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from pictures import below, beside, crops, name_columns, split
+from pictures import (
+    below,
+    beside,
+    crops,
+    means_of_blocks,
+    name_columns,
+    name_corner,
+    split,
+)
 from PIL import Image
 
 import postfx
@@ -41,6 +50,8 @@ def main(argv: list[str]) -> None:
     parser.add_argument("--places", nargs="+", type=place, default=[(310, 105), (490, 70)],
                         help="left upper corners of the enlarged crops, in pixels")
     parser.add_argument("--side", type=int, default=79, help="pixels along a side of the crops")
+    parser.add_argument("--rendered", default="as rendered", help="what the noisy one is named")
+    parser.add_argument("--reference", default="many samples", help="and the reference")
     args = parser.parse_args(argv)
     args.out.mkdir(parents=True, exist_ok=True)
     references = list(postfx.read_sequence(args.folder / "reference.####.exr"))
@@ -60,8 +71,10 @@ def main(argv: list[str]) -> None:
     for name, one in last.items():
         save(one).save(args.out / f"{args.name}_{name}.jpg", quality=QUALITY)
     four = [*last.values(), shown(reference, exposure)]
-    names = ("as rendered", "Open Image Denoise", "postfx", "many samples")
-    picture = below([split(last["noisy"], last["postfx"]),
+    names = (args.rendered, "Open Image Denoise", "postfx", args.reference)
+    # the clean side is the left one: noise makes lights look brighter than they are
+    picture = below([name_corner(name_corner(split(last["postfx"], last["noisy"]), "postfx"),
+                                 args.rendered, "right"),
                      name_columns(names, args.side * ZOOM),
                      crops(four, args.places, args.side, ZOOM)])
     save(picture).save(args.out / f"{args.name}.jpg", quality=QUALITY)
@@ -79,10 +92,8 @@ def place(text: str) -> tuple[int, int]:
 
 def at_size(reference: Frame, frame: Frame) -> Frame:
     """A reference at the frame's size, by means of whole blocks of pixels."""
-    colour, (height, width) = reference[Role.COLOUR], frame[Role.COLOUR].shape[:2]
-    step = colour.shape[0] // height
-    blocks = colour.reshape(height, step, width, step, 3)
-    return Frame({Role.COLOUR: blocks.mean((1, 3))})
+    return Frame({Role.COLOUR: means_of_blocks(reference[Role.COLOUR],
+                                               frame[Role.COLOUR].shape[0])})
 
 
 def run(passes: list[postfx.Pass], shot: list[Frame], exposure: float,

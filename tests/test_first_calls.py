@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import postfx
-from postfx.errors import DeviceError, FrameError, PassOptionError
+from postfx.cli.main import main
+from postfx.errors import DeviceError, FrameError, PassOptionError, WriteError
 
 PICTURE = np.zeros((8, 8, 3), np.float32)
 
@@ -40,7 +42,7 @@ def test_a_pipeline_of_something_else_is_refused_in_one_line(passes, said):
 
 
 @pytest.mark.parametrize(("options", "said"), [
-    ({"scale": [2]}, r"scales by 1 to 3, not \[2\]"), ({"model": ["m"]}, "no model"),
+    ({"scale": [2]}, r"scale \[2\]: give a number from 1 to 3"), ({"model": ["m"]}, "no network"),
     ({"strength": np.ones(2)}, "give a number"), ({"exposure": None}, "exposure 'None': use auto"),
     ({"exposure": [1]}, r"exposure '\[1\]': use auto"), ({"device": False}, "no device 'False'"),
     ({"device": ["cpu"]}, "no device")])
@@ -89,7 +91,7 @@ def test_one_frame_and_a_device_go_by_their_plain_names(write_exr, tmp_path):
 def test_a_file_in_the_place_of_an_array_is_told_who_reads_it():
     with pytest.raises(FrameError, match="color is str: .*; postfx.read_sequence reads files"):
         postfx.denoise("shot.0001.exr")
-    with pytest.raises(PassOptionError, match="not 'xl': give a scale in between; a network is"):
+    with pytest.raises(PassOptionError, match="scale .xl.: give a number .*; a network is"):
         postfx.DenoiseUpscale("xl")
 
 
@@ -97,3 +99,35 @@ def test_a_name_that_is_nearly_there_is_hinted_at():
     program = "import postfx\npostfx.read_sequences"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert "has no attribute 'read_sequences'. Did you mean: 'read_sequence'?" in done.stderr
+
+
+def test_colour_has_either_spelling_everywhere(write_exr, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_exr("shot.0001.exr", {name: np.full((8, 8), 0.1 * k) for k, name in enumerate("BGR", 1)})
+    first, second = (postfx.read_sequence("shot.####.exr", **{name: "acescg"}).read(1)["colour"]
+                     for name in ("colorspace", "colourspace"))
+    plain = postfx.read_sequence("shot.####.exr").read(1)["color"]
+    assert np.array_equal(first, second) and not np.array_equal(first, plain)
+    base = np.full((2, 2, 3), 0.5)
+    for make in (postfx.integrate.diffuse_albedo, postfx.integrate.f0_of):
+        one, other = (make(metallic=np.zeros((2, 2)), **{name: base})
+                      for name in ("base_color", "base_colour"))
+        assert np.array_equal(one, other)
+    assert postfx.integrate.exposure_hint(color=base) == postfx.integrate.exposure_hint(base)
+    with pytest.raises(TypeError, match="colorspace is given in both spellings"):
+        postfx.read_sequence("shot.####.exr", colorspace="acescg", colourspace="acescg")
+    for flag in ("--colorspace=acescg", "--colourspace=acescg"):
+        assert main(["run", "shot.####.exr", "-o", f"{flag[2:8]}.exr", "--no-denoise", flag]) == 0
+    assert Path("colors.exr").read_bytes() == Path("colour.exr").read_bytes()
+
+
+def test_an_argument_that_is_unknown_is_told_with_the_one_that_is_meant():
+    with pytest.raises(TypeError, match="read_sequence has no argument 'frame': did you mean fram"):
+        postfx.read_sequence("shot.####.exr", frame=1)
+
+
+@pytest.mark.parametrize("name", ["out/####.exr", "out/clean.%04d.exr"])
+def test_a_pattern_is_no_name_of_a_file(tmp_path, name):
+    with pytest.raises(WriteError, match="is a pattern, and write_frame writes one file"):
+        postfx.write_frame(tmp_path / name, postfx.Frame({"color": PICTURE}))
+    assert not (tmp_path / "out").exists()

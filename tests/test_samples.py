@@ -54,7 +54,8 @@ def test_the_demo_says_what_takes_how_long_and_shows_a_page_with_a_video(tmp_pat
         words[words.index("-o") + 1] = str(tmp_path / f"command/####{suffix}")
         with pytest.MonkeyPatch.context() as patch:
             patch.chdir(SAMPLES.parent)
-            assert main([*words, "--frames", "1", "--quiet"]) == 0
+            usual = () if "--no-denoise" in words else ("--model", "xl")  # tests have a quick one
+            assert main([*words, "--frames", "1", "--quiet", *usual]) == 0
         of_demo = tmp_path / f"{'clean' if suffix == '.exr' else 'picture'}.0001{suffix}"
         ours, theirs = (oiio.ImageBuf(str(path)).get_pixels()
                         for path in (tmp_path / f"command/0001{suffix}", of_demo))
@@ -70,10 +71,10 @@ def test_the_demo_says_what_takes_how_long_and_shows_a_page_with_a_video(tmp_pat
             shown.append(np.asarray(video.convert("RGB"), np.float32)[:, 644:])
     picture = oiio.ImageBuf(str(tmp_path / "picture.0001.png")).get_pixels(oiio.UINT8)[..., :3]
     # the video's first frame is the picture, but for its dither
-    assert np.abs(shown[0] - picture).max() <= 1
+    assert np.abs(shown[0][::2, ::2] - picture).max() <= 1
     # it goes and comes back
     assert np.abs(shown[1] - shown[0]).mean() > 2 * np.abs(shown[2] - shown[0]).mean() > 0
-    noisy, clean = (oiio.ImageBuf(str(tmp_path / "before_after.png")).get_pixels()[:, half]
+    clean, noisy = (oiio.ImageBuf(str(tmp_path / "before_after.png")).get_pixels()[:320, half]
                     for half in (slice(0, 316), slice(324, 640)))
     assert (np.abs(np.diff(noisy[::2], axis=0)).mean() > 3 * np.abs(np.diff(clean[::2], axis=0))
             .mean())

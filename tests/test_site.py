@@ -117,7 +117,8 @@ def commands(text: str) -> Iterator[list[str]]:
                 words = words_of(line)
                 while words and re.fullmatch(r"\w+=.*", words[0]):
                     del words[0]
-                if words[:1] == ["postfx"] and len(words) > 1 and not {"...", "VERB"} & set(words):
+                is_real = not {"...", "COMMAND"} & set(words)
+                if words[:1] == ["postfx"] and len(words) > 1 and is_real:
                     yield words[1:]
 
 

@@ -75,7 +75,7 @@ def test_networks_are_loaded_once():
     (COLOUR, {"normal": NORMAL.astype(int)}, "plane 'normal' of frame 1 is int64"),
     (COLOUR, {"scale": 9}, "scale"),
     (COLOUR, {"model": "none.onnx"}, "no such file"),
-    (COLOUR, {"model": "tiny"}, "no model 'denoise_upscale.tiny' in .*: give s, m, l, xl, classic "
+    (COLOUR, {"model": "tiny"}, "no network .tiny.: give s, m, l, xl, classic "
      "or FILE.onnx; 'postfx models' lists all$"),
     (COLOUR, {"device": "tpu"}, "no device 'tpu': use auto, cpu"),
     (COLOUR, {"exposure": "bright"}, "exposure 'bright'"),

@@ -1,4 +1,4 @@
-"""`postfx VERB ...`: picks the verb and turns errors into one line and an exit code."""
+"""`postfx COMMAND ...`: picks the verb and turns errors into one line and an exit code."""
 
 from __future__ import annotations
 
@@ -135,14 +135,14 @@ def make_parser(used: Collection[str] = tuple(VERBS)) -> argparse.ArgumentParser
     parser = Parser(
         prog="postfx",
         description="Post-processing of rendered image sequences: denoise, upscale, tone-map.",
-        epilog="'postfx VERB --help' explains a verb and gives examples.",
+        epilog="'postfx COMMAND --help' explains a command and gives examples.",
     )
     parser.add_argument("--version", action="version", version=f"postfx {__version__}")
     parser.add_argument("--completion", metavar="SHELL", choices=SHELLS, action=_Completion,
                         help=f"print a script that completes commands in {', '.join(SHELLS[:-1])} "
                         f"or {SHELLS[-1]}")
     parser.hint = _place_of_run_options
-    verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
+    verbs = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, summary in VERBS.items():
         added = verbs.add_parser(name, help=summary,
                                  formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, NoReturn
 
@@ -340,8 +341,11 @@ class Parser(argparse.ArgumentParser):
         return formatter.format_help()
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """The arguments; ends the process with a message for those that it does not know."""
-        found, unknown = self.parse_known_args(args, namespace)
+        """The arguments; ends the process with a message for those that it does not know. Options
+        may be written with 'color'."""
+        words = [re.sub("^(--[^=]*)color", r"\1colour", word)
+                 for word in (sys.argv[1:] if args is None else args)]
+        found, unknown = self.parse_known_args(words, namespace)
         if unknown:
             used = getattr(found, "parser", self)
             flags = [flag for action in used._actions for flag in action.option_strings]
@@ -356,7 +360,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print a line, with what a mistyped verb may have meant, and end the process with 2."""
-        choice = re.search(r"argument VERB: invalid choice: '([^']*)'", message)
+        choice = re.search(r"argument COMMAND: invalid choice: '([^']*)'", message)
         verbs = [name for action in self._actions if isinstance(action, argparse._SubParsersAction)
                  for name in action.choices] if choice else []
         meant = suggest(choice[1], verbs) if choice else ""
@@ -364,6 +368,7 @@ class Parser(argparse.ArgumentParser):
             meant = f": did you mean postfx run {choice[1]}?"
         if choice and choice[1] in MEANT_VERBS:
             meant = f": did you mean postfx {MEANT_VERBS[choice[1]]}?"
+        message = f"there is no command '{choice[1]}'" if choice else message
         help = "--help-all" if any(option.basic for option in self.declared or ()) else "--help"
         self.exit(2, f"error: {message}{meant} ('{self.prog} {help}' shows all)\n")
 

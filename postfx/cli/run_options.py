@@ -29,6 +29,7 @@ from postfx.cli.options import (
     parse_ray,
     parse_size,
 )
+from postfx.errors import OptionError, suggest
 
 if TYPE_CHECKING:
     from postfx.frame import Role
@@ -222,11 +223,17 @@ def _find_network(tag: str) -> str:
 def find_partner(words: str, enlarges: bool) -> str | None:
     """The pass that --with names, and its options; None for none, and for auto where Open Image
     Denoise is not installed, or where frames are enlarged: there mixtures are worse than the
-    network `xl` alone."""
+    network `xl` alone. OptionError for any other word that is no pass."""
     from postfx.oidn import is_installed
+    from postfx.passes.registry import names
 
     if words == "auto":
         return "oidn" if is_installed() and not enlarges else None
+    name = words.partition(",")[0]
+    if name.isidentifier() and name not in (*names(), "none"):
+        raise OptionError(f"--with {name}{suggest(name, (*names(), 'auto', 'none')) or ':'} give "
+                          "oidn, auto, none or a pass of your own ('postfx run --passes' lists "
+                          "them)")
     return None if words == "none" else words
 
 
@@ -259,8 +266,8 @@ DENOISING = Section("denoising and size", (
            convert=_find_network, excludes=_FOR_DENOISER,
            help="network of the denoiser: s (the fastest), m, l, or xl (the cleanest); m.fp32 is m "
            "in full precision. Or FILE.onnx with its card beside it, or classic, a filter without "
-           "a network. Default: xl at the render's size; m for larger frames, where memory is "
-           "short, and with --budget or --memory"),
+           "a network. Default: xl; m where memory is short, for larger frames with guides, and "
+           "with --budget or --memory"),
     Option(flag="--both-ways", basic=True,
            excludes={
                **_FOR_DENOISER,
@@ -417,8 +424,6 @@ def refuse_views(sequence: Sequence, outputs: OutputFiles | None) -> None:
 
 def refuse_several_views(arguments: argparse.Namespace, verb: str) -> None:
     """OptionError if more than one view is given to a verb that looks at one."""
-    from postfx.errors import OptionError
-
     if arguments.view and (arguments.view == "all" or "," in arguments.view):
         raise OptionError(f"--view {arguments.view}: 'postfx {verb}' uses one view: give --view "
                           "one name")

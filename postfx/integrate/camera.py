@@ -20,6 +20,7 @@ import numpy as np
 from postfx.errors import IntegrationError
 from postfx.exposure import measure
 from postfx.frame import DEPTH_MISS
+from postfx.spelling import takes_both_spellings
 
 _SIGNED_AXES = {"+x": 0, "+y": 1, "+z": 2, "-x": 0, "-y": 1, "-z": 2}
 
@@ -189,6 +190,7 @@ def jitter_sequence(count: int) -> np.ndarray:
                      for index in range(1, count + 1)]).reshape(-1, 2)
 
 
+@takes_both_spellings
 def exposure_hint(colour: np.ndarray) -> float | None:
     """Stops that bring a picture to mid grey, for `Frame.exposure`; None for a black one.
 

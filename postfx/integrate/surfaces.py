@@ -14,6 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from postfx.frame import Role
+from postfx.spelling import takes_both_spellings
 
 # Numerators and denominators of the rational fit, rows: powers of alpha, columns: powers of the
 # cosine.
@@ -58,6 +59,7 @@ def split_sum(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np
                  for name, fit in (("scale", _SCALE), ("bias", _BIAS)))
 
 
+@takes_both_spellings
 def f0_of(base_colour: np.ndarray, metallic: np.ndarray, ior: float = 1.5) -> np.ndarray:
     """Reflectance at normal incidence (height, width, 3) of the metallic workflow (Burley 2012).
 
@@ -70,6 +72,7 @@ def f0_of(base_colour: np.ndarray, metallic: np.ndarray, ior: float = 1.5) -> np
             + (1 - metallic) * ((ior - 1) / (ior + 1)) ** 2)
 
 
+@takes_both_spellings
 def diffuse_albedo(base_colour: np.ndarray, metallic: np.ndarray) -> np.ndarray:
     """Diffuse albedo (height, width, 3): base colour without its metallic part, which reflects
     nothing diffusely."""

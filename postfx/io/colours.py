@@ -243,7 +243,7 @@ def parse_colourspace(text: str | None) -> InputColours:
         return InputColours(native=text == NATIVE)
     if text not in LINEAR_SPACES:
         raise ColourError(f"unknown colour space '{text}': use one of {', '.join(LINEAR_SPACES)}, "
-                          "all linear")
+                          "which are all linear")
     return InputColours(LINEAR_SPACES[text])
 
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from postfx.errors import GuideError, MissingPlaneError
 from postfx.frame import OUTPUT_SIZE_ROLES, GuideSpec, Role
 from postfx.io.channels import Channel, ChannelIndex, Names, are_together, before, has_siblings
 from postfx.io.convert import Camera, DepthOption, missing_error, missing_number
-from postfx.io.facts import Facts
+from postfx.io.facts import Facts, read_facts
 from postfx.io.profile import DetectRule, PlaneRule, Profile, load_profile, profile_names
 from postfx.io.windows import PICTURE_ATTRIBUTE
 from postfx.streams import make_printable
@@ -80,10 +80,10 @@ class Layout:
     chosen_layer: str | None = None
     """The view layer that was chosen among several; None if there are not several."""
 
-    @property
+    @cached_property
     def facts(self) -> Facts:
-        """Its header attributes by the names of its profile."""
-        return Facts(self.profile, self.layer, self.attributes)
+        """What its header attributes say, by the names of its profile."""
+        return read_facts(self.profile, self.layer, self.attributes)
 
     def hints(self) -> dict[Role, str]:
         """Role -> where the user switches the plane on in the renderer, of those of which that is
@@ -229,7 +229,7 @@ def _preference(layout: Layout) -> tuple[bool, int, bool]:
 
 def _match_all(index: ChannelIndex, layout: Layout, depth: DepthOption | None,
                without: Collection[Role]) -> Layout:
-    camera = layout.facts.camera()
+    camera = layout.facts.camera
     layout.camera = depth.camera(camera) if depth else camera
     for rule in layout.profile.planes:
         if rule.role not in layout.planes and rule.role not in without:

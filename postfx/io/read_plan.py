@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from postfx.caching import Kept
+from postfx.caching import LRUCache
 from postfx.errors import MissingPlaneError, ReadError
 from postfx.frame import ColourSource, Role
 from postfx.io.channels import Channel, ChannelIndex, Parts, are_together
 from postfx.io.colours import COLOUR_ATTRIBUTES
 from postfx.io.convert import Camera, DepthOption, fill_value, is_converted
-from postfx.io.facts import Facts, tell_colours
+from postfx.io.facts import tell_colours
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import (
     Layout,
@@ -74,7 +74,7 @@ class Settled(NamedTuple):
 MOST_READ_PLANS = 32
 """That are kept: a sequence has one for each view, and for each kind of header that its frames
 have."""
-Plans = Kept[object, "ReadPlan"]
+Plans = LRUCache[object, "ReadPlan"]
 """The plans of a sequence by their keys."""
 
 
@@ -199,18 +199,22 @@ class ReadPlan:
         """The layout of another frame, of its merged attributes and open files; depth: what the
         user says of the camera. None where other numbers of the camera are known: then other planes
         may be used."""
-        camera = Facts(self.layout.profile, self.layout.layer, attributes).camera()
-        camera = depth.camera(camera) if depth else camera
-        if known_of(camera) != self.known:
-            return None
-        if self.area and self.area.window != self.area.display:
-            camera = camera_over(camera, self.area)
         if self.colours is not None:
             rest = {name: value
                     for name, value in attributes.items() if name not in COLOUR_ATTRIBUTES}
             attributes = {**rest, **self.colours}
         paths = {word: file.path for word, file in files.items()}
-        return replace(self.layout, attributes=attributes, camera=camera, paths=paths)
+        layout = replace(self.layout, attributes=attributes, paths=paths)
+
+        # The camera, as the header and the user say.
+        camera = layout.facts.camera
+        camera = depth.camera(camera) if depth else camera
+        if known_of(camera) != self.known:
+            return None
+        if self.area and self.area.window != self.area.display:
+            camera = camera_over(camera, self.area)
+        layout.camera = camera
+        return layout
 
 
 def camera_over(camera: Camera, area: Area) -> Camera:

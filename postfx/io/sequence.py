@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec
 
 import numpy as np
 
-from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
+from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError, suggest
 from postfx.frame import LOG, Frame, Role
 from postfx.io.colours import ColourSpace, InputColours, parse_colourspace
 from postfx.io.frame_reader import READ_ALL, FrameFiles
@@ -34,6 +34,7 @@ from postfx.masks.cryptomatte import Coverage
 from postfx.motion import MOTION_SOURCES
 from postfx.planes import is_finite
 from postfx.repair import Fireflies, clamp_fireflies
+from postfx.spelling import in_our_spelling
 from postfx.streams import make_printable
 
 if TYPE_CHECKING:
@@ -528,17 +529,23 @@ class Sequence:
 def _by_options(make: Callable[Given, ReadOptions]) -> Callable[
     [Callable[[Source, ReadOptions], Sequence]], Callable[Concatenate[Source, Given], Sequence]
 ]:
-    """Let a function that takes options be called with each of them, by position or by name."""
+    """Let a function that takes options be called with each of them, by position or by name, in
+    either spelling of colour."""
 
     def wrap(
         function: Callable[[Source, ReadOptions], Sequence],
     ) -> Callable[Concatenate[Source, Given], Sequence]:
         def call(pattern: Source, *given: Given.args, **named: Given.kwargs) -> Sequence:
-            return function(pattern, make(*given, **named))
+            ours = in_our_spelling(named)
+            for unknown in ours.keys() - options.keys():
+                raise TypeError(f"{function.__name__} has no argument '{unknown}'"
+                                f"{suggest(unknown, options)}")
+            return function(pattern, make(*given, **ours))
 
+        options = signature(make).parameters
         update_wrapper(call, function)
         pattern, *_ = signature(function).parameters.values()
-        parameters = [pattern, *signature(make).parameters.values()]
+        parameters = [pattern, *options.values()]
         call.__signature__ = Signature(parameters, return_annotation="Sequence")  # type: ignore[attr-defined]
         return call  # type: ignore[return-value]  # the pattern may be given by its name, too
 

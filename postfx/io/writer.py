@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.caching import Kept
+from postfx.caching import LRUCache
 from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import FrameError, OutputExistsError, WriteError
 from postfx.files import is_utf8, output_file, with_slashes
@@ -59,7 +60,7 @@ more."""
 _PNG_PAETH = 128
 MOST_KINDS_OF_OUTPUTS = 32
 """That are known to be possible."""
-_HOLDS_CODES: Kept[tuple[object, ...], bool] = Kept(MOST_KINDS_OF_OUTPUTS)
+_HOLDS_CODES: LRUCache[tuple[object, ...], bool] = LRUCache(MOST_KINDS_OF_OUTPUTS)
 """Whether files hold pictures for a display, by suffix, bits, compression and encoding: those that
 can be written."""
 
@@ -165,6 +166,9 @@ def write_frame(
     if not isinstance(compression, str) or not isinstance(bits, int | None):
         raise WriteError(f"{path}: compression {compression!r} and bits {bits!r}: give a text and "
                          "a whole number")
+    if re.search(r"##|%0\dd", path.name):
+        raise WriteError(f"{path}: is a pattern, and write_frame writes one file: name it by "
+                         "frame.number, as in f'clean.{frame.number:04d}.exr'")
     kind = (path.suffix, bits, compression, frame.encoding)
     shown = _HOLDS_CODES.find(kind)
     if shown is None:  # the first file of its kind

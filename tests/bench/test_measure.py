@@ -85,7 +85,7 @@ def test_the_first_use_of_a_machine_does_not_count(task, tmp_path, monkeypatch, 
 
 
 def test_a_method_that_fails_says_why(task):
-    with pytest.raises(BenchError, match="method 'x': no model 'denoise_upscale.none'"):
+    with pytest.raises(BenchError, match="method 'x': no network 'none.fp32': give s"):
         run_task(task(Method("x", "x", "ours", model="none")), print)
 
 

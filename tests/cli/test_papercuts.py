@@ -26,11 +26,17 @@ def here(shot, tmp_path, monkeypatch) -> Path:
 @pytest.mark.parametrize(("words", "said"), [
     (("--model", "x"), "give s, m, l, xl, classic or FILE.onnx; 'postfx models' lists all"),
     (("--memory", "4"), "memory budget '4' has no unit: give 4G for gigabytes"),
-    (("--scale", "9"), "scales by 1 to 3, not 9"),
+    (("--scale", "9"), "scale 9: give a number from 1 to 3"),
     (("--frames", "100-200"),
      "there are frames 1-3, none of 100-200: give --frames that are there"),
     (("--model", "XL"), "did you mean xl? give s, m, l"),
     (("--model", "large"), "did you mean l? give s, m, l"),
+    (("--model", "x"), "no network 'x': did you mean xl?"),
+    (("--with", "optix"), "--with optix: give oidn, auto, none or a pass of your own"),
+    (("--with", "oidm"), "--with oidm: did you mean oidn? give oidn"),
+    (("--live", "viewer"), "--live 'viewer': give tev, tev:HOST or tev:HOST:PORT"),
+    (("--report", "in/shot.0001.exr/report.html"), "cannot be written"),
+    (("--strength", "2"), "strength 2: give a number from 0 to 1"),
     (("--compression", "zip9"), "--compression zip9: use one of none, rle"),
     (("--bits", "8"), "cannot have 8 bits: EXR has 16 or 32"),
 ])
@@ -48,6 +54,7 @@ def test_a_wrong_value_is_told_before_files_that_are_there(here, capsys, words, 
     (("upscale", "in/"), "did you mean postfx run with --scale 2?"),
     (("check", "in/"), "did you mean postfx inspect?"),
     (("help",), "did you mean postfx --help?"),
+    (("rum", "in/"), "there is no command 'rum': did you mean run? ('postfx --help' shows all)"),
     (("version",), "did you mean postfx --version?"),
     ((*RUN, "--gpu"), "did you mean --device cuda?"),
     ((*RUN, "--look", "agx"), "did you mean --tonemap?"),
@@ -77,7 +84,7 @@ def test_a_slip_is_told_with_the_way_out(here, capsys, words, said):
 
 def test_the_command_alone_shows_its_help(capsys):
     assert main([]) == 2
-    assert "'postfx VERB --help' explains a verb" in capsys.readouterr().err
+    assert "'postfx COMMAND --help' explains a command" in capsys.readouterr().err
 
 
 def test_what_one_frame_took_leaves_out_the_frames_before_it(here, write_exr, capsys):
@@ -136,7 +143,8 @@ def test_options_of_run_go_behind_two_dashes(here, capsys, verb):
 
 
 def test_chunks_check_the_options_behind_the_dashes(here, capsys):
-    for words, said in ((("--model", "x"), "give s, m, l"), (("--scale", "9"), "scales by 1 to 3")):
+    for words, said in ((("--model", "x"), "give s, m, l"),
+                        (("--scale", "9"), "give a number from 1 to 3")):
         assert main(["chunks", "in/", "-o", "out/", "--", *words]) == 2
         assert said in capsys.readouterr().err
 

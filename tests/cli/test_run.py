@@ -202,7 +202,7 @@ def test_no_strength_resamples(postfx, shot, tmp_path):
     assert done.code == 0 and "strength 0: the input is only resampled" in done.err, done.err
     given, found = (pixels_of(tmp_path / folder / "shot.0001.exr") for folder in ("in", "out"))
     np.testing.assert_array_equal(found, given[..., :3].astype(np.float16))
-    assert "has strengths 0 to 1, not 2" in postfx("run", "in/shot.####.exr", "-o", "o/",
+    assert "strength 2: give a number from 0 to 1" in postfx("run", "in/shot.####.exr", "-o", "o/",
                                                    "--strength", "2").err
 
 

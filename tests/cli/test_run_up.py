@@ -12,7 +12,8 @@ from postfx.errors import Interrupted
 from postfx.io.sequence import Sequence
 from postfx.temporal.reverse_order import RunUp
 
-RUN_UP_OF_1 = "run-up from frame 6 back to frame 1, for its history (--run-up 0 leaves it out)"
+RUN_UP_OF_1 = ("frames 6 back to 1 first, unwritten, so that frame 1 is as clean as the others "
+               "(--run-up 0 leaves them out)")
 RUN = ("run", "in/shot.####.exr", "--model", "s")
 
 

@@ -56,9 +56,10 @@ def test_inspect_tells(postfx, dynamic):
 
 @pytest.mark.parametrize(("options", "message"), [
     (("--size", "72x40"),
-     "error: in/shot.0001.exr: 48x32 has another aspect than the output, 72x40: render it at"),
+     "error: in/shot.0001.exr: 48x32 does not have the proportions of 72x40, overscan "
+     "included: give a size like 72x48, or render at 48x27"),
     (("--size", "80x54"),
-     "error: in/shot.0004.exr: 24x16 cannot become 80x54, which is 1 to 3 times as large"),
+     "error: in/shot.0004.exr: 24x16 cannot become 80x54: frames are enlarged up to 3"),
     (("--size", "72"), "argument --size: '72' is not a size like 1920x1080"),
     (("--size", "72x48", "--scale", "2"), "argument --scale: not allowed with argument --size"),
     (("--size", "72x48", "--no-denoise"),

@@ -26,6 +26,7 @@ WORK = Path("out/pictures")
 """Where samples write, below the project's folder."""
 SCENES = ("garage", "doorway", "mist", "staircase", "living_room")
 """Scenes of the gallery beside the product shot, named as their folders."""
+BLENDER_PASSES = ("Combined", "Diffuse Color", "Glossy Color", "Normal", "Depth", "Vector")
 SIDES = ("noisy", "oidn", "postfx")
 RECORD = ("-m", "training.measure.record", "showcase", "--note",
           "960x540 by training/measure/validation/showcase.py, 4 samples a pixel", "--", "python")
@@ -54,13 +55,14 @@ def main(argv: list[str]) -> None:
 
 def commands(helmet: str, shots: str) -> Iterator[tuple[str, list[str]]]:
     """Names and commands of Python."""
-    yield "helmet", [*RECORD, "samples/showcase.py", helmet, str(WORK)]
+    yield "helmet", [*RECORD, "samples/showcase.py", helmet, str(WORK), "--rendered",
+                     "as rendered, 4 samples", "--reference", "80 samples"]
     for scene in SCENES:
         yield scene, ["samples/showcase.py", f"{shots}/{scene}", str(WORK), "--name", scene,
                       "--places", "0,0"]  # within each of them; the gallery shows no crops
     yield "planes", ["samples/planes.py", f"{WORK}/planes.jpg"]
     yield "planes", ["samples/planes.py", f"{WORK}/planes_blender.jpg",
-                     f"{shots}/garage/noisy.####.exr"]
+                     f"{shots}/garage/noisy.####.exr", ",".join(BLENDER_PASSES)]
     if "POSTFX_BPY_PYTHON" in os.environ:
         yield "panels", ["samples/blender_panels.py", str(WORK)]
 

@@ -39,8 +39,7 @@ def validate_scale(scale: float | None) -> float | None:
     if found is not None and not LEAST_SCALE <= found <= MOST_SCALE:
         shown = f"{found:g}" if isinstance(scale, int | float) else repr(scale)
         network = "; a network is model=" if isinstance(scale, str) else ""
-        raise PassOptionError(f"pass 'denoise_upscale' scales by 1 to 3, not {shown}: give a scale "
-                              f"in between{network}")
+        raise PassOptionError(f"scale {shown}: give a number from 1 to 3{network}")
     return found
 
 
@@ -87,14 +86,15 @@ def _fixed(spec: FrameSpec, size: Size) -> Size:
     wide, high = spec.height * size.width / size.height, spec.width * size.height / size.width
     if (abs(high - spec.height) > max(1, ASPECT * high)
         and abs(wide - spec.width) > max(1, ASPECT * wide)):
-        fitting = Size(round(high), spec.width)
-        raise FrameError(f"{found} has another aspect than the output, {size}: render it at "
-                         f"{fitting}, or give a size of its aspect (both with all overscan)")
+        fitting = Size(round(size.width * spec.height / spec.width), size.width)
+        rendered = Size(round(high), spec.width)
+        raise FrameError(f"{found} does not have the proportions of {size}, overscan included: "
+                         f"give a size like {fitting}, or render at {rendered}")
     if not all(side <= outer <= MOST_SCALE * side
                for side, outer in ((spec.height, size.height), (spec.width, size.width))):
         least = Size(*(-(-side // int(MOST_SCALE)) for side in size))
-        raise FrameError(f"{found} cannot become {size}, which is 1 to 3 times as large as what it "
-                         f"is made of: render it at {least} to {size}")
+        raise FrameError(f"{found} cannot become {size}: frames are enlarged up to 3 times, and "
+                         f"never reduced: render at {least} to {size}")
     guides = spec.guides
     if guides and (guides.height, guides.width) != size:
         found = f"{guides.source or 'frame'}: guides are {guides.width}x{guides.height}"
