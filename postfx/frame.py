@@ -434,6 +434,11 @@ class Frame:
                                  f"as {_NAMED_FIELDS[name]}")
         if not self.planes:
             raise FrameError(f"frame {self._name()} has no planes")
+        if not isinstance(self.encoding, str):
+            raise FrameError(f"frame {self._name()} has encoding {self.encoding!r}: give a word, "
+                             "such as 'scene-linear'")
+        if not isinstance(self.number, int | np.integer):
+            raise FrameError(f"frame {self._name()} has number {self.number!r}: give a whole one")
         self.planes = self._check_all(self.planes, "plane", self.source)
         self.guides = self._check_all(self.guides, "guide", self.guide_source)
         self.parts = {str(name): self._checked_part(name, part)
@@ -443,7 +448,9 @@ class Frame:
         if self.world_to_camera is not None:
             self.world_to_camera = self._numbers("world_to_camera", 16).reshape(4, 4)
         for name in ("jitter", "guide_jitter"):
-            self._numbers(name, 2)
+            if not np.isfinite(self._numbers(name, 2)).all():
+                raise FrameError(f"frame {self._name()} has {name} {getattr(self, name)}: give "
+                                 "finite numbers")
         for name in ("exposure", "samples", "fov_x"):
             if getattr(self, name) is not None:
                 self._numbers(name, 1)
@@ -457,14 +464,16 @@ class Frame:
         """A field's numbers, flat; FrameError where it holds others, or anything else."""
         value = getattr(self, name)
         try:
-            found = np.asarray(value, np.float64).ravel()
+            # None would become NaN
+            found = np.asarray(value) * np.float64(1)
         except (TypeError, ValueError):
             found = np.empty(0)
-        if value is None or found.size != count:
+        is_nested = found.ndim > 0 if count == 1 else found.ndim > 1 and name != "world_to_camera"
+        if found.size != count or found.dtype != np.float64 or is_nested:
             words = "a number" if count == 1 else f"{count} numbers"
             shown = " ".join(repr(value).split())[:60]
             raise FrameError(f"frame {self._name()} has {name} {shown}: give {words}")
-        return found
+        return found.ravel()
 
     @property
     def spec(self) -> FrameSpec:

@@ -45,6 +45,49 @@ def test_names_in_errors_control_no_terminal_of_a_program(call):
         assert str(error).isprintable() and "a?[31m?]0;title??b" in str(error)
 
 
+PICTURE = np.ones((2, 2, 3), np.float32)
+GREY = Frame({Role.COLOUR: PICTURE})
+OTHER_TYPES = {
+    "half a jitter": lambda _: Frame({"colour": PICTURE}, jitter=(None, 0)),
+    "a nested jitter": lambda _: Frame({"colour": PICTURE}, jitter=((1,), (2,))),
+    "a jitter without a number": lambda _: Frame({"colour": PICTURE}, jitter=(0.1, np.nan)),
+    "a list of exposures": lambda _: Frame({"colour": PICTURE}, exposure=[1]),
+    "a number in words": lambda _: Frame({"colour": PICTURE}, number="a"),
+    "half a number": lambda _: Frame({"colour": PICTURE}, number=1.5),
+    "no encoding": lambda _: Frame({"colour": PICTURE}, encoding=None),
+    "exposures of a pipeline": lambda _: postfx.Pipeline([], exposure=np.ones(2)),
+    "no path": lambda _: postfx.write_frame(None, GREY),
+    "bytes for a path": lambda folder: postfx.write_frame(bytes(folder / "a.exr"), GREY),
+    "a list of bits": lambda folder: postfx.write_frame(folder / "a.exr", GREY, bits=[16]),
+    "no compression": lambda folder: postfx.write_frame(folder / "a.exr", GREY, compression=None),
+    "no input": lambda _: postfx.read_sequence(None),
+    "bytes for an input": lambda _: postfx.read_sequence(b"a.exr"),
+    "an empty list": lambda _: postfx.read_sequence([]),
+    "planes in a word": lambda folder: postfx.read_sequence(folder / "a.exr", planes="colour"),
+    "planes by number": lambda folder: postfx.read_sequence(folder / "a.exr", planes=[3]),
+    "half a frame": lambda folder: postfx.read_sequence(folder / "a.exr", frames=1.5),
+    "frames of two kinds": lambda folder: postfx.read_sequence(folder / "a.exr", frames=[1, "2"]),
+    "a layer by number": lambda folder: postfx.read_sequence(folder / "a.exr", layer=3),
+    "depth by number": lambda folder: postfx.read_sequence(folder / "a.exr", depth=3),
+}
+
+
+@pytest.mark.parametrize("kind", OTHER_TYPES)
+def test_values_of_other_types_are_refused_in_one_line(kind: str, tmp_path: Path):
+    postfx.write_frame(tmp_path / "a.exr", GREY)
+    with pytest.raises(postfx.PostfxError, match="give |use ") as caught:
+        OTHER_TYPES[kind](tmp_path)
+    assert len(str(caught.value)) < 400 and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("fields", [
+    {"jitter": [0, 1]}, {"jitter": np.ones(2, np.float16)}, {"exposure": np.float32(2)},
+    {"exposure": 1}, {"number": np.int64(3)}, {"world_to_camera": list(range(16))},
+    {"world_to_camera": np.eye(4, dtype=np.float32)}])
+def test_numbers_of_any_type_are_taken(fields: dict):
+    Frame({"colour": PICTURE}, **fields)
+
+
 def test_no_error_for_users_is_defined_elsewhere():
     for source in PACKAGE.rglob("*.py"):
         bases = [ast.unparse(base)

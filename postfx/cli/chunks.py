@@ -74,7 +74,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """Print the chunks; returns the exit code."""
     from postfx.cli.main import make_parser
     from postfx.errors import OptionError
-    from postfx.files import write_atomically
+    from postfx.files import output_file
 
     words = ["run", *arguments.input, "-o", arguments.output, *arguments.forwarded]
     cut = cut_up(words, make_parser(["run"]).parse_args(words), arguments.size, arguments.frames)
@@ -85,7 +85,8 @@ def execute(arguments: argparse.Namespace) -> int:
         name = f"postfx {Path(str(cut.sequence.pattern)).name}"
         job = json.dumps(describe_job(name, cut.chunks, arguments.size, cut.run, cut.verify),
                          indent=2)
-        write_atomically(Path(arguments.openjd), lambda file: file.write(f"{job}\n".encode()))
+        with output_file(Path(arguments.openjd)) as temporary:
+            temporary.write_text(f"{job}\n", "utf-8")
     facts: dict[str, Any] = {
         "input": str(cut.sequence.pattern), "output": arguments.output, "frames": cut.frames,
         "chunks": [{**chunk.as_dict(), "command": cut.command(chunk)} for chunk in cut.chunks],

@@ -81,6 +81,7 @@ from postfx.plan import Skip, from_files
 from postfx.runs.run import Options, Run, provenance_of
 from postfx.runs.schedule import Work, find_preroll
 from postfx.runtime import Device
+from postfx.temporal.plain_albedo import is_plain
 from postfx.temporal.reverse_order import Backwards
 from postfx.wrap import WRAP_AROUND, WRAP_AUTO, WRAP_NONE, is_panorama
 
@@ -130,11 +131,10 @@ class Job:
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
         denoising = None if arguments.no_denoise else self._denoiser_options(device)
-        if arguments.both_ways and self._has_flat_albedo():
+        if arguments.both_ways and self._has_plain_albedo():
             arguments.both_ways = False
-            self.skips.append(Skip("both_ways",
-                                                "albedo has one value everywhere, so that more "
-                                                "history in one order shows more of the textures"))
+            self.skips.append(Skip("both_ways", "albedo shows no textures, so that more history in "
+                                                "one order shows more of them"))
         both_ways = arguments.both_ways and arguments.strength != 0 and not covered
         wrap = self._find_wrap()
         self._backwards = (Backwards(self.sequence, device,
@@ -211,15 +211,15 @@ class Job:
             self.skips.append(Skip("the network for this size", choice.lack))
         return {**given, "model": choice.network}
 
-    def _has_flat_albedo(self) -> bool:
-        """Whether the first frame's diffuse albedo is one grey or colour: a default, or an override
-        material."""
+    def _has_plain_albedo(self) -> bool:
+        """Whether the first frame's diffuse albedo shows none of the textures: a default, an
+        override material, or one colour for each object."""
         with self.sequence.open(self.first) as files:
             if not files.spec().has(Role.DIFFUSE_ALBEDO):
                 return False
-            albedo = files.read(self.first, [Role.DIFFUSE_ALBEDO],
-                                []).planes.get(Role.DIFFUSE_ALBEDO)
-        return albedo is not None and bool(albedo[0, 0].any() and (albedo == albedo[0, 0]).all())
+            planes = files.read(self.first, [Role.DIFFUSE_ALBEDO, Role.COLOUR], []).planes
+        return {Role.DIFFUSE_ALBEDO, Role.COLOUR} <= planes.keys() and is_plain(
+            planes[Role.DIFFUSE_ALBEDO], planes[Role.COLOUR])
 
     def _find_wrap(self) -> str:
         """Whether frames are panoramas, by the option or the first frame's header, as the pipeline

@@ -88,7 +88,8 @@ class ExposureMeter:
     """
 
     def __init__(self, mode: str | float = "auto") -> None:
-        self.mode: str | float = mode if mode in MODES else _fixed_ev(mode)
+        is_word = isinstance(mode, str) and mode in MODES
+        self.mode: str | float = mode if is_word else _fixed_ev(mode)
         self._ev: float | None = None
 
     def reset(self) -> None:

@@ -341,7 +341,10 @@ def locate(source: Source) -> tuple[Pattern, list[int] | None]:
     sequences.
     """
     if not isinstance(source, str | os.PathLike):
-        return _locate_files(list(source))
+        names = list(source) if isinstance(source, Iterable) else [source]
+        if not names or not all(isinstance(name, str | os.PathLike) for name in names):
+            raise SequenceError(f"input {source!r}: give a file name, or a list of them")
+        return _locate_files(names)
     name = with_slashes(os.path.expanduser(source))
     if os.path.isdir(name):
         return _folder_pattern(Path(name)), None

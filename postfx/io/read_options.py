@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from os import PathLike
 from typing import Any
 
 from postfx.errors import SequenceError
@@ -25,6 +26,8 @@ MOTIONS = (AUTO_MOTION, FILE_MOTION, ESTIMATED_MOTION)
 alone; always estimated."""
 
 ALL_VIEWS = "all"
+_WORDS = ("profile", "depth", "leave", "colourspace", "layer", "view", "aov", "aov_denoise")
+"""Options that are texts or None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +91,15 @@ class ReadOptions:
         if self.motion not in MOTIONS:
             choices = f"{', '.join(MOTIONS[:-1])} or {MOTIONS[-1]}"
             raise SequenceError(f"motion '{self.motion}': give {choices}")
-        self._keep("planes", None if self.planes is None else tuple(map(Role, self.planes)))
+        for name in _WORDS:
+            word = getattr(self, name)
+            if word is not None and not isinstance(word, str | PathLike):
+                raise SequenceError(f"{name} {word!r}: give a text")
+        try:
+            self._keep("planes", None if self.planes is None else tuple(map(Role, self.planes)))
+        except (TypeError, ValueError):
+            raise SequenceError(f"planes {self.planes!r}: give a list of "
+                                f"{', '.join(Role)}") from None
         self._keep("cuts", None if self.cuts is None else frozenset(self.cuts))
         self._keep("without", frozenset(map(Role, self.without)))
 

@@ -106,9 +106,13 @@ class Sequence:
         wanted = options.frames if options.frames is not None else named or self._on_disk()
         if isinstance(wanted, int):
             wanted = [wanted]
-        self.numbers = tuple(
-            parse_frames(wanted) if isinstance(wanted, str) else map(index, wanted)
-        )
+        try:
+            self.numbers = tuple(
+                parse_frames(wanted) if isinstance(wanted, str) else map(index, wanted)
+            )
+        except TypeError:
+            raise SequenceError(f"frames {wanted!r}: give a text such as '1-100', a whole number, "
+                                "or a list of them") from None
         guides = options.guides
         if self.guides and not self.guides.pattern.is_numbered and len(self.numbers) > 1:
             raise SequenceError(

@@ -162,7 +162,10 @@ def write_frame(
     if not isinstance(frame, Frame):
         raise FrameError("write_frame takes a path and a postfx.Frame, not "
                          f"{type(frame).__name__}: give Frame({{'colour': array}})")
-    path = Path(path)
+    path = _path_of(path)
+    if not isinstance(compression, str) or not isinstance(bits, int | None):
+        raise WriteError(f"{path}: compression {compression!r} and bits {bits!r}: give a text and "
+                         "a whole number")
     if re.search(r"##|%0\dd", path.name):
         raise WriteError(f"{path}: is a pattern, and write_frame writes one file: name it by "
                          "frame.number, as in f'clean.{frame.number:04d}.exr'")
@@ -188,6 +191,12 @@ def write_frame(
     for note, *facts in notes:
         TOLD.warning(note, path, *facts)
     return path
+
+
+def _path_of(path: object) -> Path:
+    if not isinstance(path, str | PathLike):
+        raise WriteError(f"{path!r} is no file name: give a text or a path")
+    return Path(path)
 
 
 def _write_light(path: Path, found: list[tuple[Frame, LightPlan, Header]], keep: bool,

@@ -159,7 +159,7 @@ def test_iterations_do_not_make_cuts_in_each_other(shot):
 
 
 def test_frames_are_whole_numbers(shot):
-    with pytest.raises(TypeError):
+    with pytest.raises(SequenceError, match="whole number"):
         read_sequence(f"{shot(1, 2)}/shot.####.exr", frames=[1.5])
 
 
