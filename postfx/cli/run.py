@@ -83,8 +83,8 @@ examples:
 POSTFX_EXPOSURE_TOOL=1 covers every frame with a grey checkerboard, see 'postfx exposure --help'.
 
 Beside the frames lies postfx.manifest.json: how they were made, and the hash of each ('postfx
-verify' checks it). Ctrl-C and SIGTERM end a run after the frame in work; --skip-existing goes on
-with the same pixels.
+verify' checks it). Ctrl-C and SIGTERM end a run after the current frame; --skip-existing
+continues with the same pixels.
 
 Defaults of a studio come from postfx.toml: see 'postfx config --help'.
 
