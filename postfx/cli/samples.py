@@ -51,8 +51,8 @@ SAMPLE_OPTIONS = Options(Section("", (
            help="draft, visible (default), fine, a PSNR like 38dB, or a FLIP like flip=0.05, for "
            "each tile"),
     Option(flag="--budget", metavar="N", type=parse_from_zero,
-           help="at most so many more samples a pixel, on average over the shot (default: as many as "
-           "the quality needs)"),
+           help="at most so many more samples a pixel, on average over the shot (default: as many "
+           "as the quality needs)"),
     Option(flag="--tile", metavar="N", type=parse_positive, default=32,
            help="side of a tile in pixels (default: 32)"),
     Option(flag="--error", metavar="FRAMES", is_file=True,
