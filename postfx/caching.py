@@ -24,11 +24,12 @@ MOST_IDLE_ARRAYS = 256
 
 class LRUCache(Generic[Key, Value]):
     """At most `most` values by key. To read or set a value is to use it; to iterate over the keys
-    is not."""
+    is not. Several threads may `find` and `keep`."""
 
     def __init__(self, most: int) -> None:
         self._most = most
         self._values: OrderedDict[Key, Value] = OrderedDict()
+        self._lock = threading.Lock()
 
     def __contains__(self, key: object) -> bool:
         return key in self._values
@@ -52,10 +53,17 @@ class LRUCache(Generic[Key, Value]):
 
     def find(self, key: Key) -> Value | None:
         """The key's value, which this uses; None if there is none."""
-        found = self._values.get(key)
-        if found is not None:
-            self._values.move_to_end(key)
+        with self._lock:
+            found = self._values.get(key)
+            if found is not None:
+                self._values.move_to_end(key)
         return found
+
+    def keep(self, key: Key, value: Value) -> Value:
+        """Keep a value in the place of one with the same key; returns it."""
+        with self._lock:
+            self[key] = value
+        return value
 
     def get_or_make(self, key: Key, make: Callable[[], Value]) -> Value:
         """The key's value, made if there is none. The oldest one goes before that, so that its
@@ -83,28 +91,6 @@ class LRUCache(Generic[Key, Value]):
             self._values.popitem(last=False)
 
 
-class Kept(Generic[Key, Value]):
-    """At most `most` values by key, of which the oldest goes first. Several threads may find and
-    keep."""
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._values: dict[Key, Value] = {}
-        self._lock = threading.Lock()
-
-    def find(self, key: Key) -> Value | None:
-        """The value of a key; None where there is none yet."""
-        return self._values.get(key)
-
-    def keep(self, key: Key, value: Value) -> Value:
-        """Keep a value in the place of one with the same key; returns it."""
-        with self._lock:
-            self._values[key] = value
-            if len(self._values) > self._most:
-                del self._values[next(iter(self._values))]
-        return value
-
-
 class SpareMemory:
     """Memory of arrays that are gone, for new ones: pages that are new from the system must be
     cleared first. That costs five to ten percent of an interpolated frame's time.
@@ -125,41 +111,35 @@ class SpareMemory:
         nbytes = count * np.dtype(dtype).itemsize
         if nbytes < max(self._least, 1):
             return np.empty(shape, dtype)
-        raw = self._take(nbytes)
-        # all views of it refer to this array, not to the memory
-        found = np.frombuffer(raw.data, dtype, count)
-        weakref.finalize(found, _give_back, weakref.ref(self), raw).atexit = False
-        return found.reshape(shape)
-
-    def _take(self, nbytes: int) -> np.ndarray:
         with self._lock:
             self._made += 1
             self._free[:] = [one for one in self._free if one[0] > self._made - MOST_IDLE_ARRAYS]
             fitting = [(raw.nbytes, -place) for place, (_, raw) in enumerate(self._free)
                        if nbytes <= raw.nbytes <= LARGER * nbytes]
-            if fitting:  # the newest of the smallest
-                return self._free.pop(-min(fitting)[1])[1]
-        return np.empty(nbytes, np.uint8)
+            # the newest of the smallest
+            raw = (self._free.pop(-min(fitting)[1])[1] if fitting
+                   else np.empty(nbytes, np.uint8))
+        # all views of it refer to this array, not to the memory
+        found = np.frombuffer(raw.data, dtype, count)
+        weakref.finalize(found, self._take_back, weakref.ref(self), raw).atexit = False
+        return found.reshape(shape)
 
-    def give(self, raw: np.ndarray) -> None:
-        """Take back the memory of an array that is gone.
+    @staticmethod
+    def _take_back(to: weakref.ref[SpareMemory], raw: np.ndarray) -> None:
+        """Take back the memory of an array that is gone. One that outlives the others' memory does
+        not hold it.
 
-        This may run at any time, even within `_take`. It only appends, so that places in the list
+        This may run at any time, even within `empty`. It only appends, so that places in the list
         stay.
         """
-        if self._most is None or len(self._free) < self._most:
-            self._free.append((self._made, raw))
+        spare = to()
+        if spare is not None and (spare._most is None or len(spare._free) < spare._most):
+            spare._free.append((spare._made, raw))
 
     def clear(self) -> None:
         """Let go of the memory that waits."""
         with self._lock:
             self._free.clear()
-
-
-def _give_back(to: weakref.ref[SpareMemory], raw: np.ndarray) -> None:
-    spare = to()  # an array that outlives it does not hold the memory of others
-    if spare is not None:
-        spare.give(raw)
 
 
 _spare: weakref.WeakSet[SpareMemory] = weakref.WeakSet()

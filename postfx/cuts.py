@@ -21,8 +21,8 @@ from postfx.colour import luminance
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.kernels.statistics import (
     band_of,
+    depth_doublings,
     half_means,
-    limit_depths,
     mix_places,
     pair_means,
     places_inside,
@@ -37,8 +37,10 @@ MOST_CELLS = 80
 LEAST_BLOCK = 4
 LEAST_COMPARED = 48  # cells; fewer do not tell one picture from another
 LEAST_OVERLAP = 0.1  # of the cells that must lead into the frame before
-LAYOUT_CELLS = 17  # cells; wider structure is layout
-SMOOTHED_CELLS = 3
+BAND_CELLS = 3, 17
+"""Cells over which the finest noise is smoothed, and beyond which structure is layout."""
+LEAST_MISS = DEPTH_MISS / 8
+"""Mean depth of a pair of pixels from which one of them is a miss."""
 LEAST_RELIABILITY = 0.5  # share of a plane's variance that is no noise
 BLACK_LIGHT_RATIO = 1e-2  # of the mean light: anything darker is just black
 FIREFLY_LIGHT_RATIO = 16  # of the middle light of windows: anything brighter is just bright
@@ -122,7 +124,7 @@ class Picture:
     def band(self, role: Role) -> np.ndarray:
         """A guide without layout."""
         if role not in self.bands:
-            self.bands[role] = _band(self.guides[role])
+            self.bands[role] = band_of(self.guides[role], *BAND_CELLS)
         return self.bands[role]
 
 
@@ -169,10 +171,11 @@ class CutDetector:
     def __call__(self, frame: Frame) -> bool:
         """Whether `frame`, whose colour is scene-linear, begins another shot. False without a
         colour."""
-        before, self._before = self._before, _picture(frame) if Role.COLOUR in frame else None
+        before, self._before = self._before, _picture(frame)
         self.relation = None
         if before and self._before and not frame.reset:
-            on_grid, now = _on_grid(before, self._before), self._before
+            now = self._before
+            on_grid = before if before.cell == now.cell else _on_grid(before, now)
             self.relation = relation(on_grid, now)
             if self.relation is None:
                 self.relation = _relation_of_windows(on_grid, now)
@@ -203,9 +206,7 @@ def relation(before: Picture, now: Picture) -> float | None:
 
 
 def _on_grid(before: Picture, now: Picture) -> Picture:
-    """The earlier picture on the later one's cells, where frames of another size have others."""
-    if before.cell == now.cell:
-        return before
+    """The earlier picture, of a frame of another size, on the later one's cells."""
     sides = zip(now.light.shape, before.light.shape, now.cell, before.cell, strict=False)
     rows, columns = (np.clip((np.arange(count) + 0.5) * cell / last_cell - 0.5, 0, last - 1)
                      for count, last, cell, last_cell in sides)
@@ -219,7 +220,10 @@ def _on_grid(before: Picture, now: Picture) -> Picture:
 
 
 def _picture(frame: Frame) -> Picture | None:
-    planes, colour = frame.planes, frame.planes[Role.COLOUR]
+    """A frame's picture; None without a colour, and of a frame of too few cells."""
+    planes, colour = frame.planes, frame.planes.get(Role.COLOUR)
+    if colour is None:
+        return None
     height, width = colour.shape[:2]
     block = max(LEAST_BLOCK, math.ceil(max(height, width) / MOST_CELLS))
     rows, columns = height // block, width // block
@@ -233,7 +237,8 @@ def _picture(frame: Frame) -> Picture | None:
         if role in planes:
             guides[role] = pair_means(planes[role], block)
     if Role.DEPTH in planes:
-        guides[Role.DEPTH] = _log_depth(pair_means(planes[Role.DEPTH], block))
+        guides[Role.DEPTH] = depth_doublings(pair_means(planes[Role.DEPTH], block),
+                                             LEAST_MISS)
     motion = None
     if Role.MOTION in planes:
         motion = planes[Role.MOTION][block // 2 :: block,
@@ -245,9 +250,9 @@ def _picture(frame: Frame) -> Picture | None:
         middles = tuple(slice(count // (2 * windows), None, max(count // windows, 1))
                         for count, windows in zip((rows, columns), WINDOWS, strict=True))
         longest = block * float(np.nan_to_num(np.abs(motion[middles])).max())
-    return Picture(_band(light.transpose(1, 2, 0)), guides, motion,
-                   (block / height, block / width), _band(dark), _detail(colour, block),
-                   _windows(colour), longest)
+    return Picture(band_of(light.transpose(1, 2, 0), *BAND_CELLS), guides, motion,
+                   (block / height, block / width), band_of(dark, *BAND_CELLS),
+                   _detail(colour, block), _windows(colour), longest)
 
 
 def _light(colour: np.ndarray) -> np.ndarray:
@@ -373,27 +378,16 @@ def _without_thin(picture: Picture, frame: Frame) -> Picture:
         rows, columns = samples.shape[:2]
         side = round(picture.cell[0] * frame.planes[role].shape[0])
         plane = frame.planes[role][:rows * side, :columns * side, None]
-        plane = (_log_depth(plane) if role is Role.DEPTH else np.nan_to_num(plane)).squeeze(2)
+        plane = (depth_doublings(plane, LEAST_MISS) if role is Role.DEPTH
+                 else np.nan_to_num(plane)).squeeze(2)
         means = plane.reshape(rows, side, columns, side, -1).mean((1, 3))
         found, wanted = (band.reshape(rows * columns, -1) for band in
-                         (_band(means), picture.band(role).mean(2)))
+                         (band_of(means, *BAND_CELLS), picture.band(role).mean(2)))
         found, wanted = found - found.mean(0), wanted - wanted.mean(0)
         size = float(np.sum(found**2) * np.sum(wanted**2)) ** 0.5
         if size == 0 or np.sum(found * wanted) >= LEAST_SAMPLED * size:
             guides[role] = samples
     return replace(picture, guides=guides)
-
-
-def _log_depth(depth: np.ndarray) -> np.ndarray:
-    """log2 of depth; cells with misses lie one doubling behind the farthest one without."""
-    doublings: np.ndarray = np.log2(limit_depths(depth, DEPTH_MISS / 8, 1e-6))
-    return doublings
-
-
-def _band(planes: np.ndarray) -> np.ndarray:
-    """(rows, columns, ...) without the finest noise and without what is wide."""
-    return band_of(planes.reshape(*planes.shape[:2], -1), SMOOTHED_CELLS,
-                   LAYOUT_CELLS).reshape(planes.shape)
 
 
 def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:

@@ -34,6 +34,8 @@ from postfx.workers import Workers
 MAX_BYTES = 1 << 30
 """Largest file that `read_text` reads unless told otherwise."""
 _MOST_DOTS = 200
+DEVICES = "/dev"
+"""Folder of devices where there is one."""
 PARTIAL = ".part"
 """Suffix of files that are being written; no frame pattern matches it."""
 FILE_PIECE_BYTES = 1 << 22
@@ -171,7 +173,12 @@ def atomic_file(path: Path, durable: bool = True) -> Iterator[Path]:
     step; when the block raises, the file is removed.
 
     durable: flush the file and its name to the disk first, so that they survive a power cut.
+
+    Raises OSError where `path` is a device, such as /dev/null or /dev/stdout: an administrator
+    would replace it for all programs.
     """
+    if _is_device(path):
+        raise OSError(errno.EINVAL, "it is a device, not a file", str(path))
     temporary = _temporary(path)
     try:
         yield temporary
@@ -184,6 +191,14 @@ def atomic_file(path: Path, durable: bool = True) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def _is_device(path: Path) -> bool:
+    """Whether a path leads to a device, or lies in the folder of devices, which has links to
+    them."""
+    if os.name == "posix" and os.path.realpath(path.parent) == DEVICES:
+        return True
+    return path.is_char_device() or path.is_block_device()
 
 
 def create_whole(path: Path, content: bytes) -> bool:

@@ -487,6 +487,8 @@ class Frame:
     def __getitem__(self, role: Role | str) -> np.ndarray:
         """Plane of a role, (height, width, channels); FrameError when the frame does not hold
         it."""
+        if isinstance(role, Role) and role in self.planes:
+            return self.planes[role]
         if role not in self:
             raise FrameError(f"frame {self._name()} has no plane '{role}': it has "
                              f"{', '.join(self.planes)}")

@@ -207,7 +207,7 @@ class Pipeline:
             LOG.info("frame %d begins another shot: the history is dropped", frame.number)
         if frame.reset:
             self._reset_passes()
-        self.exposure_factor = self._meter(frame) if Role.COLOUR in frame else 1.0
+        self.exposure_factor = self._meter(frame) if Role.COLOUR in frame.planes else 1.0
         if self._checks and not self.device.scratch:
             self._look(frame, plan)
         run = self._run_up_to(frame, plan) if self._begins else frame
@@ -582,10 +582,29 @@ class Flow:
 
     def _upload(self, frame: Frame, plan: Plan, exposure_factor: float,
                 unusable: bool) -> ResidentFrame:
-        inputs = {role: self._input(role, frame.planes[role]) for role in plan.planes}
-        guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
-        parts = {name: self._input(f"part {name}", frame.parts[name]) for name in plan.parts}
-        return ResidentFrame.of(frame, plan.input, inputs, guides, parts, exposure_factor, unusable)
+        """The frame as passes see it: what they read of it lies on the device."""
+        planes = {role: frame.planes[role] for role in plan.planes}
+        guides = {role: frame.guides[role] for role in plan.guides}
+        parts = {name: frame.parts[name] for name in plan.parts}
+        return ResidentFrame(
+            plan.input,
+            {role: self._input(role, plane) for role, plane in planes.items()},
+            number=frame.number,
+            jitter=frame.jitter,
+            exposure_factor=exposure_factor,
+            reset=frame.reset,
+            unusable=unusable,
+            samples=frame.samples,
+            world_to_camera=frame.world_to_camera,
+            fov_x=frame.fov_x,
+            metadata=frame.metadata,
+            guides={role: self._input(f"guide {role}", guide) for role, guide in guides.items()},
+            guide_jitter=frame.guide_jitter,
+            host_planes=planes,
+            host_guides=guides,
+            parts={name: self._input(f"part {name}", part) for name, part in parts.items()},
+            host_parts=parts,
+        )
 
     def _input(self, name: str, array: np.ndarray) -> Tensor:
         """A plane as a tensor: on the last frame's memory, so that its commands are known again,
@@ -616,22 +635,17 @@ class Flow:
         except BaseException:
             commands.discard()
             raise
-        _wait(commands)
-        spent = commands.timings
-        self.timings = {step.name: sum([time for label, time in spent
+        try:
+            commands.wait()
+        except CommandError:
+            raise
+        except BaseException:  # as by Ctrl-C: the planes are in use until the commands are done
+            with suppress(CommandError):
+                commands.wait()
+            raise
+        self.timings = {step.name: sum([time for label, time in commands.timings
                                         if label.startswith(f"{step.name}/")])
                         for step in steps}
-
-
-def _wait(commands: CommandBuffer) -> None:
-    try:
-        commands.wait()
-    except CommandError:
-        raise
-    except BaseException:  # as by Ctrl-C: the planes are in use until the commands are done
-        with suppress(CommandError):
-            commands.wait()
-        raise
 
 
 def _encode(step: Step, commands: CommandBuffer, resident: ResidentFrame) -> None:

@@ -15,6 +15,7 @@ from postfx.errors import FrameError
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import NO_HISTORY_REMARK, DenoiseUpscale
 from postfx.passes.denoise.models import usual_network
+from postfx.passes.denoise.options import validate_scale
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan
 from postfx.runtime import Device, default_device
@@ -63,8 +64,7 @@ def denoise(
         roughness: (height, width) or (height, width, 1).
         depth: likewise, along the view axis.
         scale, strength: as for `postfx.DenoiseUpscale`.
-        model: likewise; None for 'xl' at the picture's own size where memory is enough for it, and
-            'm' for all else.
+        model: likewise; None for 'xl' where memory is enough for it, else 'm'.
         exposure: 'auto', or stops: what the picture is exposed by before the network sees it; the
             result is not.
         device: 'cpu', 'cuda', 'cuda:1' or 'auto'; None for the default device, or the GPU where
@@ -98,14 +98,15 @@ def _choose_network(picture: Any, scale: float, place: str | None) -> str:
     """The network for a picture of any library, if nobody chose one."""
     shape: tuple[int, ...] = getattr(picture, "shape", ())
     height, width = (shape[0], shape[1]) if len(shape) > 1 else (0, 0)
-    return _network_at((width, height), scale == 1, None if place is None else str(place))
+    return _network_at((width, height), validate_scale(scale) or 1.0,
+                       None if place is None else str(place))
 
 
 @lru_cache(maxsize=64)
-def _network_at(size: tuple[int, int], keeps_size: bool, place: str | None) -> str:
+def _network_at(size: tuple[int, int], scale: float, place: str | None) -> str:
     """What was chosen for a size stays: a GPU has less free memory while earlier pipelines hold
     theirs."""
-    return usual_network(size, keeps_size, default_device() if place is None else Device(place))
+    return usual_network(size, scale, default_device() if place is None else Device(place))
 
 
 def _on_host(pipeline: Pipeline, given: Any, planes: Mapping[Role, Any]) -> np.ndarray:

@@ -1,10 +1,15 @@
-"""Pools of threads, without anything that takes time to import."""
+"""Pools of threads, and work that a program waits for before it ends, without anything that takes
+time to import."""
 
 from __future__ import annotations
 
+import atexit
+import os
 import threading
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -44,3 +49,43 @@ def _fulfil(future: Future[Any], task: Callable[[], Any]) -> None:
         future.set_result(task())
     except BaseException as error:
         future.set_exception(error)
+
+
+class _UnderWay:
+    """How often each thread is in work that is finished before the program ends. Python waits for
+    none of its daemon threads."""
+
+    def __init__(self) -> None:
+        self.reset()
+        atexit.register(self.wait)
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=self.reset)  # which has none of the other threads
+
+    def reset(self) -> None:
+        self._changed, self._threads = threading.Condition(), Counter[int]()
+
+    def add(self, count: int) -> None:
+        """Count work of this thread that begins (1) or ends (-1)."""
+        with self._changed:
+            self._threads[threading.get_ident()] += count
+            self._threads += Counter()  # without zeros
+            self._changed.notify_all()
+
+    def wait(self) -> None:
+        """Wait for all other threads that are at such work."""
+        own = {threading.get_ident()}
+        with self._changed:
+            self._changed.wait_for(lambda: self._threads.keys() <= own)
+
+
+_under_way = _UnderWay()
+
+
+@contextmanager
+def finished_before_the_end() -> Iterator[None]:
+    """The program does not end while a thread of any kind is inside."""
+    _under_way.add(1)
+    try:
+        yield
+    finally:
+        _under_way.add(-1)

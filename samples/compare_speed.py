@@ -1,6 +1,7 @@
 """Time the whole pass chain against Open Image Denoise, in turn, in one run.
 
     python samples/compare_speed.py [--width 960] [--height 540] [--runs 5] [--models m,s]
+        [--centred]
     python samples/compare_speed.py --device cuda --runs 50 --models s,m
 
 It needs pip install '.[bench]', on a GPU also PyTorch with CUDA. postfx turns noisy frames of the
@@ -9,11 +10,14 @@ given size into twice as large, tone-mapped ones, or by --scale 1 into ones of t
 CPU also one whose albedo and normal it filters first, as Blender has it. Prints medians, spread
 and ratios. On the CPU times are those of whole calls. On a GPU they are the device's own, between
 its first and last command: all planes lie there for both, and nothing is copied.
+
+Frames have jitter, as a game's do; without it (--centred) 'xl' enlarges in two stages.
 """
 import argparse
 import resource
 import statistics
 import time
+from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
@@ -37,14 +41,14 @@ def noisy_frame(width: int, height: int) -> postfx.Frame:
                         jitter=(0.25, -0.25))
 
 
-def noisy_frames(width: int, height: int) -> list[postfx.Frame]:
+def noisy_frames(width: int, height: int, centred: bool = False) -> list[postfx.Frame]:
     """Two frames with other noise, to take in turn: one that repeats the frame before it, bit for
-    bit, is not denoised again."""
+    bit, is not denoised again. `centred`: without jitter."""
     random = np.random.default_rng(2)
     frames = [noisy_frame(width, height) for _ in range(2)]
     for plane in frames[1].planes.values():
         random.shuffle(plane)  # rows: the same values at other places
-    return frames
+    return [replace(frame, jitter=(0.0, 0.0)) for frame in frames] if centred else frames
 
 
 def oidn_on_cpu(frame: postfx.Frame, scale: int, quality: str) -> float:
@@ -114,11 +118,13 @@ def main() -> None:
     parser.add_argument("--scale", type=int, default=2, choices=(1, 2),
                         help="of postfx's output (default: 2)")
     parser.add_argument("--models", default="m.fp32,m,s", help="tags of networks, comma-separated")
+    parser.add_argument("--centred", action="store_true", help="frames without jitter")
     parser.add_argument("--device", default="cpu", help="cpu (default) or cuda")
     parser.add_argument("--quality", default="high",
                         help="of OIDN: high (default), balanced, fast, some, or ''")
     args = parser.parse_args()
-    frames, device = noisy_frames(args.width, args.height), Device(args.device)
+    frames = noisy_frames(args.width, args.height, args.centred)
+    device = Device(args.device)
     chains = {}
     for tag in args.models.split(","):
         passes = [postfx.DenoiseUpscale(scale=args.scale, model=tag), postfx.ToneMap()]

@@ -103,9 +103,8 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, help="picture to write")
     args = parser.parse_args()
     ratios = []
-    frames = noisy_frames(args.width, args.height)
+    frames = noisy_frames(args.width, args.height, args.centred)
     frames = guided(frames, args.scale) if args.guides else frames
-    frames = [replace(frame, jitter=(0.0, 0.0)) for frame in frames] if args.centred else frames
     shares = map(int, args.shares.split(","))
     for share, found, whole in measure(frames, args.model, args.scale, args.runs, shares,
                                        args.threads):

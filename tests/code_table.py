@@ -1,8 +1,8 @@
 """What the package's code is like, in numbers that say where a reader has to stop.
 
 `python -m tests.code_table` prints the table; `--list` also says where each thing stands, `--frame`
-also runs the sample room and counts what one steady frame passes (half a minute). Nothing here is a
-limit.
+also runs the sample room and counts what one steady frame passes, by the package's parts (half a
+minute), `--kernels` what the lines of kernels are. Nothing here is a limit.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import argparse
 import ast
 import contextlib
 import io
+import re
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterator
@@ -118,6 +119,83 @@ def count_kernel_lines(repository: Path = PACKAGE.parent) -> dict[str, str]:
             **{f"lines of kernels in {language}": f"{lines}" for language, lines in found.items()}}
 
 
+KERNEL_FAMILIES = {
+    "denoiser": ("kernels/denoise/",),
+    "frames between": ("kernels/interpolate/", "interpolate/"),
+    "networks": ("kernels/convolution", "kernels/products", "kernels/neural", "kernels/mlp",
+                 "kernels/gelu", "kernels/occlusion"),
+    "colour and pictures": ("kernels/colour", "kernels/tonemap", "kernels/image", "kernels/partner",
+                            "kernels/accumulate"),
+    "files and what is looked at": ("kernels/statistics", "kernels/pixel_formats"),
+    "numbers and rows": ("kernels/",),
+}
+"""Family -> how the paths of its files below the package begin; the first that fits counts."""
+PORTABLE_FAMILIES = {"denoise.py": "denoiser", "extras.py": "denoiser", "parts.py": "denoiser",
+                     "partner.py": "colour and pictures", "tonemap.py": "colour and pictures"}
+"""Files of portable definitions and their families."""
+KERNEL_FORMS = {".h": "pixels", ".cpp": "CPU", ".cuh": "CUDA", ".cu": "CUDA", ".py": "PyTorch"}
+_CUDA_DEFINITION = re.compile(r"^(?:__device__ inline .*?(\w+)\("
+                              r"|struct (?:alignas\(\d+\) )?(\w+) \{)")
+_CPU_DEFINITION = re.compile(r"\bstruct (\w+)|\b(\w+)\(")
+
+
+def count_kernel_families(repository: Path = PACKAGE.parent) -> dict[str, dict[str, int]]:
+    """Family -> form -> lines."""
+    found: dict[str, dict[str, int]] = {}
+    for path in sorted((repository / "postfx").rglob("*")):
+        if path.suffix in (".h", ".cpp", ".cuh", ".cu"):
+            name = path.relative_to(repository / "postfx").as_posix()
+            family = next(family for family, starts in KERNEL_FAMILIES.items()
+                          if name.startswith(starts))
+            _add_lines(found, family, path)
+    for path in sorted((repository / "training/kernels").glob("*.py")):
+        _add_lines(found, PORTABLE_FAMILIES[path.name], path)
+    return found
+
+
+def _add_lines(found: dict[str, dict[str, int]], family: str, path: Path) -> None:
+    forms, form = found.setdefault(family, {}), KERNEL_FORMS[path.suffix]
+    forms[form] = forms.get(form, 0) + len(path.read_text("utf-8").splitlines())
+
+
+def count_twins(repository: Path = PACKAGE.parent) -> int:
+    """Lines of structures and functions in CUDA, kernels themselves apart, whose name one on the
+    CPU has, too: all that a common header could hold."""
+    package = repository / "postfx"
+    on_cpu = {name for path in package.rglob("*") if path.suffix in (".h", ".cpp")
+              for line in path.read_text("utf-8").splitlines()
+              if line.startswith(("FN ", "ONCE ", "static ", "struct ", "template"))
+              for match in [_CPU_DEFINITION.search(line)] if match
+              for name in match.groups() if name}
+    count = 0
+    for path in package.rglob("*"):
+        lines = path.read_text("utf-8").splitlines() if path.suffix in (".cuh", ".cu") else []
+        for at, line in enumerate(lines):
+            match = _CUDA_DEFINITION.match(line)
+            if match and on_cpu & {*match.groups()}:
+                ends = (place for place, later in enumerate(lines[at:], 1)
+                        if later.startswith("}") or (place == 1 and later.endswith("}")))
+                count += next(ends)
+    return count
+
+
+def print_kernels() -> None:
+    """What the lines of kernels are, as a table."""
+    forms = list(dict.fromkeys(KERNEL_FORMS.values()))
+    found = count_kernel_families()
+    print(f"| lines | {' | '.join(forms)} |")
+    print("| --- " * (len(forms) + 1) + "|")
+    sums = {form: sum(counts.get(form, 0) for counts in found.values()) for form in forms}
+    for family, counts in {**{family: found[family] for family in KERNEL_FAMILIES},
+                           "all": sums}.items():
+        print(f"| {family} | {' | '.join(f'{counts.get(form, 0)}' for form in forms)} |")
+    print(f"of CUDA, functions whose name the CPU has, too: {count_twins()} lines")
+
+
+PARTS_OF_A_PATH = ("cli/", "compiled/", "io/", "kernels/", "passes/", "runs/", "runtime/")
+"""Parts of the package whose functions on a frame's path are told apart."""
+
+
 def measure_frame() -> dict[str, str]:
     """What a steady frame of the sample room passes on its way into an EXR."""
     from tests.test_frame_path import OUTPUTS, counted, watch_run
@@ -128,7 +206,8 @@ def measure_frame() -> dict[str, str]:
     return {
         "files on a steady frame's path": f"{len(counted(watch.found))}",
         "functions on a steady frame's path": f"{watch.count_functions()}",
-        "functions on it in io/": f"{watch.count_functions('io/')}",
+        **{f"functions on it in {part}": f"{watch.count_functions(part)}"
+           for part in PARTS_OF_A_PATH},
         "calls of a steady frame": f"{watch.count_calls():.0f}",
         "calls of it in io/": f"{watch.count_calls('io/'):.0f}",
     }
@@ -159,6 +238,9 @@ def main() -> None:
     parser.add_argument(
         "--under", default="", metavar="FOLDER", help="look only at modules below it, such as io"
     )
+    parser.add_argument(
+        "--kernels", action="store_true", help="also say what the lines of kernels are"
+    )
     arguments = parser.parse_args()
     sources = [source for source in read_sources() if source.path.startswith(arguments.under)]
     if arguments.list:
@@ -170,6 +252,8 @@ def main() -> None:
     table = make_table(sources) | count_kernel_lines()
     for what, value in (table | (measure_frame() if arguments.frame else {})).items():
         print(f"{what:<44}{value:>14}")
+    if arguments.kernels:
+        print_kernels()
 
 
 if __name__ == "__main__":

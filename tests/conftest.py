@@ -136,7 +136,7 @@ def shared_dir() -> Path:
 
 @pytest.fixture(autouse=True)
 def quick_network(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What nobody chose a network for takes `m` in this process, at the render's size too: `xl`
-    takes seven times as long. Modules with `CHOOSES_NETWORK` test that choice."""
+    """What nobody chose a network for takes `m` in this process: `xl` takes seven times as long.
+    Modules with `CHOOSES_NETWORK` test that choice."""
     if not getattr(request.module, "CHOOSES_NETWORK", False):
-        monkeypatch.setattr("postfx.passes.denoise.models.RENDER_SIZE_NETWORK", "m")
+        monkeypatch.setattr("postfx.passes.denoise.models.BEST_NETWORK", "m")

@@ -216,7 +216,7 @@ EQUIVALENT = {
     "number: 0.0 -> -1.0 in signal = np.clip(": "what is below 0 becomes 0, too",
     "number: 0 -> -1 in mix_row(": "the output of a network holds one frame, the first and the "
     "last",
-    "number: 0 -> -1 in _correct_type(headers[0]": "a file of one part has one header",
+    "number: 0 -> -1 in headers[0].part_type == other": "a file of one part has one header",
     "number: 7 -> 6 in shifted = [correlation(": "noise is as unrelated to that of six pixels away "
     "as of seven",
     "number: 1 -> 0 in x += 1": "the pixel is computed a second time",
@@ -314,6 +314,10 @@ def candidates(source: str) -> Iterator[Mutant]:
     def at(line: int, column: int) -> int:
         return starts[line - 1] + len(lines[line - 1].encode()[:column].decode())
 
+    def end_of(node: ast.expr | ast.stmt) -> int:
+        assert node.end_lineno is not None and node.end_col_offset is not None, "it was parsed"
+        return at(node.end_lineno, node.end_col_offset)
+
     for function in (node
                      for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)):
         inner = [inside for part in function.body for inside in ast.walk(part)]
@@ -324,22 +328,21 @@ def candidates(source: str) -> Iterator[Mutant]:
                     if type(operator) not in SWAPS:
                         continue
                     old, new = SWAPS[type(operator)]
-                    first, last = (at(left.end_lineno, left.end_col_offset),
-                                   at(right.lineno, right.col_offset))
+                    first, last = end_of(left), at(right.lineno, right.col_offset)
                     found = re.search(rf"(?<![<>=!*/]){re.escape(old)}(?![<>=*/])",
                                       text[first:last])
                     if found and not isinstance(getattr(left, "value", None), str):
                         yield _mutant(source, first + found.start(), first + found.end(), new,
                                       "operator")
-            elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
-                first, last = at(node.lineno, node.col_offset), at(node.end_lineno,
-                                                                   node.end_col_offset)
+            elif (isinstance(node, ast.Constant) and isinstance(node.value, int | float)
+                  and not isinstance(node.value, bool)):
+                first, last = at(node.lineno, node.col_offset), end_of(node)
                 for new_value in (node.value + 1, node.value - 1):
                     yield _mutant(source, first, last, repr(new_value), "number")
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
                 name = node.func.id if isinstance(node.func, ast.Name) else node.func.attr
                 if name in NAMES:
-                    last = at(node.func.end_lineno, node.func.end_col_offset)
+                    last = end_of(node.func)
                     first = (last - len(name) if NAMES[name]
                              else at(node.func.lineno, node.func.col_offset))
                     yield _mutant(source, first, last, NAMES[name], "call")
@@ -351,8 +354,7 @@ def candidates(source: str) -> Iterator[Mutant]:
             elif isinstance(node, ast.AugAssign | ast.Raise) or (
                 isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)
             ):
-                first, last = at(node.lineno, node.col_offset), at(node.end_lineno,
-                                                                   node.end_col_offset)
+                first, last = at(node.lineno, node.col_offset), end_of(node)
                 yield _mutant(source, first, last, "pass", "dropped")
 
 

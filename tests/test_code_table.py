@@ -2,7 +2,13 @@
 
 from pathlib import Path
 
-from tests.code_table import count_kernel_lines, make_table, read_sources
+from tests.code_table import (
+    count_kernel_families,
+    count_kernel_lines,
+    count_twins,
+    make_table,
+    read_sources,
+)
 
 NEAR = ('NEAR = 1\nSTEP, MOST = 2, 3\nNAMES[NEAR] = 4\n\ndef f(a, b, c, d, e, f, g, *rest, h=1):\n'
         '    SMALL = 4\n    return SMALL\n')
@@ -34,3 +40,20 @@ def test_lines_of_kernels_are_counted_by_language(tmp_path: Path) -> None:
     assert count_kernel_lines(tmp_path) == {
         "lines of kernels": "21", "lines of kernels in C++": "5", "lines of kernels in CUDA": "5",
         "lines of kernels in PyTorch": "11"}
+
+
+def test_lines_of_kernels_are_told_by_family_and_form(tmp_path: Path) -> None:
+    shared = "__device__ inline float both(float a) {\n    return a;\n}\n"
+    apart = "__device__ inline float apart(float a) { return a; }\n"
+    for name, text in (("postfx/kernels/number.h", "FN float both(float a) { return a; }\n"),
+                       ("postfx/kernels/denoise/a.h", "one\n"),
+                       ("postfx/kernels/denoise/a.cpp", 3 * "one\n"),
+                       ("postfx/interpolate/a.cu", shared + apart),
+                       ("training/kernels/parts.py", 7 * "one\n")):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    assert count_kernel_families(tmp_path) == {
+        "numbers and rows": {"pixels": 1}, "frames between": {"CUDA": 4},
+        "denoiser": {"pixels": 1, "CPU": 3, "PyTorch": 7}}
+    assert count_twins(tmp_path) == 3

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 
 import pytest
 
 from postfx import files
-from postfx.errors import ReadError
+from postfx.errors import ReadError, WriteError
 from postfx.files import PAUSES, WriteBehind, read_ahead, read_patiently
 
 
@@ -125,3 +126,18 @@ def test_other_encodings_are_refused_with_the_fix(tmp_path, content):
     (tmp_path / "a.toml").write_bytes(content)
     with pytest.raises(ValueError, match="save it as UTF-8"):
         files.read_text(tmp_path / "a.toml")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="this system has no folder of devices")
+def test_no_device_is_replaced_by_a_file(tmp_path, monkeypatch):
+    """An administrator's report to /dev/full replaced it for all programs."""
+    link = tmp_path / "link"
+    link.symlink_to("/dev/null")
+    with pytest.raises(OSError, match="it is a device, not a file"):
+        files.write_text(link, "text")
+    with pytest.raises(WriteError, match="it is a device, not a file"), files.output_file(link):
+        pass
+    monkeypatch.setattr(files, "DEVICES", str(tmp_path))
+    with pytest.raises(OSError, match="it is a device, not a file"):
+        files.write_text(tmp_path / "stdout", "text")
+    assert sorted(tmp_path.iterdir()) == [link] and link.is_symlink()

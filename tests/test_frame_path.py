@@ -84,7 +84,7 @@ def watched() -> Iterator[Watch]:
         yield watch
     finally:
         sys.setprofile(None)
-        threading.setprofile(None)  # type: ignore[arg-type]
+        threading.setprofile(None)  # type: ignore[arg-type,unused-ignore]
 
 
 def watch_run(folder: Path, suffix: str, *options: str) -> Watch:

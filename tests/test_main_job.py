@@ -21,7 +21,7 @@ def output(tmp_path_factory) -> tuple[Path, dict]:
     folder = tmp_path_factory.mktemp("run")
     command = [sys.executable, "-m", "postfx", "run", str(SAMPLE), "-o",
                str(folder / "out.####.exr"),
-               "--scale", "2", "--frames", f"1-{FRAMES}", "--tonemap", "--json"]
+               "--scale", "2", "--model", "m", "--frames", f"1-{FRAMES}", "--tonemap", "--json"]
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     return folder, json.loads(printed)
 

@@ -36,19 +36,24 @@ class ParityError(RuntimeError):
     """An exported model does not compute what torch computes."""
 
 
+Axes = Mapping[int, Any] | None
+"""Axes of free size."""
+
+
 def export(
     module: nn.Module,
     examples: Sequence[torch.Tensor],
     reads: Sequence[str],
     writes: Sequence[str],
     path: Path,
-    free: Sequence[Mapping[int, Any] | None] | None = None,
+    free: Sequence[Axes | tuple[Axes, ...]] | None = None,
     names: Mapping[str, tuple[int | str, ...]] | None = None,
 ) -> onnx.ModelProto:
     """Write one ONNX file without traces of the machine it was made on.
 
     Args:
-        free: for each example its axes of free size, as in `torch.export`'s `dynamic_shapes`.
+        free: for each example its axes of free size, as in `torch.export`'s `dynamic_shapes`; those
+            of a module that takes them as *examples are one tuple.
         names: input or output -> shape to declare, if the exporter's own names of free sizes do not
             suit; shape inference finds a size of '?'.
     """

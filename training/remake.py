@@ -21,8 +21,7 @@ The recipe is the object `recipe` of a card:
 
 Arguments may hold {models}, the folder of results; {work} and {base}, folders of this model's and
 the base's runs; {clips.NAME}, folders of clips; and arguments of the command line: {scenes},
-{blender}, {library}, {photos},
-    {panoramas}, {gpus}, {variant}.
+{blender}, {library}, {photos}, {panoramas}, {kinds}, {gpus}, {variant}.
 """
 
 from __future__ import annotations
@@ -42,7 +41,8 @@ from typing import Any, Never
 from training.export import MODELS, check_recipe, parser
 
 ROOT = Path(__file__).resolve().parents[1]
-GIVEN = {name: f"--{name}" for name in ("scenes", "blender", "library", "photos", "panoramas")}
+GIVEN = {name: f"--{name}"
+         for name in ("scenes", "blender", "library", "photos", "panoramas", "kinds")}
 # Amounts that --scale changes, by module: option -> the least of it.
 AMOUNTS: Mapping[str, Mapping[str, float]] = {
     "training.datagen.render": {"--clips": 10, "--reference-spp": 16, "--even-spp": 4,
@@ -226,6 +226,8 @@ def options() -> argparse.ArgumentParser:
                       help="folder of scenes and environments for Cycles, see "
                       "docs/lab/training_data.md")
     made.add_argument("--photos", help="HDR photographs (a pattern)")
+    made.add_argument("--kinds", help="folder of validation kinds with two references, which "
+                      "training/measure/validation/render_scenes.py makes")
     made.add_argument("--panoramas", help="equirectangular HDR environments (a pattern)")
     made.add_argument("--gpus", default="0",
                       help="numbers of the GPUs that render, separated by commas")

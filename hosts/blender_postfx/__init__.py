@@ -123,8 +123,7 @@ class Settings(bpy.types.PropertyGroup):
                                    description="Output over render size")
     model: bpy.props.EnumProperty(name="Network", default="AUTO", description="The presets Preview "
                                   "and Final choose their own", items=[
-        ("AUTO", "Automatic", "Extra large at the render's own size, Medium for larger frames and "
-         "where memory is short"),
+        ("AUTO", "Automatic", "Extra large; Medium where memory is short"),
         ("s", "Small", "Fastest"), ("m", "Medium", "Fast"), ("l", "Large", "Better"),
         ("xl", "Extra large", "The cleanest, and slowest")])
     strength: bpy.props.FloatProperty(name="Strength", default=1.0, min=0.0, max=1.0)

@@ -164,9 +164,9 @@ def _network(given: argparse.Namespace, sequence: Sequence) -> str | None:
     --memory decide, or nothing is denoised."""
     from postfx.cli.interruptions import OnError, first_readable
     from postfx.cli.run_options import RUN
-    from postfx.cli.usual_network import is_chosen, keeps_render_size
+    from postfx.cli.usual_network import choose_network, is_chosen
     from postfx.errors import DeviceError
-    from postfx.passes.denoise.models import USUAL_NETWORK, usual_network
+    from postfx.passes.denoise.models import USUAL_NETWORK
     from postfx.runtime import Device
 
     options = RUN.values_for("denoiser", given)
@@ -174,12 +174,11 @@ def _network(given: argparse.Namespace, sequence: Sequence) -> str | None:
         return None
     with sequence.open(first_readable(sequence, OnError(given.on_error))) as files:
         spec = files.spec()
-    keeps_size = keeps_render_size(spec, options)
     try:
         device = Device() if given.device == "auto" else Device(given.device)
     except DeviceError:  # nobody knows here how much memory the farm's GPUs have
         return USUAL_NETWORK
-    return usual_network((spec.width, spec.height), keeps_size, device)
+    return choose_network(spec, options, device).network
 
 
 def _open(given: argparse.Namespace, frames: str | None) -> Sequence:

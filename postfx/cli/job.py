@@ -50,7 +50,7 @@ from postfx.cli.summary import (
     warn_of_budget,
 )
 from postfx.cli.told import Told
-from postfx.cli.usual_network import is_chosen, keeps_render_size
+from postfx.cli.usual_network import choose_network, is_chosen
 from postfx.compiled.library import CompileWatch
 from postfx.cuts import CutDetector
 from postfx.errors import OptionError, PostfxError, WriteError
@@ -71,7 +71,6 @@ from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
 from postfx.passes.denoise import NO_HISTORY_REMARK
-from postfx.passes.denoise.models import lacks_memory, runs_render_size, usual_network
 from postfx.passes.denoise.options import enlargement
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
@@ -202,18 +201,15 @@ class Job:
         return RUN.values_for(part, self._arguments)
 
     def _denoiser_options(self, device: Device) -> dict[str, Any]:
-        """The denoiser's options. Without --model they name the network that is best at the
-        output's size, unless time or memory is bounded."""
+        """The denoiser's options. Without --model they name the network that is best, unless time
+        or memory is bounded."""
         given = self._values("denoiser")
         if is_chosen(self._arguments, given):
             return given
-        size = self._first_spec.width, self._first_spec.height
-        keeps_size = keeps_render_size(self._first_spec, given)
-        could = keeps_size and runs_render_size(device)
-        missing = lacks_memory(size, device) if could else None
-        if missing:
-            self.skips.append(Skip("the network for this size", missing))
-        return {**given, "model": usual_network(size, keeps_size, device)}
+        choice = choose_network(self._first_spec, given, device)
+        if choice.lack:
+            self.skips.append(Skip("the network for this size", choice.lack))
+        return {**given, "model": choice.network}
 
     def _has_flat_albedo(self) -> bool:
         """Whether the first frame's diffuse albedo is one grey or colour: a default, or an override
@@ -330,7 +326,8 @@ class Job:
             self._tell(self._planes_of_later_frames([number]), tell)
         frame = self.sequence.read(number, self.plan.planes, self._guides)
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
-        self._look(frame, tell)
+        if self._looker and not self._looker.is_done:
+            self._tell(self._looker.look(frame), tell)
         result = self.pipeline(frame)
         for text in self.pipeline.noticed:
             self._tell([f"frame {number}: {text}"], tell)
@@ -458,7 +455,8 @@ class Job:
                         run.recall(work, frame)
                     continue
                 if frame is not None:
-                    self._look(frame, progress.note, self._is_still)
+                    if self._looker and not self._looker.is_done:  # at once, not after a night
+                        self._tell(self._looker.look(frame, self._is_still), progress.note)
                     frame.reset = frame.reset or is_unseen
                     if self._backwards:
                         ahead = partial(self._look_ahead, self._backwards, frame, work.write, stop,
@@ -518,7 +516,8 @@ class Job:
 
     @cached_property
     def _looker(self) -> FirstFrames | None:
-        """What looks at the first frames; None where AOVs are not read, so that none is missing."""
+        """What tells what is plainly wrong with the first frames; None where AOVs are not read, so
+        that none is missing."""
         if (self._arguments.no_denoise or self._arguments.strength == 0
             or self.pipeline.device.scratch):
             return None
@@ -527,12 +526,6 @@ class Job:
 
         return FirstFrames(self._channels, self._enable,
                            not self.pipeline.device.memory.host_visible)
-
-    def _look(self, frame: Frame, tell: Callable[[str], None],
-              is_alone: bool = False) -> None:
-        """Tell what is plainly wrong with the first frames at once, not after a night."""
-        if self._looker and not self._looker.is_done:
-            self._tell(self._looker.look(frame, is_alone), tell)
 
     def _tell(self, texts: Iterable[str], tell: Callable[[str], None]) -> None:
         """Tell at once what is to be mended, and again at the end of a long run."""

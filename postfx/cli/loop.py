@@ -133,7 +133,7 @@ def find_predictor(forwarded: list[str]) -> str | None:
     if is_chosen(given, options):
         network = str(options.get("model", USUAL_NETWORK))
     else:
-        network = usual_network((1, 1), True, Device(given.device))
+        network = usual_network((1, 1), 1, Device(given.device))
     predicts = not given.aov and predicts_error(model_of(network, UNSCALED))
     return network if predicts else None
 

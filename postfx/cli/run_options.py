@@ -266,8 +266,8 @@ DENOISING = Section("denoising and size", (
            convert=_find_network, excludes=_FOR_DENOISER,
            help="network of the denoiser: s (the fastest), m, l, or xl (the cleanest); m.fp32 is m "
            "in full precision. Or FILE.onnx with its card beside it, or classic, a filter without "
-           "a network. Default: xl at the render's size; m for larger frames, where memory is "
-           "short, and with --budget or --memory"),
+           "a network. Default: xl; m where memory is short, for larger frames with guides, and "
+           "with --budget or --memory"),
     Option(flag="--both-ways", basic=True,
            excludes={
                **_FOR_DENOISER,

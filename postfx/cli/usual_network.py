@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from postfx.frame import FrameSpec
+from postfx.passes.denoise.models import lacks_memory, takes_best, usual_network
 from postfx.passes.denoise.options import enlargement
+from postfx.runtime import Device
+
+
+class Choice(NamedTuple):
+    """A network, and why memory is too short for the best one; None if that did not decide."""
+
+    network: str
+    lack: str | None
 
 
 def is_chosen(arguments: argparse.Namespace, options: Mapping[str, Any]) -> bool:
@@ -17,7 +26,9 @@ def is_chosen(arguments: argparse.Namespace, options: Mapping[str, Any]) -> bool
     return is_bounded or "model" in options
 
 
-def keeps_render_size(spec: FrameSpec, options: Mapping[str, Any]) -> bool:
-    """Whether all frames of a shot that begins with a spec have the render's size behind the
-    denoiser. Frames of any size come to a given one."""
-    return "size" not in options and enlargement(spec, options) == 1
+def choose_network(spec: FrameSpec, options: Mapping[str, Any], device: Device) -> Choice:
+    """The network of a shot that begins with a spec, by the denoiser's ``options``."""
+    size, scale = (spec.width, spec.height), enlargement(spec, options)
+    guided = spec.guides is not None
+    lack = lacks_memory(size, scale, device) if takes_best(scale, device, guided) else None
+    return Choice(usual_network(size, scale, device, guided), lack)

@@ -127,7 +127,10 @@ class ExposureMeter:
             if self._ev is None:
                 self._ev = wanted
             else:
-                self._ev += (wanted - self._ev) * _share(frame, wanted > self._ev)
+                seconds = BRIGHTEN_SECONDS if wanted > self._ev else DARKEN_SECONDS
+                # the share of the way that one frame covers
+                share = 1.0 - math.exp(-1.0 / (frame_rate(frame) * seconds))
+                self._ev += (wanted - self._ev) * share
         return self._ev if self._ev is not None else 0.0
 
 
@@ -135,12 +138,6 @@ def frame_rate(frame: Frame) -> float:
     """Frames per second from the header, else 24."""
     rate = frame.metadata.get("framesPerSecond", FRAMES_PER_SECOND)
     return float(rate) if isinstance(rate, int | float) and rate > 0 else FRAMES_PER_SECOND
-
-
-def _share(frame: Frame, brighter: bool) -> float:
-    """Share of the way to the metered EV that one frame covers."""
-    return 1.0 - math.exp(-1.0 / (frame_rate(frame) * (BRIGHTEN_SECONDS if brighter
-                                                       else DARKEN_SECONDS)))
 
 
 def factor_of(stops: str | float) -> float:

@@ -11,7 +11,7 @@ channel's name ('left.R', 'forward.left.u').
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from fnmatch import fnmatchcase
@@ -31,6 +31,8 @@ COLOUR_FILES = ("beauty", "rgba", "rgb", "colour", "color", "combined", "image",
 _SHORT_LETTERS = {"red": "r", "green": "g", "blue": "b", "alpha": "a"}
 _VIEW_WORDS = ("main", "left", "right")
 """Views that parts are named after where no attribute tells views."""
+_NUMBER = re.compile(r"[ ._-]?\d+$")
+"""At the end of names that are otherwise alike."""
 _DATA = re.compile(
     r"crypto|matte|mask|normal|depth|position|point|motion|vector|velocity|albedo|roughness|"
     r"variance|(^|[._ ])(n|ng|ns|nn|p|pref|pworld|z|ids?|uv|st)([._ ]|$)|(?-i:[a-z]ID$)",
@@ -74,13 +76,24 @@ class Channel(NamedTuple):
 @dataclass(eq=False)
 class _Source:
     """One part of a file, seen from one view: full name in lower case -> the name as it is written,
-    and the channel."""
+    and the channel. `name` is that of the part, or else the file's word."""
 
+    name: str
     rank: _Rank
     channels: dict[str, tuple[str, Channel]] = field(default_factory=dict)
+    is_preferred: bool = False
+
+    @property
+    def order(self) -> tuple[bool, _Rank]:
+        """The part that is looked at first has the smallest."""
+        return not self.is_preferred, self.rank
 
     def add(self, name: str, channel: Channel) -> None:
         self.channels.setdefault(name.lower(), (name, channel))
+
+    def holds(self, channel: Channel) -> bool:
+        """Whether a channel is one of its own."""
+        return any(channel == own for _, own in self.channels.values())
 
     def find(self, names: Iterable[str]) -> tuple[Channel, ...] | None:
         """Channels by full name in lower case; None unless all are there."""
@@ -98,7 +111,7 @@ class _Rank(IntEnum):
     """How likely a part's R, G and B are the frame's colour, the likeliest first."""
 
     PICTURE = 0
-    """That postfx wrote, or of a layer that is preferred."""
+    """That postfx wrote."""
     COLOUR = 1
     """By its name."""
     UNKNOWN = 2
@@ -128,7 +141,7 @@ class ChannelIndex:
         view = view or (self.views[0] if self.views else "")
         self.views = tuple(sorted(self.views, key=lambda own: own != view))
         found = [source for word, parts in files.items() for source in _sources(word, parts, view)]
-        self._sources = sorted(found, key=lambda source: source.rank)
+        self._sources = sorted(found, key=lambda source: source.order)
         if layer:
             self._prefer(layer)
 
@@ -188,6 +201,36 @@ class ChannelIndex:
         only = layers[0] if len(self.layers_like("*", whole=True)) == 1 and layers else None
         return only if only and self.find([f"{only}.Y"]) else None
 
+    def pictures_beside(self, colour: tuple[Channel, ...],
+                        is_named: bool) -> dict[tuple[Channel, ...], str]:
+        """Channels of other parts that may as well be the picture as `colour` is, and the names of
+        these parts. `is_named`: the colour was looked for by its part's name."""
+        found: dict[tuple[Channel, ...], str] = {}
+        own = next(source for source in self._sources if source.holds(colour[0]))
+        rank = min(own.rank, _Rank.COLOUR) if is_named else own.rank
+        for source in self._sources:
+            channels = source.find(channel.name.lower() for channel in colour)
+            is_numbered = (own.rank > _Rank.PICTURE
+                           and _NUMBER.sub("", source.name).lower() in COLOUR_FILES)
+            if channels and source is not own and (source.rank <= rank or is_numbered):
+                found.setdefault(channels, source.name)
+        return found
+
+    def set_aside(self, pictures: Collection[tuple[Channel, ...]]) -> None:
+        """Channels of the parts that hold these go by the names of their parts only."""
+        for source in self._sources:
+            if any(source.holds(channels[0]) for channels in pictures):
+                start = f"{source.name.lower()}."
+                source.channels = {key: entry for key, entry in source.channels.items()
+                                   if key.startswith(start)}
+                source.rank = _Rank.NAMED
+        self._sources.sort(key=lambda source: source.order)
+        self.__dict__.pop("_everything", None)
+
+    def part_name(self, channel: Channel) -> str:
+        """Name of a channel's part, or else its file's word."""
+        return next(source.name for source in self._sources if source.holds(channel))
+
     def pairs_like(self, pattern: re.Pattern[str]) -> Iterator[tuple[str, tuple[Channel, ...]]]:
         """Layers whose full name a pattern is found in, and their channels x and y, or the like."""
         # a layer also goes by its part's name before its own
@@ -231,7 +274,7 @@ class ChannelIndex:
 
     @cached_property
     def _everything(self) -> _Source:
-        together = _Source(_Rank.NAMED)
+        together = _Source("", _Rank.NAMED)
         for source in self._sources:
             for key, entry in source.channels.items():
                 together.channels.setdefault(key, entry)
@@ -244,8 +287,8 @@ class ChannelIndex:
                      for key, entry in source.channels.items() if key.startswith(start)}
             source.channels = inner | {key: entry for key, entry in source.channels.items()
                                        if key not in inner}
-            source.rank = _Rank.PICTURE if inner else source.rank
-        self._sources.sort(key=lambda source: source.rank)
+            source.is_preferred = bool(inner)
+        self._sources.sort(key=lambda source: source.order)
 
 
 def before(names: Names, ending: str) -> list[str]:
@@ -294,7 +337,7 @@ def _sources(word: str, parts: Parts, view: str) -> Iterator[_Source]:
     is_lone = len(parts) == 1
     for index, part in enumerate(parts):
         name, own = _name_and_view(part, views)
-        source = _Source(ranks.get(index, _Rank.NAMED))
+        source = _Source(name or word, ranks.get(index, _Rank.NAMED))
         shorts = [(*_without_view(channel, views, own, is_lone), Channel(word, part, channel))
                   for channel in part.channels]
         named = {short: found for short, seen, found in shorts if seen == "" or len(views) < 2}

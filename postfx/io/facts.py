@@ -18,9 +18,6 @@ from postfx.io.image_file import ImageFile
 from postfx.io.profile import Profile
 from postfx.io.windows import Part
 
-WORLD_TO_CAMERA_NUMBERS = 16
-"""Of a matrix 4x4."""
-
 
 def merge_headers(files: Iterable[ImageFile]) -> dict[str, Any]:
     """Header attributes of all parts. If several have one, the smallest part's counts, and of those
@@ -56,54 +53,60 @@ def tell_colours(merged: Mapping[str, Any], file: ImageFile, part: int) -> dict[
 
 @dataclass(frozen=True)
 class Facts:
-    """Header attributes by the names that a profile gives them; `layer` stands for {layer} in
-    these."""
+    """What a header says of its frame.
 
-    profile: Profile
-    layer: str
-    attributes: Mapping[str, Any]
+    Attributes:
+        camera: with the profile's numbers where the header says none.
+        exposure: the author's, in stops, or None.
+        begins_shot: whether it says so.
+        samples: of a pixel, or None.
+    """
 
-    def numbers(self, key: str, count: int) -> np.ndarray | None:
-        """The first attribute of this meaning, `count` numbers as float64; None when there is none
-        or it is something else."""
-        names = (name.replace("{layer}", self.layer) for name in self.profile.header.get(key, ()))
-        value = next((self.attributes[name] for name in names if name in self.attributes), None)
+    camera: Camera
+    exposure: float | None
+    begins_shot: bool
+    samples: int | None
+
+
+_COUNTS = {"world_to_camera": 16, "jitter": 2, "fov_x": 1, "near": 1, "far": 1, "max_velocity": 1,
+           "shutter": 1, "exposure_ev": 1, "exposure": 1, "reset": 1, "samples": 1}
+"""Meaning of a header attribute, as profiles name it -> how many numbers it holds."""
+
+
+def read_facts(profile: Profile, layer: str, attributes: Mapping[str, Any]) -> Facts:
+    """The facts of header attributes by the names that a profile gives them; `layer` stands for
+    {layer} in these. Attributes that are something else than numbers, or other numbers than they
+    should, do not count."""
+    found: dict[str, list[float]] = {}
+    for key, count in _COUNTS.items():
+        names = (name.replace("{layer}", layer) for name in profile.header.get(key, ()))
+        value = next((attributes[name] for name in names if name in attributes), None)
         if value is None:
-            return None
+            continue
         try:
             numbers = np.asarray(value, np.float64).ravel()
         except (TypeError, ValueError):
-            return None
-        return numbers if numbers.size == count and np.isfinite(numbers).all() else None
+            continue
+        if numbers.size == count and np.isfinite(numbers).all():
+            found[key] = numbers.tolist()
 
-    def number(self, key: str, default: float | None = None) -> float | None:
-        """Attribute of one number, or the default."""
-        numbers = self.numbers(key, 1)
-        return default if numbers is None else float(numbers[0])
-
-    def jitter(self) -> tuple[float, float]:
-        """Sample position minus 0.5 in pixels, x right, y down."""
-        found = self.numbers("jitter", 2)
-        return (0.0, 0.0) if found is None else (float(found[0]), float(found[1]))
-
-    def exposure(self) -> float | None:
-        """The author's exposure in stops. Versions before wrote a factor."""
-        stops, factor = self.number("exposure_ev"), self.number("exposure")
-        return stops if stops is not None or factor is None else stops_of_factor(factor)
-
-    def camera(self) -> Camera:
-        """The camera, with the profile's numbers where the header says none."""
-        profile, matrix = self.profile, self.numbers("world_to_camera", WORLD_TO_CAMERA_NUMBERS)
-        if matrix is not None:
-            matrix = matrix.reshape(4, 4)
-            matrix = matrix.T if profile.column_vectors else matrix
-        return Camera(
-            world_to_camera=matrix,
-            fov_x=self.number("fov_x") or profile.fov_x,
-            jitter=self.jitter(),
-            near=self.number("near", profile.near),
-            far=self.number("far", profile.far),
-            max_velocity=self.number("max_velocity", profile.max_velocity),
-            shutter=self.number("shutter", profile.shutter),
-            pixel_aspect=pixel_aspect(self.attributes),
-        )
+    matrix = None
+    if "world_to_camera" in found:
+        matrix = np.array(found["world_to_camera"]).reshape(4, 4)
+        matrix = matrix.T if profile.column_vectors else matrix
+    x, y = found.get("jitter", (0.0, 0.0))
+    one = {key: numbers[0] for key, numbers in found.items()}
+    camera = Camera(
+        world_to_camera=matrix,
+        fov_x=one.get("fov_x") or profile.fov_x,
+        jitter=(x, y),
+        near=one.get("near", profile.near),
+        far=one.get("far", profile.far),
+        max_velocity=one.get("max_velocity", profile.max_velocity),
+        shutter=one.get("shutter", profile.shutter),
+        pixel_aspect=pixel_aspect(attributes),
+    )
+    exposure = one.get("exposure_ev")
+    if exposure is None and "exposure" in one:  # versions before wrote a factor
+        exposure = stops_of_factor(one["exposure"])
+    return Facts(camera, exposure, bool(one.get("reset")), int(one.get("samples", 0)) or None)

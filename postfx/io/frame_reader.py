@@ -17,8 +17,8 @@ from postfx.files import file_threads, run_in_order
 from postfx.frame import ROLES, Frame, FrameSpec, Role
 from postfx.io.channels import Channel, ChannelIndex, read_channels
 from postfx.io.convert import Camera, convert, fill_background_motion
-from postfx.io.exr.container import rows_of_task
-from postfx.io.facts import Facts, merge_headers
+from postfx.io.exr.container import read_rows, rows_of_task
+from postfx.io.facts import merge_headers, read_facts
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import GuideLayout, Layout, Match
 from postfx.io.masks import LeftAlone
@@ -119,7 +119,8 @@ class _Rows:
             return False
         for word, part, columns in self.plan.parts:
             wanted = [(own, self.planes[role][slice(*rows)]) for role, own in columns.items()]
-            if not self.files[word].read_planes(part, wanted, rows):
+            container = self.files[word].container
+            if container is None or not read_rows(container, part.index, wanted, *rows):
                 return False
         self._convert(rows)
         return True
@@ -175,7 +176,9 @@ class FrameFiles(ExitStack):
                 word: self.enter_context(ImageFile(path)) for word, path in paths.items()
             }
             self.path = next(iter(self.files.values())).path
-            self.plan, self.layout = self._find_plan(settled, guides, plans or Plans(1))
+            self.plan, self.layout = self._find_plan(
+                settled, guides, Plans(1) if plans is None else plans
+            )
             self.guides = self._find_guides() if self.plan.guides else None
             entries = options.left_alone
             self.alone = (
@@ -242,13 +245,13 @@ class FrameFiles(ExitStack):
             return GuideLayout(self._guiding.path, planes, self._guiding.layout.camera)
         first, layout = next(iter(planes.values())).channels[0], self.layout
         file = self.files[first.word]
-        own = Facts(layout.profile, layout.layer, file.headers[first.part.index])
-        return GuideLayout(file.path, planes, replace(layout.camera, jitter=own.jitter()))
+        own = read_facts(layout.profile, layout.layer, file.headers[first.part.index])
+        return GuideLayout(file.path, planes, replace(layout.camera, jitter=own.camera.jitter))
 
     @property
     def begins_shot(self) -> bool:
         """Whether the header says so."""
-        return bool(self.layout.facts.number("reset"))
+        return self.layout.facts.begins_shot
 
     def spec(self) -> FrameSpec:
         """Size, planes and guides of the frame; MissingPlaneError when there is no colour."""
@@ -274,7 +277,12 @@ class FrameFiles(ExitStack):
         asked = (None if roles is None else tuple(roles),
                  None if guides is None else tuple(guides))
         key = (*asked, self.lacks_motion, self.alone and self.alone.reads)
-        choices = self.plan.choices if self._is_as_planned else {}
+        # Who looks for mistakes, as `postfx inspect`, tries other rules than the plan's on the same
+        # files.
+        guiding = self.guides.planes if self.guides else None
+        is_as_planned = (self.layout.planes is self.plan.layout.planes
+                         and guiding is (self.plan.guides or None))
+        choices = self.plan.choices if is_as_planned else {}
         choice = choices.get(key)
         if choice is None:
             choice = choices[key] = self._choose(*asked)
@@ -297,14 +305,6 @@ class FrameFiles(ExitStack):
             frame.parts = read_parts(self.files, self.parts)
             frame.part_sources = {name: part.source for name, part in self.parts.items()}
         return frame
-
-    @property
-    def _is_as_planned(self) -> bool:
-        """Whether planes are read by the rules of the plan: who looks for mistakes, as `postfx
-        inspect`, tries others on the same files."""
-        guides = self.guides.planes if self.guides else None
-        return (self.layout.planes is self.plan.layout.planes
-                and guides is (self.plan.guides or None))
 
     def _choose(
         self, roles: Iterable[Role] | None, guides: Iterable[Role] | None
@@ -389,7 +389,6 @@ class FrameFiles(ExitStack):
         layout, camera, part = self.layout, self.layout.camera, first.part
         source = self.plan.source if Role.COLOUR in layout.planes else None
         source = source and replace(source, attributes=layout.attributes)
-        facts = Facts(layout.profile, layout.layer, layout.attributes)
         windows = {
             "displayWindow": tuple(part.display),
             "dataWindow": tuple(part.data),
@@ -399,9 +398,9 @@ class FrameFiles(ExitStack):
             planes,
             number=number,
             jitter=camera.jitter,
-            exposure=facts.exposure(),
-            reset=bool(facts.number("reset")),
-            samples=int(facts.number("samples") or 0) or None,
+            exposure=layout.facts.exposure,
+            reset=layout.facts.begins_shot,
+            samples=layout.facts.samples,
             world_to_camera=camera.world_to_camera,
             fov_x=camera.fov_over(next(iter(planes.values())).shape[1]),
             metadata={**layout.attributes, **windows},

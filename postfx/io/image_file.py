@@ -20,15 +20,13 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.caching import Kept
+from postfx.caching import LRUCache
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8
 from postfx.io.exr.container import (
     MAX_SIDE,
     STORAGE_ATTRIBUTES,
-    ChannelPlanes,
     ExrContainer,
-    read_rows,
     read_rows_by_threads,
 )
 from postfx.io.windows import (
@@ -95,6 +93,8 @@ class ImageFile(ExitStack):
     Attributes:
         parts: those that are read, all but deep ones.
         headers: index of each of these -> its header attributes.
+        container: the same file as this package reads OpenEXR, by several threads; None for other
+            formats, and where the caller has it.
 
     `checked` says that the caller has an `ExrContainer` of it, so what its header claims is not
     checked again. Raises MissingFrameError when there is no such file, ReadError when it is broken,
@@ -114,8 +114,8 @@ class ImageFile(ExitStack):
         if not is_utf8(str(path)):
             raise ReadError(f"{path}: its name is not UTF-8: rename it")
         claims = None if checked or self._is_still else check_claims(self.path)
-        self._container = (self.enter_context(claims) if isinstance(claims, ExrContainer)
-                           else None)
+        self.container = (self.enter_context(claims) if isinstance(claims, ExrContainer)
+                          else None)
         self._radiance = claims if isinstance(claims, RadianceHeader) else None
         # pixels of a Radiance file that does not store them as they are
         self._upright: np.ndarray | None = None
@@ -199,28 +199,21 @@ class ImageFile(ExitStack):
     def plain_columns(self, part: Part, names: Sequence[str]) -> np.ndarray | None:
         """These channels of a part for `read_planes`; None where it cannot read them: it reads what
         is stored as it is or by ZIP."""
-        if self._container is None or part.data != part.area:
+        if self.container is None or part.data != part.area:
             return None
-        return self._container.storages[part.index].columns(names)
-
-    def read_planes(self, part: Part, planes: ChannelPlanes, rows: tuple[int, int]) -> bool:
-        """Read some rows of a part's area into planes (rows, width, channels) float32 of the
-        channels that `plain_columns` gives; False for a broken file, about which OpenImageIO says
-        more. Several threads may read at once."""
-        return (self._container is not None
-                and read_rows(self._container, part.index, planes, *rows))
+        return self.container.storages[part.index].columns(names)
 
     def _read_plain(self, part: Part, planes: Mapping[str, np.ndarray]) -> bool:
         """The same for a part's data window and any channels, by threads of its own."""
-        if self._container is None or part.data.height <= 0:
+        if self.container is None or part.data.height <= 0:
             return False
-        storage = self._container.storages[part.index]
+        storage = self.container.storages[part.index]
         found = [(storage.columns([name]), plane) for name, plane in planes.items()]
         targets = [(columns, plane) for columns, plane in found if columns is not None]
         if len(targets) < len(found):
             return False
         top = storage.window.y0
-        return read_rows_by_threads(self._container, part.index, targets, part.data.y0 - top,
+        return read_rows_by_threads(self.container, part.index, targets, part.data.y0 - top,
                                     part.data.y1 + 1 - top)
 
     def _require_pixels(self, pixels: np.ndarray | None) -> np.ndarray:
@@ -278,7 +271,7 @@ class ImageFile(ExitStack):
         if not specs:
             reason = "deep data is not supported: flatten it first, e.g. with oiiotool --flatten"
             raise ReadError(f"{self.path}: {reason if index else 'holds no image'}")
-        stored = self._container.headers if self._container else ()
+        stored = self.container.headers if self.container else ()
         alike = tuple([tuple(map(header.attributes.get, _PART_ATTRIBUTES)) for header in stored])
         found = _PARTS.find(alike) if alike else None
         if found is None:
@@ -297,7 +290,7 @@ _PART_ATTRIBUTES = (*STORAGE_ATTRIBUTES, "name", "view", "multiView", PICTURE_AT
 """Of a header: those that tell what is known of its part."""
 MOST_KINDS_OF_FILES = 64
 """Whose parts are kept."""
-_PARTS: Kept[tuple[object, ...], tuple[Part, ...]] = Kept(MOST_KINDS_OF_FILES)
+_PARTS: LRUCache[tuple[object, ...], tuple[Part, ...]] = LRUCache(MOST_KINDS_OF_FILES)
 """Parts of files by what their headers tell of them, or else by all that is known of them."""
 
 

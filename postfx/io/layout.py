@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,9 +14,10 @@ from postfx.errors import GuideError, MissingPlaneError
 from postfx.frame import OUTPUT_SIZE_ROLES, GuideSpec, Role
 from postfx.io.channels import Channel, ChannelIndex, Names, are_together, before, has_siblings
 from postfx.io.convert import Camera, DepthOption, missing_error, missing_number
-from postfx.io.facts import Facts
+from postfx.io.facts import Facts, read_facts
 from postfx.io.profile import DetectRule, PlaneRule, Profile, load_profile, profile_names
 from postfx.io.windows import PICTURE_ATTRIBUTE
+from postfx.streams import make_printable
 
 
 def _picture_rules(told: str) -> tuple[PlaneRule, ...]:
@@ -79,10 +80,10 @@ class Layout:
     chosen_layer: str | None = None
     """The view layer that was chosen among several; None if there are not several."""
 
-    @property
+    @cached_property
     def facts(self) -> Facts:
-        """Its header attributes by the names of its profile."""
-        return Facts(self.profile, self.layer, self.attributes)
+        """What its header attributes say, by the names of its profile."""
+        return read_facts(self.profile, self.layer, self.attributes)
 
     def hints(self) -> dict[Role, str]:
         """Role -> where the user switches the plane on in the renderer, of those of which that is
@@ -160,6 +161,61 @@ def _alpha_beside(match: Match, layout: Layout, index: ChannelIndex) -> Match | 
     return Match(rules[0], channels) if channels and rules else None
 
 
+@dataclass
+class PictureChoice:
+    """Which of several pictures is read.
+
+    Attributes:
+        name: of the layer that is read, '' for the channels without a layer.
+        others: channels that could as well be the picture, and the names of their layers.
+        before: the planes of all of them together.
+    """
+
+    name: str
+    others: Mapping[tuple[Channel, ...], str]
+    before: Mapping[Role, Match]
+
+    def told(self, layout: Layout, parts: Collection[tuple[Channel, ...]]) -> list[str]:
+        """A line on the choice. parts: channels that are known to be parts of the picture."""
+        known = {*parts, *(match.channels for match in layout.planes.values())}
+        others = [make_printable(name)
+                  for channels, name in self.others.items() if channels not in known]
+        if not others:
+            return []
+        own = make_printable(self.name or self.before[Role.COLOUR].names)
+        lost = [role for role in self.before if role not in layout.planes]
+        more = f"; {', '.join(lost)} beside these is not read" if lost else ""
+        return [f"of several pictures {own} is read, not {', '.join(others)}: --layer NAME "
+                f"chooses{more}"]
+
+
+def choose_picture(layout: Layout, index: ChannelIndex) -> PictureChoice | None:
+    """The choice where other channels may as well be the picture as those of the colour, but none
+    that the profile knows as parts of it.
+
+    What lies beside the others in parts of their own then goes by the names of these parts only.
+    """
+    match, profile = layout.planes[Role.COLOUR], layout.profile
+    own = match.channels[0]
+    named = {channels: names[0].rpartition(".")[0]
+             for names in match.rule.candidates(layout.layer)
+             if "." in names[0] and (channels := index.find(names))}
+    found = index.pictures_beside(match.channels, match.channels in named)
+    if profile.name == "generic":
+        found |= named
+    patterns = [name.replace("{layer}", layout.layer).lower()
+                for rule in profile.parts for name in rule.names]
+    others = {channels: name for channels, name in found.items()
+              if channels != match.channels
+              and not any(fnmatchcase(name.lower(), pattern) for pattern in patterns)}
+    if not others:
+        return None
+    apart = [channels for channels in others if not are_together((own, channels[0]))]
+    name = index.part_name(own) if apart else own.name.rpartition(".")[0]
+    index.set_aside(apart)
+    return PictureChoice(name, others, layout.planes)
+
+
 _DEFAULT_LAYERS = ("viewlayer.", "view layer.", "renderlayer.")
 """Names that Blender gives to its first view layer."""
 
@@ -173,7 +229,7 @@ def _preference(layout: Layout) -> tuple[bool, int, bool]:
 
 def _match_all(index: ChannelIndex, layout: Layout, depth: DepthOption | None,
                without: Collection[Role]) -> Layout:
-    camera = layout.facts.camera()
+    camera = layout.facts.camera
     layout.camera = depth.camera(camera) if depth else camera
     for rule in layout.profile.planes:
         if rule.role not in layout.planes and rule.role not in without:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.caching import Kept
+from postfx.caching import LRUCache
 from postfx.frame import Frame, Role
 from postfx.io.encoder import display_of
 from postfx.io.exr import Header
@@ -126,7 +126,7 @@ class LightPlan:
 
 
 _VERSION = "postfx:version"
-_LIGHT_PLANS: Kept[object, LightPlan] = Kept(MOST_LIGHT_PLANS)
+_LIGHT_PLANS: LRUCache[object, LightPlan] = LRUCache(MOST_LIGHT_PLANS)
 
 
 def _name_parts(frame: Frame, parts: tuple[str, ...]) -> list[str]:

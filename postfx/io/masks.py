@@ -154,7 +154,7 @@ class LeftAlone:
         for entry in self._entries:
             if not (entry.is_auto or entry.is_converged):
                 self._find(entry, strict)
-        self._samples = int(layout.facts.number("samples") or 0) or None
+        self._samples = layout.facts.samples
         self._basis = {entry: self._basis_of(entry, layout)
                        for entry in self._entries if entry.is_converged}
         looked = {Role.COLOUR, Role.STRENGTH, *(MISS_READS if self._auto() else ()),

@@ -14,37 +14,26 @@ from isal import isal_zlib
 from postfx.compiled.calls import whole
 from postfx.compiled.library import Rows
 
-_halve_pixels = Rows("halve_pixels")
-_widen_rows = Rows("widen_rows")
-_look_up = Rows("look_up")
+halve_pixels = Rows("halve_pixels")
+"""output (channels, n) uint16 = bits of the half floats nearest to values (n * channels,) float32,
+ties to even, cut to +-65504; the rows are n. NaN stays NaN. Arrays: values, output."""
+look_up = Rows("look_up")
+"""output (n,) float32 = a table between its entries, which lie evenly over codes (n,) float32 from
+0 to 1 and end with the last one twice; inside (1,) bool tells whether all codes lie there. Arrays:
+codes, table, output, inside."""
+widen_rows = Rows("widen_rows")
+"""pixels (rows, n, count) float32 = values in rows of words (rows, m) uint16; channels (count, 2)
+int64: of each its kind, 1 for half floats and 2 for floats, and the column where it begins. Arrays:
+words, channels, pixels."""
+predict_bytes = Rows("predict_bytes")
+"""differences (n,) uint8 = bytes of plain (n,) uint8, n even, as OpenEXR compresses them
+(ImfZip.cpp): those in even places before those in odd ones, each less the one before it, plus 128.
+One row. Arrays: plain, differences."""
+unpredict_bytes = Rows("unpredict_bytes")
+"""words (n,) uint16 = those whose bytes, the lower ones first, `predict_bytes` made into
+differences (2 n,). One row. Arrays: differences, words."""
 _dither_rows = Rows("dither_rows")
 _filter_rows = Rows("filter_rows")
-_predict_bytes = Rows("predict_bytes")
-_unpredict_bytes = Rows("unpredict_bytes")
-
-
-def halve(values: np.ndarray, output: np.ndarray) -> None:
-    """output (channels, n) uint16 = bits of the half floats nearest to `values` (n * channels,),
-    float32 or its bits as int32, ties to even, cut to +-65504. NaN stays NaN."""
-    _halve_pixels(0, output.shape[1], values.view(np.float32), output)
-
-
-def look_up(codes: np.ndarray, table: np.ndarray, output: np.ndarray) -> bool:
-    """output (n,) float32 = `table` between its entries, which lie evenly over codes (n,) float32
-    from 0 to 1 and end with the last one twice. Returns whether all codes lie there."""
-    inside = np.empty(1, bool)
-    _look_up(0, codes.size, codes, table, output, inside)
-    return bool(inside[0])
-
-
-def widen_rows(words: np.ndarray, channels: np.ndarray, pixels: np.ndarray) -> None:
-    """pixels (rows, n, count), float32 or its bits as uint32, = values in rows of `words` (rows, m)
-    uint16.
-
-    channels (count, 2) int64: of each its kind, 1 for half floats and 2 for floats, and the column
-    where it begins.
-    """
-    _widen_rows(0, len(pixels), words, channels, pixels.view(np.float32))
 
 
 def dither_rows(codes: np.ndarray, top: float | np.floating, thresholds: np.ndarray,
@@ -72,24 +61,11 @@ def paeth(rows: np.ndarray, above: np.ndarray, step: int, output: np.ndarray) ->
 _LEVEL = 1  # of ISA-L: a fifth of the time of OpenEXR's level 4 for 6 % more bytes
 
 
-def predict_bytes(plain: np.ndarray, differences: np.ndarray) -> None:
-    """differences (n,) uint8 = bytes of `plain` (n,) uint8, n even, as OpenEXR compresses them
-    (ImfZip.cpp): those in even places before those in odd ones, each less the one before it,
-    plus 128."""
-    _predict_bytes(0, 1, plain, differences)
-
-
-def unpredict_bytes(differences: np.ndarray, words: np.ndarray) -> None:
-    """words (n,) uint16 = those whose bytes, the lower ones first, `predict_bytes` made into
-    differences (2 n,)."""
-    _unpredict_bytes(0, 1, differences, words)
-
-
 def compress_rows(lines: np.ndarray) -> bytes:
     """The data of a chunk of rows (rows, bytes) uint8."""
     plain = lines.reshape(-1)
     differences = np.empty_like(plain)
-    predict_bytes(plain, differences)
+    predict_bytes(0, 1, plain, differences)
     packed = isal_zlib.compress(differences, _LEVEL)
     return packed if len(packed) < plain.size else plain.tobytes()
 
@@ -105,5 +81,5 @@ def decompress_rows(stored: bytes | memoryview, words: np.ndarray) -> bool:
         return False
     if len(differences) != 2 * words.size:
         return False
-    unpredict_bytes(np.frombuffer(differences, np.uint8), words)
+    unpredict_bytes(0, 1, np.frombuffer(differences, np.uint8), words)
     return True

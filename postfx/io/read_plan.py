@@ -17,17 +17,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from postfx.caching import Kept
+from postfx.caching import LRUCache
 from postfx.errors import MissingPlaneError, ReadError
 from postfx.frame import ColourSource, Role
 from postfx.io.channels import Channel, ChannelIndex, Parts, are_together
 from postfx.io.colours import COLOUR_ATTRIBUTES
 from postfx.io.convert import Camera, DepthOption, fill_value, is_converted
-from postfx.io.facts import Facts, tell_colours
+from postfx.io.facts import tell_colours
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import (
     Layout,
     Match,
+    PictureChoice,
+    choose_picture,
     drop_smaller_planes,
     make_layout,
     planes_that_guide,
@@ -72,7 +74,7 @@ class Settled(NamedTuple):
 MOST_READ_PLANS = 32
 """That are kept: a sequence has one for each view, and for each kind of header that its frames
 have."""
-Plans = Kept[object, "ReadPlan"]
+Plans = LRUCache[object, "ReadPlan"]
 """The plans of a sequence by their keys."""
 
 
@@ -197,18 +199,22 @@ class ReadPlan:
         """The layout of another frame, of its merged attributes and open files; depth: what the
         user says of the camera. None where other numbers of the camera are known: then other planes
         may be used."""
-        camera = Facts(self.layout.profile, self.layout.layer, attributes).camera()
-        camera = depth.camera(camera) if depth else camera
-        if known_of(camera) != self.known:
-            return None
-        if self.area and self.area.window != self.area.display:
-            camera = camera_over(camera, self.area)
         if self.colours is not None:
             rest = {name: value
                     for name, value in attributes.items() if name not in COLOUR_ATTRIBUTES}
             attributes = {**rest, **self.colours}
         paths = {word: file.path for word, file in files.items()}
-        return replace(self.layout, attributes=attributes, camera=camera, paths=paths)
+        layout = replace(self.layout, attributes=attributes, paths=paths)
+
+        # The camera, as the header and the user say.
+        camera = layout.facts.camera
+        camera = depth.camera(camera) if depth else camera
+        if known_of(camera) != self.known:
+            return None
+        if self.area and self.area.window != self.area.display:
+            camera = camera_over(camera, self.area)
+        layout.camera = camera
+        return layout
 
 
 def camera_over(camera: Camera, area: Area) -> Camera:
@@ -270,6 +276,7 @@ class Planner:
         self._attributes = attributes
         self._options, self._settled = options, settled
         self._layer = settled.layer or options.layer
+        self._choice: PictureChoice | None = None
 
         # Where the planes are within the display window, then within all that holds data.
         self.index, self._layout = self._look()
@@ -313,6 +320,8 @@ class Planner:
             parts = find_parts(
                 self._options.parts, self.index, layout, str(self._path), colour.size
             )
+        if self._choice and not self._settled.layer:
+            layout.warnings += self._choice.told(layout, [p.channels for p in parts.values()])
         return ReadPlan(
             self.index,
             layout,
@@ -340,6 +349,11 @@ class Planner:
         chosen = load_profile(options.profile) if options.profile else None
         given = self._paths, self._attributes, chosen, options.stored_depth, options.absent
         layout = make_layout(index, *given, layer)
+        if Role.COLOUR in layout.planes and not options.layer and not layout.chosen_layer:
+            self._choice = choose_picture(layout, index)
+            if self._choice:
+                layout = make_layout(index, *given, layer)
+                layout.chosen_layer = self._choice.name
         if Role.COLOUR in {*layout.planes, *options.absent} or layer:
             return index, layout
         lone = index.find_lone_picture()

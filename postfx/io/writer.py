@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.caching import Kept
+from postfx.caching import LRUCache
 from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import FrameError, OutputExistsError, WriteError
 from postfx.files import is_utf8, output_file, with_slashes
@@ -45,6 +45,7 @@ from postfx.io.wholeness import has_end
 from postfx.io.windows import Pixels, Window, crop, output_windows
 from postfx.planes import LARGEST_HALF, largest_bits_of
 from postfx.streams import make_printable
+from postfx.workers import finished_before_the_end
 
 LINEAR_FORMATS = (".exr",)
 DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG_SUFFIXES)
@@ -59,7 +60,7 @@ more."""
 _PNG_PAETH = 128
 MOST_KINDS_OF_OUTPUTS = 32
 """That are known to be possible."""
-_HOLDS_CODES: Kept[tuple[object, ...], bool] = Kept(MOST_KINDS_OF_OUTPUTS)
+_HOLDS_CODES: LRUCache[tuple[object, ...], bool] = LRUCache(MOST_KINDS_OF_OUTPUTS)
 """Whether files hold pictures for a display, by suffix, bits, compression and encoding: those that
 can be written."""
 
@@ -116,6 +117,7 @@ def check_compression(path: Path, compression: str) -> None:
         raise WriteError(f"{path}: --compression is for EXR files: leave it out")
 
 
+@finished_before_the_end()
 def write_frame(
     path: str | PathLike[str],
     frame: Frame,

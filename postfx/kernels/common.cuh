@@ -159,6 +159,7 @@ __device__ inline Halves* halves(const View& view) {
     return reinterpret_cast<Halves*>(view.at);
 }
 
+// On the host tests put their own in place of the GPU's instructions.
 #ifdef __CUDACC_RTC__
 __device__ inline float from_half(unsigned short bits) {
     float value;
@@ -199,31 +200,6 @@ __device__ inline const T* behind(const T* at, size_t count) {
     at += count;
     asm("" : "+l"(at));
     return at;
-}
-#else
-inline float from_half(unsigned short bits) {
-    return __builtin_bit_cast(_Float16, bits);
-}
-
-inline unsigned short to_half(float value) {
-    return __builtin_bit_cast(unsigned short, _Float16(value));
-}
-
-inline float log2_of(float value) {
-    return log2f(value);
-}
-
-inline float exp2_of(float value) {
-    return exp2f(value);
-}
-
-inline float over_one(float value) {
-    return 1.0f / value;
-}
-
-template <class T>
-inline const T* behind(const T* at, size_t count) {
-    return at + count;
 }
 #endif
 

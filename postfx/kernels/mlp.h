@@ -1,6 +1,6 @@
 // A small network inside of a kernel of one's own, between its other instructions: of as many
 // points as F has numbers, and on a GPU, whose sources include <postfx/mlp.cuh>, of a thread's
-// point.
+// point, or of a warp's by its matrix units.
 //
 //     #include "mlp.h"
 //     F features[14], light[3];
@@ -54,5 +54,8 @@ template <int KIND, int READS, int MAKES> struct MlpLayers<KIND, READS, MAKES> {
 
 template <int KIND, int... SIZES, class F>
 FN void mlp(const float* parameters, const F* features, F* values) {
+#ifdef MATRIX_UNITS
+    if (mlp_by_warp<KIND, SIZES...>(parameters, features, values)) return;
+#endif
     MlpLayers<KIND, SIZES...>::run(parameters, features, values);
 }

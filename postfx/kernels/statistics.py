@@ -17,6 +17,9 @@ from postfx.compiled.calls import whole
 from postfx.compiled.library import Rows
 from postfx.planes import sampled, share
 
+LEAST_DEPTH = 1e-6
+"""Depth that is no nearer for logarithms, in scene units."""
+
 # Blocks of pixels
 
 _block_means = Rows("block_means")
@@ -109,21 +112,23 @@ _places_inside = Rows("places_inside")
 _mix_places = Rows("mix_places")
 
 
-def limit_depths(depth: np.ndarray, beyond: float, least: float) -> np.ndarray:
-    """Depths, of which those from `beyond` on, and what is no number, lie at twice the farthest of
-    the others; none is less than `least`."""
+def depth_doublings(depth: np.ndarray, beyond: float) -> np.ndarray:
+    """log2 of depths, of which those from `beyond` on, and what is no number, lie one doubling
+    behind the farthest of the others; none is less than `LEAST_DEPTH`."""
     is_hit = depth < beyond
-    limited: np.ndarray = np.where(is_hit, np.maximum(depth, least),
-                                   2 * depth.max(initial=least, where=is_hit))
-    return limited
+    limited = np.where(is_hit, np.maximum(depth, LEAST_DEPTH),
+                       2 * depth.max(initial=LEAST_DEPTH, where=is_hit))
+    doublings: np.ndarray = np.log2(limited)
+    return doublings
 
 
 def band_of(planes: np.ndarray, narrow: int, wide: int) -> np.ndarray:
     """Mean over narrow x narrow cells less that over wide x wide ones, both odd; planes (rows,
-    columns, channels) to the same. Edges are repeated."""
-    band = np.empty(planes.shape)
-    _band_of(0, len(band), whole(planes, np.float64), np.array([narrow, wide]), band)
-    return band
+    columns, ...) to the same. Edges are repeated."""
+    flat = whole(planes.reshape(*planes.shape[:2], -1), np.float64)
+    band = np.empty(flat.shape)
+    _band_of(0, len(band), flat, np.array([narrow, wide]), band)
+    return band.reshape(planes.shape)
 
 
 def places_inside(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

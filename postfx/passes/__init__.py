@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from postfx.errors import FrameError, NotCompiledError, PassOptionError, suggest
-from postfx.frame import ROLES, Frame, FrameSpec, GuideSpec, Role
+from postfx.frame import ROLES, FrameSpec, GuideSpec, Role
 from postfx.planes import is_blank
 from postfx.runtime.memory import follow_torch
 
@@ -101,21 +101,6 @@ class ResidentFrame:
     blank: set[Role] = field(default_factory=set)
     history_only: bool = False
     is_away: bool = False
-
-    @classmethod
-    def of(
-        cls, frame: Frame, spec: FrameSpec, tensors: Mapping[Role, Tensor],
-        guides: Mapping[Role, Tensor],
-        parts: Mapping[str, Tensor], exposure_factor: float, unusable: bool
-    ) -> ResidentFrame:
-        """A frame on the host, of whose planes, guides and parts these lie on the device."""
-        return cls(
-            spec, dict(tensors), frame.number, frame.jitter, exposure_factor, frame.reset, unusable,
-            frame.samples,
-            frame.world_to_camera, frame.fov_x, frame.metadata, dict(guides), frame.guide_jitter,
-            host_planes={role: frame.planes[role] for role in tensors},
-            host_guides={role: frame.guides[role] for role in guides},
-            parts=dict(parts), host_parts={name: frame.parts[name] for name in parts})
 
     def __getitem__(self, role: Role) -> Tensor:
         """Tensor of a plane; FrameError when the frame does not hold it."""

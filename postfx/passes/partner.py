@@ -175,7 +175,7 @@ class MixPartner(Pass):
                          parts=parts, **unknown)
         self._frames = 0
         self._scale = max(self._number("scale", scale), 1.0)
-        is_picture = self._scale == 1 and not parts and gives_picture(model_of(model, UNSCALED))
+        is_picture = self._scale == 1 and gives_picture(model_of(model, UNSCALED))
         self._share = SHARE_BESIDE_A_PICTURE if is_picture else 1.0
         self._more = BACKWARD_FRAMES if both_ways else 0
         self._strength = self._number("strength", strength)

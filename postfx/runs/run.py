@@ -3,6 +3,7 @@ from."""
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -36,6 +37,9 @@ from postfx.runs.schedule import AUTO_PREROLL, EarlierRuns, Work, find_preroll, 
 from postfx.runtime import Device, Library
 from postfx.version import __version__
 
+_AT_ONCE = getattr(os, "O_NONBLOCK", 0)
+"""Refuses a pipe that nobody reads instead of waiting for a reader; 0 on Windows."""
+
 
 class Log:
     """Appends events to a file as lines of JSON; without a file it does nothing.
@@ -49,9 +53,12 @@ class Log:
         if path is not None:
             try:
                 Path(path).parent.mkdir(parents=True, exist_ok=True)
-                self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+                self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | _AT_ONCE, 0o644)
+                if _AT_ONCE:
+                    os.set_blocking(self._file, True)
             except OSError as error:
-                raise WriteError(f"{path}: cannot be written: {error.strerror}: give --log another "
+                reason = "nobody reads this pipe" if error.errno == errno.ENXIO else error.strerror
+                raise WriteError(f"{path}: cannot be written: {reason}: give --log another "
                                  "file") from error
 
     def __call__(self, event: str, **facts: Any) -> None:

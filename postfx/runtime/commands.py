@@ -36,7 +36,6 @@ from postfx.runtime.hazards import (
     with_barriers,
 )
 from postfx.runtime.heap import Placement
-from postfx.runtime.memory import Memory
 from postfx.runtime.session import first_line
 from postfx.runtime.states import State
 from postfx.runtime.tensor import Allocation, Tensor
@@ -89,6 +88,9 @@ class CommandBuffer:
         captured: whether an active capture records it.
         known: recordings that it may be one of, and is among after its first commit.
         records: dispatches and barriers in order.
+        used: the memory that they use.
+        timings: (label, milliseconds) of every encoder that ran, in order; complete after `wait`.
+            Where the commands ran as one CUDA graph, those of a group are one, 'GROUP/*'.
     """
 
     def __init__(self, device: CommandDevice, label: str, captured: bool = True,
@@ -98,7 +100,7 @@ class CommandBuffer:
         self._kept: set[Allocation] = set()
         self._placement: Placement | None = None
         self._footprint: Footprint | None = None
-        self._used = UsedMemory()
+        self.used = UsedMemory()
         self._groups: list[str] = []
         self._passages: list[Passage] = []
         self._encoder: Encoder | None = None
@@ -111,7 +113,7 @@ class CommandBuffer:
         self._handled: threading.Event | None = None  # of this commit, where there are handlers
         self._handling = 0  # the thread that runs them
         self._error: CommandError | None = None
-        self._timings: dict[int, tuple[str, float]] = {}
+        self.timings: list[tuple[str, float]] = []
         self._recorder: Recorder | None = None
         self._execution: Execution | None = None
         self._handlers: list[Callable[[CommandBuffer], None]] = []
@@ -127,12 +129,12 @@ class CommandBuffer:
         """
         if self._state == "committed":
             raise EncodingError(f"'{self.label}' cannot begin again: {_STATES['committed']}")
-        self._require_no_encoder("begin again")
+        self._require_no_encoder(self.label, "begin again")
         self._runs.clear()
         self.label = self.label if label is None else label
         self.records, self._kept, self._placement, self._footprint = [], set(), None, None
-        self._used = UsedMemory()
-        self._error, self._timings, self._handlers, self._passages = None, {}, [], []
+        self.used = UsedMemory()
+        self._error, self.timings, self._handlers, self._passages = None, [], [], []
         self._state = "open"
         self.device.hazards.open(self)
 
@@ -202,12 +204,12 @@ class CommandBuffer:
         if self.known is None:
             return record()
         self._require_open()
-        self._require_no_encoder("repeat commands")
+        self._require_no_encoder(self.label, "repeat commands")
         key = (*self._groups, *key)
         passage = self.known.passages.find(key)
         if passage is None:
             first, result = len(self.records), record()
-            self._end_run()
+            self._require_no_encoder(self.label, "keep commands")
             passage = Passage(self.records[first:], result)
             self.known.passages[key] = passage
         else:
@@ -242,12 +244,13 @@ class CommandBuffer:
         Raises HazardError, which discards the buffer; EncodingError if an encoder is still open or
         the buffer is in flight or discarded; DeviceError in a forked process.
         """
-        self._require_no_encoder("be committed")
+        self._require_no_encoder(self.label, "be committed")
         self.device.require_process()
         if self._state not in ("open", "done"):
             raise EncodingError(f"'{self.label}' cannot be committed: {_STATES[self._state]}")
-        self._close("discarded")
-        self._error, self._timings = None, {}
+        self._state = "discarded"
+        self.device.hazards.close(self)
+        self._error, self.timings = None, []
         self._done.clear()
         self._handled = threading.Event() if self._handlers else None
         with self.device.commit_lock:
@@ -255,7 +258,10 @@ class CommandBuffer:
             # before transient tensors get their memory, by the barriers between commands
             if not (self.device.hazards.explicit or self._footprint):
                 self.records = with_barriers(Accesses(self.records))
-            self._place()
+            placement = self.device.heap.arena.place(self.records, self._kept, self._placement,
+                                                     self.label)
+            if placement is not None and placement is not self._placement:
+                self.records, self._placement, self._footprint = placement.records, placement, None
             stands_apart = self.device.hazards.commit(self)
             if self.known and key:
                 self.known.keep(key, KnownCommands(self.records, self._placement, self.footprint(),
@@ -272,7 +278,8 @@ class CommandBuffer:
         if self._state == "open":
             if self._encoder is not None:
                 self._encoder.end()
-            self._close("discarded")
+            self._state = "discarded"
+            self.device.hazards.close(self)
 
     def wait(self, timeout: float | None = None) -> None:
         """Block until all commands are done and their handlers have run, or for `timeout` seconds
@@ -309,21 +316,11 @@ class CommandBuffer:
         """The dispatch that runs now; None when the buffer runs as one CUDA graph."""
         return None if self._execution is None else self._execution.running
 
-    @property
-    def timings(self) -> list[tuple[str, float]]:
-        """(label, milliseconds) of every encoder that ran, in order; complete after `wait`. Where
-        the commands ran as one CUDA graph, those of a group are one, 'GROUP/*'."""
-        return list(self._timings.values())
-
     def footprint(self) -> Footprint:
         """The memory that the recorded commands access; computed at the first commit."""
         if self._footprint is None:
             self._footprint = Footprint(self.records)
         return self._footprint
-
-    def uses(self, tensor: Tensor) -> bool:
-        """Whether a command that is recorded reads or writes a byte of a tensor."""
-        return self._used.touches(self.records, tensor)
 
     def record(self, record: Record) -> None:
         """Append a command; encoders call this. Raises EncodingError after commit."""
@@ -336,10 +333,7 @@ class CommandBuffer:
 
     def _start(self, encoder: E) -> E:
         self._require_open()
-        self._end_run()
-        if self._encoder is not None:
-            raise EncodingError(f"'{encoder.label}' cannot begin: encoder '{self._encoder.label}' "
-                                "is still open")
+        self._require_no_encoder(encoder.label, "begin")
         self._encoder = encoder
         return encoder
 
@@ -348,21 +342,14 @@ class CommandBuffer:
             raise EncodingError(f"nothing can be recorded into '{self.label}': "
                                 f"{_STATES[self._state]}")
 
-    def _end_run(self) -> None:
-        """End the encoder of the last `run`."""
+    def _require_no_encoder(self, label: str, what: str) -> None:
+        """End the encoder of the last `run`; EncodingError where the user's own is open."""
         if self._running is not None:
             self._running.end()
             self._running = None
-
-    def _require_no_encoder(self, what: str) -> None:
-        self._end_run()
         if self._encoder is not None:
-            raise EncodingError(f"'{self.label}' cannot {what}: encoder '{self._encoder.label}' is "
+            raise EncodingError(f"'{label}' cannot {what}: encoder '{self._encoder.label}' is "
                                 "still open: end it")
-
-    def _close(self, state: str) -> None:
-        self._state = state
-        self.device.hazards.close(self)
 
     def _recognise(self) -> tuple[object, ...] | None:
         """Take the placement and the accesses of the same commands, if they are known; else the key
@@ -378,12 +365,6 @@ class CommandBuffer:
         self.records, self._placement, self._footprint, _ = again
         return None
 
-    def _place(self) -> None:
-        placement = self.device.heap.arena.place(self.records, self._kept, self._placement,
-                                                 self.label)
-        if placement is not None and placement is not self._placement:
-            self.records, self._placement, self._footprint = placement.records, placement, None
-
     def _full(self, label: str) -> str:
         return "/".join([*self._groups, label])
 
@@ -391,7 +372,7 @@ class CommandBuffer:
         execution = self._execution = Execution(self.device, self.label, self.footprint(),
                                                 self._recorder)
         execution.run()
-        self._error, self._timings = execution.error, execution.timings
+        self._error, self.timings = execution.error, execution.timings
         self._execution = None
         if self._recorder is not None:
             self._recorder.finish()
@@ -422,14 +403,14 @@ class Execution:
     Attributes:
         running: the dispatch that runs now; None when none does, or when all run as one CUDA graph.
         error: the error of the first dispatch that failed.
-        timings: encoder -> its label and milliseconds.
+        timings: label and milliseconds of every encoder.
     """
 
     def __init__(self, device: CommandDevice, label: str, footprint: Footprint,
                  recorder: Recorder | None = None) -> None:
         self.running: Dispatch | None = None
         self.error: CommandError | None = None
-        self.timings: dict[int, tuple[str, float]] = {}
+        self.timings: list[tuple[str, float]] = []
         self._device, self._memory, self._hazards = device, device.memory, device.hazards
         self._label, self._footprint, self._dispatches = label, footprint, footprint.dispatches
         self._recorder = recorder
@@ -445,7 +426,11 @@ class Execution:
                           and runs_side_by_side(self._device))
                 spans = self._side_by_side() if beside else self._one_by_one()
             self._memory.synchronise()
-            self.timings = _timings(self._memory, spans)
+            timings: dict[int, tuple[str, float]] = {}
+            for encoder, label, begin, end in spans:
+                before = timings.get(encoder, (label, 0.0))[1]
+                timings[encoder] = label, before + self._memory.milliseconds(begin, end)
+            self.timings = list(timings.values())
         except BaseException as error:  # work that a GPU has only started may fail later
             self.error = self.error or CommandError(f"'{self._label}' failed: {first_line(error)}",
                                                     self._label)
@@ -617,12 +602,3 @@ def _threads(dispatch: Dispatch) -> int:
 def _stream(dispatch: Dispatch) -> int:
     """A GPU's stream of its own, 0 for the device's."""
     return dispatch.state.stream if dispatch.state else 0
-
-
-def _timings(memory: Memory, spans: Sequence[Span]) -> dict[int, tuple[str, float]]:
-    """Label and milliseconds of every encoder."""
-    timings: dict[int, tuple[str, float]] = {}
-    for span in spans:
-        before = timings.get(span.encoder, (span.label, 0.0))[1]
-        timings[span.encoder] = span.label, before + memory.milliseconds(span.begin, span.end)
-    return timings

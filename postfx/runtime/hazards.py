@@ -26,7 +26,15 @@ from postfx.runtime.encoders import (
     Record,
 )
 from postfx.runtime.memory import Ranges
-from postfx.runtime.tensor import Allocation, Tensor, TensorState, Transient, Use
+from postfx.runtime.tensor import (
+    Allocation,
+    Tensor,
+    TensorState,
+    Transient,
+    Use,
+    refuse_host_read,
+    refuse_host_write,
+)
 from postfx.runtime.threads import Waitable
 
 
@@ -34,10 +42,9 @@ class RecordedCommands(Waitable, Protocol):
     """What hazard checks need of a command buffer."""
 
     records: list[Record]
+    used: UsedMemory
 
     def footprint(self) -> Footprint: ...
-
-    def uses(self, tensor: Tensor) -> bool: ...
 
 
 class Hazards:
@@ -128,23 +135,29 @@ class Hazards:
                        and resident.allocation.written.includes(needed))
             return TensorState(tensor.released, defined, writer, reader, recorded, failed, lost)
 
-    def is_settled(self, tensor: Tensor) -> bool:
-        """Whether nothing is in flight and the host may read the tensor; if not, `state` tells."""
+    def check_host_read(self, tensor: Tensor) -> None:
+        """HazardError where the host may not read the tensor now. What nobody uses is told by a
+        look; else `state` tells more."""
         with self._lock:
             own, allocation = tensor.allocation, tensor.resident().allocation
             gone = (own.released
                     or (isinstance(own, Transient) and tensor.device.heap.explain_loss(own)))
-            return (not (gone or self._flying or allocation.lost)
-                    and allocation.written.covers(*tensor.span))
+            is_settled = (not (gone or self._flying or allocation.lost)
+                          and allocation.written.covers(*tensor.span))
+        if not is_settled:
+            refuse_host_read(tensor.name, self.state(tensor))
 
-    def is_free(self, tensor: Tensor) -> bool:
-        """Whether nothing is in flight or recorded that uses the tensor, so that the host may write
-        it; if not, `state` tells."""
+    def check_host_write(self, tensor: Tensor) -> None:
+        """HazardError where the host may not write the tensor now, BindingError where it never may;
+        likewise."""
         with self._lock:
             allocation = tensor.allocation
-            if self._flying or allocation.released or allocation.transient:
-                return False
-            return not any([commands.uses(tensor) for commands in self._open])
+            is_free = (not (self._flying or allocation.released or allocation.transient)
+                       and allocation.writable
+                       and not any([commands.used.touches(commands.records, tensor)
+                                    for commands in self._open]))
+        if not is_free:
+            refuse_host_write(tensor, self.state(tensor))
 
     def mark_written(self, tensor: Tensor) -> None:
         """Note that the tensor's content is now defined."""
@@ -252,23 +265,19 @@ class UsedMemory:
         new = {(other.start, other.end)
                for record in records[self._count:] if isinstance(record, Dispatch)
                for tensors in (record.reads, record.writes) for other in tensors}
+        # Each new range is merged with all that it touches: so they stay apart and sorted.
         for start, end in new - self._known:
-            self._add(start, end)
+            if start == end:
+                continue
+            first, last = bisect_left(self._ends, start), bisect_right(self._starts, end)
+            if first < last:
+                start, end = min(start, self._starts[first]), max(end, self._ends[last - 1])
+            self._starts[first:last], self._ends[first:last] = [start], [end]
         self._known |= new
         self._count = len(records)
         after = bisect_right(self._ends, tensor.start)
         return (tensor.start < tensor.end and after < len(self._starts)
                 and self._starts[after] < tensor.end)
-
-    def _add(self, start: int, end: int) -> None:
-        """Include [start, end), merged with all that it touches: the ranges stay apart and
-        sorted."""
-        if start == end:
-            return
-        first, last = bisect_left(self._ends, start), bisect_right(self._starts, end)
-        if first < last:
-            start, end = min(start, self._starts[first]), max(end, self._ends[last - 1])
-        self._starts[first:last], self._ends[first:last] = [start], [end]
 
 
 class Need(NamedTuple):

@@ -12,7 +12,7 @@ import itertools
 import threading
 import weakref
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -218,8 +218,9 @@ class Arena:
     def __init__(self, device: TensorDevice) -> None:
         self._device = device
         self._plans: LRUCache[tuple[object, ...], Plan] = LRUCache(MOST_CACHED_PLANS)
-        self._memory: weakref.ref[Tensor] | None = None
-        self._replaced: weakref.ref[Tensor] | None = None
+        # References, to the memory now and to that before.
+        self._memory: Callable[[], Tensor | None] = _no_memory
+        self._replaced: Callable[[], Tensor | None] | None = None
         self._live: weakref.WeakSet[Transient] = weakref.WeakSet()
         self._live_lock = threading.Lock()
         self._count = 0
@@ -253,7 +254,7 @@ class Arena:
         if not any(isinstance(item, Dispatch) and item.arguments and item.arguments.transients
                    for item in records):
             return None
-        if before is None or before.memory is not self._get_memory():
+        if before is None or before.memory is not self._memory():
             before = self._new(records, kept)
         self._label, self.plan = label, before.plan
         if self._last and self._last() is before:  # all are where they were
@@ -310,7 +311,7 @@ class Arena:
 
     def _present(self, transients: Iterable[Transient]) -> Present | None:
         """Where the tensors are now, so that as few addresses as possible change."""
-        memory = self._get_memory()
+        memory = self._memory()
         if memory is None:
             return None
         places = (item.place for item in transients)
@@ -320,18 +321,20 @@ class Arena:
     def _memory_for(self, plan: Plan) -> Tensor:
         """The current memory; new memory if the plan needs more, or if all live tensors need
         less."""
-        memory, count = self._get_memory(), len(self._live)
+        memory, count = self._memory(), len(self._live)
         if memory is None or memory.nbytes < plan.nbytes or self._count != count:
             with self._live_lock:
                 needed = max(item.needs for item in self._live)
             if memory is None or memory.nbytes != needed:
-                self._replaced = self._memory
+                self._replaced = None if self._memory is _no_memory else self._memory
                 memory = self._device.heap.tensor("arena", (needed,), "uint8")
         self._memory, self._count = weakref.ref(memory), count
         return memory
 
-    def _get_memory(self) -> Tensor | None:
-        return None if self._memory is None else self._memory()
+
+def _no_memory() -> Tensor | None:
+    """In place of a reference, before the first buffer."""
+    return None
 
 
 def _uses(records: Iterable[Record]) -> tuple[Uses, list[Transient]]:

@@ -75,7 +75,7 @@ class TensorState:
         return f"{self.kind} by {user}" if user and not self.released else self.kind
 
 
-def check_host_read(name: str, state: TensorState) -> None:
+def refuse_host_read(name: str, state: TensorState) -> None:
     """Raises HazardError if the tensor was released, a command in flight writes it, or it has no
     data."""
     _check_alive(name, state)
@@ -94,9 +94,15 @@ def check_host_read(name: str, state: TensorState) -> None:
         raise HazardError(message, "read before write", name, None, "host")
 
 
-def check_host_write(name: str, state: TensorState) -> None:
-    """Raises HazardError if the tensor was released, or a recorded command or one in flight uses
-    it."""
+def refuse_host_write(tensor: Tensor, state: TensorState) -> None:
+    """Raises BindingError if only commands may write the tensor, or nothing may; HazardError if it
+    was released, or a recorded command or one in flight uses it."""
+    name = tensor.name
+    if tensor.allocation.transient:
+        raise BindingError(f"tensor '{name}' is transient, so only commands write it: use "
+                           "heap.tensor for one that the host writes")
+    if not tensor.allocation.writable:
+        raise BindingError(f"tensor '{name}' wraps a read-only array: it cannot be written")
     _check_alive(name, state)
     if state.writer:
         raise _in_use(name, "writes", state.writer, "writes")
@@ -144,9 +150,9 @@ class ContentStates(Protocol):
 
     def state(self, tensor: Tensor) -> TensorState: ...
 
-    def is_settled(self, tensor: Tensor) -> bool: ...
+    def check_host_read(self, tensor: Tensor) -> None: ...
 
-    def is_free(self, tensor: Tensor) -> bool: ...
+    def check_host_write(self, tensor: Tensor) -> None: ...
 
     def mark_written(self, tensor: Tensor) -> None: ...
 
@@ -203,6 +209,7 @@ class Allocation:
         lost: bytes among them that a command failed to write, with its error; usually empty.
         transient: whether it holds data within one command buffer only, see `Heap.transient`.
         place: the memory of a `Transient` in the last buffer that used it.
+        borrowed: whether the memory is another owner's, such as a wrapped array.
     """
 
     def __init__(
@@ -215,20 +222,17 @@ class Allocation:
         self.owner = owner
         self.writable = writable
         self.transient = transient
+        self.borrowed = not transient
         self.place: Allocation | None = None
         self.released = False
         self.written = Ranges()
         self.lost: list[tuple[Ranges, CommandError]] = []
         self._finalizer: weakref.finalize[..., Allocation] | None = None
 
-    @property
-    def borrowed(self) -> bool:
-        """Whether the memory is another owner's, such as a wrapped array."""
-        return self._finalizer is None and not self.transient
-
     def on_release(self, action: Callable[..., None], *args: Any) -> None:
         """Call `action(*args)` once: on release, or when nothing refers to the allocation any
         more."""
+        self.borrowed = False
         self._finalizer = weakref.finalize(self, action, *args)
         self._finalizer.atexit = False
 
@@ -322,7 +326,7 @@ class Tensor:
         writes it, if nothing has written it, or if it is transient and another tensor has its
         memory now.
         """
-        self._check_host_read()
+        self.device.hazards.check_host_read(self)
         view = self.resident().host_view().view()
         view.flags.writeable = False
         return view
@@ -335,7 +339,7 @@ class Tensor:
                                         np.dtype[Any]], np.ndarray] = np.empty) -> np.ndarray:
         """A NumPy copy of the content, on memory that `empty` gives. Raises HazardError as `array`
         does."""
-        self._check_host_read()
+        self.device.hazards.check_host_read(self)
         scratch, here = self.device.scratch, self.resident()
         if not self.contiguous:
             return here.host_view().copy("C")
@@ -365,7 +369,7 @@ class Tensor:
         if source.shape != self.shape or not (fits or np.can_cast(source.dtype, kind, "same_kind")):
             raise BindingError(f"upload of {source.shape} {source.dtype} to '{self.name}': the "
                                f"tensor is {self.shape} {self.dtype}")
-        self._check_host_write()
+        self.device.hazards.check_host_write(self)
         given = fits and source.flags.c_contiguous
         contiguous = source if given else np.ascontiguousarray(source, kind).reshape(self.shape)
         if not self.contiguous:
@@ -387,7 +391,7 @@ class Tensor:
         if scratch is None or not self.shape:
             self.upload(np.broadcast_to(np.asarray(value, element_type(self.dtype)), self.shape))
             return
-        self._check_host_write()
+        self.device.hazards.check_host_write(self)
         chunk = self.allocation.owner
         if value or not (isinstance(chunk, MappedChunk) and chunk.clear(self.start, self.nbytes)):
             for first, last in scratch.pieces(self.shape[0], self.nbytes // max(1, self.shape[0])):
@@ -410,7 +414,7 @@ class Tensor:
             or not self.contiguous):
             raise BufferError(f"tensor '{self.name}' is shared where and as it lies: use "
                               "download() for a copy")
-        self._check_host_read()
+        self.device.hazards.check_host_read(self)
         here = self.resident()
         return lend(here.start, self.shape, self.dtype, self.device.memory.place, here)
 
@@ -419,7 +423,7 @@ class Tensor:
         """The same for libraries that know CUDA's arrays; AttributeError in other memory."""
         if self.device.memory.place[0] != CUDA:
             raise AttributeError(f"tensor '{self.name}' is not in CUDA's memory")
-        self._check_host_read()
+        self.device.hazards.check_host_read(self)
         return {"shape": self.shape, "typestr": element_type(self.dtype).str, "strides": None,
                 "version": 3,
                 "data": (self.resident().start, not self.allocation.writable), "stream": None}
@@ -494,18 +498,3 @@ class Tensor:
             self._host = view_at(self.start, self.shape, element_type(self.dtype),
                                  self.allocation.owner)
         return self._host
-
-    def _check_host_read(self) -> None:
-        if not self.device.hazards.is_settled(self):
-            check_host_read(self.name, self.state)
-
-    def _check_host_write(self) -> None:
-        if self.allocation.transient:
-            fix = "use heap.tensor for one that the host writes"
-            raise BindingError(f"tensor '{self.name}' is transient, so only commands write it: "
-                               f"{fix}")
-        if not self.allocation.writable:
-            raise BindingError(f"tensor '{self.name}' wraps a read-only array: it cannot be "
-                               "written")
-        if not self.device.hazards.is_free(self):
-            check_host_write(self.name, self.state)

@@ -14,24 +14,26 @@ RUN = ("run", "in/shot.####.exr", "-o", "out/", "--overwrite", "--device", "cpu"
 
 
 @pytest.mark.parametrize(("options", "network"), (
-    ((), "xl"), (("--scale", "1"), "xl"), (("--denoise-only",), "xl"), (("--scale", "2"), "m"),
+    ((), "xl"), (("--scale", "1"), "xl"), (("--denoise-only",), "xl"),
+    (("--scale", "2"), "xl in two stages"), (("--size", "72x48"), "xl in two stages"),
     (("--budget", "5000"), "m"), (("--memory", "2G"), "m"), (("--model", "s"), "s"),
     (("--preset", "preview"), "s"),
 ))
-def test_a_run_takes_the_best_network_at_the_renders_size(postfx, shot, tmp_path, options, network):
+def test_a_run_takes_the_best_network(postfx, shot, tmp_path, options, network):
     shot(1)
     done = postfx(*RUN, *options)
     assert done.code == 0
     found = (tmp_path / "out" / "postfx.manifest.json").read_text()
-    assert f"denoise_upscale.{network}" in found
+    tag = network.split()[0]
+    assert f"denoise_upscale.{tag}" in found
     told = done.err.split("chose    denoise_upscale: ")[1].splitlines()[0]
     if "--budget" not in options:  # a budget begins with the fastest network
         assert told == f"{network} for 1 frame"
-    assert f"; network {network}" in postfx(*RUN, *options, "--explain").out
+    assert f"; network {tag}" in postfx(*RUN, *options, "--explain").out
 
 
 @pytest.mark.parametrize(("options", "said"), (
-    (("--model", "xl", "--scale", "2"), "network xl at the render's size first, then "
+    (("--scale", "2"), "network xl at the render's size first, then "
      f"{ENLARGING} enlarges; l alone where frames have jitter"),
     (("--model", "m.fp32"), "network m.fp32"),
     (("--budget", "5000"), "network m, or a faster one to keep the budget"),
@@ -63,15 +65,21 @@ def on_a_gpu(free: int | None) -> SimpleNamespace:
     return SimpleNamespace(memory=SimpleNamespace(host_visible=False), gpu=gpu)
 
 
-def test_a_gpu_takes_it_where_its_free_memory_is_enough():
-    size, each = (1920, 1080), models.RENDER_SIZE_GPU_PIXEL_BYTES
+@pytest.mark.parametrize("scale", (1, 2))
+def test_a_gpu_takes_it_where_its_free_memory_is_enough(scale):
+    size = 1920, 1080
+    each = models.GPU_PIXEL_BYTES + (scale - 1) * models.ENLARGING_PIXEL_BYTES
     enough = each * size[0] * size[1]
-    assert models.usual_network(size, True, on_a_gpu(enough)) == "xl"
-    assert models.usual_network(size, True, on_a_gpu(enough - 1)) == "m"
-    assert models.usual_network(size, False, on_a_gpu(enough)) == "m"
-    assert models.usual_network(size, True, on_a_gpu(None)) == "m"
-    assert models.lacks_memory(size, on_a_gpu(1 << 30)).startswith(
+    assert models.usual_network(size, scale, on_a_gpu(enough)) == "xl"
+    assert models.usual_network(size, scale, on_a_gpu(enough - 1)) == "m"
+    assert models.usual_network(size, scale, on_a_gpu(None)) == "m"
+    assert models.lacks_memory(size, scale, on_a_gpu(1 << 30)).startswith(
         f"frames of 1920x1080 take {enough >> 30} GB, this GPU has 1 GB free: m runs; ")
+
+
+def test_larger_frames_with_guides_take_the_network_that_reads_them():
+    size, device = (64, 48), on_a_gpu(1 << 40)
+    assert [models.usual_network(size, scale, device, True) for scale in (1, 2)] == ["xl", "m"]
 
 
 def test_a_still_takes_the_same():
@@ -79,7 +87,7 @@ def test_a_still_takes_the_same():
     chosen = [postfx.denoise(color, model=model) for model in (None, "xl", "m")]
     np.testing.assert_array_equal(chosen[0], chosen[1])
     assert np.abs(chosen[0] - chosen[2]).max() > 1e-3
-    enlarged = [postfx.denoise(color, model=model, scale=2) for model in (None, "m")]
+    enlarged = [postfx.denoise(color, model=model, scale=2) for model in (None, "xl")]
     np.testing.assert_array_equal(*enlarged)
 
 

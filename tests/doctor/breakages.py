@@ -81,7 +81,9 @@ def base_colour_of_metal(frames: Frames) -> Frames | None:
 def camera_space(pixels: np.ndarray, frame: Frame) -> np.ndarray:
     if frame.world_to_camera is not None:
         return pixels @ frame.world_to_camera[:3, :3]
-    return pixels @ fit_rotation(frame).matrix.T
+    fit = fit_rotation(frame)
+    assert fit is not None, "normals and depth tell how the camera is turned"
+    return pixels @ fit.matrix.T
 
 
 def hits(change: Change, miss: float = DEPTH_MISS) -> Change:
@@ -110,8 +112,8 @@ def misses_at(value: float) -> Callable[[Frames], Frames | None]:
 
 
 def per_image(part: float, offset: float = 0.0) -> Change:
-    return (lambda pixels, frame: pixels * part / np.float32((frame.spec.width, frame.spec.height))
-            + offset)
+    return (lambda pixels, frame: pixels * part
+            / np.array((frame.spec.width, frame.spec.height), np.float32) + offset)
 
 
 def jittered_motion(frames: Frames) -> Frames | None:
@@ -177,14 +179,13 @@ def fixed_seed(frames: Frames) -> Frames:
 
 
 def transposed(frames: Frames) -> Frames | None:
-    if frames[0].world_to_camera is None:
-        return None
-    return [replace(frame, world_to_camera=frame.world_to_camera.T) for frame in frames]
+    return [replace(frame, world_to_camera=frame.world_to_camera.T) for frame in frames
+            if frame.world_to_camera is not None] or None
 
 
 def other_fov(frames: Frames) -> Frames | None:
-    return None if frames[0].fov_x is None else [replace(frame, fov_x=frame.fov_x / 2)
-                                                 for frame in frames]
+    return [replace(frame, fov_x=frame.fov_x / 2) for frame in frames
+            if frame.fov_x is not None] or None
 
 
 def reset_everywhere(frames: Frames) -> Frames:
@@ -216,7 +217,7 @@ def holes(pixels: np.ndarray, frame: Frame) -> np.ndarray:
 
 
 def times(factor: float | list[float]) -> Change:
-    return lambda pixels, frame: pixels * np.float32(factor)
+    return lambda pixels, frame: pixels * np.asarray(factor, np.float32)
 
 
 def swapped_frames(role: Role, step: int = 1) -> Callable[[Frames], Frames | None]:
@@ -279,7 +280,7 @@ def one_value(value: float) -> Change:
 
 
 def facing(pixels: np.ndarray, frame: Frame) -> np.ndarray:
-    return np.broadcast_to(np.float32((0, 0, 1)), pixels.shape)
+    return np.broadcast_to(np.array((0, 0, 1), np.float32), pixels.shape)
 
 
 def partly_camera_space(pixels: np.ndarray, frame: Frame) -> np.ndarray:
@@ -335,10 +336,8 @@ def flashes(pixels: np.ndarray, frame: Frame) -> np.ndarray:
 
 
 def exposure_jumps(frames: Frames) -> Frames | None:
-    if frames[0].exposure is None:
-        return None
     return [replace(frame, exposure=frame.exposure + (2 if frame.number > 2 else 0))
-            for frame in frames]
+            for frame in frames if frame.exposure is not None] or None
 
 
 def straight_alpha(frames: Frames) -> Frames:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -41,7 +42,7 @@ def picture(width: int = WIDTH, height: int = HEIGHT, seed: int = 0) -> dict[str
 
 
 def write_mixed(path: Path, compression: str = "ZIP", tiled: bool = False,
-                size: tuple[int, int] = (WIDTH, HEIGHT), **header) -> Path:
+                size: tuple[int, int] = (WIDTH, HEIGHT), **header: Any) -> Path:
     """One part: a picture, and beside it halves, floats and whole numbers of any bits, with a
     Cryptomatte's header."""
     lossy = compression in ("PXR24", "B44", "B44A", "DWAA", "DWAB")
@@ -72,6 +73,7 @@ def write_deep(path: Path) -> Path:
         for sample in range(pixel % 4):
             deep.set_deep_value(pixel, 1, sample, pixel + sample / 8)
     output = oiio.ImageOutput.create(str(path))
+    assert output is not None, oiio.geterror()
     assert output.open(str(path), spec) and output.write_deep_image(deep) and output.close()
     return path
 
@@ -81,6 +83,7 @@ def write_mipmapped(path: Path) -> Path:
     levels = [oiio.ImageBuf(np.full((64 >> level, 64 >> level, 1), level, np.float32))
               for level in range(7)]
     output, spec = oiio.ImageOutput.create(str(path)), oiio.ImageSpec(64, 64, 1, "half")
+    assert output is not None, oiio.geterror()
     spec.tile_width = spec.tile_height = 16
     spec.channelnames = ("mip.Y",)
     spec.attribute("DateTime", DATE)
@@ -139,5 +142,6 @@ def chunk_hashes(path: Path) -> dict[str, str]:
 def headers_of(path: Path) -> dict[str, dict[str, tuple[str, bytes]]]:
     """Part -> attribute -> its type and bytes."""
     with ExrContainer(path) as file:
-        return {header.name: {name: tuple(value) for name, value in header.attributes.items()}
+        return {header.name: {name: (kind, value)
+                              for name, (kind, value) in header.attributes.items()}
                 for header in file.headers}

@@ -235,3 +235,79 @@ def test_of_two_layers_with_colours_none_is_guessed(write_exr) -> None:
     names = [f"{layer}.{letter}" for layer in ("one", "two") for letter in "RGB"]
     with pytest.raises(MissingPlaneError, match=r"no AOV 'colour'.*--layer NAME"):
         read(write_exr("a.exr", flat(names, *range(6))))
+
+
+NINES = flat("RGBA", 9, 9, 9, 9)
+PICTURES = {
+    "of two cameras": ({"camA": RGBA, "camB": NINES}, "camA", "camB"),
+    "with a word after a dot": ({"rgba.camA": RGBA, "rgba.camB": NINES}, "rgba.camA", "rgba.camB"),
+    "numbered": ({"rgba1": RGBA, "rgba2": NINES}, "rgba1", "rgba2"),
+    "one numbered": ({"beauty": RGBA, "beauty 2": NINES}, "beauty", "beauty 2"),
+    "by two words": ({"beauty": RGBA, "rgba": NINES}, "beauty", "rgba"),
+    "of which one is a normal": ({"x": RGBA, "N": flat("RGB", 0, 0, 1), "y": NINES}, "x", "y"),
+    "in layers": ({"all": flat([f"rgba.{name}" for name in "RGBA"], *GREY)
+                          | flat([f"beauty.{name}" for name in "RGBA"], 9, 9, 9, 9)},
+                  "rgba", "beauty"),
+    "in a layer and none": ({"all": RGBA | flat([f"beauty.{name}" for name in "RGBA"], 9, 9, 9, 9)},
+                            "R,G,B", "beauty"),
+}
+
+
+@pytest.mark.parametrize("kind", PICTURES)
+def test_which_of_several_pictures_is_read_is_told_and_another_can_be_chosen(write_parts,
+                                                                             kind: str) -> None:
+    parts, chosen, other = PICTURES[kind]
+    path = write_parts("a.exr", parts)
+    sequence = read_sequence(path)
+    (frame,) = sequence
+    assert means(frame).items() >= WITH_ALPHA.items()
+    assert sequence.warnings == [f"of several pictures {chosen} is read, not {other}: --layer NAME "
+                                 "chooses"]
+    named = read_sequence(path, layer=other)
+    (frame,) = named
+    assert means(frame).items() >= {"colour": [9] * 3, "alpha": [9]}.items()
+    assert not named.warnings
+
+
+def test_aovs_beside_another_picture_are_not_of_the_one_that_is_read(write_parts) -> None:
+    parts = {"camA": RGBA, "camB": NINES | flat("Z", 5), "Z": flat("Z", 4)}
+    sequence = read_sequence(write_parts("a.exr", parts))
+    assert means(next(iter(sequence))) == WITH_ALPHA | {"depth": [4]}
+    del parts["Z"]
+    sequence = read_sequence(write_parts("b.exr", parts))
+    assert means(next(iter(sequence))) == WITH_ALPHA
+    assert sequence.warnings[0].endswith("not camB: --layer NAME chooses; depth beside these is "
+                                         "not read")
+    assert means(read(write_parts("b.exr", parts), layer="camB"))["depth"] == [5]
+
+
+ONE_PICTURE = {
+    "light groups of Arnold": {"RGBA": RGBA, "RGBA_key": NINES, "diffuse": NINES},
+    "a picture by its name": {"other": NINES, "beauty": RGBA},
+    "planes in R, G and B": {"main": RGBA, "N": flat("RGB", 0, 0, 1), "albedo": NINES},
+}
+
+
+@pytest.mark.parametrize("kind", ONE_PICTURE)
+def test_parts_that_are_no_other_picture_are_not_told(write_parts, kind: str) -> None:
+    sequence = read_sequence(write_parts("a.exr", ONE_PICTURE[kind]))
+    (frame,) = sequence
+    assert means(frame).items() >= WITH_ALPHA.items() and not sequence.warnings
+
+
+def test_light_groups_that_are_named_are_no_other_pictures(write_parts) -> None:
+    parts = {"all": RGBA, "key": flat("RGB", 0.1, 0.1, 0.1), "fill": flat("RGB", 0, 0.1, 0.2)}
+    path = write_parts("a.exr", parts)
+    sequence = read_sequence(path, aov="key,fill")
+    next(iter(sequence))
+    assert not any("several pictures" in warning for warning in sequence.warnings)
+    sequence = read_sequence(path)
+    next(iter(sequence))
+    assert "all is read, not key, fill" in sequence.warnings[0]
+
+
+def test_the_picture_of_the_first_frame_is_that_of_all(write_parts) -> None:
+    write_parts("s.0001.exr", {"camA": RGBA, "camB": NINES | flat("Z", 5)})
+    path = write_parts("s.0002.exr", {"camB": NINES | flat("Z", 5), "camA": RGBA})
+    for frame in read_sequence(path.with_name("s.####.exr"), frames="1-2"):
+        assert means(frame) == WITH_ALPHA

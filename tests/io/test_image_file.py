@@ -214,8 +214,8 @@ def test_bytes_that_were_predicted_come_back(count):
                   np.arange(count) % 2 * 65535):
         words = words.astype(np.uint16)
         differences, found = np.empty(2 * count, np.uint8), np.empty(count, np.uint16)
-        predict_bytes(words.view(np.uint8), differences)
-        unpredict_bytes(differences, found)
+        predict_bytes(0, 1, words.view(np.uint8), differences)
+        unpredict_bytes(0, 1, differences, found)
         np.testing.assert_array_equal(found, words)
 
 
@@ -228,10 +228,10 @@ def test_channels_of_all_kinds_are_put_side_by_side(count):
     words = np.concatenate([halves.view(np.uint16), floats.view(np.uint16)], axis=1)
     places, columns = [(1, 0), (2, halves.shape[1]), (1, 0),
                        (2, halves.shape[1])][:count], [halves, floats] * 2
-    bits = np.empty((*halves.shape, count), np.uint32)
-    widen_rows(words, np.array(places), bits)
+    bits = np.empty((*halves.shape, count), np.float32)
+    widen_rows(0, len(words), words, np.array(places), bits)
     wanted = np.stack(columns[:count], axis=-1).astype(np.float32)
-    np.testing.assert_array_equal(bits.view(np.float32), wanted)
+    np.testing.assert_array_equal(bits, wanted)
 
 
 @pytest.mark.parametrize("columns", [1, 7, 4096])
@@ -246,7 +246,7 @@ def test_chunks_are_streams_that_zlib_reads_or_the_rows_themselves(columns, kind
         assert stored == lines.tobytes()
     else:
         differences = np.empty(lines.size, np.uint8)
-        predict_bytes(lines.reshape(-1), differences)
+        predict_bytes(0, 1, lines.reshape(-1), differences)
         assert len(stored) < lines.size and zlib.decompress(stored) == differences.tobytes()
     words = np.empty(lines.size // 2, np.uint16)
     assert decompress_rows(stored, words)

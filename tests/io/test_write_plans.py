@@ -16,7 +16,7 @@ import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
-from postfx.caching import Kept
+from postfx.caching import LRUCache
 from postfx.frame import Frame
 from postfx.io import light_plan
 from postfx.io.exr import keep_plan, picture
@@ -62,8 +62,8 @@ def write_source(path: Path, number: int, parts: int) -> Path:
 
 
 def take_plans_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(light_plan, "_LIGHT_PLANS", Kept(8))
-    monkeypatch.setattr(keep_plan, "_KEEP_PLANS", Kept(8))
+    monkeypatch.setattr(light_plan, "_LIGHT_PLANS", LRUCache(8))
+    monkeypatch.setattr(keep_plan, "_KEEP_PLANS", LRUCache(8))
 
 
 @pytest.fixture

@@ -111,6 +111,7 @@ static float memory[1 << 16];
 static int shared_bytes;
 static int shared_floats() { return shared_bytes / 4; }
 static float all_left[8][16][8], all_right[8][8][8];
+static long products;  // of warps that multiplied
 
 static float shortened(unsigned bits) {
     float value;
@@ -133,6 +134,23 @@ static void __syncwarp(unsigned lanes = ~0u) {
     if (blockDim.x > 1) meet(lanes);
 }
 
+// Lanes of a warp that come here, of those that have not ended: a GPU may tell of fewer.
+static unsigned come[32];
+
+static unsigned __activemask() {
+    if (blockDim.x == 1) return 1;
+    const int warp = own_number() / 32, last = min(32 * warp + 32, blockDim.x * blockDim.y);
+    come[warp] |= 1u << threadIdx.x % 32;
+    for (int k = 32 * warp; k < last; k++) {
+        while (!ended[k] && !(come[warp] >> k % 32 & 1)) give_way();
+    }
+    const unsigned found = come[warp];
+    meet(found);
+    come[warp] = 0;
+    meet(found);
+    return found;
+}
+
 template <class T> static T atomicMin(T* at, T other) {
     const T before = *at;
     *at = min(before, other);
@@ -144,6 +162,8 @@ template <class T> static T atomicAdd(T* at, T more) {
     *at += more;
     return before;
 }
+
+extern "C" long count_products() { return products; }
 
 // What another lane holds; its own where that is none of its group of `width`.
 static char exchanged[32][32][8];
@@ -174,6 +194,7 @@ static void add_product(float (&sums)[4], const unsigned (&left)[4], const unsig
     const int warp = own_number() / 32, lane = threadIdx.x % 32, g = lane / 4, q = lane % 4;
     for (int k = 0; k < 4; k++) all_left[warp][g + k % 2 * 8][q + k / 2 * 4] = shortened(left[k]);
     for (int k = 0; k < 2; k++) all_right[warp][q + k * 4][g] = shortened(right[k]);
+    products += lane == 0;
     meet();
     for (int k = 0; k < 4; k++) {
         double total = sums[k];
@@ -184,6 +205,16 @@ static void add_product(float (&sums)[4], const unsigned (&left)[4], const unsig
     }
     meet();
 }
+
+// What common.cuh has of single instructions.
+static inline float from_half(unsigned short bits) { return __builtin_bit_cast(_Float16, bits); }
+static inline unsigned short to_half(float value) {
+    return __builtin_bit_cast(unsigned short, _Float16(value));
+}
+static inline float log2_of(float value) { return log2f(value); }
+static inline float exp2_of(float value) { return exp2f(value); }
+static inline float over_one(float value) { return 1.0f / value; }
+template <class T> static inline const T* behind(const T* at, size_t count) { return at + count; }
 
 template <class T> static inline T __ldg(const T* at) { return *at; }
 static inline float __int_as_float(int bits) {
@@ -232,6 +263,13 @@ def run(kernel: Kernel, arrays: Mapping[str, np.ndarray]) -> None:
         views.append(view(between))
     function.argtypes = [*[ctypes.c_int] * 5, *[View] * len(views)]
     function(*grid, *block, blocks.shared if blocks else 0, *views)
+
+
+def products(kernel: Kernel) -> int:
+    """How many products of matrix units warps have made so far, by kernels of the same source."""
+    count = _library(find_source(kernel)).count_products
+    count.restype = ctypes.c_long
+    return int(count())
 
 
 @cache

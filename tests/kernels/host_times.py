@@ -95,8 +95,9 @@ def packed(halves):
 
 
 def widened(words):
-    found = np.empty((1080, 1920, 3), np.uint32)
-    pixel_formats.widen_rows(words, np.array([(1, 0), (1, 1920), (1, 3840)]), found)
+    found = np.empty((1080, 1920, 3), np.float32)
+    channels = np.array([(1, 0), (1, 1920), (1, 3840)])
+    library.Rows("widen_rows")(0, len(words), words, channels, found)
     return found
 
 

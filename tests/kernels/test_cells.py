@@ -14,8 +14,8 @@ from postfx.kernels.statistics import (
     block_means,
     bounds_of_cells,
     coverage_noise,
+    depth_doublings,
     half_means,
-    limit_depths,
     mark_positive,
     mix_places,
     moments,
@@ -238,7 +238,7 @@ def test_misses_lie_twice_as_far_as_the_farthest_hit(missed):
     depth[::17] = np.nan
     hit = depth < 1e9
     wanted = np.where(hit, np.maximum(depth, 1e-6), 2 * depth[hit].max(initial=1e-6))
-    np.testing.assert_array_equal(limit_depths(depth, 1e9, 1e-6), wanted)
+    np.testing.assert_array_equal(depth_doublings(depth, 1e9), np.log2(wanted))
 
 
 def test_planes_at_any_address_are_taken():

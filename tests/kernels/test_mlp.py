@@ -16,11 +16,13 @@ from postfx.kernels import Kernel
 from postfx.kernels.mlp import STRIP, mlp, mlp_features, mlp_space
 from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable
+from postfx.runtime.device import cuda_fault
 from tests.kernels import host_cuda
 
 NETWORKS = (Network(3, (20, 7), 2, "gelu"), Network(5, (), 3), Network(2, (33,), 1, "sine"),
             Network(9, (64, 64), 3))
 POINTS = 77
+HEIGHT = 3
 HEADER = """
 static void @NAME@_rows(Long first, Long last, View<const float, 1> parameters,
                         View<const float, 2> points, View<float, 2> values) {
@@ -38,8 +40,28 @@ static void @NAME@_rows(Long first, Long last, View<const float, 1> parameters,
     });
 }
 EXPORT(@NAME@, @NAME@_rows)
+
+static void @NAME@_of_pixels_rows(Long first, Long last, View<const float, 1> parameters,
+                                  View<const float, 3> points, View<float, 3> values) {
+    const Long width = values.size[1], count = width * values.size[0];
+    @NAME@_rows(first * width, last * width, parameters, {points.at, {count, @INPUTS@}},
+                {values.at, {count, @OUTPUTS@}});
+}
+EXPORT(@NAME@_of_pixels, @NAME@_of_pixels_rows)
 """
 CUDA = """
+extern "C" __global__ void @NAME@_of_pixels(View parameters, View points, View values) {
+    PIXEL(values.size[1], values.size[0]);
+    const size_t at = size_t(y) * values.size[1] + x;
+    float features[@INPUTS@], found[@OUTPUTS@];
+    for (int k = 0; k < @INPUTS@; k++) {
+        const float value = points.at[at * @INPUTS@ + k];
+        features[k] = value * value;
+    }
+    @CALL@
+    for (int j = 0; j < @OUTPUTS@; j++) values.at[at * @OUTPUTS@ + j] = found[j] + 1.0f;
+}
+
 extern "C" __global__ void @NAME@(View parameters, View points, View values) {
     PIXEL(@OUTPUTS@, values.size[0]);
     float features[@INPUTS@], found[@OUTPUTS@];
@@ -65,9 +87,11 @@ def square_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray, p
 
 
 class Case(NamedTuple):
-    """A kernel, the network in it, what it reads, and the values that are right."""
+    """A kernel, one whose threads make pixels, the network in both, what they read, and the values
+    that are right."""
 
     kernel: Kernel
+    pixels: Kernel
     network: Network
     inputs: dict[str, np.ndarray]
     wanted: np.ndarray
@@ -102,6 +126,11 @@ def case(request: pytest.FixtureRequest, plug_in: Path) -> Case:
                     {
                         "parameters": (network.count,), "points": ("points", network.inputs),
                         "values": ("points", network.outputs)})
+    of_pixels = f"{name}_of_pixels"
+    pixels = Kernel(of_pixels, ("parameters", "points"), ("values",), Rows(of_pixels, plug_in),
+                    ("values", 0), {"parameters": (network.count,),
+                                    "points": ("height", "width", network.inputs),
+                                    "values": ("height", "width", network.outputs)})
     points = random.normal(size=(POINTS, network.inputs)).astype(np.float32)
     device = Device("cpu", threads=2)
     learner = Learner(device, network)
@@ -113,7 +142,7 @@ def case(request: pytest.FixtureRequest, plug_in: Path) -> Case:
     commands.commit()
     commands.wait()
     inputs = {"parameters": learner.parameters.download(), "points": points}
-    return Case(kernel, network, inputs, made.download() + 1)
+    return Case(kernel, pixels, network, inputs, made.download() + 1)
 
 
 def test_on_the_cpu(case: Case) -> None:
@@ -147,6 +176,44 @@ def test_by_the_cuda_source(case: Case) -> None:
     found = np.zeros_like(case.wanted)
     host_cuda.run(case.kernel, case.inputs | {"values": found})
     np.testing.assert_allclose(found, case.wanted, atol=1e-5)
+
+
+@pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
+def test_warps_use_the_matrix_units(case: Case) -> None:
+    """Where a row of pixels ends within a warp, each thread of that works alone. Both give the same
+    to float32's precision, and NaN stays with its point."""
+    height, width = HEIGHT, POINTS
+    points = np.stack([np.roll(case.inputs["points"], row, 0) for row in range(height)])
+    wanted = np.stack([np.roll(case.wanted, row, 0) for row in range(height)])
+    points[1, 5, 0] = np.nan
+    found, before = np.zeros_like(wanted), host_cuda.products(case.pixels)
+    host_cuda.run(case.pixels, case.inputs | {"points": points, "values": found})
+    assert np.isnan(found[1, 5]).all()
+    found[1, 5] = wanted[1, 5]
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
+    padded = [-(-size // 8) for size in case.network.sizes]
+    each = 3 * 2 * sum(a * b for a, b in zip(padded, padded[1:], strict=False))
+    is_tiny = max(case.network.sizes[1:-1], default=0) < 16
+    made = host_cuda.products(case.pixels) - before
+    assert made == (0 if is_tiny else each * height * (width // 32))
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
+def test_on_a_gpu(case: Case) -> None:
+    device = Device("cuda")
+    points = np.stack([case.inputs["points"]] * HEIGHT)
+    wanted = np.stack([case.wanted] * HEIGHT)
+    tensors = {"parameters": case.inputs["parameters"], "points": points,
+               "values": np.zeros_like(wanted)}
+    held = {name: device.heap.tensor(name, array.shape) for name, array in tensors.items()}
+    for name, array in tensors.items():
+        held[name].upload(array)
+    commands = device.command_buffer("pixels")
+    commands.run(case.pixels, **held)
+    commands.commit()
+    commands.wait()
+    np.testing.assert_allclose(held["values"].download(), wanted, atol=1e-5)
 
 
 def test_by_rows_in_python(case: Case) -> None:

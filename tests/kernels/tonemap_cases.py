@@ -33,6 +33,11 @@ SHAPER = (2.0**-8, 1.0 / math.log2(1.0 + 2.0**16))  # toe, and the scale by whic
 PARAMS = {ENCODE_DISPLAY: parameters(None, HLG, 1.7), FOLLOW: np.array([0.98, 0.6, 1.0, SHAPER[1]])}
 
 
+def fixed_shape(kernel: Kernel, name: str) -> tuple[int, ...]:
+    """A binding's shape, all of whose sides are the same for every frame."""
+    return tuple(int(side) for side in kernel.shapes[name])
+
+
 @dataclass(frozen=True)
 class Pace:
     """What `follow` makes of a past and of light of 8 stops, where 0.98 is kept of steady light and
@@ -46,7 +51,7 @@ class Pace:
     past: float = 1.0
 
     def arguments(self) -> list[np.ndarray]:
-        light = np.full(LIGHT.shapes["light"], 8 * SHAPER[1])
+        light = np.full(fixed_shape(LIGHT, "light"), 8 * SHAPER[1])
         params, before = [0.98, 0.6, self.past, SHAPER[1]], [[0.5, self.made_for, self.last,
                                                               self.share]]
         return [np.array(values, np.float32) for values in (light, params, before)]
@@ -139,8 +144,8 @@ def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
         "grid": random.normal(0, 0.4, GRID_SHAPE),
         "previous": random.normal(0, 1, GRID_SHAPE),
         "current": random.normal(0, 1, GRID_SHAPE),
-        "lowres": random.random(LOWRES.shapes["lowres"]),
-        "light": random.random(LIGHT.shapes["light"]),
+        "lowres": random.random(fixed_shape(LOWRES, "lowres")),
+        "light": random.random(fixed_shape(LIGHT, "light")),
         "before": np.array([[0.9, 7.6, 7.9, 0.1]]),
         "keep": np.array([[0.3, 7.6, 7.9, 0.7]]),
         "rows": turns(height, 6.5),

@@ -1,4 +1,4 @@
-"""A network that gives the picture alone: another one filters its alpha, and parts take that."""
+"""A network that gives the picture alone: another one filters its alpha and parts."""
 
 from __future__ import annotations
 
@@ -88,15 +88,57 @@ def test_alpha_that_is_kept_as_it_is_keeps_the_network() -> None:
         np.testing.assert_array_equal(second[Role.ALPHA], alpha)
 
 
-def test_parts_take_the_network_with_filters_and_the_plan_says_so() -> None:
-    parts = [Part("key", group="lights"), Part("fill", group="lights")]
-    step = DenoiseUpscale(scale=1, model="l", parts=parts)
-    frames = shot(parts=True)
-    notes = step.remarks(frames[0].spec)
-    assert any("'l' filters the picture alone: 'm' runs" in note for note in notes)
-    ours, expected = (denoised(model, frames, parts=parts) for model in ("l", "m"))
-    for found, wanted in zip(ours, expected, strict=True):
-        np.testing.assert_array_equal(found[Role.COLOUR], wanted[Role.COLOUR])
+LIGHTS = [Part("key", group="lights"), Part("fill", group="lights")]
+
+
+@pytest.mark.parametrize("strength", [0.5, 1.0])
+@pytest.mark.parametrize("filters", ["picture", "own"])
+def test_parts_add_up_to_the_picture_that_frames_without_them_have(
+    filters: str, strength: float
+) -> None:
+    step = DenoiseUpscale(scale=1, model="l", parts=LIGHTS, part_filters=filters,
+                          strength=strength)
+    frames, chain = shot(parts=True), Pipeline([step], Device("cpu", threads=2))
+    assert "network m filters parts" in step.reflect(frames[0].spec).notes
+    for frame, wanted in zip(frames, denoised("l", shot(), strength=strength), strict=True):
+        found = chain(frame)
+        picture = found[Role.COLOUR]
+        np.testing.assert_array_equal(picture, wanted[Role.COLOUR])
+        np.testing.assert_allclose(found.parts["key"] + found.parts["fill"], picture, rtol=1e-5)
+
+
+def test_parts_are_those_of_the_network_with_filters_with_their_share_of_the_picture() -> None:
+    ours, other = (Pipeline([DenoiseUpscale(scale=1, model=model, parts=LIGHTS)],
+                            Device("cpu", threads=2)) for model in ("l", "m"))
+    for frame in shot(parts=True):
+        found, wanted = ours(frame), other(frame)
+        for part in ("key", "fill"):
+            np.testing.assert_allclose(found.parts[part] / found[Role.COLOUR],
+                                       wanted.parts[part] / wanted[Role.COLOUR], rtol=1e-4)
+
+
+def test_parts_that_are_some_of_the_picture_follow_it() -> None:
+    key = [Part("key", group="lights")]
+    ours, other = (Pipeline([DenoiseUpscale(scale=1, model=model, parts=key)],
+                            Device("cpu", threads=2)) for model in ("l", "m"))
+    for frame in shot(parts=True):
+        found, wanted = ours(frame), other(frame)
+        np.testing.assert_allclose(found.parts["key"] / found[Role.COLOUR],
+                                   wanted.parts["key"] / wanted[Role.COLOUR], rtol=1e-4)
+
+
+def test_histories_of_parts_go_on_beside_the_picture() -> None:
+    frames = shot(noisy_alpha(), parts=True)
+    chains = [Pipeline([DenoiseUpscale(scale=1, model="l", parts=LIGHTS, part_filters="own")],
+                       Device("cpu", threads=2)) for _ in range(2)]
+    first = chains[0](frames[0])
+    chains[1].recall(frames[0], {name: np.array(value)
+                                 for name, value in chains[0].history().items()})
+    whole, again = (chain(frames[1]) for chain in chains)
+    assert np.abs(first.parts["key"] - whole.parts["key"]).max() > 1e-3
+    for part in ("key", "fill"):
+        np.testing.assert_array_equal(again.parts[part], whole.parts[part])
+    np.testing.assert_array_equal(again[Role.ALPHA], whole[Role.ALPHA])
 
 
 @pytest.mark.parametrize("strength", [0.5, 1.0])

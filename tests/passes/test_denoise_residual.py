@@ -11,7 +11,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import MemoryBudgetError, PassOptionError
-from postfx.frame import Frame, FrameSpec, Role
+from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.passes.denoise import DenoiseUpscale, models
 from postfx.pipeline import Pipeline
@@ -215,12 +215,14 @@ def test_a_picture_for_a_display_holds_none(postfx, exported_models: Path) -> No
         "error out of --aov"))
 
 
-def test_beside_parts_no_network_predicts_the_error() -> None:
-    """They need filters, which another network predicts."""
-    spec = FrameSpec(32, 24, (Role.COLOUR,), parts={"key": 3})
-    DenoiseUpscale(model="xl", error=True).reflect(spec)
-    with pytest.raises(PassOptionError, match="of the picture alone, not beside light groups"):
-        DenoiseUpscale(model="xl", error=True, parts=["key"]).reflect(spec)
+def test_the_error_is_predicted_beside_parts_as_without_them() -> None:
+    """Another network filters them."""
+    given = noisy(1, 32, 44)
+    given = replace(given, parts={"key": 0.5 * given[Role.COLOUR]})
+    with_parts, alone = (
+        Pipeline([DenoiseUpscale(1, model="xl", error=True, parts=parts)], Device("cpu"))(given)
+        for parts in (["key"], []))
+    np.testing.assert_array_equal(with_parts[Role.ERROR], alone[Role.ERROR])
 
 
 @pytest.mark.usefixtures("noise")

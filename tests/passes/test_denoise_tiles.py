@@ -20,6 +20,7 @@ from postfx.passes.denoise.tiling import (
     CELL,
     COARSE,
     GPU_FIXED,
+    TILE_SIDE,
     Box,
     Sizes,
     around,
@@ -134,6 +135,28 @@ def test_windows_hold_their_boxes_on_the_grid_or_to_the_frames_end() -> None:
                     assert (first <= max(0, begin - halo)
                             and first + count >= min(begin + length + halo, size))
     assert reused > 30
+
+
+def test_windows_hold_the_tiles_that_are_judged_without_a_wider_halo() -> None:
+    random = np.random.default_rng(5)
+    for _ in range(100):
+        h, w = random.integers(30, 300, 2)
+        halo = int(random.integers(TILE_SIDE - CELL, 90))
+        frame = Sizes(int(h), int(w), int(h), int(w))
+        boxes = [some_box(random, frame)]
+        shape = shape_for(frame, boxes, halo)
+        (plain,), (judged,) = (tiles_of(frame, boxes, shape, halo, way) for way in (False, True))
+        assert judged.window == plain.window
+        held, inner, box = judged.window, judged.inner, boxes[0]
+        for first, count, begin, length, start, extent, size in (
+            (held.top, held.rows, inner.top, inner.rows, box.top, box.rows, frame.h),
+            (held.left, held.columns, inner.left, inner.columns, box.left, box.columns, frame.w)
+        ):
+            assert begin % TILE_SIDE == 0 and begin <= start < begin + TILE_SIDE
+            end = begin + length
+            assert end == size or end % TILE_SIDE == 0
+            assert end >= min(start + extent, size) and end - TILE_SIDE < start + extent
+            assert first <= begin and end <= first + count
 
 
 def some_box(random: np.random.Generator, frame: Sizes) -> Box:

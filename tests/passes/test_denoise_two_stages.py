@@ -12,7 +12,7 @@ import pytest
 
 import postfx
 from postfx.colour import TO_WIDER_PRIMARIES
-from postfx.frame import GUIDE_ROLES, Frame, Part, Role
+from postfx.frame import GUIDE_ROLES, Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise import models as model_names
 from postfx.passes.denoise.first_stage import DENOISED_SHARE
@@ -145,23 +145,43 @@ def test_frames_with_jitter_keep_what_it_tells_between_pixels() -> None:
         f"{STAGES}l enlarges; l alone where frames have jitter",)
 
 
-def test_frames_with_noisy_alpha_take_the_network_that_filters_it() -> None:
-    (frame,), random = frames(1), np.random.default_rng(2)
-    noise = with_planes(frame, alpha=random.random((*SIZE, 1), np.float32))
-    pipeline = chain()
-    found = pipeline(noise)
-    (notice,) = pipeline.noticed
-    assert notice.startswith("its alpha is noisy, so model 'l' runs")
-    alone = chain("l")(noise)
-    for role in (Role.COLOUR, Role.ALPHA):
-        np.testing.assert_array_equal(found[role], alone[role])
-    opaque = with_planes(frame, alpha=np.ones((*SIZE, 1), np.float32))
-    for kept in (chain()(opaque), chain(alpha=False)(noise)):
-        assert_same([kept[Role.COLOUR]], by_hand([frame]))
+def with_noisy_alpha(given: Sequence[Frame]) -> list[Frame]:
+    random = np.random.default_rng(2)
+    return [with_planes(frame, alpha=random.random((*SIZE, 1), np.float32)) for frame in given]
+
+
+def test_noisy_alpha_is_filtered_beside_both_networks() -> None:
+    """By `m`, which sees the noisy picture; the picture is that of frames without alpha."""
+    given = with_noisy_alpha(frames())
+    pipeline, other = chain(), chain("m")
+    for frame, wanted in zip(given, by_hand(frames()), strict=True):
+        found = pipeline(frame)
+        assert not pipeline.noticed
+        np.testing.assert_array_equal(found[Role.COLOUR], wanted)
+        np.testing.assert_array_equal(found[Role.ALPHA], other(frame)[Role.ALPHA])
+    opaque = with_planes(given[0], alpha=np.ones((*SIZE, 1), np.float32))
+    found = chain()(opaque)
+    assert_same([found[Role.COLOUR]], by_hand(given[:1]))
+    assert (found[Role.ALPHA] == 1).all()
+
+
+def test_alpha_beside_both_networks_goes_on_from_a_recalled_history() -> None:
+    given = with_noisy_alpha(frames(4))
+    given[1] = replace(given[1], jitter=(0.25, -0.25))
+    whole, kept, wanted = chain(), [], []
+    for frame in given:
+        found = whole(frame)
+        wanted.append((np.array(found[Role.COLOUR]), np.array(found[Role.ALPHA])))
+        kept.append({name: np.array(value) for name, value in whole.history().items()})
+    for at in range(3):
+        again = chain()
+        again.recall(given[at], kept[at])
+        for frame, right in zip(given[at + 1:], wanted[at + 1:], strict=True):
+            found = again(frame)
+            assert_same((found[Role.COLOUR], found[Role.ALPHA]), right)
 
 
 @pytest.mark.parametrize(("options", "reason"), [
-    ({"parts": ("key",)}, "parts need filters that fit the noisy picture"),
     ({"budget": 1e6}, "there is a budget"),
 ], ids=str)
 def test_options_leave_the_first_stage_out(options: dict, reason: str) -> None:
@@ -177,14 +197,19 @@ def test_options_leave_the_first_stage_out(options: dict, reason: str) -> None:
     assert not {name for name in pipeline.device.models if "xl" in name}
 
 
-def test_parts_add_up_as_with_the_network_that_enlarges() -> None:
-    given = [replace(frame, parts={"key": 0.25 * frame[Role.COLOUR]}) for frame in frames(2)]
-    parts = [Part("key")]
-    found, alone = (chain(model, parts=parts) for model in ("xl", "l"))
-    for frame in given:
-        one, other = found(frame), alone(frame)
-        np.testing.assert_array_equal(one[Role.COLOUR], other[Role.COLOUR])
-        np.testing.assert_array_equal(one.parts["key"], other.parts["key"])
+def test_parts_beside_both_networks_add_up_to_their_picture() -> None:
+    """By the share that `m` finds, which filters them from the noisy frame."""
+    names = ["key", "fill"]
+    given = [replace(frame, parts={"key": 0.25 * frame[Role.COLOUR],
+                                   "fill": 0.75 * frame[Role.COLOUR]}) for frame in frames(2)]
+    ours, other = (chain(model, parts=names) for model in ("xl", "m"))
+    for frame, wanted in zip(given, by_hand(frames(2)), strict=True):
+        found, filtered = ours(frame), other(frame)
+        np.testing.assert_array_equal(found[Role.COLOUR], wanted)
+        for name in names:
+            np.testing.assert_allclose(found.parts[name] / found[Role.COLOUR],
+                                       filtered.parts[name] / filtered[Role.COLOUR], rtol=1e-4)
+        np.testing.assert_allclose(sum(found.parts.values()), wanted, rtol=1e-5)
 
 
 def test_guides_in_place_of_planes_leave_the_first_stage_out() -> None:
@@ -276,6 +301,32 @@ def test_masked_pixels_are_as_in_the_whole_frame() -> None:
     np.testing.assert_allclose(found[outside], plain[outside], atol=1e-6)
     nothing = with_planes(frame, strength=np.zeros_like(strength))
     assert_same(pictures(chain(), [nothing]), [plain])
+
+
+def test_one_halo_is_enough_for_both_networks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first network sees around what is active what it sees where nothing is enlarged, and not
+    the other one's halo, too."""
+    frame = with_planes(*frames(1, (MASKED, 32)), strength=rows_from(MASKED - 16, MASKED))
+    pipeline, alone = chain(), chain(scale=1)
+    seen: dict[Pipeline, set[int]] = {pipeline: set(), alone: set()}
+    for one, rows in seen.items():
+        make = one.device.pipeline_state
+
+        def noted(library: Library, name: str, dims: dict[str, int], *, make=make, rows=rows,
+                  **named) -> object:
+            rows |= {dims["height"]} if name.endswith("xl.1x") else set()
+            return make(library, name, dims, **named)
+
+        monkeypatch.setattr(one.device, "pipeline_state", noted)
+        pictures(one, [frame])
+    assert seen[pipeline] == seen[alone] and min(seen[alone]) < MASKED / 2
+
+
+def rows_from(first: int, height: int) -> np.ndarray:
+    """Strength in the last rows of a frame."""
+    strength = np.zeros((height, 32, 1), np.float32)
+    strength[first:] = 1
+    return strength
 
 
 def test_black_frames_stay_black_and_keep_their_neighbours() -> None:

@@ -3,7 +3,9 @@
 import json
 import signal
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 import OpenImageIO as oiio
@@ -12,7 +14,7 @@ import pytest
 from postfx.cli.main import main
 from postfx.runtime import Device, Library, ModelError
 from postfx.runtime import session as session_module
-from tests.reliability.faulty import Faulty
+from tests.reliability.faulty import Fault, Faulty
 
 FRAMES = 8
 SIZE = (32, 48)
@@ -32,12 +34,13 @@ def write_frame(path: Path, number: int, reset: bool = False, gain: float = 1.0,
     if reset:
         spec.attribute("postfx:reset", 1)
     output = oiio.ImageOutput.create(str(path))
+    assert output is not None, oiio.geterror()
     assert (output.open(str(path), spec) and output.write_image(planes.astype(np.float32))
             and output.close())
 
 
 @pytest.fixture(scope="session")
-def shot(tmp_path_factory) -> str:
+def shot(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Pattern of eight frames."""
     folder = tmp_path_factory.mktemp("shot")
     for number in range(1, FRAMES + 1):
@@ -52,7 +55,8 @@ QUICK = ("--no-denoise", "--tonemap", "--threads", "1")
 class Runs:
     """Runs `postfx` with frames of one shot into one folder."""
 
-    def __init__(self, shot: str, folder: Path, capsys) -> None:
+    def __init__(self, shot: str, folder: Path,
+                 capsys: pytest.CaptureFixture[str]) -> None:
         self.shot, self.folder, self.log, self._capsys = (shot, folder,
                                                           folder.parent / f"{folder.name}.jsonl",
                                                           capsys)
@@ -67,17 +71,17 @@ class Runs:
         code = main(self.arguments(*more, passes=passes))
         return code, self._capsys.readouterr().err
 
-    def verify(self) -> tuple[int, dict]:
+    def verify(self) -> tuple[int, dict[str, Any]]:
         code = main(["verify", str(self.folder), "--json"])
         return code, json.loads(self._capsys.readouterr().out)
 
-    def start(self, faults: list[dict], *more: str, passes: tuple[str, ...] = QUICK) -> Faulty:
+    def start(self, faults: list[Fault], *more: str, passes: tuple[str, ...] = QUICK) -> Faulty:
         """Start a process of its own, with faults."""
         self._started += 1
         said = self.folder.parent / f"{self.folder.name}.{self._started}.txt"
         return Faulty(faults, self.arguments(*more, passes=passes), said)
 
-    def fail(self, *faults: dict, more: tuple[str, ...] = (),
+    def fail(self, *faults: Fault, more: tuple[str, ...] = (),
              passes: tuple[str, ...] = QUICK) -> tuple[int, str]:
         """Run with faults to the end, whatever it is; gives the exit code and what was said."""
         return self.start(list(faults), *more, passes=passes).finished()
@@ -96,7 +100,7 @@ class Runs:
             assert time.monotonic() < end, self.events()
             time.sleep(0.02)
 
-    def events(self, kind: str | None = None) -> list[dict]:
+    def events(self, kind: str | None = None) -> list[dict[str, Any]]:
         lines = self.log.read_text().splitlines() if self.log.exists() else []
         return [item for item in map(json.loads, lines) if kind in (None, item["event"])]
 
@@ -106,13 +110,13 @@ class Runs:
 
 
 @pytest.fixture
-def runs(shot, tmp_path, capsys) -> Runs:
+def runs(shot: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Runs:
     """Runs into an empty folder."""
     return Runs(shot, tmp_path / "out", capsys)
 
 
 @pytest.fixture(scope="session")
-def unbroken(shot, tmp_path_factory) -> dict[str, bytes]:
+def unbroken(shot: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """Files of a run that nothing happened to."""
     folder = tmp_path_factory.mktemp("unbroken")
     assert main(["run", shot, "-o", str(folder / "out.####.exr"), *QUICK]) == 0
@@ -120,13 +124,13 @@ def unbroken(shot, tmp_path_factory) -> dict[str, bytes]:
 
 
 @pytest.fixture
-def refused(tmp_path, monkeypatch):
+def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
     """Loads a model without a card, or with one, and gives the one line with which it is
     refused."""
-    def touched(*_, **__):
+    def touched(*_: object, **__: object) -> NoReturn:
         raise AssertionError("ONNX Runtime was handed the model")
 
-    def load(model, card=None):
+    def load(model: Any, card: Mapping[str, Any] | None = None) -> str:
         content = model if isinstance(model, bytes) else model.SerializeToString()
         (tmp_path / "models").mkdir(exist_ok=True)
         (tmp_path / "models/bad.onnx").write_bytes(content)

@@ -32,7 +32,7 @@ from postfx.runtime import Device, Library
 from tests.fuzz.bombs import BOMBS
 from tests.fuzz.mutate import KINDS
 from tests.reliability.conftest import FRAMES, QUICK, write_frame
-from tests.reliability.faulty import DAMAGE, Faulty
+from tests.reliability.faulty import DAMAGE, Fault, Faulty
 from tests.reliability.model_files import model_of, outside
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -73,7 +73,7 @@ class Shot:
         folder.mkdir()
         return folder
 
-    def start(self, words: list[str], *faults: dict[str, object]) -> Faulty:
+    def start(self, words: list[str], *faults: Fault) -> Faulty:
         return Faulty(list(faults), words, self.folder / f"said {next(self._numbers)}.txt")
 
     def words(self, folder: Path, *more: str, shot: str = "") -> list[str]:
@@ -109,7 +109,7 @@ def kills(shot: Shot, at: tuple[str, ...], calls: range) -> Iterator[Callable[[]
     for place, call, when in product(at, calls, ("before", "after")):
         def kill(place: str = place, call: int = call, when: str = when) -> None:
             folder = shot.new_folder()
-            fault = {"at": place, "do": "kill", "calls": [call], "when": when}
+            fault: Fault = {"at": place, "do": "kill", "calls": [call], "when": when}
             code, said = shot.start(shot.words(folder, "--checkpoint", "0"),
                                     fault).finished(HANGS_S)
             assert code in (0, -signal.SIGKILL), said[-300:]
@@ -127,7 +127,7 @@ def failing_disks(shot: Shot) -> Iterator[Callable[[], None]]:
         def fail(place: str = place, call: int = call) -> None:
             folder = shot.new_folder()
             kind = "fail" if place == READ else "full"
-            faults = {"at": place, "do": kind, "calls": [call]}
+            faults: Fault = {"at": place, "do": kind, "calls": [call]}
             in_words(*shot.start(shot.words(folder, "--checkpoint", "0"), faults).finished(HANGS_S))
             shot.goes_on(folder)
         yield fail
@@ -141,7 +141,7 @@ def rewritten_inputs(shot: Shot) -> Iterator[Callable[[], None]]:
             folder = shot.new_folder()
             source = Path(shutil.copytree(shot.folder / "in",
                                           folder.with_name(f"{folder.name} in")))
-            fault = {"at": READ, "do": "damage", "how": how, "calls": [2],
+            fault: Fault = {"at": READ, "do": "damage", "how": how, "calls": [2],
                      "file": str(source / f"in.{number:04d}.exr")}
             words = shot.words(folder, shot=str(source / "in.####.exr"))
             in_words(*shot.start(words, fault).finished(HANGS_S))
@@ -160,7 +160,7 @@ def deleted_outputs(shot: Shot) -> Iterator[Callable[[], None]]:
     for how, number in product(("gone", "emptied", "cut short"), (2, 4)):
         def delete(how: str = how, number: int = number) -> None:
             folder = shot.new_folder()
-            fault = {"at": WRITE, "do": "damage", "how": how, "calls": [number + 2],
+            fault: Fault = {"at": WRITE, "do": "damage", "how": how, "calls": [number + 2],
                      "file": str(folder / f"out.{number:04d}.exr")}
             in_words(*shot.start(shot.words(folder), fault).finished(HANGS_S))
             found = verify(folder)
@@ -175,7 +175,7 @@ def clocks(shot: Shot) -> Iterator[Callable[[], None]]:
         def turn(seconds: float = seconds, call: int = call) -> None:
             folder = shot.new_folder()
             clock = {"at": READ, "do": "clock", "seconds": seconds, "calls": [call]}
-            kill = {"at": WRITE, "do": "kill", "calls": [6]}
+            kill: Fault = {"at": WRITE, "do": "kill", "calls": [6]}
             code, said = shot.start(shot.words(folder, "--checkpoint", "0"), clock,
                                     kill).finished(HANGS_S)
             assert code == -signal.SIGKILL, said[-300:]
@@ -187,7 +187,7 @@ def slow_disks(shot: Shot) -> Iterator[Callable[[], None]]:
     for place, call in product((READ, ENCODE, MANIFEST), (1, 4)):
         def slow(place: str = place, call: int = call) -> None:
             folder = shot.new_folder()
-            fault = {"at": place, "do": "sleep", "seconds": 1.0, "calls": [call]}
+            fault: Fault = {"at": place, "do": "sleep", "seconds": 1.0, "calls": [call]}
             code, said = shot.start(shot.words(folder), fault).finished(HANGS_S)
             assert code == 0, said[-300:]
             shot.goes_on(folder)
@@ -200,7 +200,7 @@ def four_at_once(shot: Shot) -> Iterator[Callable[[], None]]:
     for frames, doomed in product(ranges, (None, 0, 1)):
         def race(frames: tuple[str, ...] = frames, doomed: int | None = doomed) -> None:
             folder = shot.new_folder()
-            kill = {"at": WRITE, "do": "kill", "calls": [1], "when": "after"}
+            kill: Fault = {"at": WRITE, "do": "kill", "calls": [1], "when": "after"}
             runs = [shot.start(shot.words(folder, "--skip-existing", "--frames", some, "--preroll",
                                           str(int(some[0]) - 1)), *([kill] * (number == doomed)))
                     for number, some in enumerate(frames)]
@@ -240,7 +240,7 @@ def killed_chunks(shot: Shot) -> Iterator[Callable[[], None]]:
                      for frames in ("1-4", "5-8")]
             code, said = shot.start(words[1 - chunk]).finished(HANGS_S)
             assert code == 0, said[-300:]
-            fault = {"at": place, "do": "kill", "calls": [call]}
+            fault: Fault = {"at": place, "do": "kill", "calls": [call]}
             code, said = shot.start(words[chunk], fault).finished(HANGS_S)
             assert code == -signal.SIGKILL, said[-300:]
             check = ["verify", str(folder), "--frames", "1-8"]
@@ -367,7 +367,8 @@ GROUPS = {
 
 def damage(kind: str, count: int) -> tuple[int, list[str]]:
     """How many damaged inputs were read or refused in a line, and what happened to the others."""
-    survived, first, faults = 0, 0, []
+    survived, first = 0, 0
+    faults: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         while first < count:
             done = subprocess.run([sys.executable, "-m", "tests.fuzz.mutate", kind,

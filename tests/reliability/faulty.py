@@ -16,7 +16,9 @@ import re
 import signal
 import sys
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any, NoReturn
 
 import postfx.cli.job  # noqa: F401 - what a run would import first
 import postfx.colour.views  # noqa: F401
@@ -26,7 +28,17 @@ import postfx.passes.tonemap  # noqa: F401
 from postfx.cli.main import main
 from postfx.errors import ReadError
 
-DAMAGE = {
+Fault = Mapping[str, Any]
+"""What happens where, see above."""
+
+
+def make_folder(path: Path) -> None:
+    """Put a folder where a file is."""
+    path.unlink(missing_ok=True)
+    path.mkdir()
+
+
+DAMAGE: dict[str, Callable[[Path], object]] = {
     "gone": lambda path: path.unlink(missing_ok=True),
     "emptied": lambda path: path.write_bytes(b""),
     "cut short": lambda path: path.write_bytes(path.read_bytes()[:path.stat().st_size // 2]),
@@ -34,18 +46,18 @@ DAMAGE = {
     "of one frame later": lambda path: path.write_bytes(
         path.with_name(re.sub(r"(\d+)(?=\.\w+$)", lambda digits: f"{int(digits[1]) + 1:04d}",
                               path.name)).read_bytes()),
-    "a folder": lambda path: (path.unlink(missing_ok=True), path.mkdir()),
+    "a folder": make_folder,
 }
 """What may happen to a file while a run is under way."""
 
 
-def turn_back(seconds):
+def turn_back(seconds: float) -> None:
     """Let the clock of this process show an earlier time."""
     now = time.time
-    time.time = lambda: now() - seconds
+    vars(time)["time"] = lambda: now() - seconds
 
 
-def act(fault):
+def act(fault: Fault) -> None:
     if fault["do"] == "kill":
         os.kill(os.getpid(), signal.SIGKILL)
     elif fault["do"] == "sleep":
@@ -60,7 +72,7 @@ def act(fault):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def install(fault):
+def install(fault: Fault) -> None:
     module_name, _, name = fault["at"].rpartition(".")
     try:
         owner = importlib.import_module(module_name)
@@ -69,7 +81,7 @@ def install(fault):
         owner = getattr(importlib.import_module(parent), kind)
     original, count = getattr(owner, name), itertools.count(1)
 
-    def faulty(*arguments, **options):
+    def faulty(*arguments: Any, **options: Any) -> Any:
         meant = fault.get("of", "") in " ".join(map(str, arguments))
         happens = meant and ("calls" not in fault or next(count) in fault["calls"])
         if happens and fault.get("when", "before") == "before":
@@ -82,7 +94,7 @@ def install(fault):
     setattr(owner, name, faulty)
 
 
-def run(faults, arguments, said):
+def run(faults: list[Fault], arguments: list[str], said: str) -> NoReturn:
     os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), sys.stderr.fileno())
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     for fault in faults:
@@ -98,7 +110,7 @@ class Faulty:
     or two each time.
     """
 
-    def __init__(self, faults, arguments, said):
+    def __init__(self, faults: list[Fault], arguments: list[str], said: Path) -> None:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload([__name__])
         self._process = context.Process(target=run, args=(faults, arguments, str(said)),
@@ -107,18 +119,19 @@ class Faulty:
         self.pid, self._said = self._process.pid, said
 
     @property
-    def returncode(self):
+    def returncode(self) -> int | None:
         return self._process.exitcode
 
-    def send_signal(self, number):
+    def send_signal(self, number: int) -> None:
+        assert self.pid is not None, "it was started"
         os.kill(self.pid, number)
 
-    def wait(self, timeout):
+    def wait(self, timeout: float) -> int:
         self._process.join(timeout)
         assert self.returncode is not None, "it does not end"
         return self.returncode
 
-    def finished(self, timeout=120):
+    def finished(self, timeout: float = 120) -> tuple[int, str]:
         """Exit code and what was said, at its end."""
         code = self.wait(timeout)
         return code, self._said.read_text() if self._said.exists() else ""

@@ -182,6 +182,17 @@ def test_log_that_cannot_be_written(runs, tmp_path):
     assert runs.files() == {}
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
+def test_a_log_that_is_a_pipe(runs, tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    code, said = runs("--log", str(pipe))
+    assert code == 2 and "pipe: cannot be written: nobody reads this pipe: give --log" in said
+    with subprocess.Popen(["cat", pipe], stdout=subprocess.PIPE) as reader:
+        assert runs("--log", str(pipe))[0] == 0
+        assert '"event": "end"' in reader.communicate()[0].decode()
+
+
 def test_reads_that_fail_and_recover(runs, unbroken):
     code, said = runs.fail({"at": READ, "do": "fail", "calls": [2, 5, 6]})
     assert code == 0, said

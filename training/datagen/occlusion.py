@@ -21,6 +21,7 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -123,8 +124,8 @@ def mix(scenes: Sequence[Scene], random: np.random.Generator) -> mi.Scene:
             corners = corners[:, ::-1]
         if kind == 2:
             corners = np.array([[-4, high, -4], [4, high, -4], [4, high, 4], [-4, high, 4]])
-        parts.append((corners,
-                      np.tile(np.float64([(0, 0, 1), (1, 0, 0), (0, -1, 0)][kind]), (4, 1)), faces))
+        facing = np.array([(0, 0, 1), (1, 0, 0), (0, -1, 0)][kind], np.float64)
+        parts.append((corners, np.tile(facing, (4, 1)), faces))
     return load(parts)
 
 
@@ -155,7 +156,7 @@ def camera_axes(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 def render(scene: mi.Scene, eye: np.ndarray, target: np.ndarray, tangent: float,
            size: tuple[int, int], rays: int, seed: int, most_open: float = 0.88,
-           shares: Sequence[float] = RADII) -> dict[str, np.ndarray] | None:
+           shares: Sequence[float] | np.ndarray = RADII) -> dict[str, np.ndarray] | None:
     """One view, None if it shows too little; `tangent` is that of half the horizontal field of
     view, `most_open` the mean visibility at the largest radius from which on a view shows too
     little, `shares` the radii over the median depth, the largest last."""
@@ -291,7 +292,8 @@ def main() -> None:
             view = render(scene, eye, target, tangent, args.size, args.rays, attempt,
                           shares=RADII if args.held_out else draw_shares(random))
             if view is not None:
-                np.savez_compressed(path, **view)
+                arrays: dict[str, Any] = view
+                np.savez_compressed(path, **arrays)
                 made += 1
             if made == args.views:
                 break

@@ -40,8 +40,8 @@ class Image:
         n = dr.select(mirror, mi.Vector3f(n), 0)
         distance = dr.dot(mi.Vector3f(p), n)
         along = self.linear(n)
-        rows = [row - 2 * dr.dot(row, n) * n for row in (self.x, self.y, self.z)]
-        return Image(*rows, self.offset + 2 * distance * along)
+        x, y, z = (row - 2 * dr.dot(row, n) * n for row in (self.x, self.y, self.z))
+        return Image(x, y, z, self.offset + 2 * distance * along)
 
 
 @dataclass

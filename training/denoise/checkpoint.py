@@ -59,7 +59,7 @@ def load_weights(path: Path, trust: bool = False) -> dict[str, Tensor]:
 def begin_trust(weights: dict[str, Tensor]) -> dict[str, Tensor]:
     """Turn the last hidden channel, which had another use, into the trust in the planes: nearly 1
     everywhere."""
-    from training.denoise.model import FEATURES, FINE
+    from postfx.kernels.denoise import FEATURES, FINE
 
     head = slice(4 * (FINE - 1), 4 * FINE)
     changed = {name: weights[PREFIX + name].clone()

@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -93,6 +94,7 @@ class Batch:
     def reflectance(self) -> list[Tensor]:
         """The true reflectance of each frame (N, 3, h, w), NaN in entries where it is unknown."""
         found = []
+        assert self.surfaces is not None, "a batch of clips has the true planes"
         for frame in self.surfaces:
             factor = ops.demodulation(frame.diffuse_albedo, frame.specular_albedo)
             found.append(torch.where(frame.diffuse_albedo[:, :1].isnan(), torch.nan, factor))
@@ -386,6 +388,7 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
     windows = [_window(clip, crop) for clip in clips]
     chosen = list(zip(clips, variants, windows, strict=True))
     guided = clips[0].guides is not None
+    guides = [c.guides[..., w[2], w[3]] for c, _, w in chosen if c.guides is not None]
     device = clips[0].planes.device
     planes = torch.stack([c.planes[v, ..., w[0], w[1]] for c, v, w in chosen]).float()
     for entry, (other, (clip, _, window)) in enumerate(zip(others, chosen, strict=False)):
@@ -411,7 +414,7 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
         torch.stack([c.keep for c in clips]),
         torch.stack([target(c, v)[..., w[2], w[3]] for c, v, w in chosen]).float(),
         true,
-        torch.stack([c.guides[..., w[2], w[3]] for c, _, w in chosen]).float() if guided else None,
+        torch.stack(guides).float() if guided else None,
         torch.tensor([c.exposure for c in clips], device=device,
                      dtype=torch.float32)[:, None, None, None],
         clips[0].pairs,
@@ -420,7 +423,10 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
 
 def target(clip: Clip, variant: int) -> Tensor:
     """The reference of a noisy render, made of other samples than the render."""
-    return clip.half if clip.halved[variant] else clip.reference
+    if not clip.halved[variant]:
+        return clip.reference
+    assert clip.half is not None, "a clip with halved renders has the other half"
+    return clip.half
 
 
 def true_planes(clip: Clip, variant: int) -> int | None:
@@ -443,7 +449,7 @@ def _window(clip: Clip, crop: int | None) -> tuple[slice, slice, slice, slice]:
         start = 2 * random.randrange((size - length) // 2 + 1)
         inner.append(slice(start, start + length))
         outer.append(slice(start * full // size, (start + length) * full // size))
-    return *inner, *outer
+    return inner[0], inner[1], outer[0], outer[1]
 
 
 def to_batch(stack: Stack) -> Batch:
@@ -457,8 +463,8 @@ def to_batch(stack: Stack) -> Batch:
     surfaces = [Inputs(**_split(true, PLANES), jitter=jitter)
                 for true, jitter in zip(stack.surfaces.unbind(1), stack.jitter.unbind(1),
                                         strict=True)]
-    return Batch(frames, references, stack.keep.T[..., None, None, None], surfaces=surfaces,
-                 **pairs)
+    return Batch(frames, references, stack.keep.T[..., None, None, None],
+                 inverse=pairs.get("inverse"), static=pairs.get("static"), surfaces=surfaces)
 
 
 def frame_inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None,
@@ -547,6 +553,7 @@ class Augment:
         inverse = batch.inverse and [torch.where(lost["motion"], ABSENT["motion"], motion)
                                      for motion in batch.inverse]
         unknown = lost["diffuse_albedo"] | lost["specular_albedo"]
+        assert batch.surfaces is not None, "a batch of clips has the true planes"
         surfaces = [_without(frame, lost) for frame in batch.surfaces]
         surfaces = [replace(frame,
                             diffuse_albedo=torch.where(unknown, torch.nan, frame.diffuse_albedo))
@@ -592,13 +599,18 @@ def ellipse(centre: Tensor, radius: Tensor, h: int, w: int) -> Tensor:
     return (across[:, None, None] + down[:, None, :, None]) < 1
 
 
-def _without(planes: Inputs | Guides, lost: dict[str, Tensor]) -> Inputs | Guides:
+def _without(planes: Inputs, lost: dict[str, Tensor]) -> Inputs:
     """The planes with stand-ins in the entries that lost them; guides likewise."""
-    changed = {f.name: torch.where(lost[f.name], ABSENT[f.name], getattr(planes, f.name))
-               for f in fields(planes) if f.name in lost}
-    guides = getattr(planes, "guides", None)
-    return replace(planes, **changed,
-                   **({} if guides is None else {"guides": _without(guides, lost)}))
+    guides = planes.guides
+    if guides is not None:
+        guides = replace(guides, **_stand_ins(guides, lost))
+    return replace(planes, **_stand_ins(planes, lost), guides=guides)
+
+
+def _stand_ins(planes: Inputs | Guides, lost: dict[str, Tensor]) -> dict[str, Any]:
+    """The planes that some entries lost, with stand-ins there."""
+    return {f.name: torch.where(lost[f.name], ABSENT[f.name], getattr(planes, f.name))
+            for f in fields(planes) if f.name in lost}
 
 
 def _flip(stack: Stack) -> Stack:

@@ -250,8 +250,10 @@ class ExportedTrunk(Trunk):
             part.weight = nn.Parameter(share.contiguous())
         self.stems[0].bias = self.stem.bias
 
-    def forward(self, first: torch.Tensor, last: torch.Tensor,
-                guides: torch.Tensor | None = None) -> tuple[torch.Tensor, ...]:
+    # other inputs than the trained network's are what it is for
+    def forward(  # type: ignore[override]
+        self, first: torch.Tensor, last: torch.Tensor, guides: torch.Tensor | None = None
+    ) -> tuple[torch.Tensor, ...]:
         return self.behind(self.stems[0](first) + self.stems[1](last), guides)
 
     def _fine(self, x: torch.Tensor) -> torch.Tensor:
@@ -300,8 +302,10 @@ class ExportedPicture(PictureNetwork):
         super().__init__(trunk.config)
         self.load_state_dict(trunk.state_dict())
 
-    def forward(self, first: torch.Tensor, last: torch.Tensor,
-                mirrored: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    # other inputs than the trained network's are what it is for
+    def forward(  # type: ignore[override]
+        self, first: torch.Tensor, last: torch.Tensor, mirrored: torch.Tensor
+    ) -> tuple[torch.Tensor, ...]:
         return super().forward(torch.cat((first, last), 1), mirrored)[:3]
 
     @staticmethod

@@ -119,7 +119,7 @@ def map_tensors(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
         return change(value)
     if isinstance(value, list):
         return [map_tensors(x, change) for x in value]
-    if is_dataclass(value):
+    if is_dataclass(value) and not isinstance(value, type):
         return replace(value, **{f.name: map_tensors(getattr(value, f.name), change)
                                  for f in fields(value)})
     return value
@@ -128,7 +128,12 @@ def map_tensors(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
 def tensors(value: Any) -> list[Tensor]:
     """All tensors of such a structure, in order."""
     found: list[Tensor] = []
-    map_tensors(value, lambda x: found.append(x) or x)
+
+    def keep(x: Tensor) -> Tensor:
+        found.append(x)
+        return x
+
+    map_tensors(value, keep)
     return found
 
 

@@ -61,7 +61,8 @@ class Moments:
 
     def __init__(self, side: int, pad: int, stride: int) -> None:
         self._side, self._pad, self._stride = side, pad, stride
-        self._sum, self._random = np.float32(0), np.random.default_rng(0)
+        self._sum: np.ndarray = np.zeros((), np.float32)
+        self._random = np.random.default_rng(0)
 
     @classmethod
     def of(cls, convolution: NodeProto) -> Moments:
@@ -81,7 +82,8 @@ class Moments:
 
     def round_weights(self, weight: np.ndarray) -> Rounded:
         """The convolution's weights (outputs, C, side, side) in integers."""
-        factors, steps = round_compensated(weight.reshape(len(weight), -1), np.float64(self._sum))
+        factors, steps = round_compensated(weight.reshape(len(weight), -1),
+                                           self._sum.astype(np.float64))
         return Rounded(factors.reshape(weight.shape), steps)
 
 
@@ -170,7 +172,7 @@ def activations(graph: onnx.GraphProto, layers: Collection[str]) -> dict[str, st
     Each maps to the tensor whose range it takes: itself, or the one that it copies.
     """
     activated = {node.input[0]: node.output[0] for node in graph.node if node.op_type == "Relu"}
-    found = {}
+    found: dict[str, str] = {}
     for node in convolutions(graph, layers):
         found |= {name: name
                   for name in (node.input[0], activated.get(node.output[0], node.output[0]))}
@@ -228,8 +230,8 @@ class _Rewriter:
         """Store a tensor in 8 bits, if it has a range; later nodes read the decoded values."""
         if name in self._ranges:
             scale, zero = self._ranges[name]
-            self._store(f"{name}_scale", np.float32(scale))
-            self._store(f"{name}_zero", np.uint8(zero))
+            self._store(f"{name}_scale", np.array(scale, np.float32))
+            self._store(f"{name}_zero", np.array(zero, np.uint8))
             stored = [f"{name}_quantised", f"{name}_scale", f"{name}_zero"]
             self.nodes.append(helper.make_node("QuantizeLinear", [name, *stored[1:]], stored[:1]))
             self.nodes.append(helper.make_node("DequantizeLinear", stored, [f"{name}_kept"]))
@@ -406,9 +408,9 @@ def _signed(graph: onnx.GraphProto, source: str, channels: int) -> list[NodeProt
     flat = append_node(made, "Reshape", [codes, f"{source}_flat"], f"{source}_codes")
     flipped = append_node(made, "BitwiseXor", [flat, "sign"], f"{source}_turned")
     append_node(made, "Cast", [flipped], name, to=TensorProto.INT8)
-    zero = np.int8(int(constant_value(graph, f"{source}_zero")) - SIGN)
-    for key, held in {f"{source}_flat": np.array([channels, -1]), "sign": np.uint8(SIGN),
-                      "middle": np.uint8(MIDDLE), f"{name}_zero": zero}.items():
+    zero = np.array(int(constant_value(graph, f"{source}_zero")) - SIGN, np.int8)
+    for key, held in {f"{source}_flat": np.array([channels, -1]), "sign": np.array(SIGN, np.uint8),
+                      "middle": np.array(MIDDLE, np.uint8), f"{name}_zero": zero}.items():
         add_constant(graph, key, held)
     return made
 
@@ -531,8 +533,8 @@ class Stem:
             coded = [f"stem_{name}", "stem_steps", f"stem_{name}_zero"]
             reads.append(append_node(made, "DequantizeLinear", coded, f"stem_{name}_kept", axis=0))
         add_constant(graph, "stem_steps", steps)
-        add_constant(graph, "stem_one", np.float32(1))
-        add_constant(graph, "stem_zero", np.uint8(0))
+        add_constant(graph, "stem_one", np.array(1, np.float32))
+        add_constant(graph, "stem_zero", np.array(0, np.uint8))
         append_node(made, "Conv", reads, "stem", strides=[2, 2], pads=[0] * 4,
                     kernel_shape=list(factors.shape[2:]))
         return made

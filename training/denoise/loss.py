@@ -316,6 +316,7 @@ class ClipLoss(nn.Module):
         """Loss of albedo and normal without their noise."""
         if not self.guides:
             return 0.0
+        assert batch.surfaces is not None, "a batch of clips has the true planes"
         errors = [guides_loss(step.planes, surface)
                   for step, surface in zip(steps, batch.surfaces, strict=True)]
         return self.guides * sum(errors) / len(errors)
@@ -334,6 +335,7 @@ class ClipLoss(nn.Module):
 
 def backwards(batch: Batch) -> tuple[list[Inputs], list[Tensor]]:
     """The frames from last to first with motion to the next frame, and where history continues."""
+    assert batch.inverse is not None, "the clips run backwards, too"
     frames = [replace(inputs, motion=motion)
               for inputs, motion in zip(batch.frames, batch.inverse, strict=True)]
     return frames[::-1], [torch.zeros_like(batch.keep[0]), *batch.keep[1:].flip(0)]

@@ -8,6 +8,7 @@ reprojected last output.
 """
 
 from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -79,11 +80,11 @@ class TrunkConfig:
         coarsest, mix."""
         return (*[KERNEL + 1] * (LEVELS - 1), KERNEL)
 
-    def as_dict(self) -> dict:
+    def as_dict(self) -> dict[str, Any]:
         return asdict(self)
 
     @classmethod
-    def from_dict(cls, config: dict) -> "TrunkConfig":
+    def from_dict(cls, config: dict[str, Any]) -> "TrunkConfig":
         """From the dictionary of a checkpoint; older ones do not have all entries."""
         known = {field.name: config[field.name] for field in fields(cls) if field.name in config}
         return cls(**{**known, "widths": tuple(config["widths"])})
@@ -222,8 +223,8 @@ def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, insi
         pictures = ops.upsample_at(radiance, weights, jitter, at)
     blend, sharpen = controls[:, :, None].unbind(1)
     if guided is not None:
-        pictures = (torch.lerp(plain, exact * guided.factor, guided.trust)
-                    for exact, plain in (picture.chunk(2, 1) for picture in pictures))
+        pictures = tuple(torch.lerp(plain, exact * guided.factor, guided.trust)
+                         for exact, plain in (picture.chunk(2, 1) for picture in pictures))
     detail, soft = (ops.log_encode(x) for x in pictures)
     return blend_with_history((detail + sharpen * (detail - soft)).clamp(min=0), warped,
                               inside * (1 - blend))
@@ -244,8 +245,9 @@ def reflectance(factor: Tensor, own: Tensor) -> Reflectance:
     h, w = own.shape[-2:]
     whole = torch.arange(h, device=own.device), torch.arange(w, device=own.device)
     cells = ops.trust(own, factor, whole, h, w, torch.ones_like(own[:, :1]))
+    height, width = factor.shape[-2:]
     return Reflectance(factor,
-                       ops.trust_at(cells, ops.centres(h, w, *factor.shape[-2:], own.device), h, w))
+                       ops.trust_at(cells, ops.centres(h, w, height, width, own.device), h, w))
 
 
 # The recurrent step -------------------------------------------------------------------------------
@@ -366,7 +368,7 @@ def demodulate(colour: Tensor, factor: Tensor) -> Tensor:
 
 def hold(light: Tensor) -> Tensor:
     """Light in [0, 1e4]; a brighter pixel keeps its hue."""
-    return light * (ops.MAX_COLOUR / light.amax(1, keepdim=True).clamp(min=ops.MAX_COLOUR))
+    return light * (layout.MAX_COLOUR / light.amax(1, keepdim=True).clamp(min=layout.MAX_COLOUR))
 
 
 def features(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor) -> Tensor:
@@ -462,10 +464,10 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
         pooled, weight = ops.pool(colours[-1], weight)
         colours.append(pooled)
         valid.append(F.max_pool2d(valid[-1], 2))
-    fine, *levels = (pad_head(head, of) for head, of in zip((fine, *levels), colours, strict=True))
-    result = ops.filter_kernels(colours[-1], levels[-1], valid[-1])
+    fine, *coarser = (pad_head(head, of) for head, of in zip((fine, *levels), colours, strict=True))
+    result = ops.filter_kernels(colours[-1], coarser[-1], valid[-1])
     heads = [(fine[:, :KERNEL], fine[:, MIX:MIX + 1]),
-             *((x[:, :KERNEL], x[:, KERNEL:]) for x in levels[:-1])]
+             *((x[:, :KERNEL], x[:, KERNEL:]) for x in coarser[:-1])]
     for i in reversed(range(len(heads))):
         kernels, mix = heads[i]
         coarse = F.interpolate(result, scale_factor=2.0, mode="nearest")
@@ -535,6 +537,7 @@ class DenoiseUpscale(nn.Module):
         scale, guides = ops.depth_scale(inputs.depth), inputs.guides
         seen = [features(inputs, past, factor, scale)]
         if self.config.guides:
+            assert guides is not None, "the network reads planes at output size"
             seen.append(guide_features(guides, h, w, scale))
         if self.config.mirrored:
             seen.append(mirrored_features(inputs))
@@ -554,7 +557,7 @@ class DenoiseUpscale(nn.Module):
         filtered = filter_pyramid(F.pad(accumulated, pad), importance, fine, tuple(levels), h, w)
         radiance = filtered[..., :h, :w]
         guided = None
-        if self.config.guides:
+        if self.config.guides and guides is not None:
             guided = reflectance(ops.demodulation(guides.diffuse_albedo, guides.specular_albedo),
                                  planes)
         elif (self.config.trust and state.output.shape[-2:] == (h, w)):

@@ -126,6 +126,8 @@ class PictureConfig:
         averaged: the branch mixes coarser albedo and normal into those that are read.
         filtered: a published network filters the albedo alone, and the branch chooses where.
         guarded: a history that differs too much from the new picture counts less.
+        error_slope: factor of the logarithm of the expected squared error, behind the guard.
+        error_bias: is added to it then. `training.measure.predicted_error` fits both.
     """
 
     picture: bool = True
@@ -140,6 +142,8 @@ class PictureConfig:
     averaged: bool = False
     filtered: bool = False
     guarded: bool = False
+    error_slope: float = 1.0
+    error_bias: float = 0.0
     trust: bool = False
     guides: bool = False
     mirrored: bool = True
@@ -164,8 +168,9 @@ class PictureConfig:
     @classmethod
     def from_dict(cls, config: dict[str, Any]) -> PictureConfig:
         known = {field.name: config[field.name] for field in fields(cls) if field.name in config}
-        return cls(**{name: tuple(value) if isinstance(value, list) else value
-                      for name, value in known.items()})
+        given: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
+                                 for name, value in known.items()}
+        return cls(**given)
 
     def published_layers(self, inputs: int = GUIDED_INPUTS) -> dict[str, Layer]:
         """The convolutions that a published network with so many inputs has, by their names
@@ -358,6 +363,7 @@ class PictureNetwork(PublishedNetwork):
                 change = codes - history.float()
                 valid = further[:, VALID:VALID + 1].float()
                 controls = with_guarded_history(controls, change, valid, error)
+                error = error * self.config.error_slope + self.config.error_bias
             found = activate(codes, controls, error)
         return *found, corrected[:, 3:]
 

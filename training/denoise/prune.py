@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,7 +53,7 @@ def active_channels(model: DenoiseUpscale, batches: Iterable[Batch]) -> dict[str
     batches."""
     active: dict[str, Tensor] = {}
 
-    def watch(name: str):
+    def watch(name: str) -> Callable[[nn.Module, tuple[Tensor], Tensor], None]:
         def look(module: nn.Module, inputs: tuple[Tensor], output: Tensor) -> None:
             here = (output.flatten(2).amax(2) > 0).any(0)
             active[name] = active[name] | here if name in active else here

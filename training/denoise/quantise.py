@@ -28,6 +28,8 @@ from postfx.colour.displays import srgb_encode
 from postfx.frame import Frame, Role
 from postfx.passes.denoise.models import GUIDED, UNSCALED, exact, split_ending
 from postfx.runtime import Device, Library, PipelineState, Tensor
+from postfx.runtime.convolutions import Head
+from postfx.runtime.device import Dims
 from training.datagen.clip_file import GUIDES, PLANES, guide_depth, load_clip
 from training.denoise.int8 import (
     Moments,
@@ -174,7 +176,8 @@ def equalise(model: onnx.ModelProto, shares: Mapping[str, np.ndarray]) -> onnx.M
         shares: tensor -> the part of its range that each channel needs, (C,).
     """
     model = onnx.ModelProto.FromString(model.SerializeToString())
-    group, needs = find_groups(model.graph), {}
+    group = find_groups(model.graph)
+    needs: dict[str, np.ndarray] = {}
     for name, share in shares.items():
         if name in group:
             needs[group[name]] = np.maximum(needs.get(group[name], 0), share)
@@ -232,13 +235,18 @@ class WatchedDevice(Device):
         super().__init__("cpu")
         self._library, self._name, self._look = library, name, look
 
-    def pipeline_state(self, library: Library, name: str, dims: Mapping[str, int] | None = None,
-                       **options: Any) -> PipelineState:
-        state = super().pipeline_state(self._library, self._name, dims, **options)
-        state.prepare = partial(self._prepare, state, state.prepare)
+    def pipeline_state(
+        self, library: Library, name: str, dims: Dims | None = None,
+        in_place: Mapping[str, str] | None = None, threads: int | None = None,
+        heads: Mapping[str, Head] | None = None, codes: bool = False,
+    ) -> PipelineState:
+        state = super().pipeline_state(self._library, self._name, dims, in_place, threads, heads,
+                                       codes)
+        vars(state)["prepare"] = partial(self._prepare, state, state.prepare)
         return state
 
-    def _prepare(self, state: PipelineState, prepare: Callable,
+    def _prepare(self, state: PipelineState,
+                 prepare: Callable[[list[Tensor]], Callable[[], None]],
                  tensors: list[Tensor]) -> Callable[[], None]:
         run = prepare(tensors)
         reads = {b.name: t.host_view()
@@ -269,10 +277,10 @@ def shots(source: str, ending: str) -> Iterator[Shot]:
             yield Shot(1 if unscaled else clip["scale"], frames)
             found += 1
     if not clips:
-        frames = postfx.read_sequence(source)
+        sequence = postfx.read_sequence(source)
         yield Shot(1 if unscaled else None,
-                   (frame for frame in frames if frame.guides or not guided))
-        found = len(frames)
+                   (frame for frame in sequence if frame.guides or not guided))
+        found = len(sequence)
     if not found:
         raise ValueError(f"{source}: no clip with guides")
 

@@ -283,8 +283,8 @@ def tune(arguments: argparse.Namespace) -> dict[str, object]:
             break
         for group in optimiser.param_groups:
             group["lr"] = RATE * min((step + 1) / WARM, 1) * 0.5 * (1 + np.cos(np.pi * passed))
-        *inputs, target, known, follows = split.draw(generator)
-        loss = error(run(model, *inputs, follows), target, known, is_noisy)
+        earlier, later, target, known, follows = split.draw(generator)
+        loss = error(run(model, earlier, later, follows), target, known, is_noisy)
         optimiser.zero_grad()
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)

@@ -15,6 +15,12 @@ from torch import Tensor, nn
 
 from postfx.kernels.denoise import (
     BORDER_CELLS,
+    DISTRUST,
+    FINE,
+    IMPORTANCE,
+    KERNEL,
+    MEMORY,
+    MIX,
     MOST_STATE,
     PLANE_TRUST,
     STEEPEST,
@@ -26,12 +32,6 @@ from postfx.kernels.denoise.output import HELD, OWN
 from training import ops
 from training.denoise import model as network
 from training.denoise.model import (
-    DISTRUST,
-    FINE,
-    IMPORTANCE,
-    KERNEL,
-    MEMORY,
-    MIX,
     Guides,
     Inputs,
     Reflectance,
@@ -184,9 +184,17 @@ class Features(nn.Module):
         frame, here = Window.of(window), (rows.long(), columns.long())
         place = here[0] + frame.top, here[1] + frame.left
         exposed = ops.pick(expose(colour, params), *place)
-        planes = (part(plane, *place)
-                  for plane in (diffuse_albedo, specular_albedo, normal, roughness, depth))
-        inputs = Inputs(exposed, *planes, part(moved, *here), params[None, 1:3], params[3])
+        inputs = Inputs(
+            exposed,
+            diffuse_albedo=part(diffuse_albedo, *place),
+            specular_albedo=part(specular_albedo, *place),
+            normal=part(normal, *place),
+            roughness=part(roughness, *place),
+            depth=part(depth, *place),
+            motion=part(moved, *here),
+            jitter=params[None, 1:3],
+            gain=params[3],
+        )
         old, kept = to_image(state), shares(keep, *here)
         lacking = ops.warp((old[:, 3:4] <= 0).to(old.dtype), inputs.motion, place=place) > UNKNOWN
         unknown = lacking * ops.inside(inputs.motion, place, state.shape[:2]) * (kept > 0)
@@ -313,14 +321,16 @@ class Resize(nn.Module):
     def forward(self, state: Tensor, last_depth: Tensor, rows: Tensor,
                 columns: Tensor) -> tuple[Tensor, Tensor]:
         (h, w), top, left = state.shape[:2], rows.floor(), columns.floor()
-        total, weight = 0, 0
+        shares, weighted = [], []
         for j in range(2):
             for i in range(2):
                 value = ops.pick(to_image(state), (top + j).clamp(0, h - 1).long(),
                                  (left + i).clamp(0, w - 1).long())
                 share = (1 - j - rows + top).abs()[:, None] * (1 - i - columns + left).abs()
                 share = torch.where(value[:, 3:4] > 0, share, torch.zeros_like(share))
-                total, weight = total + share * value, weight + share
+                shares.append(share)
+                weighted.append(share * value)
+        total, weight = sum(weighted[1:], weighted[0]), sum(shares[1:], shares[0])
         mean = total * torch.where(weight > 0.5, 1 / weight.clamp(min=0.5),
                                    torch.zeros_like(weight))
         depth = ops.pick(to_image(last_depth), rows.round().clamp(0, h - 1).long(),
@@ -445,7 +455,7 @@ class OpenLogits(nn.Module):
     """fine_logits (1, 80, hp, wp) -> fine (1, 80, hp, wp), activated."""
 
     def forward(self, fine_logits: Tensor) -> Tensor:
-        return activate_fine(ops.sanitise(fine_logits, -STEEPEST, STEEPEST))
+        return activate_fine(ops.sanitise(fine_logits, -float(STEEPEST), float(STEEPEST)))
 
 
 class OpenError(nn.Module):

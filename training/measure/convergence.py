@@ -99,7 +99,7 @@ def measure(view: dict[str, np.ndarray], args: argparse.Namespace) -> list[dict[
     for scale in map(int, args.scales.split(",")):
         height, width = (side // scale * scale for side in view["reference_a"].shape[:2])
         halves = [view[name][:height, :width] for name in ("reference_a", "reference_b")]
-        errors = Errors(*halves, grey_factor((halves[0] + halves[1]) / 2))
+        errors = Errors(halves[0], halves[1], grey_factor((halves[0] + halves[1]) / 2))
         ways = methods(args, scale, (height, width))
         for step in steps(view, scale):
             planes = {postfx.Role(name): plane for name, plane in step.planes.items()}

@@ -105,9 +105,11 @@ def render(args: argparse.Namespace) -> None:
     facts = {"scene": view.name, "seed": args.seed, "half_spp": args.half_spp, "gain": view.gain,
              "fov": camera.fov}
     args.view.parent.mkdir(parents=True, exist_ok=True)
-    np.savez(args.view, reference_a=light(args.half_spp), reference_b=light(args.half_spp),
-             means=np.stack(means),
-             counts=np.array(counts), facts=np.str_(json.dumps(facts)), **planes, **averaged)
+    arrays: dict[str, Any] = {
+        "reference_a": light(args.half_spp), "reference_b": light(args.half_spp),
+        "means": np.stack(means), "counts": np.array(counts), "facts": np.str_(json.dumps(facts)),
+        **planes, **averaged}
+    np.savez(args.view, **arrays)
 
 
 def many_planes(tracer: Any, view: Any, camera: Any, size: tuple[int, int],
@@ -117,13 +119,14 @@ def many_planes(tracer: Any, view: Any, camera: Any, size: tuple[int, int],
 
     style, passes = (Style("box", min(samples, AT_ONCE), np.zeros((1, 2), np.float32)),
                      -(-samples // AT_ONCE))
-    total = dict.fromkeys(AVERAGED, 0.0)
+    total: dict[str, np.ndarray] = {
+        name: np.zeros((size[1], size[0], 1), np.float32) for name in AVERAGED}
     for _ in range(passes):
         film = film_of(size, style.offsets(0, size[0] * size[1], view.rng))
         planes = plane_images(tracer, view.built, (camera, camera), size, style, film)
         total = {name: total[name] + planes[name].reshape(size[1], size[0], -1) / passes
                  for name in AVERAGED}
-    return {name: np.float32(plane) for name, plane in total.items()}
+    return {name: plane.astype(np.float32) for name, plane in total.items()}
 
 
 def prefix_counts(most: int) -> list[int]:
@@ -155,7 +158,7 @@ class Errors:
         return {name: max(value, 1e-12) for name, value in found.items()}
 
     def _square(self, measure: str, one: np.ndarray, other: np.ndarray) -> float:
-        from postfx.bench.metrics import to_codes
+        from postfx.colour.views import to_codes
 
         if measure == "seen":
             return float(np.square(to_codes(one, self._exposure) - to_codes(other, self._exposure))
@@ -190,7 +193,7 @@ def measure(args: argparse.Namespace) -> None:
     errors = Errors(view["reference_a"], view["reference_b"], exposure)
     rows = [errors(mean) for mean in view["means"]]
     curves = {name: np.array([row[name] for row in rows]) for name in MEASURES}
-    results = {}
+    results: dict[str, dict[str, Any]] = {}
     for name, pictures in _pictures(view, args).items():
         found = [errors(picture) for picture in pictures]
         mean = {key: float(np.mean([entry[key] for entry in found])) for key in MEASURES}
@@ -217,7 +220,8 @@ def _pictures(view: dict[str, np.ndarray], args: argparse.Namespace) -> dict[str
 
     frames = [postfx.Frame({Role(name): view[name][k] for name in PLANES}, exposure=None, samples=1)
               for k in range(len(view["colour"]))]
-    device, found = postfx.Device(args.device), {}
+    device = postfx.Device(args.device)
+    found: dict[str, list[np.ndarray]] = {}
     for tag in args.model.split(","):
         pipeline = postfx.Pipeline([postfx.DenoiseUpscale(scale=1, model=exact(tag))], device)
         found[tag] = []

@@ -88,7 +88,8 @@ def room(size: tuple[int, int]) -> tuple[Frame, ...]:
         columns = np.arange(size[0]) * width // size[0]
         planes = {role: np.ascontiguousarray(plane[rows][:, columns])
                   for role, plane in frame.planes.items()}
-        planes[Role.MOTION] = planes[Role.MOTION] * np.float32([size[0] / width, size[1] / height])
+        planes[Role.MOTION] = planes[Role.MOTION] * np.array(
+            [size[0] / width, size[1] / height], np.float32)
         frames.append(replace(frame, planes=planes))
     return tuple(frames)
 
@@ -234,16 +235,17 @@ def host_times(work: Callable[[], object], runs: int) -> list[float]:
 
 
 def on_card(size: tuple[int, int], model: str, scale: float,
-            device: Device) -> tuple[Pipeline, Iterator[dict[Role, Any]]]:
+            device: Device) -> tuple[Pipeline, Iterator[dict[Role | str, Any]]]:
     """A pipeline, and planes of PyTorch to give it in turn."""
     import torch
 
     pipeline = Pipeline([postfx.DenoiseUpscale(model=model, scale=scale), postfx.ToneMap()], device)
     where = "cuda" if device.gpu else "cpu"
-    both = [{role: torch.from_numpy(plane).to(where) for role, plane in noise(size, number).items()}
+    both: list[dict[Role | str, Any]] = [
+        {role: torch.from_numpy(plane).to(where) for role, plane in noise(size, number).items()}
             for number in (1, 2)]
 
-    def in_turn() -> Iterator[dict[Role, Any]]:
+    def in_turn() -> Iterator[dict[Role | str, Any]]:
         while True:
             yield from both
 
@@ -333,11 +335,10 @@ def between(size: tuple[int, int], runs: int, device_name: str) -> None:
     stream = DeviceInterpolator(device)
     held = []
     for frame in room(size):
-        planes = {role: device.heap.tensor(f"{role} {frame.number}", plane.shape)
-                  for role, plane in frame.planes.items()
-                  if role in (Role.COLOUR, Role.DEPTH, Role.MOTION)}
-        for role, tensor in planes.items():
-            tensor.upload(np.ascontiguousarray(frame[role], np.float32))
+        planes: dict[Role | str, Any] = {}
+        for role in (Role.COLOUR, Role.DEPTH, Role.MOTION):
+            planes[role] = device.heap.tensor(f"{role} {frame.number}", frame[role].shape)
+            planes[role].upload(np.ascontiguousarray(frame[role], np.float32))
         held.append(planes)
     found: dict[str, list[float]] = {}
     for run in range(runs + 4):

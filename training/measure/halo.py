@@ -1,18 +1,21 @@
 """How far a window's edge reaches: the largest difference to the whole frame, by the halo.
 
     python -m training.measure.halo SEQUENCE ... --halos 48 56 72 [--model s] [--scale 2] [--guides]
+        [--centred] [--in-use]
 
 Denoises the first frame of each sequence (a pattern such as samples/room/noisy.####.exr), whole and
 masked but for its top rows, in windows that end exactly a halo below these rows. Prints the largest
 difference where strength is 1, in [0, 1] of (x / (1 + x))^(1 / 2.2) of exposed light. With guides
 the frame's own planes, repeated, stand in for sharp ones. `halo_of` in
-postfx/passes/denoise/models.py has the halos in use.
+postfx/passes/denoise/models.py has the halos in use. With --in-use they stay, and the given ones
+only say where windows end; two networks in a row, which centred samples get, have two of them.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from unittest import mock
 
@@ -58,12 +61,14 @@ def rows_for(halo: int, height: int) -> list[int]:
 
 
 def difference(
-    frame: Frame, whole: np.ndarray, exposure: float, options: dict[str, object], halo: int
+    frame: Frame, whole: np.ndarray, exposure: float, options: dict[str, object], halo: int,
+    in_use: bool = False
 ) -> float:
-    """The largest of some windows. ValueError where a frame is too low for any."""
+    """The largest of some windows, which have this halo, or those in use. ValueError where a frame
+    is too low for any."""
     device, found = Device("cpu"), []
     for rows in rows_for(halo, frame[Role.COLOUR].shape[0]):
-        with mock.patch.object(windows, "halo_of", lambda _: halo):
+        with nullcontext() if in_use else mock.patch.object(windows, "halo_of", lambda _: halo):
             instance = DenoiseUpscale(**options)  # type: ignore[arg-type]
             part = Pipeline([instance], device, exposure=np.log2(exposure))
             colour = part(masked(frame, rows))[Role.COLOUR]
@@ -86,17 +91,23 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--model", default="s")
     parser.add_argument("--scale", type=int, default=2)
     parser.add_argument("--guides", action="store_true")
+    parser.add_argument("--centred", action="store_true",
+                        help="samples lie at the centres of pixels: frames have no jitter")
+    parser.add_argument("--in-use", action="store_true", help="keep the networks' own halos")
     parser.add_argument("--halos", type=int, nargs="+", required=True, help="render pixels")
     given = parser.parse_args(words)
     options: dict[str, object] = {"model": given.model, "scale": given.scale}
     for pattern in given.sequences:
         frame = next(iter(read_sequence(pattern)))
         frame = guided(frame, given.scale) if given.guides else frame
+        frame = replace(frame, jitter=(0.0, 0.0)) if given.centred else frame
         way = Pipeline([DenoiseUpscale(**options)], Device("cpu"))  # type: ignore[arg-type]
         whole = way(frame)[Role.COLOUR]
-        found = (f"{halo}: {difference(frame, whole, way.exposure_factor, options, halo):.1e}"
+        exposed = way.exposure_factor
+        assert exposed is not None, "a pass ran"
+        found = (f"{halo}: {difference(frame, whole, exposed, options, halo, given.in_use):.1e}"
                  for halo in given.halos)
-        name = f"{given.model} {given.scale}x{' guides' * given.guides}"
+        name = f"{given.model} {given.scale}x{' guides' * given.guides}{' centred' * given.centred}"
         print(f"{name}, {pattern}: {', '.join(found)}", flush=True)
 
 

@@ -22,8 +22,9 @@ import argparse
 import json
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,7 @@ PACKED_FRAMES, PACKED_SIDE = 4, 64  # of the small set: render pixels in the mid
 Method = Callable[[Frame], np.ndarray]
 
 
-def frames_of(clip: dict, variant: int, exposure: float) -> Iterator[Frame]:
+def frames_of(clip: Mapping[str, np.ndarray], variant: int, exposure: float) -> Iterator[Frame]:
     """The frames of one noisy render. In a clip without motion, each frame drops the history."""
     for t in range(len(clip["reference"])):
         planes = {Role(name): clip[f"v{variant}_{name}"][t].astype(np.float32) for name in PLANES}
@@ -49,7 +50,7 @@ def frames_of(clip: dict, variant: int, exposure: float) -> Iterator[Frame]:
                     reset=bool(clip["reset"][t]))
 
 
-def halves(clip: dict, variant: int) -> tuple[np.ndarray, np.ndarray]:
+def halves(clip: Mapping[str, np.ndarray], variant: int) -> tuple[np.ndarray, np.ndarray]:
     """Two independent references (T, H, W, 3); only the second for a render that was made from the
     first."""
     second = clip["half"].astype(np.float32)
@@ -70,7 +71,7 @@ def network_method(model: str, scale: float) -> Method:
     return lambda frame: passes(frame).planes[Role.COLOUR]
 
 
-def score_render(clip: dict, variant: int, method: Method) -> float:
+def score_render(clip: Mapping[str, np.ndarray], variant: int, method: Method) -> float:
     """PSNR in dB of the second half of the frames."""
     exposure = grey_factor(clip["reference"][0].astype(np.float32).clip(0))
     first, second = halves(clip, variant)
@@ -82,7 +83,7 @@ def score_render(clip: dict, variant: int, method: Method) -> float:
     return float(-10 * np.log10(max(np.mean(errors[len(errors) // 2:]), 1e-9)))
 
 
-def score(paths: list[Path], models: list[str]) -> list[dict]:
+def score(paths: list[Path], models: list[str]) -> list[dict[str, Any]]:
     """A row for each clip and noisy render: kind, scale, samples a pixel, and PSNR by method. OIDN
     runs twice, with the planes as rendered and prefiltered."""
     rows = []
@@ -103,7 +104,7 @@ def score(paths: list[Path], models: list[str]) -> list[dict]:
     return rows
 
 
-def group(rows: list[dict]) -> dict[str, list[dict]]:
+def group(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
     """Rows by kind."""
     by_kind = defaultdict(list)
     for row in rows:
@@ -111,19 +112,19 @@ def group(rows: list[dict]) -> dict[str, list[dict]]:
     return by_kind
 
 
-def free(row: dict) -> float:
+def free(row: dict[str, Any]) -> float:
     """PSNR in dB of the better OIDN."""
     return max(row["oidn"], row["oidn_prefiltered"])
 
 
-def mean_gains(rows: list[dict], models: list[str]) -> dict[str, dict[str, float]]:
+def mean_gains(rows: list[dict[str, Any]], models: list[str]) -> dict[str, dict[str, float]]:
     """Kind -> network -> mean gain over the better Open Image Denoise in dB."""
     return {kind: {model: round(float(np.mean([row[model] - free(row) for row in found])), 2)
                    for model in models}
             for kind, found in group(rows).items()}
 
 
-def table(rows: list[dict], models: list[str]) -> str:
+def table(rows: list[dict[str, Any]], models: list[str]) -> str:
     """Markdown: a row for each kind with the mean PSNR of both ways to run OIDN, and each network's
     mean and least gain over the better one."""
     lines = ["| kind | renders | OIDN high, dB | planes prefiltered, dB | " +
@@ -155,7 +156,8 @@ def pack(paths: list[Path], folder: Path) -> None:
                 name = f"v0_{name.split('_', 1)[1]}"
             kept[name] = middle(values,
                                 float(clip["scale"]) if name in ("reference", "half") else 1.0)
-        np.savez_compressed(folder / path.name, **kept)
+        arrays: dict[str, Any] = kept
+        np.savez_compressed(folder / path.name, **arrays)
 
 
 def middle(values: np.ndarray, scale: float) -> np.ndarray:

@@ -11,7 +11,7 @@ twice that size. References are averaged down to the render's size at 1x. Figure
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -28,17 +28,17 @@ SHOWN = ("psnr", "flip", "flicker")
 Way = Callable[[Frame], np.ndarray]
 
 
-def frames_of(clip: dict, variant: int, exposure: float) -> Iterator[Frame]:
+def frames_of(clip: Mapping[str, np.ndarray], variant: int, exposure: float) -> Iterator[Frame]:
     """The frames of one noisy render."""
     for t in range(len(clip["reference"])):
         planes = {Role(name): np.atleast_3d(clip[f"v{variant}_{name}"][t].astype(np.float32))
                   for name in PLANES}
-        jitter = tuple(float(value) for value in clip[f"v{variant}_jitter"][t])
-        yield Frame(planes, number=t + 1, jitter=jitter, exposure=float(np.log2(exposure)),
+        x, y = clip[f"v{variant}_jitter"][t].tolist()
+        yield Frame(planes, number=t + 1, jitter=(x, y), exposure=float(np.log2(exposure)),
                     reset=bool(clip["reset"][t]), samples=int(clip[f"v{variant}_spp"]))
 
 
-def reference_of(clip: dict, height: int) -> np.ndarray:
+def reference_of(clip: Mapping[str, np.ndarray], height: int) -> np.ndarray:
     """References (T, H, W, 3) of this height, which divides their own."""
     full = clip["reference"].astype(np.float32)
     factor = full.shape[1] // height
@@ -81,7 +81,7 @@ def ways_of(model: str, scale: float, size: tuple[int, int], weight: float | Non
             "mean": mean, "mixture": lambda frame: both(frame)[Role.COLOUR]}
 
 
-def score(clip: dict, variant: int, scale: int, model: str,
+def score(clip: Mapping[str, np.ndarray], variant: int, scale: int, model: str,
           weight: float | None) -> dict[str, tuple[float, ...]]:
     """Way -> the figures of the second half of the frames; NaN where one cannot be measured."""
     exposure = exposure_of(clip["reference"].astype(np.float32))

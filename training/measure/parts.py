@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import threading
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -62,10 +63,17 @@ def load(path: Path) -> tuple[list[Frame], dict[str, dict[int, np.ndarray]]]:
     return frames, references
 
 
+def added(lights: Iterable[np.ndarray]) -> np.ndarray:
+    """The sum of lights (h, w, 3), in their order."""
+    first, *others = lights
+    return sum(others, first)
+
+
 def graded(frame: Frame) -> Frame:
     """The frame with graded lights."""
     planes = {**frame.planes,
-              Role.COLOUR: sum(GRADE.get(name, 1.0) * part for name, part in frame.parts.items())}
+              Role.COLOUR: added(GRADE.get(name, 1.0) * part
+                                 for name, part in frame.parts.items())}
     return Frame(planes, number=frame.number, samples=frame.samples)
 
 
@@ -103,19 +111,19 @@ def measure(frames: list[Frame], references: dict[str, dict[int, np.ndarray]], m
         row = [shown_psnr(light, reference) for light in (
             plain, found.parts[name], own[name], by_oidn(frames[-1], part, size, kernels))]
         print(f"| {name} | " + " | ".join(f"{value:.2f}" for value in row) + " |")
-    picture, whole = found[Role.COLOUR], sum(references[name][size] for name in names)
+    picture, whole = found[Role.COLOUR], added(references[name][size] for name in names)
     print(f"picture {shown_psnr(picture, whole):.2f} dB")
-    wanted = sum(GRADE.get(name, 1.0) * references[name][size] for name in names)
+    wanted = added(GRADE.get(name, 1.0) * references[name][size] for name in names)
     grade = ", ".join(f"{name} x{factor:g}" for name, factor in GRADE.items())
     for filters, parts in zip(PART_FILTERS, (found.parts, own), strict=True):
-        after = sum(GRADE.get(name, 1.0) * parts[name] for name in names)
-        apart = np.abs(sum(parts[name] for name in names) - picture).sum() / picture.sum()
+        after = added(GRADE.get(name, 1.0) * parts[name] for name in names)
+        apart = np.abs(added(parts[name] for name in names) - picture).sum() / picture.sum()
         print(f"filters {filters}: sum apart by {apart:.1e} of the light; graded ({grade}) after "
               f"{shown_psnr(after, wanted):.2f} dB")
-    oidn = sum(GRADE.get(name, 1.0) * by_oidn(frames[-1], frames[-1].parts[name], size, kernels)
-               for name in names)
-    before, others = shown_psnr(picture_graded_before, wanted), shown_psnr(oidn, wanted)
-    print(f"graded before {before:.2f} dB, OIDN's parts {others:.2f} dB")
+    oidn = added(GRADE.get(name, 1.0) * by_oidn(frames[-1], frames[-1].parts[name], size, kernels)
+                 for name in names)
+    first, others = shown_psnr(picture_graded_before, wanted), shown_psnr(oidn, wanted)
+    print(f"graded before {first:.2f} dB, OIDN's parts {others:.2f} dB")
 
 
 def cost(model: str, threads: int) -> None:

@@ -3,25 +3,22 @@
     python -m training.measure.predicted_error FOLDER [--model xl] [--kinds water,fog]
         [--calibrate CHECKPOINT -o OUT.pt]
 
-FOLDER holds one folder for each kind, as for `training.measure.table`. All pixels of the sequences
-are sorted by the error that was predicted for them, and divided into ten equal parts; for each the
-mean of the measured squared error is divided by the mean of the predicted one. 1 is right. Errors
-are those of code values at the exposure of the run.
+FOLDER holds one folder for each kind, as for `training.measure.table`. Only frames with two
+references count, each of which has noise of its own: the mean product of the differences to both
+is the squared error without that noise. All pixels of the sequences are sorted by the error that
+was predicted for them, and divided into ten equal parts; for each the mean of the measured squared
+error is divided by the mean of the predicted one. 1 is right. Errors are those of code values at
+the exposure of the run.
 
 The last rows are of predictions that a curve has changed: the logarithm times a slope, plus a bias,
 fitted to all other kinds, so that each is right by the tenths in what it was not fitted to.
 --calibrate writes the network of a checkpoint, of which --model is the export, with the curve of
-all kinds in its last layer of the prediction. Where a network guards its history (`guarded` in its
-card), the guard reads that layer, so later frames change, too: measure them again. Else its
-pictures stay the same to the bit.
-
-References have noise of their own, which no prediction can know. It is taken out by the mean over
-the part: the second differences of a reference less its denoised picture show it. The denoised one
-has the planes of the render with the most samples.
+all kinds. Its pictures stay the same to the bit.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -43,32 +40,19 @@ LOW, HIGH = 0.8, 1.25
 """Ratios of measured to predicted errors between which a part counts as right."""
 LEAST_ERROR = 1e-7
 """A tenth's least squared error: the noise that is taken out may leave nothing."""
-SECOND_DIFFERENCES_GAIN = 36
-"""Variance of the second differences along both axes of white noise of variance 1."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Of the pixels of one frame: what was predicted and measured, and the reference's noise in the
-    latter."""
+    """Of the pixels of one frame, (height, width): what was predicted, and what was measured
+    without the noise of references, which can be below 0 in single pixels."""
 
     predicted: np.ndarray
     measured: np.ndarray
-    noise: np.ndarray
 
 
 Kinds = dict[tuple[str, int], list[Errors]]
 """Kind and samples a pixel -> frames."""
-
-
-def white_noise(codes: np.ndarray) -> np.ndarray:
-    """Variance of the noise of each pixel (height, width) of codes (height, width, channels) that
-    hold hardly anything else; right in the mean over many pixels (Immerkaer 1996)."""
-    padded = np.pad(codes, ((1, 1), (1, 1), (0, 0)), mode="reflect")
-    rows = padded[:-2] - 2 * padded[1:-1] + padded[2:]
-    both = rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:]
-    found: np.ndarray = np.square(both).mean(axis=2) / SECOND_DIFFERENCES_GAIN
-    return found
 
 
 @dataclass(frozen=True)
@@ -88,7 +72,7 @@ def tenths(frames: list[Errors]) -> tuple[np.ndarray, np.ndarray]:
     """Mean predicted and mean measured error of each tenth of the pixels, from the least prediction
     to the largest."""
     predicted = np.concatenate([one.predicted.ravel() for one in frames])
-    measured = np.concatenate([(one.measured - one.noise).ravel() for one in frames])
+    measured = np.concatenate([one.measured.ravel() for one in frames])
     parts = np.array_split(np.argsort(predicted, kind="stable"), PARTS)
     expected, found = (np.array([values[part].mean(dtype=np.float64) for part in parts])
                        for values in (predicted, measured))
@@ -118,39 +102,22 @@ def left_out(found: Kinds) -> Kinds:
     return made
 
 
-class References:
-    """The references of a kind, denoised once at each exposure."""
-
-    def __init__(self, shot: Shot, richest: Shot, model: str, threads: int) -> None:
-        self._references, self._richest = Sequence(shot.reference), Sequence(richest.noisy)
-        self._denoiser = Pipeline([DenoiseUpscale(scale=1.0, model=model)], Device("cpu", threads))
-        self._clean: dict[int, np.ndarray] = {}
-
-    def codes(self, number: int, exposure: float) -> tuple[np.ndarray, np.ndarray]:
-        """Codes of a reference (height, width, 3), and its noise (height, width)."""
-        colour = self._references.read(number, [Role.COLOUR])[Role.COLOUR]
-        if number not in self._clean:
-            planes = self._richest.read(number)
-            self._denoiser.reset()
-            guided = replace(planes, planes={**planes.planes, Role.COLOUR: colour})
-            self._clean[number] = self._denoiser(guided)[Role.COLOUR].copy()
-        codes = to_codes(colour, exposure)
-        return codes, white_noise(codes - to_codes(self._clean[number], exposure))
-
-
-def measure(shot: Shot, references: References, model: str,
-            threads: int) -> Iterator[Errors]:
-    """The frames of a shot."""
+def measure(shot: Shot, model: str, threads: int) -> Iterator[Errors]:
+    """The frames of a shot that have two references."""
     denoise = DenoiseUpscale(scale=1.0, model=model, error=True)
     pipeline = Pipeline([denoise], Device("cpu", threads))
-    noisy = Sequence(shot.noisy)
+    noisy, references = Sequence(shot.noisy), [Sequence(shot.reference), Sequence(shot.second)]
+    measured = references[1].numbers
     for number in noisy.numbers:
         result: Frame = pipeline(noisy.read(number))
+        if number not in measured:
+            continue
         exposure = pipeline.exposure_factor or 1.0
-        wanted, noise = references.codes(number, exposure)
         found = to_codes(result[Role.COLOUR], exposure)
-        yield Errors(result[Role.ERROR][:, :, 0].copy(),
-                     np.square(found - wanted).mean(axis=2), noise)
+        first, second = (
+            found - to_codes(sequence.read(number, [Role.COLOUR])[Role.COLOUR], exposure)
+            for sequence in references)
+        yield Errors(result[Role.ERROR][:, :, 0].copy(), (first * second).mean(axis=2))
 
 
 def row(name: str, frames: list[Errors]) -> str:
@@ -161,14 +128,22 @@ def row(name: str, frames: list[Errors]) -> str:
 
 
 def calibrate(checkpoint: dict[str, Any], curve: Curve, kinds: int) -> dict[str, Any]:
-    """A checkpoint whose last layer of the prediction holds a curve; its notes say so."""
-    weights = dict(checkpoint["weights"])
-    kept = weights[BIAS].dtype
-    weights[WEIGHT] = (weights[WEIGHT].float() * curve.slope).to(kept)
-    weights[BIAS] = (weights[BIAS].float() * curve.slope + curve.bias).to(kept)
+    """A checkpoint that predicts by a curve; its notes say so.
+
+    The curve goes into the last layer of the prediction, or, where the network itself reads the
+    prediction to guard its history, behind that.
+    """
+    config, weights = dict(checkpoint["config"]), dict(checkpoint["weights"])
+    if config.get("guarded"):
+        config["error_slope"] = config.get("error_slope", 1.0) * curve.slope
+        config["error_bias"] = config.get("error_bias", 0.0) * curve.slope + curve.bias
+    else:
+        kept = weights[BIAS].dtype
+        weights[WEIGHT] = (weights[WEIGHT].float() * curve.slope).to(kept)
+        weights[BIAS] = (weights[BIAS].float() * curve.slope + curve.bias).to(kept)
     told = (f"logarithm times {curve.slope:.3f} plus {curve.bias:.3f}, fitted to {kinds} kinds by "
             "training/measure/predicted_error.py")
-    return {"config": checkpoint["config"], "weights": weights,
+    return {"config": config, "weights": weights,
             "notes": checkpoint["notes"] | {"predicted_error": told}}
 
 
@@ -186,33 +161,36 @@ def report(found: Kinds) -> str:
     return "\n".join(lines)
 
 
-def main(argv: list[str] | None = None) -> None:
+def options() -> argparse.ArgumentParser:
+    """Options of the command."""
     parser = parser_of_kinds(__doc__)
     parser.add_argument("--calibrate", type=Path, metavar="CHECKPOINT",
                         help="checkpoint that --model was exported from")
     parser.add_argument("-o", "--output", type=Path, help="checkpoint to write")
+    return parser
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = options()
     given = parser.parse_args(argv)
     if (given.calibrate is None) != (given.output is None):
         parser.error("--calibrate and -o go together")
-    wanted = list(shots(given.folder, list(filter(None, given.kinds.split(","))), ["1x"], []))
+    kinds = list(filter(None, given.kinds.split(",")))
+    wanted = [shot for shot in shots(given.folder, kinds, ["1x"], [])
+              if any(shot.folder.glob("second.*.exr"))]
     if not wanted:
-        parser.error(f"{given.folder} holds no kinds with references: "
-                     "training/measure/validation/render_scenes.py makes them")
+        parser.error(f"{given.folder} holds no kinds with two references: "
+                     "training/measure/validation/render_scenes.py makes them, with --second")
     found: Kinds = {}
-    for kind in sorted({shot.kind for shot in wanted}):
-        mine = [shot for shot in wanted if shot.kind == kind]
-        richest = max(mine, key=lambda shot: shot.samples)
-        references = References(mine[0], richest, given.model, given.threads)
-        for shot in mine:
-            found[kind, shot.samples] = list(measure(shot, references, given.model,
-                                                     given.threads))
-            print(row(f"{kind} {shot.samples}", found[kind, shot.samples]), flush=True)
+    for shot in wanted:
+        found[shot.kind, shot.samples] = list(measure(shot, given.model, given.threads))
+        print(row(f"{shot.kind} {shot.samples}", found[shot.kind, shot.samples]), flush=True)
     print(report(found))
     curve = fit([one for frames in found.values() for one in frames])
     print(f"curve of all: slope {curve.slope:.3f}, bias {curve.bias:.3f}")
     if given.calibrate:
-        kinds = len({kind for kind, _ in found})
-        save(calibrate(read(given.calibrate), curve, kinds), given.output)
+        count = len({kind for kind, _ in found})
+        save(calibrate(read(given.calibrate), curve, count), given.output)
 
 
 if __name__ == "__main__":

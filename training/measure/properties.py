@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -79,7 +80,7 @@ def fireflies(random: np.random.Generator, light: Picture, samples: int, chance:
 def frame(colour: Picture, albedo: Picture, depth: Picture | None = None, number: int = 0) -> Frame:
     size = colour.shape[:2]
     planes = {Role.COLOUR: colour, Role.DIFFUSE_ALBEDO: albedo, Role.SPECULAR_ALBEDO: 0 * albedo,
-              Role.NORMAL: np.broadcast_to(np.float32([0, 0, 1]), (*size, 3)),
+              Role.NORMAL: np.broadcast_to(np.array([0, 0, 1], np.float32), (*size, 3)),
               Role.ROUGHNESS: np.ones((*size, 1)),
               Role.DEPTH: np.full((*size, 1), 5.0) if depth is None else depth,
               Role.MOTION: np.zeros((*size, 2))}
@@ -184,11 +185,11 @@ def lamps(scale: float) -> Iterator[Case]:
     views."""
     def light(size: int) -> Picture:
         x, y = grid(size)
-        discs = sum(np.clip((radius - np.hypot(x - u, y - v)) * size + 0.5, 0, 1) * value
-                    for u, v, radius, value in (
-                        (0.25, 0.3, 0.07, 12.0), (0.6, 0.25, 0.1, 6.0), (0.45, 0.7, 0.08, 20.0),
-                        (0.8, 0.65, 0.05, 9.0)))
-        return grey(0.02 + discs) * np.float32([1.0, 0.85, 0.6])
+        discs = np.zeros_like(x)
+        for u, v, radius, value in ((0.25, 0.3, 0.07, 12.0), (0.6, 0.25, 0.1, 6.0),
+                                    (0.45, 0.7, 0.08, 20.0), (0.8, 0.65, 0.05, 9.0)):
+            discs = discs + np.clip((radius - np.hypot(x - u, y - v)) * size + 0.5, 0, 1) * value
+        return grey(0.02 + discs) * np.array([1.0, 0.85, 0.6], np.float32)
 
     at_render, truth = light(SIDE), light(round(SIDE * scale))
     frames = []
@@ -217,7 +218,7 @@ def ghost(scale: float) -> Iterator[Case]:
     for number in range(6):
         box = np.zeros((SIDE, SIDE, 1), np.float32)
         box[30:60, 10 + 6 * number:34 + 6 * number] = 1
-        own = albedo * (1 - box) + np.float32([0.7, 0.12, 0.1]) * box
+        own = albedo * (1 - box) + np.array([0.7, 0.12, 0.1], np.float32) * box
         noisy = few_samples(np.random.default_rng(number), light, 8) * own
         frames.append(frame(noisy, own, depth=5 - 3 * box, number=number))
     rows = np.arange(size) * SIDE // size
@@ -294,9 +295,9 @@ def methods_of(name: str, models: list[str]) -> dict[str, Method]:
     return found
 
 
-def score(names: list[str], models: list[str]) -> list[dict[str, float | str]]:
+def score(names: list[str], models: list[str]) -> list[dict[str, Any]]:
     """A row for each case and method."""
-    rows: list[dict[str, float | str]] = []
+    rows: list[dict[str, Any]] = []
     for name in names:
         make, scales = CASES[name]
         for scale in scales:
@@ -308,7 +309,7 @@ def score(names: list[str], models: list[str]) -> list[dict[str, float | str]]:
     return rows
 
 
-def table(rows: list[dict[str, float | str]]) -> str:
+def table(rows: list[dict[str, Any]]) -> str:
     """Markdown: a line for each case, PSNR and light of each method."""
     methods = list(dict.fromkeys(str(row["method"]) for row in rows))
     lines = ["| case | scale | | " + " | ".join(methods) + " |",
@@ -325,7 +326,7 @@ def table(rows: list[dict[str, float | str]]) -> str:
     return "\n".join(lines)
 
 
-def rises(rows: list[dict[str, float | str]], method: str) -> list[str]:
+def rises(rows: list[dict[str, Any]], method: str) -> list[str]:
     """Steps at which noise rises by more than 5 % or PSNR falls by more than 0.05 dB as samples
     double."""
     found = []

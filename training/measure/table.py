@@ -6,7 +6,8 @@
 FOLDER holds one folder for each kind, as `training/measure/validation/render_scenes.py` writes
 them: noisy.SPP.####.exr at the references' size, half.SPP.####.exr at half of it, and
 reference.####.exr. Frames that also have a second.####.exr, a reference with other noise, are
-measured without the noise of references. A way is a name, and options of `postfx run`. There are
+measured without the noise of references. The first frames of a shot may have no reference: they
+run before the others, and are not measured. A way is a name, and options of `postfx run`. There are
 three comparisons:
 
     1x           both on the full size
@@ -14,10 +15,7 @@ three comparisons:
     same rays    postfx at 2x on half the size and four times the samples, OIDN on the full size
 
 The five ways of Open Image Denoise: planes as clean, planes prefiltered each alone, planes as they
-are, colour alone, and the best of these accumulated along the motion. For each figure the best of
-them counts. All figures are means over the second half of the frames. OIDN's are kept in FILE,
-by name, size and time of the files that they were made of.
-"""
+are, XX"""
 
 from __future__ import annotations
 
@@ -37,7 +35,7 @@ import numpy as np
 from postfx.bench.baselines import Accumulator, HostKernels, Oidn
 from postfx.bench.metrics import SequenceScore
 from postfx.errors import PostfxError
-from postfx.frame import Role
+from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.oidn import GUIDE_WAYS
 from postfx.runtime import Device
@@ -116,17 +114,23 @@ class Judge:
         references = Sequence(shot.reference)
         self.noisy = Sequence(shot.noisy)
         self.frames = [self.noisy.read(number) for number in self.noisy.numbers]
-        self._targets = [references.read(frame.number, [Role.COLOUR]) for frame in self.frames]
-        others = Sequence(shot.second) if any(shot.folder.glob("second.*.exr")) else None
-        self._seconds = {number: others.read(number, [Role.COLOUR])
-                         for number in (others.numbers if others else ())}
-        self.size = self._targets[0][Role.COLOUR].shape[:2]
+        self._targets = {number: references.read(number, [Role.COLOUR])
+                         for number in references.numbers}
+        self._seconds: dict[int, Frame] = {}
+        if any(shot.folder.glob("second.*.exr")):
+            others = Sequence(shot.second)
+            self._seconds = {number: others.read(number, [Role.COLOUR])
+                             for number in others.numbers}
+        height, width, _ = next(iter(self._targets.values()))[Role.COLOUR].shape
+        self.size = height, width
 
     def score(self, pictures: list[np.ndarray]) -> Scores:
-        """Means over the second half of the frames."""
+        """Means over the second half of the frames that have references."""
         scores = SequenceScore()
-        for picture, target, frame in zip(pictures, self._targets, self.frames, strict=True):
-            scores.add(picture, target, frame, self._seconds.get(frame.number))
+        for picture, frame in zip(pictures, self.frames, strict=True):
+            number = frame.number
+            if number in self._targets:
+                scores.add(picture, self._targets[number], frame, self._seconds.get(number))
         summary = scores.summary()
         return {figure: summary[f"{figure}_late"] for figure in FIGURES}
 
@@ -141,7 +145,7 @@ def five_ways(judge: Judge, threads: int) -> dict[str, Scores]:
         made[planes] = [kernels.enlarge(denoise(frame), *judge.size, frame.jitter)
                         for frame in judge.frames]
         scores[planes] = judge.score(made[planes])
-    best = max(scores, key=lambda planes: scores[planes]["psnr"])
+    best = max(scores, key=lambda planes: psnr_of(scores[planes]))
     if all(Role.MOTION in frame for frame in judge.frames):
         accumulate = Accumulator(kernels)
         scores[ACCUMULATED] = judge.score([accumulate(picture, frame) for picture, frame
@@ -217,19 +221,27 @@ class Gain:
     flicker: float | None
 
 
+def psnr_of(scores: Scores) -> float:
+    """PSNR in dB, which every picture has."""
+    found = scores["psnr"]
+    assert found is not None, "there is a reference"
+    return found
+
+
 def best_psnr(oidn: dict[str, Scores]) -> tuple[str, float]:
     """The best way in PSNR, and its PSNR."""
-    name = max(oidn, key=lambda way: oidn[way]["psnr"])
-    return name, oidn[name]["psnr"]
+    name = max(oidn, key=lambda way: psnr_of(oidn[way]))
+    return name, psnr_of(oidn[name])
 
 
 def compare(kind: str, samples: int, ours: Scores, oidn: dict[str, Scores]) -> Gain:
     name, level = best_psnr(oidn)
     ratios = {}
     for figure in ("flip", "flicker"):
-        known = [scores[figure] for scores in oidn.values() if scores[figure]]
-        ratios[figure] = ours[figure] / min(known) if known and ours[figure] is not None else None
-    return Gain(kind, samples, name, ours["psnr"] - level, ratios["flip"], ratios["flicker"])
+        known = [value for scores in oidn.values() if (value := scores[figure])]
+        own = ours[figure]
+        ratios[figure] = own / min(known) if known and own is not None else None
+    return Gain(kind, samples, name, psnr_of(ours) - level, ratios["flip"], ratios["flicker"])
 
 
 def gains(rows: list[Row], size: str, way: str) -> list[Gain]:

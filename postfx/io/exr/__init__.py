@@ -131,7 +131,7 @@ class Header:
 
     def pack(self) -> bytes:
         """The header as a file holds it."""
-        entries = [raw(name) + b"\0" + raw(kind) + b"\0" + struct.pack("<i", len(value)) + value
+        entries = [f"{name}\0{kind}\0".encode(*_AS_TEXT) + struct.pack("<i", len(value)) + value
                    for name, (kind, value) in self.attributes.items()]
         return b"".join(entries) + b"\0"
 
@@ -215,17 +215,15 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
             raise ReadError(f"it has more than {MAX_PARTS} parts")
     if several and not headers[0].attributes:
         raise ReadError("it holds no image")
-    if not several:
-        _correct_type(headers[0], version)
+    if not several and not version & DEEP:
+        # the file's flags tell how a lone part is stored, whatever its type says
+        stored, other = TILED_IMAGE, SCANLINE_IMAGE
+        if not version & TILED:
+            stored, other = other, stored
+        if headers[0].part_type == other:
+            headers[0].set_text("type", stored)
     file.seek(start.at)
     return version, headers
-
-
-def _correct_type(header: Header, version: int) -> None:
-    """Correct the type of a lone part by the file's flags, which tell how it is stored."""
-    wrong = TILED_IMAGE if not version & TILED else SCANLINE_IMAGE
-    if not version & DEEP and header.part_type == wrong:
-        header.set_text("type", SCANLINE_IMAGE if wrong == TILED_IMAGE else TILED_IMAGE)
 
 
 class _Start:

@@ -431,23 +431,19 @@ def write_container(path: Path, parts: list[NewPart]) -> int:
         table = file.tell()
         file.write(bytes(8 * sum(part.count for part in parts)))
         offsets: list[int] = []
+        size = table + 8 * sum(part.count for part in parts)
         for number, part in enumerate(parts):
-            offsets += _write_chunks(file, part, struct.pack("<i", number) if several else b"")
-        size = file.tell()
+            prefix = struct.pack("<i", number) if several else b""
+            places = [0] * part.count
+            for place, stored in part.chunks:
+                places[place] = size
+                file.write(prefix)
+                file.write(stored)
+                size += len(prefix) + len(stored)
+            offsets += places
         file.seek(table)
         file.write(struct.pack(f"<{len(offsets)}Q", *offsets))
     return size
-
-
-def _write_chunks(file: BinaryIO, part: NewPart, prefix: bytes) -> list[int]:
-    offsets = [0] * part.count
-    at = file.tell()
-    for place, stored in part.chunks:
-        offsets[place] = at
-        file.write(prefix)
-        file.write(stored)
-        at += len(prefix) + len(stored)
-    return offsets
 
 
 def _flags(headers: list[Header]) -> int:
@@ -482,7 +478,7 @@ def read_rows(file: ExrContainer, part: int, planes: ChannelPlanes, first: int, 
         wanted = words[max(first - top, 0):]
         for columns, plane in planes:
             target = plane[max(top - first, 0):][:len(wanted)]
-            widen_rows(wanted[:len(target)], columns, target)
+            widen_rows(0, len(target), wanted[:len(target)], columns, target)
     return True
 
 

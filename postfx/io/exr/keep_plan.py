@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.caching import Kept
+from postfx.caching import LRUCache
 from postfx.frame import Frame
 from postfx.io.exr import Attribute, Header
 from postfx.io.exr.container import (
@@ -168,4 +168,4 @@ def _find_part(file: ImageFile, index: int) -> Part:
     return next(part for part in file.parts if part.index == index)
 
 
-_KEEP_PLANS: Kept[tuple[Hashable, ...], KeepPlan] = Kept(MOST_KEEP_PLANS)
+_KEEP_PLANS: LRUCache[tuple[Hashable, ...], KeepPlan] = LRUCache(MOST_KEEP_PLANS)

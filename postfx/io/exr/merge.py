@@ -155,7 +155,7 @@ class Render:
         if any(part.is_picture for part in self.file.parts):
             raise ReadError(f"{self.path}: is a picture that postfx made: merge the renders, then "
                             "process the result")
-        self.samples = samples or int(layout.facts.number("samples") or 0)
+        self.samples = samples or layout.facts.samples or 0
         self._counts: tuple[Window, np.ndarray] | None = None
         if Role.SAMPLE_COUNT in layout.planes:
             (channel,) = self._files.match(Role.SAMPLE_COUNT).channels

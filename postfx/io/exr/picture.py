@@ -25,7 +25,7 @@ from postfx.io.exr.container import Rows, picture_part, write_container
 from postfx.io.exr.keep_plan import merge_source
 from postfx.io.exr.passthrough import INVENTED
 from postfx.io.exr.views import View, merge_views
-from postfx.io.pixel_formats import halve, look_up
+from postfx.io.pixel_formats import halve_pixels, look_up
 from postfx.io.windows import EXR_NAMES
 
 TABLE_STEPS = 1 << 16
@@ -36,11 +36,9 @@ def to_halves(light: np.ndarray) -> np.ndarray:
     """float16 nearest to light of any shape, cut to +-65504; NaN stays. Channels of (height, width,
     channels) lie one after the other in memory, as they are written."""
     height, width, count = light.shape if light.ndim == 3 else (1, light.size, 1)
-    values, found = (
-        np.ascontiguousarray(light, np.float32),
-        np.empty((count, height * width), np.uint16),
-    )
-    halve(values.reshape(-1).view(np.int32), found)
+    values = np.ascontiguousarray(light, np.float32).reshape(-1)
+    found = np.empty((count, height * width), np.uint16)
+    halve_pixels(0, height * width, values, found)
     return np.moveaxis(found.view(np.float16).reshape(count, height, width), 0, -1).reshape(
         light.shape
     )
@@ -54,8 +52,9 @@ def light_of(codes: np.ndarray, display: Display) -> np.ndarray:
     as 2.4e-4.
     """
     values = np.ascontiguousarray(codes, np.float32).reshape(-1)
-    light = np.empty_like(values)
-    if not look_up(values, _table(display.name), light):
+    light, inside = np.empty_like(values), np.empty(1, bool)
+    look_up(0, values.size, values, _table(display.name), light, inside)
+    if not inside[0]:
         return display.decode(codes).astype(np.float32, copy=False)
     return display.apply_ootf(light.reshape(codes.shape)).astype(np.float32, copy=False)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.passes import MOST_SIZES, Pass, Reflection, ResidentFrame
 from postfx.passes.denoise.first_stage import DENOISED_SHARE
 from postfx.passes.denoise.frame import Ready, ReadyNetwork, Wishes
-from postfx.passes.denoise.history import ALPHA_PICTURE, History, PartHistory
+from postfx.passes.denoise.history import FILTERED_PICTURE, History, PartHistory
 from postfx.passes.denoise.models import (
     CLASSIC,
     GUIDED,
@@ -29,8 +29,9 @@ from postfx.passes.denoise.models import (
     denoises_first,
     enlarging_remarks,
     family,
-    filter_remarks,
+    filter_model,
     gives_picture,
+    halo_of,
     has_model,
     mixture_model,
     model_of,
@@ -61,7 +62,7 @@ from postfx.passes.denoise.savings import (
     Amount,
     Savings,
 )
-from postfx.passes.denoise.tiling import Sizes, active_cells, whole_tiles
+from postfx.passes.denoise.tiling import CELL, Sizes, active_cells, whole_tiles
 from postfx.passes.denoise.window import Work
 from postfx.repeats import ONE_SEED, Alike, FrameMemory, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
@@ -111,11 +112,12 @@ class DenoiseUpscale(Pass):
             network, 'nets/mine.onnx', with its card beside it, and mine.guides.onnx and
             mine.1x.onnx if they exist; or 'classic', a filter without a network, on a CPU and for
             frames without parts. The default here is 'm'. `postfx run` and `postfx.denoise` take
-            'xl' by themselves for frames of the render's size that fit into memory: it is cleaner,
-            and on a CPU takes ten times as long. Where frames are enlarged 'xl' denoises them at
-            their own size first, and a second network enlarges a mixture of that and the noisy
-            picture. With parts, noisy alpha, jitter, a budget, or guides in place of planes 'l'
-            enlarges the noisy picture instead.
+            'xl' by themselves for frames that fit into memory, but not for larger ones with guides:
+            it is cleaner, and on a CPU takes ten times as long. Where frames are enlarged 'xl'
+            denoises them at their own size first, and a second network enlarges a mixture of that
+            and the noisy picture. With jitter, a budget, or guides in place of planes 'l' enlarges
+            the noisy picture instead. Beside 'xl', and 'l' at the render's size, 'm' filters parts
+            and noisy alpha.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit. Where `model`
@@ -187,7 +189,8 @@ class DenoiseUpscale(Pass):
         self._cameras, self._repeats = Cameras(), RepeatDetector()
         self._memory = FrameMemory()
         self._notice: str | None = None
-        self._has_told = self._has_told_of_alpha = False
+        self._has_told = False
+        self._spared = 0
         own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
         asked = validate_tag(str(model), own)
         self._tag = CLASSIC if self._falls_back(asked) else asked
@@ -239,7 +242,6 @@ class DenoiseUpscale(Pass):
         found += [f"no {listed}: results are blurrier"] if lost else []
         if self._is_render_size(spec):
             found += unscaled_remarks(self._tag)
-            found += filter_remarks(self._tag) if self._parts else []
         else:
             found += enlarging_remarks(self._tag)
             found += self._one_stage_remarks(spec)
@@ -270,7 +272,7 @@ class DenoiseUpscale(Pass):
             reactive = self._mask.role(spec) is not None
             sizes = Sizes(spec.height, spec.width, *size)
             self._history = History(device, sizes, reactive)
-            beside = (ALPHA_PICTURE,) if self._alpha_model(spec, models) else ()
+            beside = (FILTERED_PICTURE,) if self._filter_model(spec, models) else ()
             own = {name: History(device, sizes, reactive) for name in (*self._own, *beside)}
             self._part_history = PartHistory(device, size, self._parts, own)
         self._sizes: LRUCache[FrameSpec, Ready] = LRUCache(MOST_SIZES)
@@ -305,18 +307,23 @@ class DenoiseUpscale(Pass):
                       else None)
             return Ready(self._device, spec, size, layers)
         models, guided = self._models(spec), self._is_guided(spec)
-        alpha_model = self._alpha_model(spec, models)
+        filters = self._filter_model(spec, models)
         models |= self._alone_models(spec, models)
-        wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, alpha_model,
-                        self._error, self._first_stage() if self._has_first_stage(spec) else None)
+        first = self._first_stage(models.values()) if self._has_first_stage(spec) else None
+        wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, filters,
+                        self._error, first, self._spared)
         return ReadyNetwork(self._device, spec, size, models, guided, wishes, self._history,
                             self._part_history)
 
-    def _first_stage(self) -> DenoiseUpscale:
-        """What denoises frames before they are enlarged, and mixes them with the noisy ones."""
-        return DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False,
-                              **{name: self.options[name]
-                                 for name in ("model", "reactive", "library")})
+    def _first_stage(self, models: Iterable[str]) -> DenoiseUpscale:
+        """What denoises frames before they are enlarged by these networks, and mixes them with the
+        noisy ones. Its strength is 1 in the halo of these, too, where little of what it does comes
+        to the result: so both halos are one."""
+        stage = DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False,
+                               **{name: self.options[name]
+                                  for name in ("model", "reactive", "library")})
+        stage._spared = halo_of(models) + CELL
+        return stage
 
     def _has_first_stage(self, spec: FrameSpec) -> bool:
         """Whether frames of a spec are denoised at their own size before they are enlarged."""
@@ -326,8 +333,6 @@ class DenoiseUpscale(Pass):
     def _one_stage_reason(self, spec: FrameSpec) -> str:
         """Why frames of a spec are enlarged as they are; empty if nothing speaks against two
         stages."""
-        if self._parts:
-            return "parts need filters that fit the noisy picture"
         if self.budget:
             return "there is a budget"
         if any(role in spec.guide_roles and not spec.has(role) for role in GUIDE_ROLES):
@@ -359,15 +364,15 @@ class DenoiseUpscale(Pass):
         tags, ending = self._tags_for(spec, runs_classic(self._device)), self._ending(spec)
         if self._has_first_stage(spec):
             return {short_tag(tag): mixture_model(tag, ending, self._device) for tag in tags}
-        return {short_tag(tag): model_of(tag, ending, self._device, bool(self._parts))
-                for tag in tags}
+        return {short_tag(tag): model_of(tag, ending, self._device) for tag in tags}
 
-    def _alpha_model(self, spec: FrameSpec, models: Mapping[str, str]) -> str | None:
-        """The network that filters noisy alpha, where one of the ``models`` gives the picture
-        alone."""
-        if not (self._alpha and spec.has(Role.ALPHA) and any(map(gives_picture, models.values()))):
+    def _filter_model(self, spec: FrameSpec, models: Mapping[str, str]) -> str | None:
+        """The network that filters parts and noisy alpha, where one of the ``models`` gives the
+        picture alone, or sees one that was denoised."""
+        is_beside = self._has_first_stage(spec) or any(map(gives_picture, models.values()))
+        if not is_beside or not (self._parts or (self._alpha and spec.has(Role.ALPHA))):
             return None
-        return model_of(self._tag, self._ending(spec), self._device, filters=True)
+        return filter_model(self._tag, self._ending(spec), self._device)
 
     def _alone_models(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
         """The network of frames that are not denoised first, by its tag, where it is not the one of
@@ -465,7 +470,8 @@ class DenoiseUpscale(Pass):
     def _denoise(self, commands: CommandBuffer, frame: ResidentFrame,
                  ready: ReadyNetwork) -> Tensor:
         """The denoised colour, by as much work as the frame needs."""
-        cells = self._active(frame, ready) if Role.STRENGTH in frame.host_planes else None
+        strength = frame.host_planes.get(Role.STRENGTH)
+        cells = None if strength is None else active_cells(strength)
         if ready.error and cells is not None:
             ready.error.forget()
         savings = Savings() if frame.history_only else self._savings
@@ -487,7 +493,10 @@ class DenoiseUpscale(Pass):
 
         lit = ready.lit_cells(frame) if cells is None and Role.MOTION not in frame else None
         active = cells if lit is None else lit
-        band = None if active is None else ready.frames.layout(active)
+        judged = cells is not None and ready.may_restore(frame)
+        band = None if active is None else ready.frames.layout(active, judged)
+        if cells is not None and judged:
+            cells = whole_tiles(cells)
         if band and lit is not None:
             band = band.over(frame.spec.height)  # what is not lit is written, too
         gain = frame.exposure_factor / self._exposure if keep else 1.0
@@ -517,17 +526,7 @@ class DenoiseUpscale(Pass):
         """The tag of a frame's network: by the budget; another one for what is enlarged as it
         is."""
         tag = self._tags[self._ladder.rung if self._ladder else 0]
-        if ready.first and not ready.first.look(frame):
-            if not self._has_told_of_alpha and ready.first.filters_alpha(frame):
-                self._tell_of_alpha(network_name(ready.alone_tag, ready.models[ready.alone_tag]))
-            return ready.alone_tag
-        return tag
-
-    def _tell_of_alpha(self, other: str) -> None:
-        """Have the user told that another network runs alone, which filters alpha."""
-        self._notice = (f"its alpha is noisy, so model '{other}' runs: '{short_tag(self._tag)}' "
-                        "filters the picture alone; fix: --no-alpha-denoise keeps alpha as it is")
-        self._has_told_of_alpha = True
+        return ready.alone_tag if ready.first and not ready.first.look(frame) else tag
 
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
         """What a frame is beside the one before. Only what is denoised alone, from planes of the
@@ -559,12 +558,6 @@ class DenoiseUpscale(Pass):
             self.recall(widen_history(self.history(), self._parts))
         self._wider = True
 
-    def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray:
-        """Where the frame's strength is not 0, as squares of 4 pixels, or as tiles if these are
-        judged."""
-        cells = active_cells(frame.host_planes[Role.STRENGTH])
-        return whole_tiles(cells) if ready.may_restore(frame) else cells
-
     def _is_repeated(self, frame: ResidentFrame) -> bool:
         """Whether a frame's noise is that of the frame before. Not looked for where frames come on
         a GPU."""
@@ -590,12 +583,8 @@ class DenoiseUpscale(Pass):
             raise PassOptionError("strength 0 runs no network, so none predicts the error: leave "
                                   "one of the two out")
         for tag in self._tags_for(spec):
-            if predicts_error(model_of(tag, self._ending(spec), filters=bool(self._parts))):
-                continue
             if predicts_error(model_of(tag, self._ending(spec))):
-                raise PassOptionError(f"model '{short_tag(tag)}' predicts the error of the picture "
-                                      "alone, not beside light groups and passes: leave them or "
-                                      "the error out")
+                continue
             raise PassOptionError(f"model '{short_tag(tag)}' does not predict its error at this "
                                   f"size: {self._error_remedy()}")
 
@@ -636,18 +625,27 @@ class DenoiseUpscale(Pass):
 
     def _notes(self, spec: FrameSpec) -> tuple[str, ...]:
         notes = [self._network_note(spec)] if self.strength else []
+        notes += self._filter_notes(spec) if self.strength and self._parts else []
         notes += [f"stays {self.size} where frames change their size"] if self.size else []
         notes += [f"own filters: {', '.join(self._own)}"] if self.strength and self._own else []
         notes += (["smooth reflections move by their hit distance"]
                   if self.strength and can_follow(spec) else [])
         return tuple(notes)
 
+    def _filter_notes(self, spec: FrameSpec) -> list[str]:
+        """Which other network filters the parts of frames of a spec."""
+        ending = self._ending(spec)
+        if not (self._has_first_stage(spec) or gives_picture(model_of(self._tag, ending))):
+            return []
+        model = filter_model(self._tag, ending).removesuffix(UNSCALED)
+        return [f"network {network_name(short_tag(self._tag), model)} filters parts"]
+
     def _network_note(self, spec: FrameSpec) -> str:
         """Which network runs for frames of a spec."""
         if self._tag == CLASSIC:
             return "the classical filter, no network"
         faster = ", or a faster one to keep the budget" if self.budget else ""
-        model = model_of(self._tag, self._ending(spec), filters=bool(self._parts))
+        model = model_of(self._tag, self._ending(spec))
         name = network_name(short_tag(self._tag), model)
         if self._has_first_stage(spec):
             asked = short_tag(self._tag)

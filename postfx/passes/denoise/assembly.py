@@ -15,8 +15,10 @@ from postfx.passes.denoise.graph import ASSEMBLED, FRAME_NEEDS, kernels_of, run_
 from postfx.passes.denoise.history import History
 from postfx.passes.denoise.models import CLASSIC, halo_of, seamless
 from postfx.passes.denoise.tiling import (
+    CELL,
     FIXED,
     GPU_FIXED,
+    TILE_SIDE,
     WORTH_TIME_SHARE,
     Band,
     Rows,
@@ -172,14 +174,17 @@ class Frames:
 
     The first of several models is in use until `use` takes another. Guided models read guides.
     Reactive frames have a mask that tells where the history is not used. Layered ones may have
-    layers beside the picture.
+    layers beside the picture. `spared`: render pixels that the halo is smaller, as what is active
+    has so many that nobody sees.
     """
 
     def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], history: History,
-                 guided: bool = False, reactive: bool = False, layered: bool = False) -> None:
+                 guided: bool = False, reactive: bool = False, layered: bool = False,
+                 spared: int = 0) -> None:
         self._device, self._sizes, self._models = device, sizes, tuple(models)
         self._guided, self._reactive, self._layered = guided, reactive, layered
-        self._halo, self._fixed = halo_of(models), GPU_FIXED if device.gpu else FIXED
+        self._halo = max(0, halo_of(models) - spared)
+        self._fixed = GPU_FIXED if device.gpu else FIXED
         self._graphs: LRUCache[Shape, WindowGraph] = LRUCache(MOST_GRAPHS)
         self._bands = bands_within(device.scratch, sizes, seamless(models))
         self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
@@ -210,22 +215,24 @@ class Frames:
                          "keep": new("keep", (1, 1, 1))}
         return other
 
-    def layout(self, cells: np.ndarray) -> Band | None:
+    def layout(self, cells: np.ndarray, judged: bool = False) -> Band | None:
         """The tiles for a frame's active cells, at least one; None if the whole frame is as fast.
-        Makes the networks ready that the tiles need.
+        Makes the networks ready that the tiles need. `judged`: the result is wanted in all of each
+        16x16 pixels that have some.
         """
         time = partial(cost, fixed=self._fixed)
-        boxes, shape = around(self._sizes, cells, self._halo, self._fixed)
+        halo = max(self._halo, TILE_SIDE - CELL) if judged else self._halo
+        boxes, shape = around(self._sizes, cells, halo, self._fixed)
         if self._bands:
             fits = shape[0] <= self._band_shape[0] and shape[1] <= self._band_shape[1]
-            return band_of(self._sizes, boxes, self._band_shape, self._halo) if fits else None
+            return band_of(self._sizes, boxes, self._band_shape, halo, judged) if fits else None
         count, least = len(boxes), time(shape, len(boxes))
         if least > WORTH_TIME_SHARE * time((self._sizes.h, self._sizes.w), 1):
             return None
         ready = [one for one in self._graphs
                  if can_serve(self._sizes, shape, one) and time(one, count) <= CLOSE * least]
         shape = min(ready, key=lambda one: time(one, count)) if ready else self._make(shape)
-        return band_of(self._sizes, boxes, shape, self._halo)
+        return band_of(self._sizes, boxes, shape, halo, judged)
 
     def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], work: Work,
                layers: Sequence[Layer] = (),

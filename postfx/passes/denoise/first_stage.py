@@ -11,7 +11,6 @@ import numpy as np
 
 from postfx.frame import FrameSpec, Role
 from postfx.passes import Pass, ResidentFrame
-from postfx.passes.denoise.parts import has_noisy_alpha
 from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES
 from postfx.passes.denoise.tiling import CELL, grown
 from postfx.passes.denoise.window import Work
@@ -31,17 +30,14 @@ class FirstStage:
 
     Args:
         stage: a denoiser of the render's size that mixes by its strength, `DENOISED_SHARE`.
-        alpha: whether the network that enlarges also filters alpha, by filters that must fit the
-            noisy picture.
         halo: render pixels that it sees around active ones.
 
     Attributes:
         runs: whether the frame that was looked at last is denoised first.
     """
 
-    def __init__(self, device: Device, spec: FrameSpec, stage: Pass, alpha: bool,
-                 halo: int) -> None:
-        self._stage, self._alpha, self._halo = stage, alpha, halo
+    def __init__(self, device: Device, spec: FrameSpec, stage: Pass, halo: int) -> None:
+        self._stage, self._halo = stage, halo
         planes = tuple(plane for plane in spec.planes if plane[0] in READ_PLANES)
         self._spec = replace(spec, planes=planes, guides=None, parts=())
         self._strength = (device.heap.tensor("strength of the first stage",
@@ -51,14 +47,10 @@ class FirstStage:
         stage.compile(device, self._spec)
 
     def look(self, frame: ResidentFrame) -> bool:
-        """Decide whether a frame is denoised first. Not with noisy alpha, nor where its samples do
-        not lie at the pixels' centres: then they know more than a picture of its own size holds."""
-        self.runs = frame.jitter == (0.0, 0.0) and not self.filters_alpha(frame)
+        """Decide whether a frame is denoised first. Not where its samples do not lie at the pixels'
+        centres: then they know more than a picture of its own size holds."""
+        self.runs = frame.jitter == (0.0, 0.0)
         return self.runs
-
-    def filters_alpha(self, frame: ResidentFrame) -> bool:
-        """Whether a frame's alpha is noisy, so that it needs filters."""
-        return self._alpha and has_noisy_alpha(frame)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, work: Work) -> Tensor | None:
         """Record the work on the frame that was looked at; returns the mixture, or None where the

@@ -3,20 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from postfx.frame import FrameSpec, Part, Role
-from postfx.kernels.denoise import GAIN
 from postfx.kernels.statistics import OUTSIDE, light_outside, lit_cells
 from postfx.passes import Pass, ResidentFrame
-from postfx.passes.denoise.alpha_picture import AlphaPicture
 from postfx.passes.denoise.assembly import Frames
+from postfx.passes.denoise.filtered_picture import FilteredPicture, encode_own, own_frames
 from postfx.passes.denoise.first_stage import FirstStage
-from postfx.passes.denoise.history import ALPHA_PICTURE, History, PartHistory
+from postfx.passes.denoise.history import History, PartHistory
 from postfx.passes.denoise.models import (
     CLASSIC,
     blanks_volumes,
@@ -33,7 +32,7 @@ from postfx.passes.denoise.output import (
     Restore,
     Strength,
 )
-from postfx.passes.denoise.parts import Layers, OwnRun
+from postfx.passes.denoise.parts import Layers, Pictures
 from postfx.passes.denoise.planes import (
     ExpectedError,
     Passthrough,
@@ -99,18 +98,21 @@ class Wishes(NamedTuple):
         mask: where the history is not used.
         parts: what is denoised with the picture.
         alpha: whether alpha is, too.
-        alpha_model: the network that filters it, where the others give the picture alone.
+        filter_model: the network that filters both, where the others give the picture alone, or
+            see a denoised one.
         error: whether the expected error is told.
         first: what denoises frames before they are enlarged; None where nothing does.
+        spared: render pixels that the halo around what is active is smaller.
     """
 
     strength: float
     mask: ReactiveOption
     parts: Sequence[Part]
     alpha: bool
-    alpha_model: str | None
+    filter_model: str | None
     error: bool
     first: Pass | None
+    spared: int = 0
 
 
 class ReadyNetwork(Ready):
@@ -119,8 +121,8 @@ class ReadyNetwork(Ready):
     Attributes:
         models: the networks of this size by tag; each frame takes one.
         pictures: those that give the picture itself, and no filters.
-        alpha: filters noisy alpha where the picture's network has no filters; None where none
-            does.
+        filtered: filters parts and noisy alpha where the picture's network has no filters, or none
+            that fit the noisy picture; None where nothing does.
         first: denoises frames before they are enlarged; None where nothing does.
         alone_tag: the network that enlarges the frames which it leaves out.
         frames: runs the models.
@@ -148,11 +150,11 @@ class ReadyNetwork(Ready):
         self._mask = Reactive(device, spec, wishes.mask) if reactive else None
         self.reflections = Reflections(device, spec) if can_follow(spec) else None
         self.frames = Frames(device, sizes, list(names), history, guided, reactive,
-                             layers is not None)
-        self.alpha = (AlphaPicture(device, sizes, wishes.alpha_model, reactive, layers,
-                                   part_history) if layers and wishes.alpha_model else None)
-        self._own = {name: self.frames.beside(own) for name, own in part_history.own.items()
-                     if name != ALPHA_PICTURE}
+                             layers is not None, wishes.spared)
+        self.filtered = (FilteredPicture(device, sizes, wishes.filter_model, reactive, parts,
+                                         layers, part_history)
+                         if layers and wishes.filter_model else None)
+        self._own = own_frames(self.frames, part_history)
         self.restore = Restore(device, output) if output == (spec.height, spec.width) else None
         full = wishes.strength == 1 and not spec.has(Role.STRENGTH)
         self.strength = (None if full
@@ -161,8 +163,7 @@ class ReadyNetwork(Ready):
         self.error = ExpectedError(device, spec, output) if wishes.error else None
         self.alone_tag = list(models)[-1]
         reach, halo = reach_of(names), halo_of(names)
-        self.first = (FirstStage(device, spec, wishes.first, alpha, halo) if wishes.first
-                      else None)
+        self.first = FirstStage(device, spec, wishes.first, halo) if wishes.first else None
         # beside which windows have their halo
         self._reach = (reach and LIGHT_REACH + max(0, reach - halo))
         # whether all that is made of a frame are weighed means of its pixels
@@ -177,22 +178,25 @@ class ReadyNetwork(Ready):
             self.wider.widen(commands, frame)
         self.frames.use(work.model)
         planes = self._planes.encode(commands, frame, work.model in self._blanking)
-        if mixture:
-            planes["colour"] = (self.wider.widen_light(commands, "mixture", mixture) if work.wider
-                                else mixture)
         if self._planes.hazy:
             reasons.append(HAZY_DEPTH)
         if self._mask:
             planes["reactive"] = self._mask.encode(commands, frame)
         if self.reflections and work.camera is not None:
             planes["motion"] = self.reflections.encode(commands, frame, work.camera, planes)
+        noisy = planes
+        if mixture:
+            planes = {**planes, "colour": self.wider.widen_light(commands, "mixture", mixture)
+                      if work.wider else mixture}
 
-        filters = work.model not in (CLASSIC, *self.pictures)
-        alpha = self.alpha if not filters and self.alpha and self.alpha.runs_on(frame) else None
-        filtered = self.layers if filters or alpha else None
+        filters = not (work.model in (CLASSIC, *self.pictures) or mixture)
+        beside = self.filtered if not filters and self.filtered else None
+        if beside and not beside.runs_on(frame):
+            beside = None
+        filtered = self.layers if filters or beside else None
         layers, targets = (filtered.begin(commands, frame, planes, work) if filtered and filters
                            else ([], {}))
-        filtered_picture = (alpha.encode(commands, frame, planes, self._planes, work) if alpha
+        filtered_picture = (beside.encode(commands, frame, noisy, self._planes, work) if beside
                             else None)
         if self.layers and not filtered:  # alpha is only resampled
             self.layers.skip()
@@ -206,7 +210,7 @@ class ReadyNetwork(Ready):
             picture |= self.error.written
         denoised = self.frames.encode(commands, planes, work, layers, targets)
         if filtered and filters:
-            self._encode_own(commands, filtered.own_runs(frame, planes, work), work)
+            encode_own(commands, self._own, filtered.own_runs(frame, planes, work), work)
 
         strength = self.strength
         if strength and strength.is_full(frame):
@@ -218,17 +222,9 @@ class ReadyNetwork(Ready):
         if strength:
             colour = strength.encode(commands, frame, colour, rows)
         if filtered:
-            filtered.finish(commands, frame, (filtered_picture or denoised, colour), rows, restore,
-                            strength)
+            pictures = Pictures(filtered_picture or denoised, denoised, colour)
+            filtered.finish(commands, frame, pictures, rows, restore, strength)
         return self.wider.narrow(commands, frame, colour) if work.wider else colour
-
-    def _encode_own(self, commands: CommandBuffer, runs: Iterable[OwnRun], work: Work) -> None:
-        """Record the network's work on parts that have filters of their own."""
-        for run in runs:
-            frames, still = self._own[run.name], run.params[GAIN] == work.params[GAIN]
-            frames.use(work.model)
-            own = work._replace(params=run.params, still=work.still and bool(still))
-            frames.encode(commands, run.planes, own, (), {THE_PICTURE: {"output": run.output}})
 
     def is_outside(self, frame: ResidentFrame) -> bool:
         """Whether so much of a frame's light lies outside its gamut. Not looked for on a GPU."""

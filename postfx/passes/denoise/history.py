@@ -181,8 +181,8 @@ WHOLE = "whole picture"
 """Name of a layer: the picture filtered like its parts, beside parts that are not all of it."""
 ALPHA_LAYER = "alpha of the picture"
 """Name of the layer of alpha, beside those of parts."""
-ALPHA_PICTURE = "picture beside alpha"
-"""Name of the history of a network that runs for alpha alone."""
+FILTERED_PICTURE = "filtered picture"
+"""Name of the history of a network that runs for parts and alpha alone."""
 ALPHA_CHANNELS = {"samples": 4, "doubt": 1}
 """What alpha leaves beside: means of its samples by quarter-pixels, and their variance."""
 
@@ -294,7 +294,8 @@ class PartHistory:
 
     Attributes:
         stacks: that tensor of this frame, behind that of the last one.
-        own: histories of networks that run on parts themselves, by the parts' names, and on alpha.
+        own: histories of networks that run on parts themselves, by the parts' names, and of one
+            that runs for parts and alpha alone.
         ran: names of those that ran in the last frame.
         stops: exposure of these, in stops above the picture's.
     """

@@ -32,14 +32,16 @@ SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has th
 """Endings of the names of networks that are chosen automatically, and when."""
 CLASSIC = "classic"
 """Tag, and name in place of a model, of the classical filter, which runs without a network."""
-RENDER_SIZE_NETWORK = "xl"
-"""The network for the render's size, where nobody chose one."""
+BEST_NETWORK = "xl"
+"""The network where nobody chose one and nothing speaks against it."""
 USUAL_NETWORK = "m"
 """The network for all else where nobody chose one."""
-RENDER_SIZE_PIXEL_BYTES = 3900
-"""Memory that `xl` takes for each pixel on a CPU: 3,890 measured at 1280x720."""
-RENDER_SIZE_GPU_PIXEL_BYTES = 5300
+PIXEL_BYTES = 3900
+"""Memory that `xl` takes for each render pixel on a CPU: 3,890 measured at 1280x720."""
+GPU_PIXEL_BYTES = 5300
 """The same on a GPU: 5,259 measured at 1920x1080."""
+ENLARGING_PIXEL_BYTES = 1000
+"""What enlarging adds, to three times the size at most: 894 measured at 640x360 on a CPU."""
 STAND_INS = {"l": "m", "xl": "m"}
 """Networks without a variant for the render size, or with one that filters no parts, and the
 network whose variant is taken there."""
@@ -53,35 +55,42 @@ def exact(tag: str) -> str:
     return tag if "." in tag else f"{tag}{EXACT_SUFFIX}"
 
 
-def usual_network(size: tuple[int, int], keeps_size: bool, device: Device) -> str:
-    """The network for frames of a (width, height) on a device, where nobody chose one.
+def usual_network(size: tuple[int, int], scale: float, device: Device,
+                  guided: bool = False) -> str:
+    """The network for frames of a (width, height) on a device, where nobody chose one: the best
+    one, if it is the best for them and their memory is there.
 
-    Not every machine or GPU holds the frames of the one for the render's size.
+    Args:
+        size: the render's.
+        scale: output over render width.
+        guided: whether frames have guides.
     """
-    fits = keeps_size and runs_render_size(device) and lacks_memory(size, device) is None
-    return RENDER_SIZE_NETWORK if fits else USUAL_NETWORK
+    fits = (takes_best(scale, device, guided)
+            and lacks_memory(size, scale, device) is None)
+    return BEST_NETWORK if fits else USUAL_NETWORK
 
 
-def runs_render_size(device: Device) -> bool:
-    """Whether a device takes the network for the render's size where its memory is enough: a CPU,
-    or a GPU whose kernels are ours and whose free memory is known."""
-    return device.memory.host_visible or device.gpu is not None
+def takes_best(scale: float, device: Device, guided: bool = False) -> bool:
+    """Whether frames take the best network where memory is enough: on a CPU, or on a GPU whose
+    kernels are ours and whose free memory is known; not where guides are read, which the usual one
+    does."""
+    runs = device.memory.host_visible or device.gpu is not None
+    return runs and not (guided and scale > 1)
 
 
-def lacks_memory(size: tuple[int, int], device: Device) -> str | None:
-    """Why a device cannot run the network for the render's size on whole frames of a (width,
-    height); None if it can. A GPU's memory is what other programs leave of it now."""
+def lacks_memory(size: tuple[int, int], scale: float, device: Device) -> str | None:
+    """Why a device cannot run the best network on whole frames of a (width, height), enlarged so;
+    None if it can. A GPU's memory is what other programs leave of it now."""
     width, height = size
     if device.gpu is None:
-        each, there, has = RENDER_SIZE_PIXEL_BYTES, usable_memory(), "machine has {} GB"
+        each, there, has = PIXEL_BYTES, usable_memory(), "machine has {} GB"
     else:
-        each, there, has = (RENDER_SIZE_GPU_PIXEL_BYTES, device.gpu.free_bytes(),
-                            "GPU has {} GB free")
-    needs = each * width * height
+        each, there, has = GPU_PIXEL_BYTES, device.gpu.free_bytes(), "GPU has {} GB free"
+    needs = (each + ENLARGING_PIXEL_BYTES * (scale > 1)) * width * height
     if needs <= there:
         return None
     return (f"frames of {width}x{height} take {needs >> 30} GB, this {has.format(there >> 30)}: "
-            f"{USUAL_NETWORK} runs; --model {RENDER_SIZE_NETWORK} with --memory works in tiles")
+            f"{USUAL_NETWORK} runs; --model {BEST_NETWORK} with --memory works in tiles")
 
 
 def split_ending(name: str) -> tuple[str, str]:
@@ -184,6 +193,14 @@ def unscaled_remarks(tag: str) -> list[str]:
     return [f"model '{tag}' has no network for 1x: '{other}' stands in, which is better there"]
 
 
+def filter_model(tag: str, ending: str, device: Device | None = None) -> str:
+    """Name of the model that filters what a tag's own cannot, as it gives the picture alone or sees
+    a denoised one: the stand-in's, or else one of the tag itself."""
+    found = _named(_stand_in(tag, STAND_INS), ending, device)
+    return found if has_model(found) and not gives_picture(found) else model_of(tag, ending, device,
+                                                                                filters=True)
+
+
 def denoises_first(tag: str) -> bool:
     """Whether frames that are enlarged are denoised first by the tag's network for the render size,
     which must give the picture itself."""
@@ -208,15 +225,6 @@ def enlarging_remarks(tag: str) -> list[str]:
         return [f"model '{tag}' has no network in {precision}: '{other}' stands in; give model "
                 f"'{size}' for the better picture"]
     return [f"model '{tag}' does not enlarge: '{other}' stands in"]
-
-
-def filter_remarks(tag: str) -> list[str]:
-    """What a plan says of parts of the picture where a network gives the picture alone."""
-    if not gives_picture(model_of(tag, UNSCALED)):
-        return []
-    other = short_tag(model_of(tag, UNSCALED, filters=True)).removesuffix(UNSCALED)
-    return [f"model '{short_tag(tag)}' filters the picture alone: '{other}' runs, which filters "
-            "its parts, too"]
 
 
 def _stand_in(tag: str, stand_ins: Mapping[str, str]) -> str:

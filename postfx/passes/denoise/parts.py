@@ -81,6 +81,20 @@ class OwnRun(NamedTuple):
     output: Tensor
 
 
+class Pictures(NamedTuple):
+    """What becomes of a frame's picture.
+
+    Attributes:
+        filtered: what was filtered with its parts.
+        denoised: the network's: the same, or another network's.
+        leaving: as it leaves the pass, with detail given back and blended with the input.
+    """
+
+    filtered: Tensor
+    denoised: Tensor
+    leaving: Tensor
+
+
 class Layers:
     """All layers that are filtered beside the picture, for frames of one spec.
 
@@ -197,39 +211,43 @@ class Layers:
             seen = {**planes, str(Role.COLOUR): part, **self._own_reflectance(name, planes)}
             yield OwnRun(name, seen, own, one_of(self._stack("blended"), self._places[name]))
 
-    def finish(self, commands: CommandBuffer, frame: ResidentFrame, pictures: tuple[Tensor, Tensor],
+    def finish(self, commands: CommandBuffer, frame: ResidentFrame, pictures: Pictures,
                rows: Rows, restore: Restore | None, strength: Strength | None) -> None:
         """Record the work that makes the frame's parts and alpha from the kernels' outputs.
 
         Args:
-            pictures: the picture as the network made it, and as it leaves the pass, with detail
-                given back and blended with the input in `rows`.
-            restore, strength: what did that; None where nothing was to be done.
+            pictures: those of the frame; blended with the input in `rows`.
+            restore, strength: what made the last one; None where nothing was to be done.
         """
-        denoised, picture = pictures
+        filtered, denoised, picture = pictures
         for group in self._groups:
-            whole = one_of(self._stack("blended"), 0) if WHOLE in self._runs else denoised
+            whole = one_of(self._stack("blended"), 0) if WHOLE in self._runs else filtered
             under = self._under(group, {name: self._history.layer(name).output
                                         for name in self._below if name in self._runs})
-            self._balance(commands, group, "blended", (whole, denoised), self._history.stacks[1],
-                          under)
-        values = {name: self._finish_layer(commands, frame, name, denoised, rows, restore, strength)
+            self._balance(commands, group, self._stack("blended"), (whole, filtered),
+                          self._history.stacks[1], under)
+            if filtered is not denoised:
+                self._balance(commands, group, self._history.stacks[1], (filtered, denoised),
+                              self._stack("brought"), under)
+        values = {name: self._finish_layer(commands, frame, name, pictures, rows, restore, strength)
                   for name in self._runs if name != WHOLE}
         values |= {name: self._resampled(commands, frame, name)
                    for name in self._parts if not self._kind(name).is_filtered}
         self._leave_all(commands, frame, values, picture, bool(restore or strength))
 
     def _finish_layer(self, commands: CommandBuffer, frame: ResidentFrame, name: str,
-                      denoised: Tensor, rows: Rows, restore: Restore | None,
+                      pictures: Pictures, rows: Rows, restore: Restore | None,
                       strength: Strength | None) -> Tensor:
         """Record what becomes of one layer behind the windows, as of the picture; returns it."""
         kind, value, raw, plain = (self._kind(name), self._history.layer(name).output,
                                    self._raw.get(name), self._plain)
         if name == ALPHA_LAYER and self._alpha:
             raw, plain = frame[Role.ALPHA], self._plain_alpha
-            value = self._alpha.correct(commands, denoised)
+            value = self._alpha.correct(commands, pictures.filtered)
         elif name in self._decodings and not kind.are_distances:
             value = self._decoded(commands, name, value)
+        elif self._is_light(name) and pictures.filtered is not pictures.denoised:
+            value = one_of(self._stack("brought"), self._places[name])
         assert raw is not None  # as the layer ran
         if restore and kind.is_detailed:
             place = (self._between(f"restored {name}", value.shape[2]) if strength
@@ -260,7 +278,7 @@ class Layers:
         """Put layers into the frame, light so that it adds up to a picture that was `changed` once
         more."""
         for group in self._groups if changed else ():
-            self._balance(commands, group, "finished", (picture, picture),
+            self._balance(commands, group, self._stack("finished"), (picture, picture),
                           self._stack("balanced"), self._under(group, values))
         for name, value in values.items():
             if name in self._below:
@@ -372,7 +390,7 @@ class Layers:
         self._copies[name].upload(given if given.shape[2] == 3 else np.repeat(given, 3, axis=2))
         return self._copies[name]
 
-    def _balance(self, commands: CommandBuffer, group: Group, stack: str,
+    def _balance(self, commands: CommandBuffer, group: Group, stack: Tensor,
                  pictures: tuple[Tensor, Tensor], balanced: Tensor,
                  under: Sequence[Tensor]) -> None:
         """Bring a group's parts of a stack to a picture: `pictures` are the whole as it was
@@ -382,7 +400,7 @@ class Layers:
             self._signed.lift(commands, f"{what} above 0 of {group.first}", light, under)
             for what, light in zip(("whole", "picture"), pictures, strict=True))
         run_steps(commands, BALANCED, {
-            "parts": some_of(self._stack(stack), group.first, count), "whole": whole,
+            "parts": some_of(stack, group.first, count), "whole": whole,
             "picture": picture, "reached": self._reached[group.first],
             "complete": self._complete[group.first],
             "balanced": some_of(balanced, group.first, count)})

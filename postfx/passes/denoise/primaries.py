@@ -12,7 +12,7 @@ from postfx.colour import TO_WIDER_PRIMARIES
 from postfx.frame import Part, Role
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.graph import WIDENED, run_steps
-from postfx.passes.denoise.history import ALPHA_PICTURE, WHOLE
+from postfx.passes.denoise.history import FILTERED_PICTURE, WHOLE
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 COLOURS = (Role.COLOUR, Role.OPAQUE_COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
@@ -77,7 +77,7 @@ def widen_history(history: Mapping[str, np.ndarray],
     The last output is exact. What is accumulated was divided by reflectance, and is converted as if
     that were grey.
     """
-    lights = {"", WHOLE, ALPHA_PICTURE, *(part.name for part in parts if part.is_light)}
+    lights = {"", WHOLE, FILTERED_PICTURE, *(part.name for part in parts if part.is_light)}
     found = dict(history)
     for key, array in history.items():
         kind, _, name = key.removeprefix("part ").partition(" of ")

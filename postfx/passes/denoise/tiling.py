@@ -50,6 +50,13 @@ class Box(NamedTuple):
     rows: int
     columns: int
 
+    def whole_tiles(self) -> Box:
+        """All tiles of 16 pixels that it has pixels of. Those of the last ones may lie beyond the
+        frame."""
+        top, left = (side // TILE_SIDE * TILE_SIDE for side in (self.top, self.left))
+        return Box(top, left, whole_steps(self.top + self.rows, TILE_SIDE) - top,
+                   whole_steps(self.left + self.columns, TILE_SIDE) - left)
+
 
 @dataclass(frozen=True)
 class Window:
@@ -176,6 +183,8 @@ CELL = 2 * STRENGTH_REACH_PX
 """Side in render pixels of the squares that are active or not."""
 COARSE = 4
 """Side, in such squares, of the larger squares that boxes are searched by."""
+TILE_SIDE = COARSE * CELL
+"""The same in render pixels, as wide as the tiles in which lost detail is looked for."""
 
 FIXED = 10000
 """Least overhead of a window: the time of so many render pixels. samples/window_cost.py measures
@@ -385,12 +394,15 @@ def _span(first: int, count: int, size: int, halo: int, grid: int) -> tuple[int,
                                                     whole_steps(first + count + halo, grid))
 
 
-def tiles_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> tuple[Tile, ...]:
-    """A window of one shape for each box."""
+def tiles_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int,
+             judged: bool = False) -> tuple[Tile, ...]:
+    """A window of one shape for each box. Where tiles of 16 pixels are `judged`, windows are for
+    all of those that the boxes touch; the halo is that of the boxes."""
     tiles = []
     for box in boxes:
         origin = (_origin(box.top, shape[0], frame.h, halo, frame.grid),
                   _origin(box.left, shape[1], frame.w, halo, frame.grid))
+        box = box.whole_tiles() if judged else box
         inner = Box(box.top, box.left, min(box.rows, frame.h - box.top),
                     min(box.columns, frame.w - box.left))
         tiles.append(Tile(Window(frame, *origin, *shape), inner))
@@ -452,9 +464,10 @@ def bands_of(frame: Sizes, box: Shape, shape: Shape, halo: int) -> list[Band]:
             for top in tops]
 
 
-def band_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> Band:
-    """The rows that hold these boxes; only the boxes are worked on."""
-    tiles = tiles_of(frame, boxes, shape, halo)
+def band_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int,
+            judged: bool = False) -> Band:
+    """The rows that hold these boxes, or the tiles that are `judged`; only these are worked on."""
+    tiles = tiles_of(frame, boxes, shape, halo, judged)
     top = min(tile.inner.top for tile in tiles)
     return Band(top, max(tile.inner.top + tile.inner.rows for tile in tiles) - top, tiles)
 

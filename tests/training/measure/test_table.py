@@ -113,6 +113,16 @@ def test_one_command_measures_and_keeps_what_others_reach(folder, tmp_path, caps
     assert capsys.readouterr().out == text
 
 
+def test_first_frames_without_references_run_and_are_not_measured(folder):
+    shot = next(shots(folder, [], ["1x"], []))
+    (shot.folder / "reference.0001.exr").unlink()
+    judge = table.Judge(shot)
+    assert [frame.number for frame in judge.frames] == [1, 2]
+    right = np.full((SIDE, SIDE, 3), 0.3, np.float32)
+    wrong = judge.score([right, right + 0.1])
+    assert judge.score([right + 0.1, right])["psnr"] > wrong["psnr"] + 20
+
+
 def test_files_that_changed_are_measured_again(folder, tmp_path):
     shot = next(shots(folder, [], ["1x"], []))
     results = table.Results(tmp_path / "kept.json")

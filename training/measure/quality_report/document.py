@@ -56,7 +56,7 @@ def parse(text: str, path: Path, known: Collection[str]) -> list[str | Block]:
     inside: list[str] = []
     for number, line in enumerate(text.splitlines(keepends=True), 1):
         opened, closed = OPEN.fullmatch(line), CLOSE.fullmatch(line)
-        if opened and start or closed and not start:
+        if (opened and start) or (closed and not start):
             what = f"block of line {start[0]} has no end" if start else "an end without a beginning"
             raise ReportError(f"{path}:{number}: {what}: markers come in pairs")
         if opened:
@@ -65,7 +65,7 @@ def parse(text: str, path: Path, known: Collection[str]) -> list[str | Block]:
                 raise ReportError(f"{path}:{number}: there is no table '{opened[1]}': choose among "
                                   f"{', '.join(sorted(known))}")
             start, inside = (number, words), []
-        elif closed:
+        elif closed and start:
             parts.append(Block(start[1][0], tuple(start[1][1:]), start[0], "".join(inside)))
             start = None
         elif start:

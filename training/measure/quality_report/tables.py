@@ -59,10 +59,12 @@ def gains(results: Results, *names: str) -> str:
                              for row in facts["methods"] if is_network(row))
     rows = []
     for figure, (form, unit) in GAINS.items():
-        best = [_best([row for row in facts["methods"] if row["family"] != "ours"], figure)
-                for facts in benches.values()]
-        if None in best:
-            raise Missing("a sequence was measured without other methods than ours")
+        best = []
+        for facts in benches.values():
+            row = _best([row for row in facts["methods"] if row["family"] != "ours"], figure)
+            if row is None:
+                raise Missing("a sequence was measured without other methods than ours")
+            best.append(row)
         told = [f"{_score(row, figure):{FORMS[figure]}} ({method_title(row['name'])})"
                 for row in best]
         rows.append([f"{NAMES[figure]}{', dB' if figure == 'psnr' else ''}", "best of the others",
@@ -99,13 +101,13 @@ def history(results: Results, *names: str) -> str:
         own, alone = _row(facts, network), _row(facts, f"{network}-alone")
         if not own or not alone:
             return "-"
-        gap = _score(own, "psnr") - _score(alone, "psnr")
+        gap = _difference(_score(own, "psnr"), _score(alone, "psnr"))
         # the first has no history either way
         pairs = list(zip(own["frames"], alone["frames"], strict=True))[1:]
         least = min((one["psnr"] - other["psnr"] for one, other in pairs), default=None)
-        ratio = _score(own, "flicker") / _score(alone, "flicker")
+        ratio = _ratio(_score(own, "flicker"), _score(alone, "flicker"))
         return (f"{number(gap, '+.2f')} dB, least frame {number(least, '+.2f')} dB, flicker "
-                f"{ratio:.2f}x")
+                f"{number(ratio, '.2f')}x")
 
     return _by_network(_benches(results, names), cell)
 
@@ -194,10 +196,22 @@ def _score(row: Facts, figure: str) -> float | None:
 def _best(rows: list[Facts], figure: str) -> Facts | None:
     """The row that is best in a figure."""
     found = None
-    for row in [row for row in rows if _score(row, figure) is not None]:
-        if found is None or is_better(f"{figure}_late", _score(row, figure), _score(found, figure)):
-            found = row
+    most: float | None = None
+    for row in rows:
+        score = _score(row, figure)
+        if score is not None and (most is None or is_better(f"{figure}_late", score, most)):
+            found, most = row, score
     return found
+
+
+def _difference(one: float | None, other: float | None) -> float | None:
+    """None where one of the two is unknown."""
+    return None if one is None or other is None else one - other
+
+
+def _ratio(one: float | None, other: float | None) -> float | None:
+    """None where one of the two is unknown, or there is nothing to divide by."""
+    return None if one is None or not other else one / other
 
 
 def _figure(row: Facts, figure: str, best: Facts | None) -> str:

@@ -114,8 +114,9 @@ def save(path: Path, reference: np.ndarray, renders: dict[str, Planes],
          facts: dict[str, Any]) -> None:
     """Write a clip atomically: references (T, H, W, 3), planes (T, h, w, C) of each render, and
     facts."""
-    arrays = {name: np.str_(json.dumps(value))
-              for name, value in (("facts", facts), ("packing", PACKING))}
+    arrays: dict[str, np.ndarray | np.str_] = {
+        name: np.str_(json.dumps(value))
+        for name, value in (("facts", facts), ("packing", PACKING))}
     for name, planes in ({REFERENCE: {"colour": reference}} | renders).items():
         for plane, values in planes.items():
             arrays[f"{name}/{plane}"] = (pack_colour(values, _bits(name, PACKING)) if plane

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 import bpy
 import numpy as np
 
@@ -12,11 +14,12 @@ FRAMES = range(tk.FIRST, tk.LAST + 1)
 OAK = ((0.5, 0.31, 0.16), (0.27, 0.15, 0.07))
 
 
-def wooden(name: str, scale: float = 5.0, shades=OAK, roughness: float = 0.4):
+def wooden(name: str, scale: float = 5.0, shades: tuple[tk.Colour, tk.Colour] = OAK,
+           roughness: float = 0.4) -> bpy.types.Material:
     return material(name, lambda tree: tk.wood(tree, scale, *shades), roughness, grain=(4, 0.2))
 
 
-def books(rng: np.random.Generator, start, length: float, name: str = "books") -> None:
+def books(rng: np.random.Generator, start: tk.Point, length: float, name: str = "books") -> None:
     """A row of books along x on a board."""
     shapes = []
     x = 0.0
@@ -90,8 +93,9 @@ def glass(rng: np.random.Generator) -> None:
                             (0.02, 0.15), (0.012, 0.16), (0, 0.16)]), (0.44 + 0.1 * k, 0.34, 0)),
             brass, True)
     cloth = tk.grid(80, 80, 0.6, 0.5)
-    x, y = cloth[0][:, 0], cloth[0][:, 1]
-    cloth[0][:, 2] = 0.004 * np.sin(25 * x + 9 * y) + 0.004 * np.sin(31 * y) + 0.009
+    across, along = cloth[0][:, 0], cloth[0][:, 1]
+    cloth[0][:, 2] = (0.004 * np.sin(25 * across + 9 * along) + 0.004 * np.sin(31 * along)
+                      + 0.009)
     check = material("napkin", lambda tree: tk.tiles(tree, 0.02, (
         (0.75, 0.73, 0.7), (0.55, 0.1, 0.1)), (0.8, 0.78, 0.75)), 0.9)
     add(place(cloth, (-0.22, 0.1, 0), tk.turn(z=0.4)), check, True)
@@ -101,7 +105,7 @@ def glass(rng: np.random.Generator) -> None:
 # Skin and hair ------------------------------------------------------------------------------------
 
 
-def bump(vertices: np.ndarray, at, size, push) -> None:
+def bump(vertices: np.ndarray, at: np.ndarray, size: np.ndarray, push: np.ndarray) -> None:
     """Push vertices near a place."""
     distance = (vertices - at) / size
     vertices += np.exp(-(distance ** 2).sum(1))[:, None] * push
@@ -133,8 +137,8 @@ def head_shape() -> tk.Shape:
     return v, faces
 
 
-def skin_material(name: str, colour, lips: bool) -> bpy.types.Material:
-    def shade(tree):
+def skin_material(name: str, colour: tk.Colour, lips: bool) -> bpy.types.Material:
+    def shade(tree: tk.Tree) -> tk.Value:
         blotches = tk.ramp(tree, tk.noise(tree, 35.0), [
             (0.35, tuple(0.8 * np.array(colour) * (1, 0.85, 0.8))), (0.65, colour)])
         freckles = tk.ramp(tree, tk.noise(tree, 420.0, detail=1.0), [
@@ -297,8 +301,8 @@ def letter(strokes: str, weight: float, slant: float) -> tk.Shape:
     return tk.join(shapes)
 
 
-def text_block(rng, corner, size: float, width: float, lines: int, weight: float = 0.06,
-               slant: float = 0.0) -> tk.Shape:
+def text_block(rng: np.random.Generator, corner: tuple[float, float], size: float, width: float,
+               lines: int, weight: float = 0.06, slant: float = 0.0) -> tk.Shape:
     """Lines of made-up words from the top left corner on."""
     shapes = []
     letters = {name: letter(strokes, weight, slant) for name, strokes in STROKES.items()}
@@ -329,35 +333,35 @@ def printed(rng: np.random.Generator) -> None:
     red = material("red", (0.65, 0.04, 0.03), 0.55)
     blue = material("blue", (0.03, 0.08, 0.4), 0.5)
 
-    def sheet(at, angle: float, make) -> None:
+    def sheet(at: tk.Point, angle: float,
+              make: Callable[[], Iterator[bpy.types.Object]]) -> None:
         item = add(tk.box(0.21, 0.297, 0.0004), paper)
         for other in (item, *make()):
             other.location = at
             other.rotation_euler = (0, 0, angle)
 
-    def lay(shape: tk.Shape, shade) -> bpy.types.Object:
+    def lay(shape: tk.Shape, shade: bpy.types.Material) -> bpy.types.Object:
         return add(place(shape, (0, 0, 0.00035)), shade)
 
-    def article():
+    def article() -> Iterator[bpy.types.Object]:
         yield lay(text_block(rng, (-0.092, 0.112), 0.013, 0.17, 1, 0.11), ink)
         yield lay(text_block(rng, (-0.092, 0.096), 0.0045, 0.18, 1, 0.07, 0.2), red)
         columns = [text_block(rng, (-0.092 + 0.0645 * k, 0.083), 0.0021, 0.055, 46, 0.055)
                    for k in range(2)]
         columns.append(text_block(rng, (0.037, -0.0), 0.0021, 0.055, 24, 0.055))
         yield lay(tk.join(columns), ink)
-        dots, x, y = [], *np.meshgrid(np.arange(44), np.arange(54))
+        x, y = np.meshgrid(np.arange(44), np.arange(54))
         shade = 0.5 + 0.3 * np.sin(x * 0.22 + 1.5 * np.sin(y * 0.13)) + 0.2 * np.cos(y * 0.3)
         places = np.column_stack([0.038 + x.ravel() * 0.00126, 0.015 + y.ravel() * 0.00126,
                                   np.zeros(x.size)])
         dots = tk.copies(tk.lathe([(0, 0), (1, 0)], 8), places, tk.about_z(
             np.zeros(x.size), 0.00068 * np.sqrt(shade.ravel().clip(0.02, 1))))
         yield lay(dots, ink)
-        rules = [place(tk.box(0.184, 0.0006, 0.0001), (0, y)) for y in ()]
-        rules += [place(tk.box(0.0003, 0.19, 0.0001), (-0.033 + 0.0645 * k, -0.015, 0))
-                  for k in range(2)]
+        rules = [place(tk.box(0.0003, 0.19, 0.0001), (-0.033 + 0.0645 * k, -0.015, 0))
+                 for k in range(2)]
         yield lay(tk.join(rules), ink)
 
-    def numbers():
+    def numbers() -> Iterator[bpy.types.Object]:
         lines = [place(tk.box(0.18, 0.0004, 0.0001), (0, 0.11 - 0.008 * k, 0)) for k in range(28)]
         lines += [place(tk.box(0.0004, 0.216, 0.0001), (-0.09 + 0.03 * k, 0.002, 0))
                   for k in range(7)]
@@ -455,8 +459,12 @@ def indirect(rng: np.random.Generator) -> None:
     for x, z, tone in ((0.9, 1.6, (0.2, 0.35, 0.4)), (1.5, 1.45, (0.6, 0.4, 0.2)),
                        (1.45, 1.95, (0.3, 0.2, 0.35))):
         add(place(tk.box(0.5, 0.04, 0.4), (x, 4.2, z)), shelf)
-        picture = material("picture", lambda tree, tone=tone: tk.ramp(tree, tk.noise(tree, 7.0), [
-            (0.35, tone), (0.55, (0.8, 0.75, 0.6)), (0.7, (0.1, 0.1, 0.15))]), 0.6)
+
+        def painted(tree: tk.Tree, tone: tk.Colour = tone) -> tk.Value:
+            return tk.ramp(tree, tk.noise(tree, 7.0), [
+                (0.35, tone), (0.55, (0.8, 0.75, 0.6)), (0.7, (0.1, 0.1, 0.15))])
+
+        picture = material("picture", painted, 0.6)
         add(place(tk.box(0.42, 0.05, 0.32), (x, 4.19, z)), picture)
     door = wooden("door", 4.0, ((0.4, 0.42, 0.4), (0.3, 0.33, 0.32)))
     swing = add(place(tk.box(0.8, 0.04, 2.0), (0.4, 0, 1.0)), door)
@@ -486,8 +494,8 @@ def cloth(rng: np.random.Generator) -> None:
     add(tk.copies(blade, grass, tk.about_z(rng.uniform(0, 7, count), rng.uniform(0.5, 1.3, count))),
         green, tint=tints(rng, count, 1, 0.5, 1.0, 0.3))
 
-    def weave(size: float, first, second):
-        def shade(tree):
+    def weave(size: float, first: tk.Colour, second: tk.Colour) -> tk.Shade:
+        def shade(tree: tk.Tree) -> tk.Value:
             check = tk.tiles(tree, size, (first, second), tuple(0.8 * np.array(first)),
                              (np.pi / 2, 0, 0))
             threads = tk.node(tree, "ShaderNodeTexWave", {
@@ -501,7 +509,7 @@ def cloth(rng: np.random.Generator) -> None:
                weave(0.12, (0.3, 0.5, 0.75), (0.75, 0.8, 0.85)),
                weave(0.05, (0.85, 0.65, 0.2), (0.8, 0.5, 0.15)),
                weave(0.2, (0.5, 0.7, 0.5), (0.82, 0.82, 0.76))]
-    pegs = []
+    pegs: list[tk.Shape] = []
     for row, (y, offset) in enumerate(((2.3, -1.6), (3.4, -2.0), (4.7, -2.3))):
         line = np.column_stack([np.linspace(-5, 5, 30), np.full(30, y), 1.95 + 0.012 * np.linspace(
             -5, 5, 30) ** 2])
@@ -637,7 +645,7 @@ def motion_blur(rng: np.random.Generator) -> None:
     red = material("red", (0.6, 0.03, 0.02), 0.25, coat_weight=1.0)
     tyre = material("tyre", (0.03, 0.03, 0.03), 0.8)
 
-    def cycle(at, step: float) -> None:
+    def cycle(at: tk.Point, step: float) -> None:
         """A bicycle with a rider that travels along x."""
         spokes = [place(tk.rod(0.0035, 0.62, 5), (0, 0, -0.31), tk.turn(y=a))
                   for a in np.linspace(0, np.pi, 11)[:-1]]

@@ -1,11 +1,13 @@
 """Mitsuba's own Cornell box, for `hosts/loop/render_mitsuba.py`."""
 
+from typing import Any
+
 import mitsuba as mi
 
 SIZE = 160, 96
 
 
-def build(frame: int) -> dict:
+def build(frame: int) -> dict[str, Any]:
     """The box; the same in all frames."""
     scene = mi.cornell_box()
     film = scene["sensor"]["film"]

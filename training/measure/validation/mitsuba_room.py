@@ -1,27 +1,31 @@
 """A room by hand, for `hosts/loop/render_mitsuba.py`: a lamp in a corner that lights the rest by
 the walls alone, glass, rough metal, and tiles. Units are metres; y is up."""
 
+from typing import Any
+
 import mitsuba as mi
 
 SIZE = 160, 96
 TURN = mi.ScalarTransform4f
+Vector = tuple[float, float, float]
 
 
-def diffuse(*colour: float) -> dict:
+def diffuse(*colour: float) -> dict[str, Any]:
     return {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(colour)}}
 
 
-def wall(at: tuple, about: tuple, degrees: float, sides: tuple, bsdf: dict) -> dict:
+def wall(at: Vector, about: Vector, degrees: float, sides: tuple[float, float],
+         bsdf: dict[str, Any]) -> dict[str, Any]:
     """A rectangle that faces +z before it is turned."""
     to_world = TURN().translate(at).rotate(about, degrees).scale((sides[0] / 2, sides[1] / 2, 1))
     return {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}
 
 
-def ball(at: tuple, radius: float, bsdf: dict) -> dict:
+def ball(at: Vector, radius: float, bsdf: dict[str, Any]) -> dict[str, Any]:
     return {"type": "sphere", "center": list(at), "radius": radius, "bsdf": bsdf}
 
 
-def build(frame: int) -> dict:
+def build(frame: int) -> dict[str, Any]:
     """The room; the same in all frames."""
     white, red = diffuse(0.75, 0.73, 0.7), diffuse(0.6, 0.15, 0.1)
     tiles = {"type": "diffuse", "reflectance": {

@@ -41,7 +41,7 @@ def water(rng: np.random.Generator) -> None:
     tk.sky(0.08, 42, 215, sun=False)
     lamp("SUN", (0, 0, 5), 4.0, (1.0, 0.93, 0.82), 0.01, target=(1.6, 2.6, 0.6))
 
-    def blue_tiles(rotation=(0.0, 0.0, 0.0)):
+    def blue_tiles(rotation: tk.Point = (0.0, 0.0, 0.0)) -> tk.Shade:
         return lambda tree: tk.tiles(tree, 0.16, ((0.08, 0.42, 0.55), (0.16, 0.58, 0.66)),
                                      (0.75, 0.78, 0.74), rotation)
     floor = material("floor", blue_tiles(), 0.25, grain=(3.0, 0.25))
@@ -71,7 +71,7 @@ def water(rng: np.random.Generator) -> None:
         shapes.append(vertices)
     tk.deform(item, shapes)
 
-    def stripes(tree):
+    def stripes(tree: tk.Tree) -> tk.Value:
         where = tk.node(tree, "ShaderNodeSeparateXYZ", {0: tk.coordinates(tree)})
         angle = tk.calculate(tree, "ARCTAN2", where.outputs[0], where.outputs[1])
         wave = tk.calculate(tree, "SINE", tk.calculate(tree, "MULTIPLY", angle, 3.0))
@@ -113,7 +113,8 @@ def water(rng: np.random.Generator) -> None:
 # Smoke and fire -----------------------------------------------------------------------------------
 
 
-def plume(tree, width: float, scale: float, rise: float, threshold: float):
+def plume(tree: tk.Tree, width: float, scale: float, rise: float,
+          threshold: float) -> tuple[tk.Value, tk.Value]:
     """A socket: 0 to 1 within a column of smoke around the z axis that widens and leans."""
     place_of = tk.node(tree, "ShaderNodeTexCoord").outputs["Object"]
     parts = tk.node(tree, "ShaderNodeSeparateXYZ", {0: place_of})
@@ -140,7 +141,7 @@ def smoke(rng: np.random.Generator) -> None:
                      (0.6, (0.07, 0.09, 0.17)), (1.0, (0.02, 0.03, 0.08))], 0.9)
     lamp("SUN", (0, 0, 4), 0.8, (1.0, 0.7, 0.5), 0.05, target=(-2.5, 2.0, 2.6))
 
-    def smoke_density(tree):
+    def smoke_density(tree: tk.Tree) -> tk.Value:
         share, z = plume(tree, 0.3, 2.6, 0.5, 0.68)
         start = tk.node(tree, "ShaderNodeMapRange", {
             "Value": z, "From Min": 0.15, "From Max": 0.9}).outputs[0]
@@ -148,10 +149,10 @@ def smoke(rng: np.random.Generator) -> None:
     smoke_box = tk.volume("smoke", smoke_density, (0.55, 0.53, 0.5), 0.2)
     add(place(tk.box(2.6, 2.0, 2.8), (0.4, 0, 1.6)), smoke_box)
 
-    def flame_density(tree):
+    def flame_density(tree: tk.Tree) -> tk.Value:
         return tk.calculate(tree, "MULTIPLY", plume(tree, 0.16, 3.4, 0.9, 0.74)[0], 1.0)
 
-    def flame(tree):
+    def flame(tree: tk.Tree) -> tuple[tk.Value, tk.Value]:
         share, z = plume(tree, 0.22, 3.4, 0.9, 0.64)
         low = tk.node(tree, "ShaderNodeMapRange", {
             "Value": z, "From Min": 0.15, "From Max": 1.25, "To Min": 1.0, "To Max": 0.0})
@@ -264,8 +265,8 @@ def fog(rng: np.random.Generator) -> None:
     move(lantern, (0.87, 7.4, 0.85), (0.03, 0.05, 0.01))
     bird = tk.join([place(tk.box(0.4, 0.1, 0.02), (0.2, 0, 0), tk.turn(y=-0.4)),
                     place(tk.box(0.4, 0.1, 0.02), (-0.2, 0, 0), tk.turn(y=0.4))])
-    for x, z in ((-0.9, 2.9), (-0.4, 3.2), (-1.3, 3.3)):
-        move(add(bird, bark), (x, 9, z), (0.12, 0.0, 0.02), (0, 0.05, 0))
+    for across, up in ((-0.9, 2.9), (-0.4, 3.2), (-1.3, 3.3)):
+        move(add(bird, bark), (across, 9, up), (0.12, 0.0, 0.02), (0, 0.05, 0))
     camera((0.2, -0.6, 1.55), (0.55, 8, 1.75), 30, (0.015, 0.05, 0.003), (0.02, 0.05, 0))
 
 
@@ -291,7 +292,9 @@ def street(rng: np.random.Generator) -> None:
     add(tk.join([place(tk.box(0.14, 1.6, 0.004), (0, 1 + 3.6 * k, 0.003)) for k in range(18)]),
         paint)
 
-    lit, panes, plain = [], [], []
+    lit: list[tk.Shape] = []
+    panes: list[tk.Shape] = []
+    plain: list[tk.Shape] = []
     facade = material("facade", lambda tree: tk.tiles(
         tree, 0.12, ((0.28, 0.13, 0.09), (0.36, 0.19, 0.13)), (0.3, 0.28, 0.25),
         (np.pi / 2, 0, np.pi / 2), 2.4), 0.85, tinted=True, bump=0.3)
@@ -326,9 +329,9 @@ def street(rng: np.random.Generator) -> None:
         palette = np.array([[1, 0.62, 0.3], [1, 0.25, 0.12], [0.3, 0.7, 1.0], [0.4, 1, 0.45],
                             [1, 0.75, 0.2]])
         colours.append(palette[rng.integers(0, 5, 34)])
-    spots, colours = np.concatenate(spots), np.concatenate(colours)
-    bulbs = tk.copies(bulb, spots, tk.random_turns(rng, len(spots), np.ones(len(spots))))
-    add(bulbs, tk.glow("bulbs", (1, 1, 1), 9.0, True), True, np.repeat(colours, len(bulb[1]), 0))
+    places, tinted = np.concatenate(spots), np.concatenate(colours)
+    bulbs = tk.copies(bulb, places, tk.random_turns(rng, len(places), np.ones(len(places))))
+    add(bulbs, tk.glow("bulbs", (1, 1, 1), 9.0, True), True, np.repeat(tinted, len(bulb[1]), 0))
 
     iron = material("iron", (0.04, 0.04, 0.045), 0.4, metallic=0.6)
     for k, y in enumerate(np.arange(4, 64, 5.5)):
@@ -344,7 +347,7 @@ def street(rng: np.random.Generator) -> None:
         add(tk.join(bars), tk.glow("neon", colour, 18.0))
         add(place(tk.box(1.3, 0.1, 0.6), (side * 6.55, y + 0.1, z)), iron)
 
-    def car(paint_colour):
+    def car(paint_colour: tk.Colour) -> list[bpy.types.Object]:
         body = tk.join([place(tk.box(1.75, 4.1, 0.55), (0, 0, 0.55)),
                         place(tk.box(1.55, 2.3, 0.5), (0, 0.15, 1.05))])
         wheel = place(tk.rod(0.33, 0.22, 20), (0, 0, 0), tk.turn(y=np.pi / 2))
@@ -385,12 +388,13 @@ def leaves(rng: np.random.Generator) -> None:
     tk.sky(0.1, 35, 150, sun=False)
     lamp("SUN", (0, 0, 9), 5.0, (1.0, 0.92, 0.78), 0.009, target=(-2.2, -3.0, 6.6))
 
-    def blade(tree):
+    def blade(tree: tk.Tree) -> tk.Value:
         return tk.node(tree, "ShaderNodeTexCoord").outputs["Generated"]
     bark = material("bark", (0.2, 0.14, 0.1), 0.9, grain=(10, 0.7), bump=1.0)
     tips, branches = [], []
 
-    def grow(start, way, length, size, depth):
+    def grow(start: np.ndarray, way: np.ndarray, length: float, size: float,
+             depth: int) -> None:
         steps = np.linspace(0, 1, 7)[:, None]
         bend = rng.normal(0, 0.12, 3) * length
         points = start + steps * way * length + steps ** 2 * bend
@@ -426,7 +430,7 @@ def leaves(rng: np.random.Generator) -> None:
     tint = tints(rng, count, 2, 0.55, 1.0, 0.25)
     tk.deform(add(shapes[0], green, tint=tint), [vertices for vertices, _ in shapes])
 
-    def spray(tree):
+    def spray(tree: tk.Tree) -> tk.Value:
         """Rows of small leaflets cut out of a card by its alpha."""
         where = tk.node(tree, "ShaderNodeSeparateXYZ", {0: tk.coordinates(tree, source="UV")})
         u = tk.calculate(tree, "PINGPONG", tk.calculate(tree, "MULTIPLY", where.outputs[0], 7.0),
@@ -454,8 +458,8 @@ def leaves(rng: np.random.Generator) -> None:
     bird = tk.join([place(tk.box(0.22, 0.07, 0.012), (0.1, 0, 0), tk.turn(y=-0.5)),
                     place(tk.box(0.22, 0.07, 0.012), (-0.1, 0, 0), tk.turn(y=0.5))])
     dark = material("bird", (0.03, 0.03, 0.03))
-    for x, z in ((0.15, 1.9), (0.7, 2.3), (1.2, 1.75)):
-        move(add(bird, dark), (x, 6.0, z), (0.07, 0.0, 0.015), (0, 0.1, 0))
+    for across, up in ((0.15, 1.9), (0.7, 2.3), (1.2, 1.75)):
+        move(add(bird, dark), (across, 6.0, up), (0.07, 0.0, 0.015), (0, 0.1, 0))
     camera((0.3, -0.4, 0.6), (0.15, 5, 1.75), 32, (0.02, 0.012, 0.006))
 
 
@@ -493,28 +497,32 @@ def snow(rng: np.random.Generator) -> None:
     add(place(tk.box(0.7, 0.06, 1.6), (-0.85, 6.84, 0.75)),
         material("door", (0.3, 0.05, 0.04), 0.5))
     iron = material("iron", (0.05, 0.05, 0.06), 0.5)
-    for x, y in ((1.35, 4.6), (-1.5, 3.4)):
-        add(place(tk.rod(0.035, 2.0), (x, y, -0.1)), iron, True)
-        add(place(tk.sphere(0.1), (x, y, 1.98)), tk.glow("globe", (1.0, 0.66, 0.32), 45.0), True)
-        add(place(tk.lathe([(0.17, 0), (0.1, 0.09), (0, 0.12)]), (x, y, 2.08)), white, True)
+    for across, along in ((1.35, 4.6), (-1.5, 3.4)):
+        add(place(tk.rod(0.035, 2.0), (across, along, -0.1)), iron, True)
+        globe = place(tk.sphere(0.1), (across, along, 1.98))
+        add(globe, tk.glow("globe", (1.0, 0.66, 0.32), 45.0), True)
+        cap = tk.lathe([(0.17, 0), (0.1, 0.09), (0, 0.12)])
+        add(place(cap, (across, along, 2.08)), white, True)
     needle = (np.array([[0, -0.035, 0], [1, -0.012, -0.12], [1, 0.012, -0.12], [0, 0.035, 0]]),
               np.array([[0, 1, 2, 3]]))
     pine = material("pine", (0.03, 0.07, 0.035), 0.8, tinted=True)
-    for x, y, tall in ((-3.4, 6.0, 4.0), (2.3, 6.3, 3.6), (3.3, 8.5, 5.0), (-2.2, 9.5, 5.5),
-                       (1.6, 10.5, 5.2), (0.2, 11.5, 6), (-5, 9, 6), (1.9, 3.6, 1.5)):
-        add(place(tk.rod(0.03 * tall, 0.9 * tall), (x, y, 0)), logs, True)
+    for across, along, tall in (
+        (-3.4, 6.0, 4.0), (2.3, 6.3, 3.6), (3.3, 8.5, 5.0), (-2.2, 9.5, 5.5), (1.6, 10.5, 5.2),
+        (0.2, 11.5, 6.0), (-5.0, 9.0, 6.0), (1.9, 3.6, 1.5)
+    ):
+        add(place(tk.rod(0.03 * tall, 0.9 * tall), (across, along, 0)), logs, True)
         count = 1900
         up = rng.uniform(0.12, 1, count)
         angle = rng.uniform(0, 2 * np.pi, count)
-        spots = np.column_stack([np.full(count, x), np.full(count, y), up * tall])
+        spots = np.column_stack([np.full(count, across), np.full(count, along), up * tall])
         turns = tk.about_z(angle, (1 - up + 0.05) * tall * 0.3 * rng.uniform(0.5, 1.1, count))
         add(tk.copies(needle, spots, turns), pine, tint=tints(rng, count, 1))
         loaded = spots[::2] + (0, 0, 0.025 * tall ** 0.5)
         add(tk.copies(needle, loaded, turns[::2] * 0.97), white)
     rails = []
     for k in range(16):
-        at = (-4 + 0.5 * k, 5.6 + 0.1 * np.sin(k), 0)
-        rails.append(place(tk.box(0.07, 0.05, 0.9), np.add(at, (0, 0, 0.35))))
+        foot = (-4 + 0.5 * k, 5.6 + 0.1 * np.sin(k), 0)
+        rails.append(place(tk.box(0.07, 0.05, 0.9), np.add(foot, (0, 0, 0.35))))
     rails += [place(tk.box(8, 0.03, 0.06), (0, 5.63, z)) for z in (0.35, 0.65)]
     add(tk.join([rail for rail in rails if abs(rail[0][:, 0].mean() + 0.6) > 0.3]), logs)
     ball = tk.sphere(1.0, 16, 20)

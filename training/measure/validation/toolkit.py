@@ -5,10 +5,21 @@ A shape is a pair of arrays: vertices (N, 3) and faces of four corners (F, 4).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
+
 import bpy
 import numpy as np
 
 Shape = tuple[np.ndarray, np.ndarray]
+Point = Sequence[float] | np.ndarray
+"""Three numbers: a place, a way or angles."""
+Colour = tuple[float, ...]
+Tree: TypeAlias = bpy.types.NodeTree
+Value: TypeAlias = Any
+"""What an input takes: a number, a colour, or another node's socket."""
+Shade = Callable[[Tree], Value]
+"""Gives a socket of a tree."""
 FIRST, LAST = 0, 4  # frames 1 to 3 are shown: each has a neighbour on both sides
 AXIS = 1e-3  # least radius of a turned shape, so that all its faces have four corners
 
@@ -78,7 +89,8 @@ def turn(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
     return about_z @ about_y @ about_x
 
 
-def place(shape: Shape, at=(0.0, 0.0, 0.0), matrix: np.ndarray | None = None) -> Shape:
+def place(shape: Shape, at: Point = (0.0, 0.0, 0.0),
+          matrix: np.ndarray | None = None) -> Shape:
     vertices = shape[0] if matrix is None else shape[0] @ matrix.T
     return vertices + np.asarray(at, float), shape[1]
 
@@ -191,7 +203,8 @@ def deform_straight(item: bpy.types.Object, first: np.ndarray, last: np.ndarray)
         key.keyframe_insert("value", frame=frame)
 
 
-def move(item: bpy.types.Object, start, step, spin=(0.0, 0.0, 0.0)) -> None:
+def move(item: bpy.types.Object, start: Point, step: Point,
+         spin: Point = (0.0, 0.0, 0.0)) -> None:
     """At `start` in frame 2, `step` and `spin` (radians) a frame."""
     angles = np.array(item.rotation_euler)
     for frame in (FIRST, LAST):
@@ -201,7 +214,8 @@ def move(item: bpy.types.Object, start, step, spin=(0.0, 0.0, 0.0)) -> None:
         item.keyframe_insert("rotation_euler", frame=frame)
 
 
-def camera(at, target, lens: float, step, drift=(0.0, 0.0, 0.0)) -> bpy.types.Object:
+def camera(at: Point, target: Point, lens: float, step: Point,
+           drift: Point = (0.0, 0.0, 0.0)) -> bpy.types.Object:
     """A camera that travels by `step` a frame, and whose aim travels by `drift`."""
     from mathutils import Vector
     data = bpy.data.cameras.new("camera")
@@ -219,8 +233,8 @@ def camera(at, target, lens: float, step, drift=(0.0, 0.0, 0.0)) -> bpy.types.Ob
     return item
 
 
-def lamp(kind: str, at, energy: float, colour=(1.0, 1.0, 1.0), size: float = 0.1,
-         target=None) -> bpy.types.Object:
+def lamp(kind: str, at: Point, energy: float, colour: Colour = (1.0, 1.0, 1.0),
+         size: float = 0.1, target: Point | None = None) -> bpy.types.Object:
     """A lamp of Blender's kind POINT, SUN (size: radians), SPOT or AREA that shines at `target`."""
     from mathutils import Vector
     data = bpy.data.lights.new("lamp", kind)
@@ -241,7 +255,8 @@ def lamp(kind: str, at, energy: float, colour=(1.0, 1.0, 1.0), size: float = 0.1
 # Materials ----------------------------------------------------------------------------------------
 
 
-def node(tree: bpy.types.NodeTree, kind: str, inputs: dict | None = None, **settings):
+def node(tree: Tree, kind: str, inputs: Mapping[Any, Value] | None = None,
+         **settings: Any) -> bpy.types.Node:
     """A node; a value of `inputs` is a number, a colour, or another node's socket."""
     item = tree.nodes.new(kind)
     for name, value in settings.items():
@@ -256,7 +271,7 @@ def node(tree: bpy.types.NodeTree, kind: str, inputs: dict | None = None, **sett
     return item
 
 
-def new_material(name: str) -> tuple[bpy.types.Material, bpy.types.NodeTree, object]:
+def new_material(name: str) -> tuple[bpy.types.Material, Tree, bpy.types.Node]:
     """A material, its nodes, and its output node."""
     result = bpy.data.materials.new(name)
     result.use_nodes = True
@@ -264,13 +279,14 @@ def new_material(name: str) -> tuple[bpy.types.Material, bpy.types.NodeTree, obj
     return result, result.node_tree, result.node_tree.nodes.new("ShaderNodeOutputMaterial")
 
 
-def coordinates(tree, scale=(1.0, 1.0, 1.0), rotation=(0.0, 0.0, 0.0), source: str = "Object"):
+def coordinates(tree: Tree, scale: Point = (1.0, 1.0, 1.0), rotation: Point = (0.0, 0.0, 0.0),
+                source: str = "Object") -> Value:
     place_of = node(tree, "ShaderNodeTexCoord").outputs[source]
     return node(tree, "ShaderNodeMapping", {"Vector": place_of, "Scale": scale,
                                             "Rotation": rotation}).outputs["Vector"]
 
 
-def ramp(tree, factor, stops: list[tuple[float, tuple[float, float, float]]]):
+def ramp(tree: Tree, factor: Value, stops: list[tuple[float, Colour]]) -> Value:
     """A socket: colours at places 0 to 1 of `factor`."""
     item = node(tree, "ShaderNodeValToRGB", {0: factor})
     elements = item.color_ramp.elements
@@ -281,20 +297,21 @@ def ramp(tree, factor, stops: list[tuple[float, tuple[float, float, float]]]):
     return item.outputs["Color"]
 
 
-def mixed(tree, factor, first, second, how: str = "MIX"):
+def mixed(tree: Tree, factor: Value, first: Value, second: Value, how: str = "MIX") -> Value:
     """A socket: two colours, mixed."""
     return node(tree, "ShaderNodeMix", {0: factor, 6: first, 7: second}, data_type="RGBA",
                 blend_type=how).outputs[2]
 
 
-def noise(tree, scale: float, vector=None, detail: float = 5.0, **inputs):
+def noise(tree: Tree, scale: float, vector: Value = None, detail: float = 5.0,
+          **inputs: Value) -> Value:
     values = {"Scale": scale, "Detail": detail, "Vector": vector or coordinates(tree), **inputs}
     return node(tree, "ShaderNodeTexNoise", values).outputs[0]
 
 
-def material(name: str, colour, roughness: float = 0.5, tinted: bool = False,
+def material(name: str, colour: Colour | Shade, roughness: float = 0.5, tinted: bool = False,
              grain: tuple[float, float] = (8.0, 0.3), bump: float = 0.0,
-             **inputs) -> bpy.types.Material:
+             **inputs: Value) -> bpy.types.Material:
     """A plain surface. `colour`: a colour, or a function of the tree that gives a socket.
     `grain`: scale and strength of its stains; `bump`: depth of its unevenness."""
     result, tree, output = new_material(name)
@@ -321,7 +338,7 @@ def material(name: str, colour, roughness: float = 0.5, tinted: bool = False,
     return result
 
 
-def glow(name: str, colour, strength: float, tinted: bool = False) -> bpy.types.Material:
+def glow(name: str, colour: Value, strength: float, tinted: bool = False) -> bpy.types.Material:
     result, tree, output = new_material(name)
     shade = colour
     if tinted:
@@ -332,7 +349,7 @@ def glow(name: str, colour, strength: float, tinted: bool = False) -> bpy.types.
     return result
 
 
-def glass(name: str, colour=(1.0, 1.0, 1.0), ior: float = 1.5, roughness: float = 0.0,
+def glass(name: str, colour: Colour = (1.0, 1.0, 1.0), ior: float = 1.5, roughness: float = 0.0,
           open_to_light: bool = False) -> bpy.types.Material:
     """Clear glass or water; `open_to_light`: shadow rays pass it, as artists set it up for
     water."""
@@ -348,8 +365,8 @@ def glass(name: str, colour=(1.0, 1.0, 1.0), ior: float = 1.5, roughness: float 
     return result
 
 
-def thin(name: str, colour, through, share: float = 0.5, alpha=None,
-         tinted: bool = False) -> bpy.types.Material:
+def thin(name: str, colour: Colour | Shade, through: Colour, share: float = 0.5,
+         alpha: Shade | None = None, tinted: bool = False) -> bpy.types.Material:
     """Leaf or cloth: diffuse light on both sides. `colour` and `alpha` may be functions of the
     tree; `through`: the colour of what shines through."""
     result, tree, output = new_material(name)
@@ -373,7 +390,8 @@ def thin(name: str, colour, through, share: float = 0.5, alpha=None,
     return result
 
 
-def tiles(tree, size: float, colours, grout, rotation=(0.0, 0.0, 0.0), flat: float = 1.0):
+def tiles(tree: Tree, size: float, colours: tuple[Colour, Colour], grout: Colour,
+          rotation: Point = (0.0, 0.0, 0.0), flat: float = 1.0) -> Value:
     """A socket: tiles of two colours with grout; `flat`: width of a tile by its height."""
     vector = coordinates(tree, rotation=rotation)
     return node(tree, "ShaderNodeTexBrick", {
@@ -382,7 +400,8 @@ def tiles(tree, size: float, colours, grout, rotation=(0.0, 0.0, 0.0), flat: flo
         "Row Height": size}, offset=0.0 if flat == 1.0 else 0.5).outputs["Color"]
 
 
-def wood(tree, scale: float, light, dark, rotation=(0.0, 0.0, 0.0)):
+def wood(tree: Tree, scale: float, light: Colour, dark: Colour,
+         rotation: Point = (0.0, 0.0, 0.0)) -> Value:
     """A socket: grain along y."""
     vector = coordinates(tree, scale=(scale, scale * 0.08, scale), rotation=rotation)
     return ramp(tree, noise(tree, 3.0, vector, 8.0, Distortion=1.5), [(0.3, dark), (0.7, light)])
@@ -396,7 +415,7 @@ def sky(strength: float, elevation: float, azimuth: float, sun: bool = True) -> 
     finish_background(tree, texture.outputs[0], strength)
 
 
-def gradient_sky(stops, strength: float = 1.0) -> None:
+def gradient_sky(stops: list[tuple[float, Colour]], strength: float = 1.0) -> None:
     """Colours from straight down (0) to straight up (1), with faint clouds."""
     tree = background_tree()
     direction = node(tree, "ShaderNodeTexCoord").outputs["Generated"]
@@ -408,20 +427,22 @@ def gradient_sky(stops, strength: float = 1.0) -> None:
     finish_background(tree, colour, strength)
 
 
-def background_tree():
+def background_tree() -> Tree:
     world = bpy.context.scene.world
     world.use_nodes = True
     world.node_tree.nodes.clear()
     return world.node_tree
 
 
-def finish_background(tree, colour, strength: float) -> None:
+def finish_background(tree: Tree, colour: Value, strength: float) -> None:
     shader = node(tree, "ShaderNodeBackground", {"Color": colour, "Strength": strength})
     output = tree.nodes.new("ShaderNodeOutputWorld")
     tree.links.new(shader.outputs[0], output.inputs["Surface"])
 
 
-def volume(name: str, density, colour=(1.0, 1.0, 1.0), anisotropy: float = 0.0, fire=None):
+def volume(name: str, density: float | Shade, colour: Colour = (1.0, 1.0, 1.0),
+           anisotropy: float = 0.0,
+           fire: Callable[[Tree], tuple[Value, Value]] | None = None) -> bpy.types.Material:
     """A volume. `density`: a number, or a function of the tree that gives a socket; `fire`: a
     function of the tree that gives the sockets of emitted colour and strength."""
     result, tree, output = new_material(name)
@@ -434,12 +455,12 @@ def volume(name: str, density, colour=(1.0, 1.0, 1.0), anisotropy: float = 0.0, 
     return result
 
 
-def calculate(tree, how: str, first, second=0.0, third=0.0):
+def calculate(tree: Tree, how: str, first: Value, second: Value = 0.0, third: Value = 0.0) -> Value:
     return node(tree, "ShaderNodeMath", {0: first, 1: second, 2: third},
                 operation=how).outputs[0]
 
 
-def animated(tree, values: tuple[float, float]):
+def animated(tree: Tree, values: tuple[float, float]) -> Value:
     """A socket: a number that runs from the first value to the second over the frames."""
     item = node(tree, "ShaderNodeValue")
     for frame, value in zip((FIRST, LAST), values, strict=True):

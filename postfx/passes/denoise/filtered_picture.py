@@ -1,0 +1,83 @@
+"""Parts and noisy alpha beside a network that gives the picture alone, or sees a denoised one:
+another network predicts filters for them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from postfx.frame import Part
+from postfx.kernels.denoise import GAIN
+from postfx.passes import ResidentFrame
+from postfx.passes.denoise.assembly import Frames
+from postfx.passes.denoise.history import FILTERED_PICTURE, PartHistory
+from postfx.passes.denoise.models import blanks_volumes, grid_of
+from postfx.passes.denoise.parts import Layers, OwnRun, has_noisy_alpha
+from postfx.passes.denoise.planes import Planes
+from postfx.passes.denoise.tiling import Sizes
+from postfx.passes.denoise.window import THE_PICTURE, Work
+from postfx.runtime import CommandBuffer, Device, Tensor
+
+
+class FilteredPicture:
+    """Denoises frames that have parts, or noisy alpha, by a network of filters, for these. The
+    picture that it makes is its own history; parts add up to it, and alpha's edges follow it.
+
+    Args:
+        sizes: of the frames.
+        model: the network of filters.
+        reactive: whether frames have a mask that tells where the history is not used.
+        parts: those of the frames.
+        layers: parts, and alpha.
+        history: has one for this network.
+    """
+
+    def __init__(self, device: Device, sizes: Sizes, model: str, reactive: bool,
+                 parts: Iterable[Part], layers: Layers, history: PartHistory) -> None:
+        self._model, self._layers, self._history = model, layers, history
+        self._has_parts, self._blanks = any(parts), blanks_volumes(model)
+        own = replace(sizes, grid=grid_of([model]))
+        self._frames = Frames(device, own, [model], history.own[FILTERED_PICTURE], False, reactive,
+                              True)
+        self._own = own_frames(self._frames, history)
+
+    def runs_on(self, frame: ResidentFrame) -> bool:
+        """Whether a frame has something to filter."""
+        return self._has_parts or has_noisy_alpha(frame)
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
+               hazy: Planes, work: Work) -> Tensor:
+        """Record the work that filters them; returns the picture that was filtered with them.
+
+        Args:
+            planes: those of the network that gives the picture, and the noisy colour.
+            hazy: makes stand-ins for planes that a volume hides.
+            work: what is done for the picture.
+        """
+        keep = work.keep and FILTERED_PICTURE in self._history.ran
+        band = None if work.cells is None else self._frames.layout(work.cells)
+        own = work._replace(model=self._model, keep=keep, still=work.still and keep, band=band)
+        seen = {**planes, **(hazy.stand_ins(frame) if self._blanks else {})}
+        layers, targets = self._layers.begin(commands, frame, seen, own)
+        self._frames.use(self._model)
+        picture = self._frames.encode(commands, seen, own, layers, targets)
+        encode_own(commands, self._own, self._layers.own_runs(frame, seen, own), own)
+        self._history.ran += (FILTERED_PICTURE,)
+        return picture
+
+
+def own_frames(frames: Frames, history: PartHistory) -> dict[str, Frames]:
+    """What runs a network on parts that have filters of their own, by their names."""
+    return {name: frames.beside(own) for name, own in history.own.items()
+            if name != FILTERED_PICTURE}
+
+
+def encode_own(commands: CommandBuffer, frames: Mapping[str, Frames], runs: Iterable[OwnRun],
+               work: Work) -> None:
+    """Record the network's work on parts that have filters of their own."""
+    for run in runs:
+        still = run.params[GAIN] == work.params[GAIN]
+        frames[run.name].use(work.model)
+        own = work._replace(params=run.params, still=work.still and bool(still))
+        frames[run.name].encode(commands, run.planes, own, (),
+                                {THE_PICTURE: {"output": run.output}})
