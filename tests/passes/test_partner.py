@@ -18,6 +18,7 @@ from postfx.passes.partner import (
     BACKWARD_FRAMES,
     MIXTURE_REACH_SHARE,
     SHARE_BESIDE_A_PICTURE,
+    SHARE_BESIDE_TWO_STAGES,
     partner_weight,
 )
 from postfx.plan import make_plan
@@ -251,6 +252,9 @@ def test_the_partner_counts_less_beside_a_history_a_larger_picture_and_a_better_
     np.testing.assert_allclose(known, between(1, 7, partner_weight(1 + BACKWARD_FRAMES)), rtol=1e-5)
     (beside,) = mix([pair(1, 7)], device, model="xl")
     share = SHARE_BESIDE_A_PICTURE * partner_weight(1)
+    np.testing.assert_allclose(beside, between(1, 7, share), rtol=1e-5)
+    (beside,) = mix([pair(1, 7)], device, model="xl", scale=2)
+    share = SHARE_BESIDE_TWO_STAGES * partner_weight(1, 2.0)
     np.testing.assert_allclose(beside, between(1, 7, share), rtol=1e-5)
     apart = [pair(0, light, motion=even(0, 2)) for light in (10, 1e3, 10, 1e3, 10, 1e3)]
     found = [float(np.log1p(picture).mean() / np.log1p(frame[Role.PARTNER]).mean())
