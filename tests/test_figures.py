@@ -147,7 +147,7 @@ def test_the_figures_of_the_help_are_measured() -> None:
     runs = [load("kinds_2x"), load("kinds_1x"), load("kinds_xl")]
     figures = [figure for line in EXAMPLES.splitlines() if line.startswith("  postfx run")
                for figure in CELL.findall(line)]
-    assert len(figures) == 10
+    assert len(figures) == 11
     assert all(any(made.has(figure) for made in runs) for figure in figures)
 
 

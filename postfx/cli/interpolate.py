@@ -83,7 +83,8 @@ INTERPOLATE = Options(Section("", (
            help="how many times as many frames, or times between two frames, e.g. 0.25,0.5 "
            "(default: 2)"),
     Option(flag="--fps", metavar="OLD[:NEW]",
-           help="frame rates, e.g. 24:60; the old one alone if the headers lack it"),
+           help="frame rates: 24:60 makes 60 frames a second of 24. One number is the rate of "
+           "INPUT, for files whose headers lack it"),
     Option(flag="--frames", metavar="RANGE", help="frames to use, e.g. 1-100"),
     Option(flag="--shutter", metavar="DEGREES", type=_parse_shutter, default=0.0,
            help="add motion blur to renders that have none: how long the shutter is open, where "

@@ -25,11 +25,10 @@ part: --render is a command that renders the pictures and regions of a JSON file
 replaces {jobs}. Scripts for Blender and Mitsuba come with postfx; docs/howto/render_more.md
 describes the file for others.
 
-The error is what the network expects of itself, if it predicts that: 'l' and the default do. Else,
-or with --error halves, everything is rendered in two halves with different seeds. Each half,
-denoised, is compared with the other: that measures the error, but takes about a tenth more samples
-for the same picture. With --budget a round renders at most as many samples as there are, the last
-one what is left.
+The network predicts its own error, if it can: 'l' and the default do. Else, or with --error halves,
+everything is rendered in two halves with different seeds. Each half, denoised, is compared with the
+other: that measures the error, but takes about a tenth more samples for the same picture. With
+--budget a round renders at most as many samples as there are, the last one what is left.
 
 OUTPUT always holds the denoised frames of the last round. The merged renders and a log are in
 --work. A loop that was stopped goes on from there, and further with a larger budget or more rounds.
@@ -67,7 +66,7 @@ LOOP = Options(Section("", (
            help="samples a pixel of the first round (default: 16)"),
     SAMPLE_OPTIONS["--quality"],
     Option(flag="--budget", metavar="N", type=parse_from_zero,
-           help="samples a pixel of all later rounds together, in the mean of the shot (default: "
+           help="samples a pixel of all later rounds together, on average over the shot (default: "
            "no limit)"),
     Option(flag="--rounds", metavar="N", type=parse_positive, default=4,
            help="rounds at most after the first one (default: 4)"),

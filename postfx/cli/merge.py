@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Merge renders of the same frames that differ in their seed, as one render with the samples of all.
-Each pixel is weighted by its samples, which headers tell (Cycles, pbrt, postfx:spp), an AOV of
+Each pixel is weighted by its number of samples: by headers (Cycles, pbrt, postfx:spp), an AOV of
 sample counts, or --samples.
 
-Colours, alpha, reflectances, light groups and noise estimates are averaged; normals of unit length
-keep it. Ids and Cryptomattes, depth, positions and motion come from the first render that has the
+Colours, alpha, reflectances, light groups and noise estimates are averaged; unit normals stay so.
+Ids and Cryptomattes, depth, positions and motion come from the first render that has the
 pixel. Samples and render times in the headers are added up. A render of a region counts only there:
 by its data window, its sample counts, or the rectangle that holds its light. Where samples then
 differ, an AOV of counts is written, by which the result can be merged again.
@@ -34,7 +34,7 @@ examples:
   postfx merge frame.exr tile_3_7.exr tile_4_7.exr -o better.exr
 
 Put patterns in quotes: each argument is one render of all frames. Frames that a later render lacks
-are merged of the others.
+are merged from the others.
 """
 
 

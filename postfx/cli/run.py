@@ -40,7 +40,7 @@ PSNR in dB to the best of Open Image Denoise for the same rays, at 4, 16 and 64 
   postfx run, the render's size                    +0.91, +0.86, +0.50
   postfx run --with oidn                           +0.93, +0.92, +0.67
   postfx run --model m, a tenth of the time        -1.04, -0.98, -1.15
-  postfx run --scale 2, half size, 4x the samples  -2.44: only for what cannot be rendered larger
+  postfx run --scale 2, half size, 4x the samples  -1.84, -3.90: if it cannot be rendered larger
 
 A video of the pictures: ffmpeg -framerate 24 -i out/picture.%04d.png -pix_fmt yuv420p shot.mp4
 'postfx run --help-all' shows all options, 'postfx config' the defaults of your studio.
@@ -83,8 +83,8 @@ examples:
 POSTFX_EXPOSURE_TOOL=1 covers every frame with a grey checkerboard, see 'postfx exposure --help'.
 
 Beside the frames lies postfx.manifest.json: how they were made, and the hash of each ('postfx
-verify' checks it). Ctrl-C and SIGTERM end a run after the frame in work; --skip-existing goes on
-with the same pixels.
+verify' checks it). Ctrl-C and SIGTERM end a run after the current frame; --skip-existing
+continues with the same pixels.
 
 Defaults of a studio come from postfx.toml: see 'postfx config --help'.
 

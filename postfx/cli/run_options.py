@@ -92,9 +92,9 @@ FRAME_SECTION = Section("frames", (
 FILES_WRITTEN = Section("files that are written", (
     Option(flag="--keep", choices=("auto", "all", "none"), default="auto", off="auto",
            sets="writer.keep", convert={"auto": None, "all": True, "none": False}.get,
-           help="what EXR output keeps of the input's other channels, parts and header: auto, "
-           "everything, bit for bit, at the render's size (default); all, at other sizes, too, "
-           "enlarged by the nearest pixel; none"),
+           help="what EXR output keeps of the input's other channels, parts and header. Auto keeps "
+           "everything, bit for bit, if the output has the render's size (default). All also "
+           "keeps it at other sizes, by repeating pixels; none keeps nothing"),
     Option(flag="--bits", metavar="N", type=parse_positive, sets="writer.bits",
            help="bits of a channel. EXR: 16 (half floats, default) or 32 (floats, default with "
            "--aov-denoise depth or position); PNG: 8 (default) or 16 (default in HDR); TIFF: 8 or "
@@ -246,7 +246,7 @@ def _list_passes() -> str:
 DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
            help="preview: the fastest (--model s --run-up 0 --preroll 0 --fast-look); final: "
-           "for delivery, whatever frames show (--model xl --both-ways --with auto); "
+           "for delivery (--model xl --both-ways --with auto); "
            "animation: steady brightness (--both-ways --exposure smooth). Options that you "
            "give yourself win"),
     Option(flag="--scale", basic=True, metavar="S", type=parse_number, either="size",
@@ -506,7 +506,7 @@ READING = Section("reading and running", (
     Option(flag="--cuts", once=True, metavar="auto|none|FRAMES", default="auto",
            sets="sequence.cuts", convert=parse_cuts,
            help="where shots begin: auto, found by headers and pictures (default); none; or frame "
-           "numbers, e.g. 1,48,90. No frame uses those of another shot"),
+           "numbers, e.g. 1,48,90. Frames never use those of another shot"),
     Option(flag="--wrap", choices=("auto", "x", "none"), default="auto", off="auto",
            help="whether the left and the right edge meet, as in panoramas: x, without a seam; "
            "none; auto, as the header says (default)"),

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from postfx.io.sequence import Sequence
 
 DESCRIPTION = """\
-Say how many more samples each tile of a shot needs until its denoised frames have a quality. This
+Say how many more samples each tile of a shot needs until its denoised frames reach a quality. This
 is the PSNR against a perfect render, on the display: 'visible' (36 dB), 'draft' (30 dB), 'fine' (42
 dB), or 38dB; or a FLIP like flip=0.05. With --budget the samples go where they lower the error of
 the shot most, or its FLIP if that is the quality.
@@ -51,8 +51,8 @@ SAMPLE_OPTIONS = Options(Section("", (
            help="draft, visible (default), fine, a PSNR like 38dB, or a FLIP like flip=0.05, for "
            "each tile"),
     Option(flag="--budget", metavar="N", type=parse_from_zero,
-           help="more samples a pixel at most, in the mean of the shot (default: as many as the "
-           "quality needs)"),
+           help="at most so many more samples a pixel, on average over the shot (default: as many "
+           "as the quality needs)"),
     Option(flag="--tile", metavar="N", type=parse_positive, default=32,
            help="side of a tile in pixels (default: 32)"),
     Option(flag="--error", metavar="FRAMES", is_file=True,
@@ -67,7 +67,7 @@ SAMPLE_OPTIONS = Options(Section("", (
     Option(flag="--samples", metavar="N", type=parse_positive,
            help="samples a pixel of INPUT (default: by its header)"),
     Option(flag="--seconds", metavar="S", type=parse_from_zero,
-           help="that a frame of INPUT took to render (default: by its header)"),
+           help="seconds that a frame of INPUT took to render (default: by its header)"),
     Option(flag="--exposure", metavar="auto|metadata|EV", default="auto",
            help="as for 'postfx run' (default: auto)"),
     Option(flag="--pictures", metavar="DIR",

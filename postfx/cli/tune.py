@@ -13,8 +13,8 @@ from postfx.cli.run_options import FILES, INPUT, RUN
 DESCRIPTION = """\
 Adapt the network s to a shot. It learns from clean renders of a few frames (--references), or,
 without any, from a second render of the same frames with another seed (--halves): each is the
-target of the other. A quarter of the targets is held back to measure the gain. Where they do not
-gain at least 0.1 dB, nothing is written, and the exit code is 1.
+target of the other. A quarter of the targets is held back to measure the gain. Below 0.1 dB nothing
+is written, and the exit code is 1.
 
 The result is FILE.onnx and its card, which 'postfx run --model FILE.onnx' takes at the render's
 size. Needs a checkout of postfx and its extra 'train', which brings PyTorch; runs on the CPU, or on
@@ -39,10 +39,11 @@ TUNE = Options(Section("", (
     Option(flag="--output", short="-o", metavar="FILE.onnx",
            help="network to write, with its card beside it"),
     Option(flag="--minutes", metavar="M", type=parse_number, default=10.0,
-           help="of training (default: 10)"),
+           help="minutes of training (default: 10)"),
     Option(flag="--steps", metavar="N", type=parse_positive,
-           help="of training, in place of --minutes"),
-    Option(flag="--seed", metavar="N", type=int, default=0, help="of what is drawn (default: 0)"),
+           help="steps of training, instead of --minutes"),
+    Option(flag="--seed", metavar="N", type=int, default=0,
+           help="seed of all random choices (default: 0)"),
     Option(flag="--frames", metavar="RANGE", help="frames of the shot, e.g. 1-100"),
     Option(flag="--overwrite", help="replace a network that is there"),
     RUN["--profile"],
