@@ -145,9 +145,10 @@ def check_is_there(tag: str) -> None:
     except ModelError as error:
         if not library.names():
             raise
-        meant = re.search(": did you mean [^?]*\\?|$", str(error))
-        raise ModelError(f"no network '{short_tag(tag)}'{meant and meant[0] or ':'} give s, m, l, "
-                         "xl, classic or FILE.onnx; 'postfx models' lists all") from None
+        hint = re.search(": did you mean [^?]*\\?", str(error))
+        meant = hint[0] if hint else ":"
+        raise ModelError(f"no network '{short_tag(tag)}'{meant} give s, m, l, xl, classic or "
+                         "FILE.onnx; 'postfx models' lists all") from None
 
 
 def short_tag(tag: str) -> str:
