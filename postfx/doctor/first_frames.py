@@ -118,6 +118,7 @@ class FirstFrames:
 
     def _line(self, one: Finding, frame: Frame) -> str:
         fix, evidence = one.fix.partition("; as a file")[0], one.evidence.partition("; of ")[0]
+        fix += "; 'postfx inspect' prints that profile" if fix.startswith("in a profile") else ""
         evidence = evidence.partition(": misfit ")[0]  # `inspect` has the figures
         if one.role not in set(Role):
             return f"{evidence}; likely: {one.cause}; fix: {fix}"

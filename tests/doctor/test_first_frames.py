@@ -39,6 +39,7 @@ def test_a_wrong_sign_and_a_wrong_unit_are_told_with_the_fix(room):
     (line,) = said(with_motion(room, np.negative), channels={Role.MOTION: "vector.XY"})
     assert (line.startswith("AOV motion (vector.XY), frame 3: ") and "fix: in a profile scale = "
             "[-1, -1]" in line and "misfit" not in line)  # figures are for `inspect`
+    assert line.endswith("; 'postfx inspect' prints that profile") and "\n" not in line
     height, width = room[0][Role.COLOUR].shape[:2]
     (line,) = said(with_motion(room, lambda motion: motion / np.float32((width, height))))
     assert 'fix: in a profile unit = "uv"' in line and "\n" not in line
