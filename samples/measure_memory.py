@@ -43,7 +43,7 @@ def run(folder: Path, options: list[str]) -> tuple[float, float]:
             "print('peak', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss); sys.exit(code)")
     began = time.perf_counter()
     command = [sys.executable, "-c", code, "run", "in.####.exr", "-o", "out.####.exr",
-               "--overwrite"]
+               "--scale", "2", "--overwrite"]
     result = subprocess.run([*command, "--device", "cpu", *options], capture_output=True, text=True,
                             cwd=folder)
     if result.returncode:
