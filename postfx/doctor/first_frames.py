@@ -15,6 +15,7 @@ from postfx.doctor import (
     geometry_checks,
     most_important_first,
     motion_checks,
+    noise_checks,
     plane_checks,
 )
 from postfx.doctor.material import Material
@@ -29,6 +30,7 @@ OF_ONE_FRAME: tuple[Check, ...] = (
     geometry_checks.check_normal_encoding,
     geometry_checks.check_roughness_range,
     motion_checks.check_motion_coded,
+    noise_checks.check_pixel_filter,
 )
 """Checks that take no more than one frame."""
 

@@ -24,6 +24,7 @@ from postfx.doctor import (
     geometry_checks,
     most_important_first,
     motion_checks,
+    noise_checks,
     noise_level,
     plane_checks,
     range_of,
@@ -95,6 +96,7 @@ VALUE_CHECKS: tuple[Check, ...] = (
 SEQUENCE_CHECKS: tuple[Check, ...] = (
     plane_checks.check_readable_frames,
     plane_checks.check_colour_clipped,
+    noise_checks.check_pixel_filter,
     motion_checks.check_frame_count,
     motion_checks.check_frame_sizes,
     plane_checks.check_hit_distance_unused,

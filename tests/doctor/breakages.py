@@ -63,6 +63,14 @@ def noise(size: float) -> Change:
     return add
 
 
+def filtered(pixels: np.ndarray, frame: Frame) -> np.ndarray:
+    """As by a gaussian pixel filter of half a pixel."""
+    for axis in (0, 1):
+        beside = np.roll(pixels, 1, axis) + np.roll(pixels, -1, axis)
+        pixels = 0.787 * pixels + 0.1065 * beside
+    return pixels
+
+
 def lit(pixels: np.ndarray, frame: Frame) -> np.ndarray:
     return np.clip(frame[Role.COLOUR], 0, 1)
 
@@ -358,6 +366,7 @@ ALBEDO, NORMAL, ROUGH, DEPTH, MOTION = (Role.DIFFUSE_ALBEDO, Role.NORMAL, Role.R
 COLOUR, SPECULAR = Role.COLOUR, Role.SPECULAR_ALBEDO
 
 BREAKAGES = [
+    Breakage("a gaussian pixel filter", "noise-spread", COLOUR, plane(COLOUR, filtered)),
     Breakage("albedo with noise of 0.08", "albedo-noisy", ALBEDO, plane(ALBEDO, noise(0.08)),
              ("albedo-above-one",)),
     Breakage("albedo times 1.8", "albedo-above-one", ALBEDO, plane(ALBEDO, times(1.8))),

@@ -11,6 +11,7 @@ import pytest
 import postfx
 from postfx.doctor.first_frames import MOST_SEEN, FirstFrames
 from postfx.frame import Frame, Role
+from tests.doctor.breakages import filtered
 
 ROOM = Path(__file__).parents[2] / "samples/room/noisy.####.exr"
 
@@ -52,6 +53,13 @@ def test_the_unit_of_a_large_picture_is_that_of_all_of_it(room, monkeypatch):
     (line,) = said(with_motion(room, lambda motion: motion / np.float32((width, height))))
     assert 'unit = "uv"' in line
     assert said(room) == []
+
+
+def test_noise_that_a_pixel_filter_spreads_is_told_with_the_fix(room):
+    spread = {Role.COLOUR: filtered(room[0][Role.COLOUR], room[0])}
+    (line,) = said([replace(room[0], planes={**room[0].planes, **spread})])
+    assert "noise of pixels beside each other is alike" in line
+    assert line.endswith("fix: render with a box filter of one pixel, or denoise by --model m")
 
 
 def test_one_seed_is_told(room):
