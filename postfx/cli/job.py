@@ -206,9 +206,9 @@ class Job:
         given = self._values("denoiser")
         if is_chosen(self._arguments, given):
             return given
-        choice = choose_network(self._first_spec, given, device)
+        choice = choose_network(self.sequence, self.first, given, device)
         if choice.lack:
-            self.skips.append(Skip("the network for this size", choice.lack))
+            self.skips.append(Skip("the best network", choice.lack))
         return {**given, "model": choice.network}
 
     def _has_plain_albedo(self) -> bool:

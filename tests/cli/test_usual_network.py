@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import postfx
+from postfx.io.writer import write_channels
 from postfx.passes.denoise import models
+from tests.doctor.breakages import filtered as spread
 
 CHOOSES_NETWORK = True
 ENLARGING = models.short_tag(models.mixture_model("xl"))
@@ -32,6 +34,22 @@ def test_a_run_takes_the_best_network(postfx, shot, tmp_path, options, network):
     assert f"; network {tag}" in postfx(*RUN, *options, "--explain").out
 
 
+@pytest.mark.parametrize(("filtered", "network"), ((True, "m"), (False, "xl")))
+def test_noise_that_a_pixel_filter_spread_takes_the_usual_one(postfx, tmp_path, filtered, network):
+    """The best one takes it for detail."""
+    light = np.random.default_rng(3).gamma(1, 1.0, (96, 128, 1)).repeat(3, 2).astype(np.float32)
+    if filtered:
+        light = spread(spread(light, None), None).astype(np.float32)
+    (tmp_path / "in").mkdir()
+    write_channels(tmp_path / "in/shot.0001.exr",
+                   {name: light[..., axis] for axis, name in enumerate("RGB")}, {})
+    done = postfx(*RUN)
+    assert done.code == 0 and f"chose    denoise_upscale: {network} for 1 frame" in done.err
+    told = [line for line in done.err.splitlines() if "a pixel filter spread the noise" in line]
+    assert bool(told) == filtered
+    assert "network xl" in postfx(*RUN, "--model", "xl", "--explain").out
+
+
 @pytest.mark.parametrize(("options", "said"), (
     (("--scale", "2"), "network xl at the render's size first, then "
      f"{ENLARGING} enlarges; l alone where frames have jitter"),
@@ -52,8 +70,8 @@ def test_frames_that_are_too_large_for_it_take_the_usual_one(postfx, shot, tmp_p
     monkeypatch.setattr(models, "usable_memory", lambda: 1 << 20)
     done = postfx(*RUN)
     assert done.code == 0
-    line = next(line for line in done.err.splitlines() if "network for this size" in line)
-    assert line.startswith("skipped  the network for this size: frames of ")
+    line = next(line for line in done.err.splitlines() if "the best network" in line)
+    assert line.startswith("skipped  the best network: frames of ")
     assert "m runs; --model xl with --memory works in tiles" in line
     found = (tmp_path / "out" / "postfx.manifest.json").read_text()
     assert "denoise_upscale.m" in found
