@@ -1,5 +1,7 @@
-"""Mitsuba's own Cornell box, for `hosts/loop/render_mitsuba.py`, with a box filter: its gaussian one
-would spread the noise over several pixels."""
+"""Mitsuba's own Cornell box, for `hosts/loop/render_mitsuba.py`, with a box filter.
+
+Its gaussian filter would spread the noise over several pixels.
+"""
 
 from typing import Any
 
