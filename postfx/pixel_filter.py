@@ -28,6 +28,8 @@ MOST_SPREAD = 0.65
 half a pixel makes 0.5 to 0.65. Independent noise has 1 and more, and 0.66 where a render of 16
 samples has the most detail."""
 LEAST_LIGHT = 1e-5
+MOST_LIGHT = 1e9
+"""More is taken as this much, so that sums stay finite."""
 MOST_SAMPLES = 32
 """Known samples a pixel beyond which detail is more than noise, and looks spread."""
 
@@ -55,7 +57,7 @@ def independence(colour: np.ndarray) -> float | None:
     columns, rows = min(width, LOOKED_AT_PX[0]), min(height, LOOKED_AT_PX[1])
     left, top = (width - columns) // 2, (height - rows) // 2
     window = np.nan_to_num(colour[top:top + rows, left:left + columns], posinf=0.0, neginf=0.0)
-    light = np.maximum(window.mean(axis=2, keepdims=True), 0)
+    light = window.clip(0.0, MOST_LIGHT).mean(axis=2, keepdims=True)
     around = np.maximum(local_mean(light, AROUND_PX), LEAST_LIGHT)
     seen = (light / (light + around))[..., 0]
     upper = seen[:-1, 1:] - seen[:-1, :-1]
