@@ -17,7 +17,7 @@ from postfx.passes.denoise import NO_HISTORY_REMARK, DenoiseUpscale
 from postfx.passes.denoise.models import BEST_NETWORK, USUAL_NETWORK, usual_network
 from postfx.passes.denoise.options import validate_scale
 from postfx.pipeline import Pipeline
-from postfx.pixel_filter import is_spread
+from postfx.pixel_filter import spread_ratio
 from postfx.plan import Plan
 from postfx.runtime import Device, default_device
 from postfx.system import host_floats
@@ -103,9 +103,9 @@ def _choose_network(picture: Any, scale: float, place: str | None) -> str:
     network = _network_at((width, height), validate_scale(scale) or 1.0,
                           None if place is None else str(place))
     is_colour = isinstance(picture, np.ndarray) and picture.ndim == 3 and picture.shape[2] >= 3
-    if network == BEST_NETWORK and is_colour and is_spread(picture[..., :3], None):
-        return USUAL_NETWORK
-    return network
+    if network != BEST_NETWORK or not is_colour:
+        return network
+    return network if spread_ratio(picture[..., :3], None) is None else USUAL_NETWORK
 
 
 @lru_cache(maxsize=64)

@@ -1,4 +1,5 @@
-"""Which network a run takes where nobody chose one: what the arguments say of it."""
+"""Which network a run takes where nobody chose one: by its arguments, the memory that there is, and
+the noise of its first frame."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from postfx.passes.denoise.models import (
     usual_network,
 )
 from postfx.passes.denoise.options import enlargement
-from postfx.pixel_filter import is_spread
+from postfx.pixel_filter import spread_ratio
 from postfx.runtime import Device
 
 SPREAD = (f"a pixel filter spread the noise, which '{BEST_NETWORK}' takes for detail: "
@@ -52,7 +53,7 @@ def choose_network(sequence: Sequence, first: int, options: Mapping[str, Any],
             frame = files.read(first, [Role.COLOUR], [])
         except ReadError:  # is told, or left out, when its turn comes
             return choice
-    if is_spread(frame[Role.COLOUR], frame.samples):
+    if spread_ratio(frame[Role.COLOUR], frame.samples) is not None:
         return Choice(USUAL_NETWORK, SPREAD)
     return choice
 

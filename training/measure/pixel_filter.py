@@ -27,25 +27,25 @@ from postfx.frame import Role
 from postfx.io.sequence import Sequence
 from training.measure.table import Shot, numbers, parser_of_kinds, shots, words
 
-REACH_PX = 2
+FILTER_REACH_PX = 2
 """Pixels to each side that the filter covers."""
-FILTERED = (Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL,
+FILTERED_PLANES = (Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL,
             Role.DENOISING_ALBEDO, Role.DENOISING_NORMAL)
 """Planes that renderers filter."""
 OIDN_WAYS = ("prefiltered", "none")
-COLUMNS = ("input", "m", "xl", "oidn", "undone")
+METHOD_COLUMNS = ("input", "m", "xl", "oidn", "undone")
 
 Denoise = Callable[[Frame], np.ndarray]
 
 
 def spread(plane: np.ndarray, stddev: float) -> np.ndarray:
     """A plane (height, width, channels) after a gaussian pixel filter of this width in pixels."""
-    places = np.arange(-REACH_PX, REACH_PX + 1)
+    places = np.arange(-FILTER_REACH_PX, FILTER_REACH_PX + 1)
     weights = np.exp(-places**2 / (2 * stddev**2))
     weights /= weights.sum()
     for axis in (0, 1):
         border = [(0, 0)] * 3
-        border[axis] = (REACH_PX, REACH_PX)
+        border[axis] = (FILTER_REACH_PX, FILTER_REACH_PX)
         padded = np.pad(plane, border, mode="edge")
         length = plane.shape[axis]
         plane = sum(weight * padded.take(range(first, first + length), axis)
@@ -55,7 +55,7 @@ def spread(plane: np.ndarray, stddev: float) -> np.ndarray:
 
 def spread_frame(frame: Frame, stddev: float) -> Frame:
     """A frame whose filtered planes are spread."""
-    return replace(frame, planes={role: spread(plane, stddev) if role in FILTERED else plane
+    return replace(frame, planes={role: spread(plane, stddev) if role in FILTERED_PLANES else plane
                                   for role, plane in frame.planes.items()})
 
 
@@ -65,7 +65,7 @@ def measure(shot: Shot, stddev: float, threads: int) -> dict[str, float]:
     pipelines = {name: Pipeline([DenoiseUpscale(scale=1.0, model=model)], device)
                  for name, model in (("m", "m"), ("xl", "xl"), ("undone", "xl"))}
     oidn = [Oidn("high", "cpu", threads, way) for way in OIDN_WAYS]
-    errors: dict[str, list[float]] = {name: [] for name in COLUMNS}
+    errors: dict[str, list[float]] = {name: [] for name in METHOD_COLUMNS}
     noisy, references = Sequence(shot.noisy), Sequence(shot.reference)
     for number in noisy.numbers:
         frame = noisy.read(number)
@@ -97,17 +97,18 @@ def main(argv: list[str] | None = None) -> None:
     if not wanted:
         parser.error(f"{given.folder} holds no kinds with references: "
                      "training/measure/validation/render_scenes.py makes them")
-    print(f"{'':12} {' '.join(f'{name:>7}' for name in COLUMNS)}")
+    print(f"{'':12} {' '.join(f'{name:>7}' for name in METHOD_COLUMNS)}")
     rows = []
     for shot in wanted:
         rows.append(measure(shot, given.stddev, given.threads))
         print(line(f"{shot.kind} {shot.samples}", rows[-1]), flush=True)
-    print(line("mean", {name: float(np.mean([row[name] for row in rows])) for name in COLUMNS}))
+    means = {name: float(np.mean([row[name] for row in rows])) for name in METHOD_COLUMNS}
+    print(line("mean", means))
 
 
 def line(name: str, row: dict[str, float]) -> str:
     """A row of the table."""
-    return f"{name:12} {' '.join(f'{row[column]:7.2f}' for column in COLUMNS)}"
+    return f"{name:12} {' '.join(f'{row[column]:7.2f}' for column in METHOD_COLUMNS)}"
 
 
 if __name__ == "__main__":

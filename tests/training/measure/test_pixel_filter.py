@@ -9,7 +9,7 @@ pytest.importorskip("torch")
 pytest.importorskip("pyoidn")
 
 from postfx.io.writer import write_channels  # noqa: E402
-from training.measure.pixel_filter import COLUMNS, main, spread  # noqa: E402
+from training.measure.pixel_filter import METHOD_COLUMNS, main, spread  # noqa: E402
 
 SIZE = 48, 64
 
@@ -36,9 +36,9 @@ def test_the_command_prints_a_row_for_each_shot(tmp_path: Path, capsys):
             write_channels(kind / f"{name}.{number:04d}.exr", planes, {"postfx:spp": samples})
     main([str(tmp_path), "--samples", "4"])
     head, row, mean = capsys.readouterr().out.splitlines()
-    assert tuple(head.split()) == COLUMNS
+    assert tuple(head.split()) == METHOD_COLUMNS
     assert row.split()[:2] == ["wall", "4"] and row.split()[2:] == mean.split()[1:]
-    found = dict(zip(COLUMNS, map(float, row.split()[2:]), strict=True))
+    found = dict(zip(METHOD_COLUMNS, map(float, row.split()[2:]), strict=True))
     assert found["undone"] > found["xl"] + 1 and found["xl"] > found["input"]
 
 
