@@ -38,6 +38,9 @@ MOST_TRIES = 5
 """How often a clip is read. NumPy parses the headers of arrays as Python code. The parser of Python
 3.11 is not quite safe in threads: now and then it raises SystemError for code that is right."""
 LUMINANCE = (0.2126, 0.7152, 0.0722)
+LEFT_SPREAD = (-0.03, 0.06)
+"""Bounds of a neighbour's weight where a little of a pixel filter is left, or too much of it was
+undone. A gaussian filter of half a pixel has 0.107."""
 
 
 @dataclass
@@ -516,16 +519,20 @@ class Augment:
     stops: exposure varies by this much either way. drop: factor on the chances that planes are
     missing. clean: chance of colour of many more samples, up to all, which teaches the network to
     keep good pixels. false_motion: chance of wrong motion vectors, which teach the network to doubt
-    the history by depth, albedo and normal.
+    the history by depth, albedo and normal. spread: chance that noise of neighbouring pixels is not
+    quite independent, as where a renderer's pixel filter was undone.
     """
 
     stops: float = 1.5
     drop: float = 1.0
     clean: float = 0.25
     false_motion: float = 0.0
+    spread: float = 0.0
 
     def __call__(self, stack: Stack) -> Batch:
         stack = _permute_channels(_flip(self._converge(stack)))
+        if self.spread:
+            stack = spread_noise(stack, self.spread)
         stops = (torch.rand_like(stack.exposure) * 2 - 1) * self.stops
         batch = to_batch(replace(stack, exposure=stack.exposure * torch.exp2(stops)))
         return self._drop_planes(falsify_motion(batch, self.false_motion) if self.false_motion
@@ -560,6 +567,39 @@ class Augment:
                     for frame in surfaces]
         return replace(batch, frames=[_without(frame, lost) for frame in batch.frames],
                        surfaces=surfaces, keep=batch.keep * ~lost["motion"], inverse=inverse)
+
+
+def spread_noise(stack: Stack, chance: float) -> Stack:
+    """Filter colour, albedos, normals and roughness of some entries, and their references, by three
+    pixels each way. Other sizes of reference stay as they are, with their renders."""
+    planes = stack.planes
+    if planes.shape[-2:] != stack.reference.shape[-2:]:
+        return stack
+    entries, device = len(planes), planes.device
+    low, high = LEFT_SPREAD
+    shape = entries, 1, 1, 1, 1
+    weight = torch.rand(shape, device=device) * (high - low) + low
+    chosen = torch.rand(shape, device=device) < chance
+
+    def filtered(values: Tensor) -> Tensor:
+        found = values
+        for axis in (-1, -2):
+            found = found + weight * _curvature(found, axis)
+        return torch.where(chosen, found, values)
+
+    planes, surfaces = planes.clone(), stack.surfaces.clone()
+    for part in (slice(0, 3), *SURFACE):
+        planes[:, :, part] = filtered(planes[:, :, part])
+        surfaces[:, :, part] = filtered(surfaces[:, :, part])
+    return replace(stack, planes=planes, surfaces=surfaces, reference=filtered(stack.reference))
+
+
+def _curvature(values: Tensor, axis: int) -> Tensor:
+    """Both neighbours along an axis less twice the value; edges are repeated."""
+    last = values.shape[axis] - 1
+    before = torch.cat((values.narrow(axis, 0, 1), values.narrow(axis, 0, last)), axis)
+    after = torch.cat((values.narrow(axis, 1, last), values.narrow(axis, last, 1)), axis)
+    return before + after - 2 * values
 
 
 def falsify_motion(batch: Batch, chance: float) -> Batch:

@@ -144,6 +144,9 @@ def options() -> argparse.ArgumentParser:
                         "reference (%(default)s)")
     parser.add_argument("--false-motion", type=float, default=0.0, metavar="SHARE",
                         help="share of the clips with wrong motion vectors (%(default)s)")
+    parser.add_argument("--spread-noise", type=float, default=0.0, metavar="SHARE",
+                        help="share of the clips whose noise is not quite independent from pixel "
+                        "to pixel, as where a pixel filter was undone (%(default)s)")
     parser.add_argument("--sparse-planes", type=float, default=0.0, metavar="SHARE",
                         help="share of the clips with albedo, normal and roughness of a render "
                         "with fewer samples")
@@ -396,7 +399,8 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1,
                     prepare=FirstStage(args.first, device) if args.first else None)
     wait_for_clips(pool, args.wait, folder_names(args))
     tell_empty_folders(pool)
-    augment = Augment(clean=args.clean, false_motion=args.false_motion)
+    augment = Augment(clean=args.clean, false_motion=args.false_motion,
+                      spread=args.spread_noise)
 
     # The network, the average of its weights, and its loss.
     model = model or network_of(args)

@@ -19,6 +19,7 @@ from training.datagen.scenes.motion import Camera, look_at  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
 from training.denoise.dataset import (  # noqa: E402
     CHANNELS,
+    DEPTH,
     GUIDES,
     MOTION,
     SURFACE,
@@ -33,6 +34,7 @@ from training.denoise.dataset import (  # noqa: E402
     load,
     play_on,
     sparser,
+    spread_noise,
     static_motion,
     to_batch,
     true_planes,
@@ -85,6 +87,34 @@ def test_an_ellipse_takes_the_mean_motion_around_it() -> None:
         assert len(set(x.flatten().tolist())) <= 3  # one value in all of the ellipse
     inside = ellipse(torch.tensor([[0.5, 0.25]]), torch.tensor([[0.1, 0.25]]), 40, 100)[0, 0]
     assert inside[10, 50] and inside[1, 50] and not inside[21, 50] and not inside[10, 61]
+
+
+def test_spread_noise_keeps_light_and_joins_neighbours() -> None:
+    torch.manual_seed(0)
+    clip = entries(64)
+    noise = torch.rand_like(clip.planes[:, :, :3])
+    planes = torch.cat((noise, clip.planes[:, :, 3:]), 2)
+    render_size = replace(clip, planes=planes, reference=noise)
+    spread = spread_noise(render_size, 0.5)
+    found = spread.planes[:, :, :3]
+    assert torch.equal(found, spread.reference)  # of the same filter
+    assert torch.equal(spread.planes[:, :, DEPTH], planes[:, :, DEPTH])
+    changed = (found != noise).flatten(1).any(1)
+    assert 0.3 < float(changed.float().mean()) < 0.7
+    assert found.mean((1, 2, 3, 4)) == pytest.approx(noise.mean((1, 2, 3, 4)), abs=1e-3)
+    beside = found[..., 1:] - found[..., 1:].mean()
+    joint = (beside * (found[..., :-1] - found[..., :-1].mean())).mean((1, 2, 3, 4))
+    joint /= beside.square().mean((1, 2, 3, 4))
+    assert joint[~changed].abs().max() < 0.02
+    # of both signs: some of a filter is left, or too much of it was undone
+    assert joint[changed].max() > 0.08 and joint[changed].min() < -0.03
+
+
+def test_spread_noise_leaves_other_sizes_of_reference() -> None:
+    clip = entries(8)
+    smaller = replace(clip, planes=clip.planes[..., ::2, ::2])
+    assert spread_noise(smaller, 1.0) is smaller
+    assert spread_noise(clip, 1.0) is not clip
 
 
 def test_without_the_option_nothing_is_drawn() -> None:
