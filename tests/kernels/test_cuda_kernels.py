@@ -131,8 +131,10 @@ def test_detail_is_told_from_noise_tile_by_tile(evidence: float,
     JUDGE.rows(0, tiles[0], *inputs.values(), sums)
     assert_same(by_cuda(JUDGE, inputs, {"sums": sums.shape}), {"sums": sums})
     detail = np.empty((*tiles, 1), np.float32)
-    DETAIL.rows(0, tiles[0], sums, np.float32([evidence]), detail)
-    assert np.ptp(detail) > 0.5
-    found = by_cuda(DETAIL, {"sums": sums, "evidence": np.float32([evidence])},
+    known = np.zeros_like(detail)
+    known[6, ::3] = 0.75
+    DETAIL.rows(0, tiles[0], sums, np.float32([evidence]), known, detail)
+    assert np.ptp(detail) > 0.5 and (detail >= known).all()
+    found = by_cuda(DETAIL, {"sums": sums, "evidence": np.float32([evidence]), "known": known},
                     {"detail": detail.shape})
     assert_same(found, {"detail": detail})

@@ -47,7 +47,7 @@ def run(frames: list[Frame], device: Device, **options) -> list[np.ndarray]:
 def network_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The result as it leaves the network."""
     monkeypatch.setattr(output.Restore, "encode",
-                        lambda self, commands, frame, denoised, *_: denoised)
+                        lambda self, commands, frame, denoised, *_, **options: denoised)
 
 
 def quality(picture: np.ndarray) -> float:
@@ -79,7 +79,8 @@ def judged(removed: np.ndarray, only: np.ndarray | None = None) -> np.ndarray:
                else only[..., None].astype(np.float32))
     noisy = grey + removed.astype(np.float32)[..., None]
     JUDGE.rows(0, tiles[0], noisy, grey, np.ones(5, np.float32), counted, sums)
-    DETAIL.rows(0, tiles[0], sums, np.ones(1, np.float32), detail)
+    DETAIL.rows(0, tiles[0], sums, np.ones(1, np.float32),
+                np.zeros((*tiles, 1), np.float32), detail)
     return detail[..., 0]
 
 
@@ -106,6 +107,46 @@ def test_tiles_that_are_not_judged_count_for_nothing() -> None:
     assert np.isfinite(judged(noise, only & False)).all()
 
 
+def speckled(seed: int = 5, noise: float = 0.0) -> Frame:
+    """A texture of single pixels at random in even light, which has so much noise."""
+    random = np.random.default_rng(seed)
+    given = frame(0)
+    albedo = np.random.default_rng(4).choice(np.float32([0.1, 0.45, 0.8]), (HEIGHT, WIDTH, 3))
+    light = (0.5 + X / 300)[..., None] * np.float32([1.0, 0.8, 0.6])
+    light = light * random.normal(1, noise, (HEIGHT, WIDTH, 1))
+    planes = {**given.planes, Role.DIFFUSE_ALBEDO: albedo,
+              Role.COLOUR: (albedo * light).astype(np.float16).astype(np.float32)}
+    return Frame(planes)
+
+
+@pytest.mark.parametrize("model", ["l", "xl"])
+def test_texture_of_single_pixels_without_noise_stays(model: str, device: Device) -> None:
+    """Networks that give the picture take it for noise, in the albedo, too."""
+    given = speckled()
+    found = run([given], device, model=model)[0]
+    np.testing.assert_allclose(found, given[Role.COLOUR], rtol=1e-5)
+
+
+def test_light_with_a_little_noise_does_not_count_as_even(device: Device) -> None:
+    given = speckled(noise=0.01)
+    found = run([given], device, model="l")[0]
+    assert np.abs(found - given[Role.COLOUR]).max() > 0.05
+
+
+def test_tiles_show_albedo_in_even_light_where_there_is_no_noise() -> None:
+    clean, noisy = speckled(), speckled(noise=0.01)
+    assert output.tiles_of_even_light(noisy.planes) is None
+    half = {role: np.where(X[..., None] < 64, clean[role], noisy[role]) for role in clean.planes}
+    found = output.tiles_of_even_light(half)
+    assert found is not None and found.shape == (6, 8)
+    assert found[:, :3].all() and not found[:, 4:].any()
+    half[Role.DIFFUSE_ALBEDO][:16, :16] = 0  # nothing that the colour is made of
+    half[Role.COLOUR][20, 20] = np.nan
+    found = output.tiles_of_even_light(half)
+    assert not found[0, 0] and not found[1, 1] and found[2:, :3].all()
+    assert output.tiles_of_even_light({Role.COLOUR: clean[Role.COLOUR]}) is None
+
+
 def test_only_what_has_strength_tells_whether_a_picture_is_clean(device: Device) -> None:
     """Noise beside it does not, and no network runs there."""
     given = frame(0)
@@ -125,7 +166,8 @@ def test_the_next_frame_sees_what_the_network_made(device: Device,
     restored = run(frames, device)
     encode, turns = output.Restore.encode, iter([False, True])
     monkeypatch.setattr(output.Restore, "encode",
-                        lambda *given: encode(*given) if next(turns) else given[3])
+                        lambda *given, **kept: encode(*given, **kept) if next(turns)
+                        else given[3])
     plain_first = run(frames, device)
     assert np.abs(restored[0] - plain_first[0]).max() > 1e-2
     np.testing.assert_array_equal(restored[1], plain_first[1])

@@ -250,10 +250,10 @@ class Judge(nn.Module):
 
 
 class Detail(nn.Module):
-    """sums (tiles_high, tiles_wide, 11), evidence (1,) -> detail (tiles_high, tiles_wide, 1), the
-    share to restore."""
+    """sums (tiles_high, tiles_wide, 11), evidence (1,), known (tiles_high, tiles_wide, 1) -> detail
+    (tiles_high, tiles_wide, 1), the share to restore."""
 
-    def forward(self, sums: Tensor, evidence: Tensor) -> Tensor:
+    def forward(self, sums: Tensor, evidence: Tensor, known: Tensor) -> Tensor:
         spread = binomial(binomial(sums, 0), 1)
         count = spread[..., COUNT].clamp(min=1)  # 0 if nothing around is judged
         power = spread[..., POWER] / count
@@ -270,7 +270,7 @@ class Detail(nn.Module):
                      -math.log(LOUD[0])) * evidence.clamp(max=1)
         own = torch.maximum(ramp(torch.sqrt(structure.clamp(min=0)), *STRUCTURE), faint) * quiet
         clean = ramp((own * weight).sum() / total * evidence, *CLEAN)
-        return (own + (1 - own) * clean)[..., None]
+        return torch.maximum((own + (1 - own) * clean)[..., None], known)
 
 
 class Restore(nn.Module):

@@ -177,8 +177,10 @@ FN float detail_of(const Around& tile, const float (&common)[NEAR]) {
 
 // Share of each tile's difference to give back; every band of rows judges the whole frame for
 // itself. `evidence` for detail is 1 when nothing is known. Below 1 it scales every tile's share;
-// it always scales the share of detail by which the whole frame counts as clean.
-static Status detail_rows(Long first, Long last, Picture sums, Places evidence, NewPicture detail) {
+// it always scales the share of detail by which the whole frame counts as clean. A tile's share is
+// at least `known`.
+static Status detail_rows(Long first, Long last, Picture sums, Places evidence, Picture known,
+                          NewPicture detail) {
     const Long height = sums.size[0], width = sums.size[1];
     const Room<Around> tiles(height * width);
     const Room<float> weights(height * width), shares(height * width);
@@ -209,7 +211,7 @@ static Status detail_rows(Long first, Long last, Picture sums, Places evidence, 
     for (Long y = first; y < last; y++) {
         for (Long x = 0; x < width; x++) {
             const float own = shares.at[y * width + x];
-            *detail(y, x) = own + (1.0f - own) * clean;
+            *detail(y, x) = larger<float>(own + (1.0f - own) * clean, *known(y, x));
         }
     }
     return DONE;

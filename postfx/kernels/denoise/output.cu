@@ -120,9 +120,10 @@ extern "C" __global__ void denoise_judge(View colour, View denoised, View params
     }
 }
 
-// Share of each tile's difference to give back: sums (tiles_high, tiles_wide, 11), evidence (1,) ->
-// detail (tiles_high, tiles_wide, 1). What the frame has in common needs all tiles, so the first
-// block strides over them and others end.
+// Share of each tile's difference to give back: sums (tiles_high, tiles_wide, 11), evidence (1,),
+// known (tiles_high, tiles_wide, 1) -> detail (tiles_high, tiles_wide, 1), at least as much as is
+// known. What the frame has in common needs all tiles, so the first block strides over them and
+// others end.
 const int TOTALS = 3 + NEAR;
 // tiles that are read at once, and a border of one
 const int HIGH = 8, WIDE = 32, AREA_PITCH = (WIDE + 2) * SUMS;
@@ -194,7 +195,7 @@ __device__ inline float block_sum(float value, float* partial, int thread, int t
 }
 
 extern "C" __global__ void __launch_bounds__(MOST_THREADS)
-    denoise_detail(View sums, View evidence, View detail) {
+    denoise_detail(View sums, View evidence, View known, View detail) {
     __shared__ float area[(HIGH + 2) * AREA_PITCH], partial[MOST_THREADS];
     if (blockIdx.x + blockIdx.y > 0) return;
     const int height = sums.size[0], width = sums.size[1];
@@ -245,7 +246,7 @@ extern "C" __global__ void __launch_bounds__(MOST_THREADS)
     share = block_sum(share, partial, thread, threads) / total;
     const float clean = ramp(share * evidence.at[0], CLEAN_LOW, CLEAN_HIGH);
     for (int i = thread; i < height * width; i += threads)
-        detail.at[i] += (1.0f - detail.at[i]) * clean;
+        detail.at[i] = fmaxf(detail.at[i] + (1.0f - detail.at[i]) * clean, known.at[i]);
 }
 
 // Gives detail back: colour, denoised (h, w, 3), detail (tiles_high, tiles_wide, 1) -> output (h,

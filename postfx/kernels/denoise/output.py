@@ -6,7 +6,7 @@ structure if it was detail. So the kernels judge tiles of the picture: by correl
 difference between near pixels, less those of the whole frame, because a renderer's filter may
 spread samples over several pixels; by correlations between far pixels, which no filter reaches; and
 by its size, because barely visible differences do no harm. If most of the removed part is detail,
-the whole frame counts as clean. Only for results of the input's size with samples spread over the
+the whole frame counts as clean. ``known`` is the share of detail that a tile has at least. Only for results of the input's size with samples spread over the
 pixel. Tiles where ``judged`` is 0 are not looked at, and count for nothing.
 
 Tiles: each row of ``places`` (n, 10) describes one of ``tiles`` (n, th, tw, channels) in rows and
@@ -47,8 +47,8 @@ IMAGE = PLANES["colour"]
 TILES = ("tiles_high", "tiles_wide")
 JUDGE = kernel("judge", ("colour", "denoised", "params", "judged"), ("sums",), None, ("sums", 0),
                denoised=IMAGE, judged=(*TILES, 1), sums=(*TILES, SUMS))
-DETAIL = kernel("detail", ("sums", "evidence"), ("detail",), None, ("detail", 0),
-                sums=(*TILES, SUMS), evidence=(1,), detail=(*TILES, 1))
+DETAIL = kernel("detail", ("sums", "evidence", "known"), ("detail",), None, ("detail", 0),
+                sums=(*TILES, SUMS), evidence=(1,), known=(*TILES, 1), detail=(*TILES, 1))
 ANY = (*IMAGE[:2], "channels")
 RESTORE = kernel("restore", ("colour", "denoised", "detail"), ("output",), None, ("output", 0),
                  colour=ANY, denoised=ANY, detail=(*TILES, 1), output=ANY)

@@ -220,7 +220,8 @@ class ReadyNetwork(Ready):
             strength = None
         colour = denoised
         if restore:
-            colour = restore.encode(commands, frame, colour, rows, work.cells)
+            colour = restore.encode(commands, frame, colour, rows, work.cells,
+                                    by_planes=work.model in self.pictures)
         if strength:
             colour = strength.encode(commands, frame, colour, rows)
         if filtered:

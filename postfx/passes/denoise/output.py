@@ -26,8 +26,14 @@ MOST_EVIDENCE_SAMPLES = 96
 """Samples a pixel that count at most."""
 PER_PIXEL = ("colour", "denoised", "output")
 """Buffers of restored detail that have the frame's rows."""
-PER_TILE = ("judged", "sums", "detail")
+PER_TILE = ("judged", "sums", "known", "detail")
 """Buffers of it that have rows of tiles."""
+LEAST_REFLECTANCE = 0.02
+"""Albedos of a pixel, summed, below which they do not explain its colour."""
+EVEN_LIGHT = 2e-3
+"""Root mean square of diagonal differences of light in a tile, relative to its mean, up to which it
+has no noise: twice that of colour and albedo in half precision, and a tenth of that of renders with
+a thousand samples."""
 
 
 class Restore:
@@ -40,17 +46,25 @@ class Restore:
         self._params, self._evidence = new("restore params", (4,)), new("evidence", (1,))
         self._output = between("restored", (*size, 3))
         self._judged, self._tiles = new("judged", (*tiles, 1)), tiles
+        self._known_detail = new("known detail", (*tiles, 1))
+        self._known_detail.upload(np.zeros((*tiles, 1), np.float32))
+        self._has_known_detail = False
         self._rows, self._known = (0, size.height), np.zeros(tiles, bool)  # what 'judged' holds
         self._tensors = {"params": self._params, "evidence": self._evidence,
                          "sums": between("sums", (*tiles, SUMS)), "judged": self._judged,
+                         "known": self._known_detail,
                          "detail": between("detail", (*tiles, 1)), "output": self._output}
         device.make_ready(*kernels_of(RESTORED))
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
-               cells: np.ndarray | None = None) -> Tensor:
+               cells: np.ndarray | None = None, by_planes: bool = False) -> Tensor:
         """Record the work on the frame's own colour and the denoised one in `rows`, of which tiles
-        with active `cells` are judged, without cells all; returns the colour."""
+        with active `cells` are judged, without cells all; returns the colour.
+
+        `by_planes`: tiles whose colour is their albedo in even light get it back, too.
+        """
         self._rows = rows
+        self._know(tiles_of_even_light(frame.host_planes) if by_planes else None)
         self._judge_only(np.ones(self._tiles, bool) if cells is None else tiles_with(cells))
         self._params.upload([frame.exposure_factor, 0.0, 0.0, 0.0])
         self._evidence.upload([min(frame.samples or FULL_EVIDENCE_SAMPLES, MOST_EVIDENCE_SAMPLES)
@@ -67,6 +81,13 @@ class Restore:
         run_steps(commands, RESTORED, self._in_rows(planes), frozenset({"part"}))
         return output
 
+    def _know(self, tiles: np.ndarray | None) -> None:
+        """Tell which tiles are detail; None: of none it is known."""
+        if tiles is not None or self._has_known_detail:
+            known = np.zeros(self._tiles, bool) if tiles is None else tiles
+            self._known_detail.upload(known[..., None].astype(np.float32))
+        self._has_known_detail = tiles is not None
+
     def _judge_only(self, tiles: np.ndarray) -> None:
         if not np.array_equal(tiles, self._known):
             self._known = tiles
@@ -79,6 +100,50 @@ class Restore:
         return {name: rows_of(tensor, self._rows) if name in PER_PIXEL
                 else rows_of(tensor, tiles) if name in PER_TILE else tensor
                 for name, tensor in tensors.items()}
+
+
+def tiles_of_even_light(planes: Mapping[Role, np.ndarray]) -> np.ndarray | None:
+    """Which tiles of 16x16 pixels show albedo in light without noise: (rows, columns) of booleans;
+    None if none does, or the frame has no albedo.
+
+    A texture of single pixels at random looks like noise to a network, in the planes, too. But
+    where colour over albedo is even, there is no noise to remove.
+    """
+    albedos = [planes[role] for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+               if role in planes]
+    if not albedos or Role.COLOUR not in planes:
+        return None
+    even: np.ndarray | None = None
+    for channel in (1, 0, 2):  # green has the most light
+        reflectance = sum(albedo[..., channel] for albedo in albedos)
+        found = _even_tiles(planes[Role.COLOUR][..., channel], reflectance)
+        even = found if even is None else even & found
+        if not even.any():
+            return None
+    return even
+
+
+def _even_tiles(colour: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
+    """Tiles in which a channel's light (rows, columns) over its reflectance has no noise."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        light = colour / np.maximum(reflectance, LEAST_REFLECTANCE)
+        right = light[:, 1:] - light[:, :-1]
+        differences = np.zeros_like(light)
+        differences[:-1, :-1] = np.square(right[1:] - right[:-1])
+        allowed = EVEN_LIGHT * _means_of_tiles(light)
+        even = _means_of_tiles(differences) <= np.square(allowed)
+        lit = _means_of_tiles(reflectance < LEAST_REFLECTANCE) == 0
+    return even & lit & (allowed > 0)
+
+
+def _means_of_tiles(plane: np.ndarray) -> np.ndarray:
+    """Means over tiles of a plane (rows, columns); those at the end may be smaller."""
+    for axis in (0, 1):
+        starts = np.arange(0, plane.shape[axis], TILE)
+        sizes = np.diff(np.append(starts, plane.shape[axis]))
+        sums = np.add.reduceat(plane, starts, axis=axis, dtype=np.float32)
+        plane = sums / np.expand_dims(sizes.astype(np.float32), 1 - axis)
+    return plane
 
 
 class Strength:
