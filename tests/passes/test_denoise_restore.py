@@ -143,7 +143,7 @@ def test_tiles_show_albedo_in_even_light_where_there_is_no_noise() -> None:
     half[Role.DIFFUSE_ALBEDO][:16, :16] = 0  # nothing that the colour is made of
     half[Role.COLOUR][20, 20] = np.nan
     found = output.tiles_of_even_light(half)
-    assert not found[0, 0] and not found[1, 1] and found[2:, :3].all()
+    assert found is not None and not found[0, 0] and not found[1, 1] and found[2:, :3].all()
     assert output.tiles_of_even_light({Role.COLOUR: clean[Role.COLOUR]}) is None
 
 

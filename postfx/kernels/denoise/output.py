@@ -6,8 +6,9 @@ structure if it was detail. So the kernels judge tiles of the picture: by correl
 difference between near pixels, less those of the whole frame, because a renderer's filter may
 spread samples over several pixels; by correlations between far pixels, which no filter reaches; and
 by its size, because barely visible differences do no harm. If most of the removed part is detail,
-the whole frame counts as clean. ``known`` is the share of detail that a tile has at least. Only for results of the input's size with samples spread over the
-pixel. Tiles where ``judged`` is 0 are not looked at, and count for nothing.
+the whole frame counts as clean. ``known`` is the share of detail that a tile has at least. Only for
+results of the input's size with samples spread over the pixel. Tiles where ``judged`` is 0 are not
+looked at, and count for nothing.
 
 Tiles: each row of ``places`` (n, 10) describes one of ``tiles`` (n, th, tw, channels) in rows and
 columns of the frame: its first pixel (2), the area that may be used (4), and the area to use before

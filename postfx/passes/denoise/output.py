@@ -115,7 +115,7 @@ def tiles_of_even_light(planes: Mapping[Role, np.ndarray]) -> np.ndarray | None:
         return None
     even: np.ndarray | None = None
     for channel in (1, 0, 2):  # green has the most light
-        reflectance = sum(albedo[..., channel] for albedo in albedos)
+        reflectance = np.sum([albedo[..., channel] for albedo in albedos], axis=0)
         found = _even_tiles(planes[Role.COLOUR][..., channel], reflectance)
         even = found if even is None else even & found
         if not even.any():
@@ -132,8 +132,9 @@ def _even_tiles(colour: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
         differences[:-1, :-1] = np.square(right[1:] - right[:-1])
         allowed = EVEN_LIGHT * _means_of_tiles(light)
         even = _means_of_tiles(differences) <= np.square(allowed)
-        lit = _means_of_tiles(reflectance < LEAST_REFLECTANCE) == 0
-    return even & lit & (allowed > 0)
+        known = _means_of_tiles(reflectance < LEAST_REFLECTANCE) == 0
+        found: np.ndarray = even & known & (allowed > 0)
+    return found
 
 
 def _means_of_tiles(plane: np.ndarray) -> np.ndarray:
