@@ -284,8 +284,8 @@ class Accumulate(nn.Module):
                                      self._doubt(here, means))
         noisy = network.hold(network.demodulate(ops.pick(expose(colour, params), *at), factor))
         accumulated, count = network.accumulate(noisy, old[:, :3], old[:, 3:].clamp(min=0),
-                                                here[:, DISTRUST:IMPORTANCE])
-        importance = here[:, IMPORTANCE:MEMORY]
+                                                here.narrow(1, DISTRUST, 1))
+        importance = here.narrow(1, IMPORTANCE, 1)
         state = torch.cat((accumulated, count, here[:, MEMORY:]), 1)
         whole = torch.cat((state, importance), 1).abs().sum(1, keepdim=True) <= float(MOST_STATE)
         state = to_picture(torch.where(whole, state, 0)) * valid * (1 - place.edge(past))
@@ -309,7 +309,7 @@ class Accumulate(nn.Module):
     @staticmethod
     def _doubt(here: Tensor, means: Tensor) -> Tensor:
         """Share of the mean in the reflectance: 0 with a single cell."""
-        share = 0.5 - 0.5 * here[:, PLANE_TRUST:PLANE_TRUST + 1]
+        share = 0.5 - 0.5 * here.narrow(1, PLANE_TRUST, 1)
         share = torch.where((share >= 0) & (share <= 1), share, 0)  # a broken answer doubts nothing
         return share * torch.sym_min(means.shape[0] - 1, 1)
 

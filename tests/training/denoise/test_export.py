@@ -21,6 +21,8 @@ torch = pytest.importorskip("torch")
 import onnx  # noqa: E402
 import onnxruntime  # noqa: E402
 
+from postfx.kernels.denoise.prepare import ACCUMULATE  # noqa: E402
+from postfx.runtime.states import parse  # noqa: E402
 from training.denoise import export as denoise_export  # noqa: E402
 from training.denoise.checkpoint import pack, weights_of  # noqa: E402
 from training.denoise.model import FEATURES, FINE, GUIDES, DenoiseUpscale, Trunk, TrunkConfig  # noqa: E402
@@ -234,3 +236,18 @@ def test_training_goes_on_from_the_exported_network(folder: Path, name: str,
     assert weights.keys() == checkpoint["weights"].keys()
     for key, value in checkpoint["weights"].items():
         torch.testing.assert_close(weights[key], value, rtol=1e-3, atol=1e-6)
+
+
+def test_every_free_size_of_a_kernel_has_a_value_to_trace_with() -> None:
+    """One without would be traced as 1, which says nothing of larger sizes."""
+    for kernel in denoise_export.KERNELS:
+        sizes = [parse(size) for name in kernel.reads for size in kernel.shapes[name]]
+        assert {size.symbol for size in sizes if size.symbol} <= set(denoise_export.SIZES), kernel
+
+
+@pytest.mark.filterwarnings("ignore::FutureWarning")
+def test_a_kernel_whose_channels_are_free_is_exported(tmp_path: Path) -> None:
+    kernel = ACCUMULATE
+    denoise_export.export_kernel(kernel, denoise_export.KERNELS[kernel](), denoise_export.SIZES,
+                                 tmp_path)
+    assert (tmp_path / f"{kernel.name}.onnx").stat().st_size > 1000
