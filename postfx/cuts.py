@@ -23,10 +23,9 @@ from postfx.kernels.statistics import (
     band_of,
     depth_doublings,
     half_means,
-    mix_places,
     pair_means,
     places_inside,
-    true_correlation,
+    relate_cells,
 )
 from postfx.sampling import bilinear
 
@@ -400,10 +399,12 @@ def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
     places = places_inside(motion)
     if len(places[0]) < max(LEAST_COMPARED, LEAST_OVERLAP * cells):
         return 0.0
-    light = _correlation(before.light, now.light, places, LEAST_BAND_SPREAD["light"])
+    light = relate_cells(before.light, now.light, places, LEAST_BAND_SPREAD["light"],
+                         LEAST_RELIABILITY)
     if light is not None and light >= SAME_SHOT_CORRELATION:
         return light
-    guides = [_correlation(before.band(role), now.band(role), places, LEAST_BAND_SPREAD[role])
+    guides = [relate_cells(before.band(role), now.band(role), places, LEAST_BAND_SPREAD[role],
+                           LEAST_RELIABILITY)
               for role in now.guides if role in before.guides
               and max(_extent(before.band(role)), _extent(now.band(role))) > LEAST_CELLS]
     known = [value for value in guides if value is not None]
@@ -417,21 +418,6 @@ def _extent(band: np.ndarray) -> float:
     cells = band.mean(2).reshape(band.shape[0] * band.shape[1], -1)
     energy = np.square(cells - cells.mean(0)).sum(1)
     return float(energy.sum() ** 2 / max(energy.size * np.square(energy).sum(), 1e-30))
-
-
-def _correlation(
-    before: np.ndarray, now: np.ndarray, places: tuple[np.ndarray, np.ndarray, np.ndarray],
-    least_spread: float
-) -> float | None:
-    """Correlation of cells (rows, columns, 2 halves, ...) with what was at their places, as it
-    would be without noise; None where there is little else."""
-    x, y, numbers = places
-    rows, columns = now.shape[:2]
-    flat = now.reshape(rows * columns, 2, -1)
-    then = mix_places(before.reshape(rows, columns, -1), x, y).reshape(numbers.size,
-                                                                       *flat.shape[1:])
-    found = true_correlation(then, flat.take(numbers, axis=0), least_spread, LEAST_RELIABILITY)
-    return None if math.isnan(found) else found
 
 
 def _shift(before: Picture, now: Picture) -> np.ndarray:
