@@ -6,6 +6,7 @@ Layout of the file: https://openexr.com/en/latest/OpenEXRFileLayout.html
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, BinaryIO, NamedTuple
@@ -129,17 +130,6 @@ class Header:
         """Replace or add an attribute of type string."""
         self.set(name, "string", raw(value))
 
-    def pack(self) -> bytes:
-        """The header as a file holds it."""
-        entries = [f"{name}\0{kind}\0".encode(*_AS_TEXT) + struct.pack("<i", len(value)) + value
-                   for name, (kind, value) in self.attributes.items()]
-        return b"".join(entries) + b"\0"
-
-    def has_long_names(self) -> bool:
-        """Whether a name in it needs the flag for names of more than 31 bytes."""
-        kinds = [kind for kind, _ in self.attributes.values()]
-        return _holds_long((*self.attributes, *kinds), self.attributes["channels"])
-
     def _value(self, name: str) -> bytes:
         if name not in self.attributes:
             raise ReadError(f"its header has no {name}")
@@ -150,13 +140,6 @@ class Header:
         if len(value) != struct.calcsize(layout):
             raise ReadError(f"its header has a broken {name}")
         return struct.unpack(layout, value)
-
-
-@lru_cache(64)
-def _holds_long(names: tuple[str, ...], channels: Attribute) -> bool:
-    """Whether one of these names, or of those of channels, is long."""
-    listed = [channel.name for channel in Header({"channels": channels}).channels]
-    return any(len(raw(name)) > SHORT_NAME for name in (*names, *listed))
 
 
 _AS_TEXT = ("utf-8", "surrogateescape")
@@ -195,6 +178,32 @@ def pack_channels(channels: list[ChannelInfo]) -> bytes:
                for name, kind, linear, x, y in sorted(channels,
                                                       key=lambda channel: raw(channel.name))]
     return b"".join(entries) + b"\0"
+
+
+def pack_headers(headers: Sequence[Header]) -> bytes:
+    """What `read_headers` reads: version, flags, and the headers of all parts."""
+    several = len(headers) > 1
+    kinds = {header.part_type for header in headers}
+    flags = MULTI_PART * several | DEEP * bool(kinds & {DEEP_SCANLINES, DEEP_TILES})
+    flags |= TILED * (not several and TILED_IMAGE in kinds)
+    found = []
+    for header in headers:
+        types = [attribute.kind for attribute in header.attributes.values()]
+        if _holds_long((*header.attributes, *types), header.attributes["channels"]):
+            flags |= LONG_NAMES
+        found += [f"{name}\0{kind}\0".encode(*_AS_TEXT) + struct.pack("<i", len(value)) + value
+                  for name, (kind, value) in header.attributes.items()]
+        found.append(b"\0")
+    end = b"\0" * several
+    return struct.pack("<iI", EXR_MAGIC, EXR_VERSION | flags) + b"".join(found) + end
+
+
+@lru_cache(64)
+def _holds_long(names: tuple[str, ...], channels: Attribute) -> bool:
+    """Whether one of these names, or of those of channels, needs the flag for names of more than 31
+    bytes."""
+    listed = [channel.name for channel in Header({"channels": channels}).channels]
+    return any(len(raw(name)) > SHORT_NAME for name in (*names, *listed))
 
 
 def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
