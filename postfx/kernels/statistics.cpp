@@ -379,6 +379,26 @@ ONCE void add_moments(const double* a, const double* b, Long count, double* foun
     found[2] = sum_of_products(a, mean_a, b, mean_b, count);
 }
 
+// Light (rows, columns) of a picture at some of its rows and columns; what is no number counts as 0.
+static void picked_rows(Long first, Long last, Picture colour, Lengths rows, Lengths columns,
+                        View<float, 2> light) {
+    constexpr float LARGEST = 1e30f;  // that counts: sums of it are finite
+    constexpr float WEIGHTS[3] = {0.2126f, 0.7152f, 0.0722f};  // of Rec.709's luminance
+    for (Long y = first; y < last; y++) {
+        const float* row = colour(rows.at[y]);
+        for (Long x = 0; x < columns.size[0]; x++) {
+            const float* pixel = row + 3 * columns.at[x];
+            float sum = 0.0f;
+            for (int c = 0; c < 3; c++) {
+                const float lit = smaller<float>(larger<float>(pixel[c], 0.0f), LARGEST);
+                sum += WEIGHTS[c] * (pixel[c] == pixel[c] ? lit : pixel[c]);
+            }
+            light(y)[x] = sum == sum ? sum : 0.0f;
+        }
+    }
+}
+EXPORT(pick_light, picked_rows)
+
 // Cells whose motion leads to a place between the outermost cells' centres: places and numbers of
 // those that are, and how many.
 static void place_rows(Long, Long, Cells motion, View<double, 1> x, View<double, 1> y,

@@ -93,6 +93,16 @@ def lit_cells(plane: np.ndarray, side: int) -> np.ndarray:
     return cells
 
 
+def pick_light(colour: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Luminance of a picture (h, w, 3) at some of its rows and columns, numbers of any shape; a
+    copy of float32 (rows.size, columns.size). Negative channels and what is no number count as 0,
+    infinite ones as much light."""
+    light = np.empty((rows.size, columns.size), np.float32)
+    places = [whole(one.reshape(-1), np.int64) for one in (rows, columns)]
+    _pick_light(0, len(light), whole(colour, np.float32), *places, light)
+    return light
+
+
 def coverage_noise(depth: np.ndarray, farthest: float) -> float:
     """Share of the pixels of depth (h, w) that are a hit where at least three of four neighbours
     are misses, or the other way round. Surfaces have next to none; of white noise it is up to 5/16.
@@ -107,6 +117,7 @@ def coverage_noise(depth: np.ndarray, farthest: float) -> float:
 # The coarse grid
 
 _band_of = Rows("band_of")
+_pick_light = Rows("pick_light")
 _places_inside = Rows("places_inside")
 _compare_cells = Rows("compare_cells")
 

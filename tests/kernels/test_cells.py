@@ -18,6 +18,7 @@ from postfx.kernels.statistics import (
     half_means,
     mark_positive,
     pair_means,
+    pick_light,
     places_inside,
     relate_cells,
 )
@@ -113,6 +114,16 @@ def test_pair_means(block: int) -> None:
     pairs = [(at[near, near] + at[far, far]) / 2, (at[near, far] + at[far, near]) / 2]
     np.testing.assert_array_equal(pair_means(plane, block),
                                   np.nan_to_num(np.stack(pairs, axis=2), posinf=0))
+
+
+def test_light_of_some_rows_and_columns() -> None:
+    colour = bad_colours(9, 14)
+    colour[0, 5], colour[8, 2] = (1, np.inf, -np.inf), (1, np.nan, 1)
+    rows, columns = np.array([[3, 0], [8, 3]]), np.array([13, 2, 5, 5, 0])
+    seen = colour[rows.ravel()][:, columns]
+    light = light_of(np.where(np.isnan(seen), np.nan, np.clip(seen, 0, 1e30)))
+    found = pick_light(colour, rows, columns)
+    np.testing.assert_allclose(found, np.nan_to_num(light), rtol=1e-6)
 
 
 def test_places_in_another_picture() -> None:
