@@ -260,7 +260,8 @@ def _darkest(colour: np.ndarray, block: int) -> np.ndarray:
     halves = np.minimum(places - places % 2 + (0, 1), block - 1)
     light = pick_light(colour, halves[:, :, None] + rows, places + columns)
     found = light.reshape(DARK_PLACES, 2, rows.size, DARK_PLACES, columns.size).min((0, 3))
-    return np.moveaxis(found, 0, -1).astype(np.float64)
+    darkest: np.ndarray = np.moveaxis(found, 0, -1).astype(np.float64)
+    return darkest
 
 
 def _detail(colour: np.ndarray, block: int) -> np.ndarray:

@@ -16,6 +16,8 @@ from postfx.io.windows import Window
 
 EXR_MAGIC = 20000630
 EXR_VERSION = 2
+_VERSION = struct.Struct("<iI")
+"""The magic number, and the version with its flags."""
 TILED = 0x200
 LONG_NAMES = 0x400
 DEEP = 0x800
@@ -195,7 +197,7 @@ def pack_headers(headers: Sequence[Header]) -> bytes:
                   for name, (kind, value) in header.attributes.items()]
         found.append(b"\0")
     end = b"\0" * several
-    return struct.pack("<iI", EXR_MAGIC, EXR_VERSION | flags) + b"".join(found) + end
+    return _VERSION.pack(EXR_MAGIC, EXR_VERSION | flags) + b"".join(found) + end
 
 
 @lru_cache(64)
@@ -213,9 +215,7 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
     early or are larger than `MAX_HEADERS`.
     """
     start = _Start(file)
-    magic, version = struct.unpack("<iI", start.take(8))
-    if magic != EXR_MAGIC or version & 0xFF != EXR_VERSION:
-        raise ReadError("it is not an OpenEXR file")
+    version = start.version
     several = bool(version & MULTI_PART)
     headers = [Header(start.attributes())]
     while several and (attributes := start.attributes()):  # an empty one ends the headers
@@ -236,14 +236,24 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
 
 
 class _Start:
-    """The start of a file, read in blocks: `at` counts the bytes taken. Raises ReadError where the
-    file ends."""
+    """The start of a file, read in blocks: its version, then its headers. Raises ReadError where it
+    is not OpenEXR, or ends.
+
+    Attributes:
+        version: with the file's flags.
+        at: bytes that were taken.
+    """
 
     def __init__(self, file: BinaryIO) -> None:
-        self.at = 0
         self._file, self._held = file, file.read(_HEADER_BLOCK_BYTES)
+        self.at = _VERSION.size
+        if len(self._held) < self.at:
+            raise ReadError("its header ends early")
+        magic, self.version = _VERSION.unpack_from(self._held)
+        if magic != EXR_MAGIC or self.version & 0xFF != EXR_VERSION:
+            raise ReadError("it is not an OpenEXR file")
 
-    def take(self, count: int) -> bytes:
+    def _take(self, count: int) -> bytes:
         """The next bytes."""
         begin, self.at = self.at, self.at + count
         if self.at > len(self._held):
@@ -299,10 +309,10 @@ class _Start:
         if not name:
             return name, b"", b""
         kind = self._name()
-        (size,) = struct.unpack("<i", self.take(4))
+        (size,) = struct.unpack("<i", self._take(4))
         if size < 0 or self.at + size > MAX_HEADERS:
             raise ReadError(f"its header claims {size} bytes for {ascii(text(name))}")
-        return name, kind, self.take(size)
+        return name, kind, self._take(size)
 
     def _hold(self, end: int) -> None:
         # twice as much each time
