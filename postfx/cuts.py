@@ -23,7 +23,6 @@ from postfx.kernels.statistics import (
     half_means,
     pair_means,
     pick_light,
-    places_inside,
     relate_cells,
 )
 from postfx.sampling import bilinear
@@ -379,15 +378,14 @@ def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
     None where no plane tells anything, 0 where the motion leads out of the frame before.
     """
     cells = now.light.shape[0] * now.light.shape[1]
-    places = places_inside(motion)
-    if len(places[0]) < max(LEAST_COMPARED, LEAST_OVERLAP * cells):
+    light, inside = relate_cells(before.light, now.light, motion, LEAST_BAND_SPREAD["light"],
+                                 LEAST_RELIABILITY)
+    if inside < max(LEAST_COMPARED, LEAST_OVERLAP * cells):
         return 0.0
-    light = relate_cells(before.light, now.light, places, LEAST_BAND_SPREAD["light"],
-                         LEAST_RELIABILITY)
     if light is not None and light >= SAME_SHOT_CORRELATION:
         return light
-    guides = [relate_cells(before.band(role), now.band(role), places, LEAST_BAND_SPREAD[role],
-                           LEAST_RELIABILITY)
+    guides = [relate_cells(before.band(role), now.band(role), motion, LEAST_BAND_SPREAD[role],
+                           LEAST_RELIABILITY)[0]
               for role in now.guides if role in before.guides
               and max(_extent(before.band(role)), _extent(now.band(role))) > LEAST_CELLS]
     known = [value for value in guides if value is not None]

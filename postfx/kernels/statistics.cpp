@@ -399,26 +399,25 @@ static void picked_rows(Long first, Long last, Picture colour, Lengths rows, Len
 }
 EXPORT(pick_light, picked_rows)
 
-// Cells whose motion leads to a place between the outermost cells' centres: places and numbers of
-// those that are, and how many.
-static void place_rows(Long, Long, Cells motion, View<double, 1> x, View<double, 1> y,
-                       View<Long, 1> cells, View<Long, 1> count) {
+// A cell, and where its motion leads, in cells.
+struct Moved {
+    double x, y;
+    Long cell;
+};
+// Cells whose motion leads to a place between the outermost cells' centres; how many.
+static Long find_inside(const Cells& motion, Moved* places) {
     const Long rows = motion.size[0], columns = motion.size[1];
-    Long found = 0;
+    Long count = 0;
     for (Long j = 0; j < rows; j++) {
         for (Long i = 0; i < columns; i++) {
             const double across = double(i) + motion(j, i)[0], down = double(j) + motion(j, i)[1];
             const bool beside = across >= 0.0 && across <= double(columns - 1);
             if (!(beside && down >= 0.0 && down <= double(rows - 1))) continue;
-            x.at[found] = across;
-            y.at[found] = down;
-            cells.at[found] = j * columns + i;
-            found++;
+            places[count++] = {across, down, j * columns + i};
         }
     }
-    *count.at = found;
+    return count;
 }
-EXPORT(places_inside, place_rows)
 
 // A bilinear value at a place inside.
 FN double mix(double one, double other, double share) {
@@ -435,22 +434,24 @@ FN double value_at(const Cells& plane, double x, double y, Long k) {
     return mix(above, mix(plane(bottom, left)[k], plane(bottom, right)[k], u), v);
 }
 
-// Cells (rows, columns, 2 halves of channels) and those before, at places: for each channel the
-// moments of both means, and of both halves of each.
-static Status compared_rows(Long first, Long last, Cells before, Cells now,
-                            View<const double, 1> x, View<const double, 1> y, Lengths cells,
-                            View<double, 3> found) {
-    const Long count = cells.size[0], channels = now.size[2] / 2;
-    const Room<double> room(6 * count);
-    if (!room) return NO_MEMORY;
-    double *const then[] = {room.at, room.at + count, room.at + 2 * count};
-    double *const here[] = {then[2] + count, then[2] + 2 * count, then[2] + 3 * count};
+// Cells (rows, columns, 2 halves of channels) and those before where their motion leads: for each
+// channel the moments of both means, and of both halves of each. And how many lead inside.
+static Status compared_rows(Long first, Long last, Cells before, Cells now, Cells motion,
+                            View<double, 3> found, View<Long, 1> inside) {
+    const Long most = motion.size[0] * motion.size[1], channels = now.size[2] / 2;
+    const Room<Moved> places(most);
+    const Room<double> room(6 * most);
+    if (!places || !room) return NO_MEMORY;
+    double *const then[] = {room.at, room.at + most, room.at + 2 * most};
+    double *const here[] = {then[2] + most, then[2] + 2 * most, then[2] + 3 * most};
+    const Long count = *inside.at = find_inside(motion, places.at);
     for (Long c = first; c < last; c++) {
         for (Long p = 0; p < count; p++) {
+            const Moved& place = places.at[p];
             for (int half = 0; half < 2; half++) {
                 const Long k = half * channels + c;
-                then[half][p] = value_at(before, x.at[p], y.at[p], k);
-                here[half][p] = now.at[cells.at[p] * now.size[2] + k];
+                then[half][p] = value_at(before, place.x, place.y, k);
+                here[half][p] = now.at[place.cell * now.size[2] + k];
             }
             then[2][p] = (then[0][p] + then[1][p]) / 2.0;
             here[2][p] = (here[0][p] + here[1][p]) / 2.0;

@@ -118,7 +118,6 @@ def coverage_noise(depth: np.ndarray, farthest: float) -> float:
 
 _band_of = Rows("band_of")
 _pick_light = Rows("pick_light")
-_places_inside = Rows("places_inside")
 _compare_cells = Rows("compare_cells")
 
 
@@ -141,33 +140,24 @@ def band_of(planes: np.ndarray, narrow: int, wide: int) -> np.ndarray:
     return band.reshape(planes.shape)
 
 
-def places_inside(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cells whose motion (rows, columns, 2) leads to a place between the outermost cells' centres:
-    places x and y (count,) and numbers of the cells (count,)."""
-    size = motion.shape[0] * motion.shape[1]
-    x, y, cells, count = (np.empty(size), np.empty(size), np.empty(size, np.int64),
-                          np.empty(1, np.int64))
-    _places_inside(0, 1, whole(motion, np.float64), x, y, cells, count)
-    return x[:count[0]], y[:count[0]], cells[:count[0]]
-
-
 def relate_cells(
-    before: np.ndarray, now: np.ndarray, places: tuple[np.ndarray, np.ndarray, np.ndarray],
-    least_spread: float, least_reliability: float
-) -> float | None:
-    """Correlation of cells (rows, columns, 2 halves, ...) with what was at the places of
-    `places_inside`, all channels together, as it would be without noise.
+    before: np.ndarray, now: np.ndarray, motion: np.ndarray, least_spread: float,
+    least_reliability: float
+) -> tuple[float | None, int]:
+    """Correlation of cells (rows, columns, 2 halves, ...) with what was where their motion (rows,
+    columns, 2), in cells, leads: all channels together, as it would be without noise. And how many
+    lead between the outermost cells' centres, as others do not count.
 
     None where the mean of the halves varies by less than `least_spread`, or where less than
     `least_reliability` of its variance is no noise.
     """
-    x, y, cells = places
-    flat = [whole(one.reshape(*one.shape[:2], -1), np.float64) for one in (before, now)]
-    channels = flat[0].shape[2] // 2
+    flat = [whole(one.reshape(*one.shape[:2], -1), np.float64) for one in (before, now, motion)]
+    channels, inside = flat[0].shape[2] // 2, np.empty(1, np.int64)
     moments = np.empty((3, channels, 3))
-    _compare_cells(0, channels, *flat, x, y, cells, moments)
+    _compare_cells(0, channels, *flat, moments, inside)
+    count = int(inside[0])
     correlations: list[float | None] = []
-    means = (moments.sum(axis=1) / max(channels * cells.size, 1)).tolist()
+    means = (moments.sum(axis=1) / max(channels * count, 1)).tolist()
     for (square, other_square, both), least in zip(means, (least_spread, 0.0, 0.0), strict=True):
         spread, other_spread = math.sqrt(square), math.sqrt(other_square)
         varies = min(spread, other_spread) > least
@@ -178,8 +168,8 @@ def relate_cells(
     shared = [max(one or 0.0, 0.0) for one in of_halves]
     first, second = (2 * one / (1 + one) for one in shared)
     if found is None or min(first, second) < least_reliability:
-        return None
-    return found / math.sqrt(first * second)
+        return None, count
+    return found / math.sqrt(first * second), count
 
 
 # Light outside the gamut

@@ -19,7 +19,6 @@ from postfx.kernels.statistics import (
     mark_positive,
     pair_means,
     pick_light,
-    places_inside,
     relate_cells,
 )
 from postfx.planes import INFINITY_BITS, is_blank, is_finite, is_same_plane, largest_bits_of, lend
@@ -126,42 +125,30 @@ def test_light_of_some_rows_and_columns() -> None:
     np.testing.assert_allclose(found, np.nan_to_num(light), rtol=1e-6)
 
 
-def test_places_in_another_picture() -> None:
-    motion = RANDOM.normal(0, 4, (9, 13, 2))
-    motion[3, 4] = np.nan
-    x, y, cells = places_inside(motion)
-    down, across = np.mgrid[:9, :13] + np.moveaxis(motion, 2, 0)[::-1]
-    inside = is_inside(motion, across, down)
-    assert 0 < len(cells) < 117
-    np.testing.assert_array_equal(cells, np.flatnonzero(inside))
-    np.testing.assert_array_equal(x, across[inside])
-    np.testing.assert_array_equal(y, down[inside])
-
-
-STILL = places_inside(np.zeros((200, 200, 2)))
-"""Each cell of 200 rows and columns is where it was."""
-
-
 def test_noise_is_taken_from_a_correlation() -> None:
-    shown = RANDOM.normal(size=(200, 200, 1, 1))
+    shown, still = RANDOM.normal(size=(200, 200, 1, 1)), np.zeros((200, 200, 2))
     noisy = [shown + RANDOM.normal(0, 0.8, (200, 200, 2, 1)) for _ in range(2)]
     raw = np.corrcoef(*(halves.mean(axis=2).ravel() for halves in noisy))[0, 1]
-    found = relate_cells(*noisy, STILL, 0.1, 0.5)
-    assert raw < 0.8 and found is not None and abs(found - 1) < 0.02
+    found, _ = relate_cells(*noisy, still, 0.1, 0.5)
+    assert raw < 0.8
+    assert found == pytest.approx(1, abs=0.02)
     other = np.repeat(RANDOM.normal(size=(200, 200, 1, 1)), 2, axis=2)
-    unrelated = relate_cells(noisy[0], other, STILL, 0.1, 0.5)
-    assert unrelated is not None and abs(unrelated) < 0.02
-    assert relate_cells(*noisy, STILL, 2.0, 0.5) is None
-    assert relate_cells(*noisy, STILL, 0.1, 0.9) is None
+    unrelated, _ = relate_cells(noisy[0], other, still, 0.1, 0.5)
+    assert unrelated == pytest.approx(0, abs=0.02)
+    assert relate_cells(*noisy, still, 2.0, 0.5) == (None, 40000)
+    assert relate_cells(*noisy, still, 0.1, 0.9) == (None, 40000)
 
 
 def test_cells_are_related_to_what_was_at_their_places() -> None:
     before, motion = RANDOM.normal(3, 1, (9, 13, 2, 3)), RANDOM.normal(0, 2, (9, 13, 2))
     before[:, :, 1] += before[:, :, 0]
     now = before + RANDOM.normal(-2, 0.5, before.shape)
-    places = x, y, cells = places_inside(motion)
-    then = bilinear(before.reshape(9, 13, 6), x, y).reshape(-1, 2, 3)
-    here = now.reshape(-1, 2, 3)[cells]
+    motion[3, 4] = np.nan
+    down, across = np.mgrid[:9, :13] + np.moveaxis(motion, 2, 0)[::-1]
+    inside = is_inside(motion, across, down)
+    assert 0 < inside.sum() < 117
+    then = bilinear(before.reshape(9, 13, 6), across[inside], down[inside]).reshape(-1, 2, 3)
+    here = now[inside]
 
     def correlate(one: np.ndarray, other: np.ndarray) -> float:
         """Of all channels together, without the means of each."""
@@ -171,7 +158,9 @@ def test_cells_are_related_to_what_was_at_their_places() -> None:
     reliable = [2 * between / (1 + between)
                 for between in (correlate(set_[:, 0], set_[:, 1]) for set_ in (then, here))]
     wanted = correlate(then.mean(axis=1), here.mean(axis=1)) / np.sqrt(np.prod(reliable))
-    assert relate_cells(before, now, places, 0.1, 0.1) == pytest.approx(wanted, rel=1e-12)
+    found, count = relate_cells(before, now, motion, 0.1, 0.1)
+    assert found == pytest.approx(wanted, rel=1e-12)
+    assert count == inside.sum()
 
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 9), (40, 62)], ids=str)
@@ -272,6 +261,7 @@ def test_planes_at_any_address_are_taken():
     elsewhere = held.view(np.float64).reshape(plane.shape)
     assert not elsewhere.flags.aligned
     elsewhere[...] = plane
-    places = places_inside(np.zeros((3, 4, 2)))
-    found = relate_cells(elsewhere, elsewhere, places, 0.1, 0.5)
-    assert found is not None and found == relate_cells(plane, plane, places, 0.1, 0.5)
+    still = np.zeros((3, 4, 2))
+    found, _ = relate_cells(elsewhere, elsewhere, still, 0.1, 0.5)
+    assert found is not None
+    assert found == relate_cells(plane, plane, still, 0.1, 0.5)[0]
