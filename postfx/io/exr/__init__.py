@@ -16,7 +16,7 @@ from postfx.io.windows import Window
 
 EXR_MAGIC = 20000630
 EXR_VERSION = 2
-_VERSION = struct.Struct("<iI")
+_FILE_START = struct.Struct("<iI")
 """The magic number, and the version with its flags."""
 TILED = 0x200
 LONG_NAMES = 0x400
@@ -197,7 +197,7 @@ def pack_headers(headers: Sequence[Header]) -> bytes:
                   for name, (kind, value) in header.attributes.items()]
         found.append(b"\0")
     end = b"\0" * several
-    return _VERSION.pack(EXR_MAGIC, EXR_VERSION | flags) + b"".join(found) + end
+    return _FILE_START.pack(EXR_MAGIC, EXR_VERSION | flags) + b"".join(found) + end
 
 
 @lru_cache(64)
@@ -246,10 +246,10 @@ class _Start:
 
     def __init__(self, file: BinaryIO) -> None:
         self._file, self._held = file, file.read(_HEADER_BLOCK_BYTES)
-        self.at = _VERSION.size
+        self.at = _FILE_START.size
         if len(self._held) < self.at:
             raise ReadError("its header ends early")
-        magic, self.version = _VERSION.unpack_from(self._held)
+        magic, self.version = _FILE_START.unpack_from(self._held)
         if magic != EXR_MAGIC or self.version & 0xFF != EXR_VERSION:
             raise ReadError("it is not an OpenEXR file")
 
