@@ -13,20 +13,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import product
 
 import numpy as np
 
-from postfx.colour import luminance
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.kernels.statistics import (
     band_of,
     depth_doublings,
     half_means,
-    mix_places,
     pair_means,
-    places_inside,
-    true_correlation,
+    pick_light,
+    relate_cells,
 )
 from postfx.sampling import bilinear
 
@@ -44,7 +41,6 @@ LEAST_MISS = DEPTH_MISS / 8
 LEAST_RELIABILITY = 0.5  # share of a plane's variance that is no noise
 BLACK_LIGHT_RATIO = 1e-2  # of the mean light: anything darker is just black
 FIREFLY_LIGHT_RATIO = 16  # of the middle light of windows: anything brighter is just bright
-LARGEST_LIGHT = np.float32(1e30)  # that counts: sums of it are finite
 LEAST_BAND_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role.DEPTH: 0.02}
 """Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors,
 doublings."""
@@ -255,53 +251,38 @@ def _picture(frame: Frame) -> Picture | None:
                    _detail(colour, block), _windows(colour), longest)
 
 
-def _light(colour: np.ndarray) -> np.ndarray:
-    """Light (rows, columns) of a picture (rows, columns, 3); what is not finite counts as 0."""
-    light: np.ndarray = np.nan_to_num(luminance(np.clip(colour, 0, LARGEST_LIGHT)))
-    return light
-
-
 def _darkest(colour: np.ndarray, block: int) -> np.ndarray:
     """The darkest of some pixels of both halves of each cell (rows, columns, 2), which are its even
     and its odd rows."""
-    rows, columns = colour.shape[0] // block, colour.shape[1] // block
-    found = np.full((rows, columns, 2), np.inf)
-    for place in product(range(DARK_PLACES), repeat=2):
-        down, across = (block * (2 * one + 1) // (2 * DARK_PLACES) for one in place)
-        for half in (0, 1):
-            row = min(down - down % 2 + half, block - 1)
-            seen = _light(colour[row:rows * block:block, across:columns * block:block])
-            np.minimum(found[..., half], seen, out=found[..., half])
-    return found
+    rows, columns = (block * np.arange(side // block) for side in colour.shape[:2])
+    places = block * (2 * np.arange(DARK_PLACES)[:, None] + 1) // (2 * DARK_PLACES)
+    halves = np.minimum(places - places % 2 + (0, 1), block - 1)
+    light = pick_light(colour, halves[:, :, None] + rows, places + columns)
+    found = light.reshape(DARK_PLACES, 2, rows.size, DARK_PLACES, columns.size).min((0, 3))
+    darkest: np.ndarray = np.moveaxis(found, 0, -1).astype(np.float64)
+    return darkest
 
 
 def _detail(colour: np.ndarray, block: int) -> np.ndarray:
     """The light of `Picture.detail`."""
-    rows, columns = (side // block * block for side in colour.shape[:2])
-    found = np.empty((2 * rows // block, 2 * columns // block, 3), np.float32)
-    for down, across in product((0, 1), repeat=2):
-        row, column = (half * (block // 2) + block // 8 for half in (down, across))
-        for number, (below, right) in enumerate(((0, 0), (0, 1), (1, 0))):
-            found[down::2, across::2, number] = _light(
-                colour[row + below:rows:block, column + right:columns:block])
-    return found
+    places = np.array([0, block // 2]) + block // 8
+    rows, columns = (block * np.arange(side // block)[:, None] + places
+                     for side in colour.shape[:2])
+    return np.stack([pick_light(colour, rows + below, columns + right)
+                     for below, right in ((0, 0), (0, 1), (1, 0))], axis=-1)
 
 
 def _windows(colour: np.ndarray) -> np.ndarray:
     """The light of `Picture.windows`; edges are repeated."""
-    height, width = colour.shape[:2]
     side = WINDOW_PX + 2 * SEARCHED_PX
-    found = np.zeros((math.prod(WINDOWS), side, side), np.float32)
-    if min(height, width) < 3 * WINDOW_PX:
-        return found[:0]
-    for window, (down, across) in zip(found, product(*map(range, WINDOWS)), strict=True):
-        rows, columns = (
-            (int((size - WINDOW_PX) * (place + 0.5) / count) - SEARCHED_PX + np.arange(side))
-            .clip(0, size - 1)
-            for size, place, count in zip((height, width), (down, across), WINDOWS, strict=True))
-        window[:] = _light(colour[rows[0]:rows[-1] + 1, columns[0]:columns[-1] + 1])[
-            (rows - rows[0])[:, None], columns - columns[0]]
-    return found
+    if min(colour.shape[:2]) < 3 * WINDOW_PX:
+        return np.empty((0, side, side), np.float32)
+    places = []
+    for size, count in zip(colour.shape[:2], WINDOWS, strict=True):
+        first = ((size - WINDOW_PX) * (np.arange(count) + 0.5) / count).astype(int) - SEARCHED_PX
+        places.append((first[:, None] + np.arange(side)).clip(0, size - 1))
+    light = pick_light(colour, *places).reshape(WINDOWS[0], side, WINDOWS[1], side)
+    return light.swapaxes(1, 2).reshape(-1, side, side)
 
 
 def _relation_of_windows(before: Picture, now: Picture) -> float | None:
@@ -397,13 +378,14 @@ def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
     None where no plane tells anything, 0 where the motion leads out of the frame before.
     """
     cells = now.light.shape[0] * now.light.shape[1]
-    places = places_inside(motion)
-    if len(places[0]) < max(LEAST_COMPARED, LEAST_OVERLAP * cells):
+    light, inside = relate_cells(before.light, now.light, motion, LEAST_BAND_SPREAD["light"],
+                                 LEAST_RELIABILITY)
+    if inside < max(LEAST_COMPARED, LEAST_OVERLAP * cells):
         return 0.0
-    light = _correlation(before.light, now.light, places, LEAST_BAND_SPREAD["light"])
     if light is not None and light >= SAME_SHOT_CORRELATION:
         return light
-    guides = [_correlation(before.band(role), now.band(role), places, LEAST_BAND_SPREAD[role])
+    guides = [relate_cells(before.band(role), now.band(role), motion, LEAST_BAND_SPREAD[role],
+                           LEAST_RELIABILITY)[0]
               for role in now.guides if role in before.guides
               and max(_extent(before.band(role)), _extent(now.band(role))) > LEAST_CELLS]
     known = [value for value in guides if value is not None]
@@ -417,21 +399,6 @@ def _extent(band: np.ndarray) -> float:
     cells = band.mean(2).reshape(band.shape[0] * band.shape[1], -1)
     energy = np.square(cells - cells.mean(0)).sum(1)
     return float(energy.sum() ** 2 / max(energy.size * np.square(energy).sum(), 1e-30))
-
-
-def _correlation(
-    before: np.ndarray, now: np.ndarray, places: tuple[np.ndarray, np.ndarray, np.ndarray],
-    least_spread: float
-) -> float | None:
-    """Correlation of cells (rows, columns, 2 halves, ...) with what was at their places, as it
-    would be without noise; None where there is little else."""
-    x, y, numbers = places
-    rows, columns = now.shape[:2]
-    flat = now.reshape(rows * columns, 2, -1)
-    then = mix_places(before.reshape(rows, columns, -1), x, y).reshape(numbers.size,
-                                                                       *flat.shape[1:])
-    found = true_correlation(then, flat.take(numbers, axis=0), least_spread, LEAST_RELIABILITY)
-    return None if math.isnan(found) else found
 
 
 def _shift(before: Picture, now: Picture) -> np.ndarray:

@@ -213,7 +213,9 @@ class Pipeline:
         run = self._run_up_to(frame, plan) if self._begins else frame
         result = self._run(run, plan, is_unusable(frame, self.bad_pixels), frame)
         self._begins, self.timings = False, dict(self._flow.timings)
-        self.noticed = tuple(filter(None, (step.instance.notice() for step in plan.steps)))
+        self.noticed = tuple([text for step in plan.steps for text in step.instance.notices])
+        for step in plan.steps:
+            step.instance.notices = ()
         for text in self.noticed if self._checks else ():
             LOG.warning("frame %d: %s", frame.number, text)
         for role, pixels in self.bad_pixels.items():

@@ -94,7 +94,8 @@ class RepeatDetector:
         self._size = size
         if last is None or not known or Role.MOTION not in planes:
             return False
-        moves = np.linalg.norm(squares(planes[Role.MOTION]), axis=-1).mean((-2, -1))
+        x, y = np.moveaxis(np.square(squares(planes[Role.MOTION])), -1, 0)
+        moves = np.sqrt(x + y).mean((-2, -1))
         energy = (np.square(last).mean((-2, -1)) + np.square(self._before).mean((-2, -1))) / 2
         change = np.square(self._before - last).mean((-2, -1)) / 2
         slow = moves < SLOW

@@ -589,8 +589,8 @@ class Job:
             found = self._bad_pixels.setdefault(str(role), {"pixels": 0, "frames": 0})
             found["pixels"], found["frames"] = found["pixels"] + pixels, found["frames"] + 1
         for step in self.plan.steps:
-            if choice := step.instance.choice():
-                self._choices.setdefault(step.name, Counter())[choice] += 1
+            if step.instance.choice:
+                self._choices.setdefault(step.name, Counter())[step.instance.choice] += 1
 
     def _write(self, run: Run, done: FrameResult, progress: FrameProgress) -> None:
         number, result, used = done.source.number, done.result, done.exposure_factor
@@ -600,8 +600,11 @@ class Job:
         facts, paths = done.facts(), []
         assert self.outputs is not None, "a run has them"
         for path, picture in self.outputs.split(result):
-            write = partial(write_frame, path, picture, relax=self._relax,
-                            provenance={**run.header(), **told}, **self._format)
+            provenance: dict[str, str | float] = {
+                **run.provenance.header(self.pipeline.device.models), **told
+            }
+            write = partial(write_frame, path, picture, relax=self._relax, provenance=provenance,
+                            **self._format)
             if self._faults.attempt(number, True, write) is None:
                 return
             run.note_output(number, path, picture, **facts)

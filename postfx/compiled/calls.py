@@ -9,7 +9,7 @@ import struct
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,30 +22,25 @@ Kinds = tuple[str | None, ...]
 """Kinds of arrays: type, axes and 'r' if read-only, such as '<f4:3r'; None what has no name."""
 
 
-class Form:
-    """Rows of a library for arrays of given kinds: `form(first, last, *arrays)`.
+class Form(NamedTuple):
+    """How rows of a library are called with arrays of given kinds.
 
-    Args:
-        name: the kernel's, for messages.
+    Attributes:
         entry: of the library: `int entry(const void *words, void *)`. Words are the first and the
             last row, and of each array its address and shape; it returns 0, unless memory was
             wanting.
-        kinds: of the arrays.
+        pack: makes the words' bytes.
     """
 
-    def __init__(self, name: str, entry: Any, kinds: Kinds) -> None:
-        entry.argtypes, entry.restype = (ctypes.c_char_p, ctypes.c_void_p), ctypes.c_int
-        self._name, self._entry = name, entry
-        self._pack = struct.Struct("=qq" + "".join("Q" + "q" * _axes_of(kind)
-                                                   for kind in kinds if kind)).pack
+    entry: Any
+    pack: Callable[..., bytes]
 
-    def __call__(self, first: int, last: int, *arrays: np.ndarray) -> None:
-        if self._entry(self._pack(first, last, *_words_of(arrays)), None):
-            raise _failure(self._name)
 
-    def bind(self, arrays: Sequence[np.ndarray]) -> BoundRows:
-        """The function of rows, with all arrays given."""
-        return BoundRows(self._name, self._entry, _words_of(arrays), arrays)
+def form_of(entry: Any, kinds: Kinds) -> Form:
+    """The form of a library's entry for arrays of these kinds."""
+    entry.argtypes, entry.restype = (ctypes.c_char_p, ctypes.c_void_p), ctypes.c_int
+    words = "".join("Q" + "q" * _axes_of(kind) for kind in kinds if kind)
+    return Form(entry, struct.Struct(f"=qq{words}").pack)
 
 
 class BoundRows:
@@ -54,16 +49,15 @@ class BoundRows:
 
     Args:
         name: the kernel's, for messages.
-        function: of the library, as `Form` has it.
-        words: address and shape of each array.
+        function: of the library, as `Form.entry`.
         arrays: which live as long as their addresses.
 
     Attributes:
         entry: address of the function.
     """
 
-    def __init__(self, name: str, function: Any, words: Sequence[int],
-                 arrays: Sequence[np.ndarray]) -> None:
+    def __init__(self, name: str, function: Any, arrays: Sequence[np.ndarray]) -> None:
+        words = words_of(arrays)
         self.entry = ctypes.cast(function, ctypes.c_void_p).value or 0
         self._name, self._function = name, function
         self._words, self._arrays = [0, 0, *words], tuple(arrays)
@@ -73,7 +67,7 @@ class BoundRows:
 
     def __call__(self, first: int, last: int) -> None:
         if self._function(_PAIR.pack(first, last) + self._packed_words, None):
-            raise _failure(self._name)
+            raise failure_of(self._name)
 
     def blocks(self, edges: Sequence[int]) -> np.ndarray:
         """The words (bands, count) of each band between two edges."""
@@ -88,14 +82,14 @@ class BoundRows:
         """Raises the error of a band that failed."""
         for first, last in pairwise(edges):
             self(first, last)
-        raise _failure(self._name)
+        raise failure_of(self._name)
 
 
 _PAIR = struct.Struct("=qq")
 """The first and the last row."""
 
 
-def _failure(name: str) -> RuntimeError:
+def failure_of(name: str) -> RuntimeError:
     """The error of a kernel that returned another number than 0."""
     return RuntimeError(f"kernel {name} failed, probably for want of memory")
 
@@ -117,7 +111,7 @@ def _axes_of(kind: str) -> int:
     return int(kind.rstrip("r").split(":")[1])
 
 
-def _words_of(arrays: Iterable[Any]) -> list[int]:
+def words_of(arrays: Iterable[Any]) -> list[int]:
     """Address and shape of each array."""
     words: list[int] = []
     for array in arrays:

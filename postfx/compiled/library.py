@@ -13,15 +13,14 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache, cached_property
+from functools import cache
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import numpy as np
 
 from postfx.compiled import build
-from postfx.compiled.calls import BoundRows, Form, Kinds, kinds_of
+from postfx.compiled.calls import BoundRows, Form, Kinds, failure_of, form_of, kinds_of, words_of
 from postfx.errors import BindingError, DeviceError
 from postfx.system import private_folder
 from postfx.workers import Workers
@@ -48,11 +47,12 @@ class Rows:
         form = self._forms.get(kinds)
         if form is None:
             form = self._forms[kinds] = self.form(kinds)
-        form(first, last, *arrays)
+        if form.entry(form.pack(first, last, *words_of(arrays)), None):
+            raise failure_of(self.name)
 
     def bind(self, arrays: Sequence[np.ndarray]) -> BoundRows:
         """The same with all arrays given, for threads."""
-        return self.form(kinds_of(arrays)).bind(arrays)
+        return BoundRows(self.name, self.form(kinds_of(arrays)).entry, arrays)
 
     def form(self, kinds: Kinds) -> Form:
         """How the kernel is called with arrays of these kinds. Raises BindingError if it takes
@@ -69,27 +69,13 @@ class Rows:
             self.form(kinds)
 
 
-class Function:
-    """A function of ours in C++ of whole numbers and addresses: `function(*numbers)`. It runs
-    without the interpreter's lock, and returns a whole number.
-
-    Args:
-        name: that it is exported by.
-        count: of its arguments.
-    """
-
-    def __init__(self, name: str, count: int) -> None:
-        self._name, self._count = name, count
-
-    @cached_property
-    def _entry(self) -> Any:
-        entry = getattr(open_library(self._name), self._name)
-        entry.argtypes, entry.restype = (ctypes.c_int64,) * self._count, ctypes.c_int64
-        return entry
-
-    def __call__(self, *numbers: int) -> int:
-        found: int = self._entry(*numbers)
-        return found
+def find_function(name: str, count: int) -> Callable[..., int]:
+    """A function of ours in C++ of so many whole numbers and addresses, by the name that it is
+    exported by. It runs without the interpreter's lock, and returns a whole number."""
+    entry = getattr(open_library(name), name)
+    entry.argtypes, entry.restype = (ctypes.c_int64,) * count, ctypes.c_int64
+    found: Callable[..., int] = entry
+    return found
 
 
 class CompileWatch:
@@ -167,7 +153,7 @@ def _form(name: str, header: Path | None, level: str | None, kinds: Kinds) -> Fo
     if not fits:
         raise BindingError(f"kernel '{name}' takes arrays {' '.join(wanted)} (type:axes, r if it "
                            f"only reads them), not {' '.join(given)}")
-    return Form(name, getattr(library, name), kinds)
+    return form_of(getattr(library, name), kinds)
 
 
 def _split(text: str) -> Iterable[str]:

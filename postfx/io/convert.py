@@ -77,12 +77,14 @@ def convert(
         return _depth(plane, rule, camera, first, height)
     missed = (plane == 0).all(axis=-1) if rule.role is Role.NORMAL and any(rule.offset) else None
     is_none = _not_below(plane, _NO_VECTOR) if rule.role is Role.MOTION else None
-    plane = _affine(plane, rule)
+    if rule.is_affine:
+        plane = _affine(plane, rule)
     if missed is not None:
         plane[missed] = 0
     if rule.role is Role.MOTION:
         size = camera.display_size or (plane.shape[1], height)
-        plane = _motion_pixels(plane, rule, camera, *size)
+        if not rule.is_per_pixel:
+            plane = _motion_pixels(plane, rule, camera, *size)
         is_longer = _not_below(plane, max(size) + 1)
         for unknown in (is_none, is_longer):
             if unknown is not None:
@@ -103,7 +105,7 @@ def is_converted(rule: PlaneRule) -> bool:
     if rule.role in (Role.DEPTH, Role.MOTION) or (rule.role is Role.NORMAL
                                                   and rule.space != "world"):
         return True
-    return any(rule.offset) or {*rule.scale} != {1} or rule.clamp is not None
+    return rule.is_affine or rule.clamp is not None
 
 
 def fill_value(rule: PlaneRule) -> float:
@@ -122,8 +124,7 @@ def _affine(plane: np.ndarray, rule: PlaneRule) -> np.ndarray:
 
 def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int,
            height: int) -> np.ndarray:
-    as_stored = (rule.kind == "planar" and rule.miss is None and not any(rule.offset)
-                 and set(rule.scale) == {1})
+    as_stored = rule.kind == "planar" and rule.miss is None and not rule.is_affine
     # surfaces everywhere
     if (as_stored and stored.min(initial=1) > 0 and stored.max(initial=0) < DEPTH_MISS):
         return stored
@@ -135,9 +136,11 @@ def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int,
         missed |= stored == 0
     if missed.any():
         stored[missed] = 0
-    plane = _affine(stored, rule)
+    plane = _affine(stored, rule) if rule.is_affine else stored
     missed |= plane >= DEPTH_MISS
-    found = _planar(plane, rule, camera, first, height)
+    found = plane
+    if rule.kind != "planar":
+        found = _planar(plane, rule, camera, first, height)
     if missed.any():
         found[missed] = DEPTH_MISS
     return np.ascontiguousarray(found, np.float32)

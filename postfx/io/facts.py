@@ -79,8 +79,10 @@ def read_facts(profile: Profile, layer: str, attributes: Mapping[str, Any]) -> F
     should, do not count."""
     found: dict[str, list[float]] = {}
     for key, count in _COUNTS.items():
-        names = (name.replace("{layer}", layer) for name in profile.header.get(key, ()))
-        value = next((attributes[name] for name in names if name in attributes), None)
+        value = None
+        for name in profile.header.get(key, ()):
+            if value is None:
+                value = attributes.get(name.replace("{layer}", layer))
         if value is None:
             continue
         try:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from functools import cache, cached_property, lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -68,7 +68,10 @@ class Layout:
     profile: Profile
     layer: str
     planes: dict[Role, Match]
+    facts: Facts
+    """What its header attributes say, by the names of its profile."""
     camera: Camera
+    """Of these facts, and of what the user says."""
     attributes: Mapping[str, Any]
     paths: Mapping[str, Path]
     """Of the files, by their words."""
@@ -79,11 +82,6 @@ class Layout:
     """Channels that no later rule may take either, as they are in a space that cannot be left."""
     chosen_layer: str | None = None
     """The view layer that was chosen among several; None if there are not several."""
-
-    @cached_property
-    def facts(self) -> Facts:
-        """What its header attributes say, by the names of its profile."""
-        return read_facts(self.profile, self.layer, self.attributes)
 
     def hints(self) -> dict[Role, str]:
         """Role -> where the user switches the plane on in the renderer, of those of which that is
@@ -117,9 +115,12 @@ def make_layout(
     layers = _distinct(index, _layers(index.names, profile), profile.marker)
     named = [name
              for name in layers if layer is not None and name.rstrip(".").lower() == layer.lower()]
-    found = [_match_all(index, Layout(profile, name, {}, Camera(), attributes, paths), depth,
-                        without)
-             for name in named or layers]
+    found = []
+    for name in named or layers:
+        facts = read_facts(profile, name, attributes)
+        camera = depth.camera(facts.camera) if depth else facts.camera
+        layout = Layout(profile, name, {}, facts, camera, attributes, paths)
+        found.append(_match_all(index, layout, depth, without))
     layout = max(found, key=_preference)
     if len(found) > 1:
         layout.chosen_layer = layout.layer.rstrip(".")
@@ -229,8 +230,6 @@ def _preference(layout: Layout) -> tuple[bool, int, bool]:
 
 def _match_all(index: ChannelIndex, layout: Layout, depth: DepthOption | None,
                without: Collection[Role]) -> Layout:
-    camera = layout.facts.camera
-    layout.camera = depth.camera(camera) if depth else camera
     for rule in layout.profile.planes:
         if rule.role not in layout.planes and rule.role not in without:
             if depth is not None and rule.role is Role.DEPTH:

@@ -49,10 +49,10 @@ def find_light_plan(frame: Frame, half: bool, compression: str,
         compression,
     )
     plan = _LIGHT_PLANS.find(key)
-    header = plan.tell_header(frame, provenance) if plan else None
+    header = plan.header.tell(plan.given(frame, provenance)) if plan else None
     if plan is None or header is None:
         plan = _LIGHT_PLANS.keep(key, LightPlan(frame, half, compression, provenance, key))
-        header = plan.tell_header(frame, provenance)
+        header = plan.header.tell(plan.given(frame, provenance))
     assert header is not None, "the plan is of this frame"
     return plan, header
 
@@ -69,7 +69,7 @@ class LightPlan:
         kinds: what each channel belongs to, for messages.
         altered: which channels a compression alters so that NaN is lost, and infinity or NaN may be
             made of large light.
-        places: of the header's channels among the pixels'.
+        header: of the picture, into which a frame's own values are put.
         half: whether channels are half floats.
         compression: as `write_frame` has it.
         is_enlarged: whether frames have another size than their input.
@@ -110,17 +110,12 @@ class LightPlan:
             tag_light(spec, self.display.kind.primaries, self.display.white)
         spec.attribute("compression", compression)
         self._selected = [name for name, value in selected.items() if type_of(value, name)]
-        given = self._give(frame, provenance)
+        given = self.given(frame, provenance)
         set_attributes(spec, {name: given[name] for name in (_VERSION, *provenance)})
-        self._header = PictureHeader(spec, given)
-        self.places = self._header.places
+        self.header = PictureHeader(spec, given)
 
-    def tell_header(self, frame: Frame, provenance: Mapping[str, Any]) -> Header | None:
-        """The header of another frame's picture; None where a value has changed that needs another
-        plan."""
-        return self._header.tell(self._give(frame, provenance))
-
-    def _give(self, frame: Frame, provenance: Mapping[str, Any]) -> dict[str, Any]:
+    def given(self, frame: Frame, provenance: Mapping[str, Any]) -> dict[str, Any]:
+        """The attributes of a frame's header that frames have values of their own of."""
         selected = {name: frame.metadata[name] for name in self._selected}
         return {**selected, _VERSION: __version__, **provenance}
 

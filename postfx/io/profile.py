@@ -74,7 +74,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -182,6 +182,16 @@ class PlaneRule:
     miss: float | None = None
     clamp: tuple[float, float] | None = None
     enable: str = ""
+
+    @cached_property
+    def is_affine(self) -> bool:
+        """Whether stored values are scaled or shifted."""
+        return any(self.offset) or any(scale != 1 for scale in self.scale)
+
+    @cached_property
+    def is_per_pixel(self) -> bool:
+        """Whether stored motion is in pixels of a frame."""
+        return self.unit == "pixels" and self.per == "frame"
 
     def candidates(self, layer: str) -> tuple[tuple[str, ...], ...]:
         """Full channel names to look for, best first; `layer` replaces {layer}."""

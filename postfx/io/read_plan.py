@@ -23,7 +23,7 @@ from postfx.frame import ColourSource, Role
 from postfx.io.channels import Channel, ChannelIndex, Parts, are_together
 from postfx.io.colours import COLOUR_ATTRIBUTES
 from postfx.io.convert import Camera, DepthOption, fill_value, is_converted
-from postfx.io.facts import tell_colours
+from postfx.io.facts import read_facts, tell_colours
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import (
     Layout,
@@ -203,18 +203,16 @@ class ReadPlan:
             rest = {name: value
                     for name, value in attributes.items() if name not in COLOUR_ATTRIBUTES}
             attributes = {**rest, **self.colours}
-        paths = {word: file.path for word, file in files.items()}
-        layout = replace(self.layout, attributes=attributes, paths=paths)
 
         # The camera, as the header and the user say.
-        camera = layout.facts.camera
-        camera = depth.camera(camera) if depth else camera
+        facts = read_facts(self.layout.profile, self.layout.layer, attributes)
+        camera = depth.camera(facts.camera) if depth else facts.camera
         if known_of(camera) != self.known:
             return None
         if self.area and self.area.window != self.area.display:
             camera = camera_over(camera, self.area)
-        layout.camera = camera
-        return layout
+        paths = {word: file.path for word, file in files.items()}
+        return replace(self.layout, facts=facts, camera=camera, attributes=attributes, paths=paths)
 
 
 def camera_over(camera: Camera, area: Area) -> Camera:

@@ -216,7 +216,7 @@ def _write_light(path: Path, found: list[tuple[Frame, LightPlan, Header]], keep:
             if altered:
                 pixels = _limited(pixels, plan.altered, limit, losses)
             pixels = crop(pixels, plan.windows.area, plan.windows.data)
-            rows = _channel_rows(pixels, plan.places, relax)
+            rows = _channel_rows(pixels, plan.header.places, relax)
             pictures.append(Picture(Header(dict(header.attributes)), rows, frame))
         write_exr(path, pictures, keep, plans[0].key)
         if not altered or _is_finite(path, altered):

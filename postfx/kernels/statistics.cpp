@@ -371,60 +371,95 @@ ONCE double sum_of_products(const double* x, double mean_x, const double* y, dou
     });
 }
 
-// Sums of squares and of products of channels (channels, cells) without their means.
-static void moment_rows(Long first, Long last, Columns one, Columns other, View<double, 2> found) {
-    const Long cells = one.size[1];
-    for (Long c = first; c < last; c++) {
-        const double *a = one(c), *b = other(c);
-        const double mean_a = mean_of(a, cells), mean_b = mean_of(b, cells);
-        double* out = found(c);
-        out[0] = sum_of_products(a, mean_a, a, mean_a, cells);
-        out[1] = sum_of_products(b, mean_b, b, mean_b, cells);
-        out[2] = sum_of_products(a, mean_a, b, mean_b, cells);
+// Sums of squares and of products of two sets of numbers without their means.
+ONCE void add_moments(const double* a, const double* b, Long count, double* found) {
+    const double mean_a = mean_of(a, count), mean_b = mean_of(b, count);
+    found[0] = sum_of_products(a, mean_a, a, mean_a, count);
+    found[1] = sum_of_products(b, mean_b, b, mean_b, count);
+    found[2] = sum_of_products(a, mean_a, b, mean_b, count);
+}
+
+// Light (rows, columns) of a picture at some of its rows and columns; what is no number counts as 0.
+static void picked_rows(Long first, Long last, Picture colour, Lengths rows, Lengths columns,
+                        View<float, 2> light) {
+    constexpr float LARGEST = 1e30f;  // that counts: sums of it are finite
+    constexpr float WEIGHTS[3] = {0.2126f, 0.7152f, 0.0722f};  // of Rec.709's luminance
+    for (Long y = first; y < last; y++) {
+        const float* row = colour(rows.at[y]);
+        for (Long x = 0; x < columns.size[0]; x++) {
+            const float* pixel = row + 3 * columns.at[x];
+            float sum = 0.0f;
+            for (int c = 0; c < 3; c++) {
+                const float lit = smaller<float>(larger<float>(pixel[c], 0.0f), LARGEST);
+                sum += WEIGHTS[c] * (pixel[c] == pixel[c] ? lit : pixel[c]);
+            }
+            light(y)[x] = sum == sum ? sum : 0.0f;
+        }
     }
 }
-EXPORT(moments, moment_rows)
+EXPORT(pick_light, picked_rows)
 
-// Cells whose motion leads to a place between the outermost cells' centres: places and numbers of
-// those that are, and how many.
-static void place_rows(Long, Long, Cells motion, View<double, 1> x, View<double, 1> y,
-                       View<Long, 1> cells, View<Long, 1> count) {
+// A cell, and where its motion leads, in cells.
+struct Moved {
+    double x, y;
+    Long cell;
+};
+// Cells whose motion leads to a place between the outermost cells' centres; how many.
+static Long find_inside(const Cells& motion, Moved* places) {
     const Long rows = motion.size[0], columns = motion.size[1];
-    Long found = 0;
+    Long count = 0;
     for (Long j = 0; j < rows; j++) {
         for (Long i = 0; i < columns; i++) {
             const double across = double(i) + motion(j, i)[0], down = double(j) + motion(j, i)[1];
             const bool beside = across >= 0.0 && across <= double(columns - 1);
             if (!(beside && down >= 0.0 && down <= double(rows - 1))) continue;
-            x.at[found] = across;
-            y.at[found] = down;
-            cells.at[found] = j * columns + i;
-            found++;
+            places[count++] = {across, down, j * columns + i};
         }
     }
-    *count.at = found;
+    return count;
 }
-EXPORT(places_inside, place_rows)
 
-// Bilinear values at places inside.
+// A bilinear value at a place inside.
 FN double mix(double one, double other, double share) {
     const double kept = one * (1.0 - share), added = other * share;
     return kept + added;  // as NumPy does
 }
-static void mixed_rows(Long first, Long last, Cells plane, View<const double, 1> x,
-                       View<const double, 1> y, View<double, 2> mixed) {
-    const Long rows = plane.size[0], columns = plane.size[1];
-    for (Long p = first; p < last; p++) {
-        const Long left = smaller<Long>(Long(x.at[p]), larger<Long>(columns - 2, 0));
-        const Long top = smaller<Long>(Long(y.at[p]), larger<Long>(rows - 2, 0));
-        const Long right = smaller<Long>(left + 1, columns - 1);
-        const Long bottom = smaller<Long>(top + 1, rows - 1);
-        const double u = x.at[p] - double(left), v = y.at[p] - double(top);
-        const double *a = plane(top, left), *b = plane(top, right);
-        const double *c = plane(bottom, left), *d = plane(bottom, right);
-        for (Long k = 0; k < mixed.size[1]; k++) {
-            mixed(p)[k] = mix(mix(a[k], b[k], u), mix(c[k], d[k], u), v);
-        }
-    }
+FN double value_at(const Cells& plane, double x, double y, Long k) {
+    const Long left = smaller<Long>(Long(x), larger<Long>(plane.size[1] - 2, 0));
+    const Long top = smaller<Long>(Long(y), larger<Long>(plane.size[0] - 2, 0));
+    const Long right = smaller<Long>(left + 1, plane.size[1] - 1);
+    const Long bottom = smaller<Long>(top + 1, plane.size[0] - 1);
+    const double u = x - double(left), v = y - double(top);
+    const double above = mix(plane(top, left)[k], plane(top, right)[k], u);
+    return mix(above, mix(plane(bottom, left)[k], plane(bottom, right)[k], u), v);
 }
-EXPORT(mix_places, mixed_rows)
+
+// Cells (rows, columns, 2 halves of channels) and those before where their motion leads: for each
+// channel the moments of both means, and of both halves of each. And how many lead inside.
+static Status compared_rows(Long first, Long last, Cells before, Cells now, Cells motion,
+                            View<double, 3> found, View<Long, 1> inside) {
+    const Long most = motion.size[0] * motion.size[1], channels = now.size[2] / 2;
+    const Room<Moved> places(most);
+    const Room<double> room(6 * most);
+    if (!places || !room) return NO_MEMORY;
+    double *const then[] = {room.at, room.at + most, room.at + 2 * most};
+    double *const here[] = {then[2] + most, then[2] + 2 * most, then[2] + 3 * most};
+    const Long count = *inside.at = find_inside(motion, places.at);
+    for (Long c = first; c < last; c++) {
+        for (Long p = 0; p < count; p++) {
+            const Moved& place = places.at[p];
+            for (int half = 0; half < 2; half++) {
+                const Long k = half * channels + c;
+                then[half][p] = value_at(before, place.x, place.y, k);
+                here[half][p] = now.at[place.cell * now.size[2] + k];
+            }
+            then[2][p] = (then[0][p] + then[1][p]) / 2.0;
+            here[2][p] = (here[0][p] + here[1][p]) / 2.0;
+        }
+        add_moments(then[2], here[2], count, found(0, c));
+        add_moments(then[0], then[1], count, found(1, c));
+        add_moments(here[0], here[1], count, found(2, c));
+    }
+    return DONE;
+}
+EXPORT(compare_cells, compared_rows)

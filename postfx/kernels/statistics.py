@@ -93,6 +93,16 @@ def lit_cells(plane: np.ndarray, side: int) -> np.ndarray:
     return cells
 
 
+def pick_light(colour: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Luminance of a picture (h, w, 3) at some of its rows and columns, numbers of any shape; a
+    copy of float32 (rows.size, columns.size). Negative channels and what is no number count as 0,
+    infinite ones as much light."""
+    light = np.empty((rows.size, columns.size), np.float32)
+    places = [whole(one.reshape(-1), np.int64) for one in (rows, columns)]
+    _pick_light(0, len(light), whole(colour, np.float32), *places, light)
+    return light
+
+
 def coverage_noise(depth: np.ndarray, farthest: float) -> float:
     """Share of the pixels of depth (h, w) that are a hit where at least three of four neighbours
     are misses, or the other way round. Surfaces have next to none; of white noise it is up to 5/16.
@@ -107,9 +117,8 @@ def coverage_noise(depth: np.ndarray, farthest: float) -> float:
 # The coarse grid
 
 _band_of = Rows("band_of")
-_moments = Rows("moments")
-_places_inside = Rows("places_inside")
-_mix_places = Rows("mix_places")
+_pick_light = Rows("pick_light")
+_compare_cells = Rows("compare_cells")
 
 
 def depth_doublings(depth: np.ndarray, beyond: float) -> np.ndarray:
@@ -131,57 +140,36 @@ def band_of(planes: np.ndarray, narrow: int, wide: int) -> np.ndarray:
     return band.reshape(planes.shape)
 
 
-def places_inside(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cells whose motion (rows, columns, 2) leads to a place between the outermost cells' centres:
-    places x and y (count,) and numbers of the cells (count,)."""
-    size = motion.shape[0] * motion.shape[1]
-    x, y, cells, count = (np.empty(size), np.empty(size), np.empty(size, np.int64),
-                          np.empty(1, np.int64))
-    _places_inside(0, 1, whole(motion, np.float64), x, y, cells, count)
-    return x[:count[0]], y[:count[0]], cells[:count[0]]
+def relate_cells(
+    before: np.ndarray, now: np.ndarray, motion: np.ndarray, least_spread: float,
+    least_reliability: float
+) -> tuple[float | None, int]:
+    """Correlation of cells (rows, columns, 2 halves, ...) with what was where their motion (rows,
+    columns, 2), in cells, leads: all channels together, as it would be without noise. And how many
+    lead between the outermost cells' centres, as others do not count.
 
+    None where the mean of the halves varies by less than `least_spread`, or where less than
+    `least_reliability` of its variance is no noise.
+    """
+    flat = [whole(one.reshape(*one.shape[:2], -1), np.float64) for one in (before, now, motion)]
+    channels, inside = flat[0].shape[2] // 2, np.empty(1, np.int64)
+    moments = np.empty((3, channels, 3))
+    _compare_cells(0, channels, *flat, moments, inside)
+    count = int(inside[0])
+    correlations: list[float | None] = []
+    means = (moments.sum(axis=1) / max(channels * count, 1)).tolist()
+    for (square, other_square, both), least in zip(means, (least_spread, 0.0, 0.0), strict=True):
+        spread, other_spread = math.sqrt(square), math.sqrt(other_square)
+        varies = min(spread, other_spread) > least
+        correlations.append(both / (spread * other_spread) if varies else None)
+    found, *of_halves = correlations
 
-def mix_places(plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bilinear values (count, n) of a plane (rows, columns, n) at places inside."""
-    mixed = np.empty((x.size, plane.shape[2]))
-    given = (whole(one, np.float64) for one in (plane, x, y))
-    _mix_places(0, x.size, *given, mixed)
-    return mixed
-
-
-def moments(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
-    """Mean square of two sets of cells (cells, channels) without the means of their channels, and
-    mean product."""
-    found = np.empty((a.shape[1], 3))
-    _moments(0, len(found), *(whole(cells.T, np.float64) for cells in (a, b)), found)
-    square_a, square_b, both = (found.sum(axis=0) / a.size).tolist()
-    return square_a, square_b, both
-
-
-def correlate(a: np.ndarray, b: np.ndarray, least_spread: float) -> float:
-    """Pearson's correlation of (cells, channels), all channels together; NaN where one of the two
-    hardly varies."""
-    square_a, square_b, both = moments(a, b)
-    spread_a, spread_b = math.sqrt(square_a), math.sqrt(square_b)
-    return both / (spread_a * spread_b) if min(spread_a, spread_b) > least_spread else math.nan
-
-
-def reliability(halves: np.ndarray) -> float:
-    """Share of the variance of the mean of two halves (cells, 2, channels) that is not noise
-    (Spearman-Brown)."""
-    between = correlate(halves[:, 0], halves[:, 1], 0.0)
-    return 0.0 if math.isnan(between) else max(2 * between / (1 + between), 0.0)
-
-
-def true_correlation(before: np.ndarray, now: np.ndarray, least_spread: float,
-                     least_reliability: float) -> float:
-    """Correlation of (cells, 2 halves, channels) as it would be without noise; NaN where there is
-    little else."""
-    raw = correlate(before.mean(axis=1), now.mean(axis=1), least_spread)
-    first, second = reliability(before), reliability(now)
-    if math.isnan(raw) or min(first, second) < least_reliability:
-        return math.nan
-    return raw / math.sqrt(first * second)
+    # What of the variance of a mean of two halves is no noise, by Spearman and Brown.
+    shared = [max(one or 0.0, 0.0) for one in of_halves]
+    first, second = (2 * one / (1 + one) for one in shared)
+    if found is None or min(first, second) < least_reliability:
+        return None, count
+    return found / math.sqrt(first * second), count
 
 
 # Light outside the gamut

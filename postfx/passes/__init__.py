@@ -248,6 +248,13 @@ class Pass:
     renamed: ClassVar[Mapping[str, str]] = MappingProxyType({})
     """Options by their former names: they still work, with a DeprecationWarning."""
 
+    choice: str | None = None
+    """The pass's choice for the last frame, as a word for the user; None if it has no choice."""
+
+    notices: tuple[str, ...] = ()
+    """What frames showed that the user should mend, a line each and each thing once; the pipeline
+    tells it and empties this."""
+
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         if "__init__" in cls.__dict__ and "defaults" not in cls.__dict__:
@@ -347,16 +354,6 @@ class Pass:
 
     def note_time(self, milliseconds: float) -> None:
         """Called with the device time of the last frame's commands."""
-
-    def choice(self) -> str | None:
-        """The pass's choice for the last frame, as a word for the user; None if it has no
-        choice."""
-        return None
-
-    def notice(self) -> str | None:
-        """What the last frame shows that the user should mend, in a line; each thing once. None for
-        nothing."""
-        return None
 
     def savings(self) -> tuple[tuple[str, str], ...]:
         """Work that the frames since `compile` did not need, each with the reason and the measured

@@ -143,6 +143,7 @@ class View(Pass):
                  **unknown: Never) -> None:
         super().__init__(view=view, display=display, exact=exact, **unknown)
         self._view, self._exact = find_view(view, parse_display(display)), bool(exact)
+        self.choice = self._view.title
         self._matrix = matrix_between(REC709, self._view.primaries)
         # a table is read now, so that a broken one is told before any frame
         self._view.apply(np.zeros((1, 3)))
@@ -158,9 +159,6 @@ class View(Pass):
 
     def skip(self, spec: FrameSpec) -> str | None:
         return None if spec.encoding == "scene-linear" else f"colour is {spec.encoding} already"
-
-    def choice(self) -> str | None:
-        return self._view.title
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         self._params = device.heap.tensor("view params", (3,))

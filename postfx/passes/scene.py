@@ -136,7 +136,6 @@ class Occlusion(_Linear):
             raise PassOptionError(f"pass 'occlusion' has the radius {radius:g}: give one above 0")
         if not 0 <= strength <= 1:
             raise PassOptionError(f"pass 'occlusion' has the strength {strength:g}: give 0 to 1")
-        self._choice: str | None = None
         self._told = False
 
     def reflect(self, spec: FrameSpec) -> Reflection:
@@ -148,15 +147,11 @@ class Occlusion(_Linear):
             return "its strength is 0"
         return _missing_planes(spec, (Role.COLOUR, Role.DEPTH))
 
-    def choice(self) -> str | None:
-        """'network' or 'gtao'."""
-        return self._choice
-
     def compile(self, device: Device, spec: FrameSpec) -> None:
         rows, columns = (-(-side // SIDE_MULTIPLE_PX) * SIDE_MULTIPLE_PX
                          for side in (spec.height, spec.width))
         state = self._find_network(device, rows, columns) if self.options["network"] else None
-        self._choice = "gtao" if state is None else "network"
+        self.choice = "gtao" if state is None else "network"
         self._reads = ("depth", "normal") if spec.has(Role.NORMAL) else ("depth",)
         shapes = {"normal": (rows, columns, 3), "depth": (rows, columns, 1), "camera": (CAMERA,),
                   "raw": (rows, columns), "smooth": (rows, columns)}

@@ -130,7 +130,7 @@ class RunFolder:
         return found
 
     def save(self, pattern: str, fingerprint: str, frame: int, history: Mapping[str, np.ndarray],
-             relax: Callable[[], None]) -> int:
+             relax: Callable[[], None] | None) -> int:
         """Replace the run's last checkpoint; returns the new one's size in bytes."""
         about = About(self._run, pattern, frame, fingerprint)
         return save_checkpoint(self._work / f"{self._run}{CHECKPOINT_SUFFIX}", about, history,

@@ -219,6 +219,7 @@ class Run:
         works: the frames to run, in order.
         skips: frames that need no work, and why.
         warnings: oddities of existing files.
+        provenance: how its frames come about.
     """
 
     def __init__(self, outputs: OutputFiles, sequence: Sequence, pipeline: Pipeline, plan: Plan,
@@ -228,7 +229,7 @@ class Run:
         self.warnings: list[str] = []
         self._outputs, self._sequence, self._pipeline, self._plan = (outputs, sequence, pipeline,
                                                                      plan)
-        self._provenance, self._options = provenance, options
+        self.provenance, self._options = provenance, options
         self._id = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{os.urandom(4).hex()}"
         self._log = Log(options.log, self._id)
         self._pattern = outputs.pattern
@@ -309,7 +310,7 @@ class Run:
     def _save(self, number: int, history: Mapping[str, np.ndarray]) -> None:
         begin = time.monotonic()
         try:
-            size = self._folder.save(self._pattern, self._provenance.fingerprint, number, history,
+            size = self._folder.save(self._pattern, self.provenance.fingerprint, number, history,
                                      self._pipeline.device.memory.relax)
             self._log("checkpoint", frame=number, bytes=size,
                       ms=round(1000 * (time.monotonic() - begin), 1))
@@ -318,16 +319,12 @@ class Run:
             self.warnings += [] if text in self.warnings else [text]
             self._log("warning", text=text)
 
-    def header(self) -> dict[str, str]:
-        """Attributes for the headers of images."""
-        return self._provenance.header(self._pipeline.device.models)
-
     def _begin(self, names: dict[str, int]) -> None:
         self.warnings = self._folder.warnings
         wanted = self._choose(names)
         pending = {name: Output(self._id, number)
                    for name, number in names.items() if number in wanted}
-        facts = {**self._provenance.as_dict(), "command": sys.argv,
+        facts = {**self.provenance.as_dict(), "command": sys.argv,
                  "process": Process.me().as_dict(),
                  "input": str(self._sequence.pattern), "output": self._pattern, "began": now()}
         self._folder.note({**facts, "status": "running"}, pending)
@@ -385,11 +382,11 @@ class Run:
         starts = {output.frame for output in self._folder.before.outputs.values()
                   if output.starts and output.sha256 and self._is_alike(output)}
         return EarlierRuns(starts,
-                           self._folder.checkpoints(self._pattern, self._provenance.fingerprint))
+                           self._folder.checkpoints(self._pattern, self.provenance.fingerprint))
 
     def _is_alike(self, output: Output) -> bool:
         run = self._folder.before.runs.get(output.run, {})
-        return run.get("fingerprint") == self._provenance.fingerprint
+        return run.get("fingerprint") == self.provenance.fingerprint
 
     def _inputs(self, number: int) -> dict[str, tuple[int, int]]:
         """Size and modification time of the files of a frame that exist, by path."""

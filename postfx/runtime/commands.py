@@ -557,7 +557,8 @@ class Execution:
             begin = memory.mark()
             dispatch.execute()
             spans = [Span(dispatch.encoder, dispatch.label, begin, memory.mark())]
-        memory.relax()
+        if memory.relax:
+            memory.relax()
         for tensor in dispatch.writes:
             if tensor.allocation.lost:
                 self._hazards.mark_found(tensor)

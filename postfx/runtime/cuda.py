@@ -65,6 +65,7 @@ class CudaMemory:
     """
 
     host_visible = False
+    relax: Callable[[], None] | None = None
 
     def __init__(self, index: int, graphs: bool = True) -> None:
         try:
@@ -146,9 +147,6 @@ class CudaMemory:
                     self._producer.record(stream)
                 _let_wait(self.stream, self._producer)
         return self.stream
-
-    def relax(self) -> None:
-        """Does nothing: no tensor is in a file."""
 
     def mark(self) -> Event:
         """An event at this point of the stream."""

@@ -55,11 +55,12 @@ class Fork(Protocol):
 
 class Memory(Protocol):
     """Where a device's tensors live. `host_visible`: NumPy can access it without a copy; `replays`:
-    `replay` can run commands as one CUDA graph; `place`: kind and number of the device in
-    DLPack."""
+    `replay` can run commands as one CUDA graph; `relax`: called after a dispatch where pages need
+    not stay in memory; `place`: kind and number of the device in DLPack."""
 
     host_visible: bool
     replays: bool
+    relax: Callable[[], None] | None
     place: tuple[int, int]
 
     def follow(self, stream: int | None) -> int | None:
@@ -96,10 +97,6 @@ class Memory(Protocol):
         """Wait until all started work is done."""
         ...
 
-    def relax(self) -> None:
-        """After a dispatch: drop pages that need not stay in memory."""
-        ...
-
     def mark(self) -> Any:
         """A mark at this point of the device's work."""
         ...
@@ -121,6 +118,7 @@ class Immediate:
     """Memory whose commands are done when their call returns."""
 
     replays = False
+    relax: Callable[[], None] | None = None
 
     def follow(self, stream: int | None) -> int | None:
         """None: commands are on no stream."""
@@ -133,9 +131,6 @@ class Immediate:
     def fork(self, streams: Sequence[int], before: Sequence[int]) -> Fork | None:
         """None: commands are on no stream."""
         return None
-
-    def relax(self) -> None:
-        """Does nothing."""
 
     def synchronise(self) -> None:
         """Does nothing: no work is pending."""
@@ -197,6 +192,7 @@ class HostMemory(Immediate):
 
     def __init__(self, scratch: Scratch | None = None) -> None:
         self._scratch = scratch
+        self.relax = scratch.relax if scratch else None
         self._held: weakref.WeakSet[HostChunk] = weakref.WeakSet()
 
     def allocate(self, nbytes: int) -> HostChunk | MappedChunk:
@@ -208,11 +204,6 @@ class HostMemory(Immediate):
         chunk = HostChunk(nbytes)
         self._held.add(chunk)
         return chunk
-
-    def relax(self) -> None:
-        """Drop the pages of temporary files from memory."""
-        if self._scratch is not None:
-            self._scratch.relax()
 
     def write(self, pointer: int, array: np.ndarray) -> None:
         """Copy a C-contiguous array to `pointer`."""

@@ -27,7 +27,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from postfx.compiled.calls import BoundRows
-from postfx.compiled.library import Function
+from postfx.compiled.library import find_function
 from postfx.errors import CommandError, CommandTimeout
 from postfx.workers import Workers
 
@@ -50,15 +50,6 @@ ASLEEP = 2
 """Status of a band whose helper is away and to be started."""
 SAMPLE = 2000
 """Pauses of which the time is measured."""
-
-# Of threads.cpp, which explains them. A helper is given by the address of its row.
-make_pauses = Function("make_pauses", 1)
-run_entry = Function("run_entry", 2)
-is_taken = Function("is_taken", 3)
-hand_out = Function("hand_out", 5)
-report_done = Function("report_done", 1)
-is_called = Function("is_called", 3)
-are_done = Function("are_done", 3)
 
 Work = queue.SimpleQueue[Callable[[], None] | None]
 
@@ -143,12 +134,30 @@ class Band(NamedTuple):
         self.rows(self.first, self.last)
 
 
+class Functions:
+    """Those of threads.cpp, which explains them. A helper is given by the address of its row."""
+
+    def __init__(self) -> None:
+        self.make_pauses = find_function("make_pauses", 1)
+        self.run_entry = find_function("run_entry", 2)
+        self.is_taken = find_function("is_taken", 3)
+        self.hand_out = find_function("hand_out", 5)
+        self.report_done = find_function("report_done", 1)
+        self.is_called = find_function("is_called", 3)
+        self.are_done = find_function("are_done", 3)
+
+
+functions = cache(Functions)
+"""The library is opened by who makes helpers first."""
+
+
 class Helpers:
     """Up to `count` threads that work on bands beside the thread that calls; others that call wait
     for it."""
 
     def __init__(self, count: int) -> None:
         self._pool = Workers(count, thread_name_prefix="postfx band")
+        self._native = functions()
         self._board = np.zeros((count, LINE), np.int64)
         self._board[:, TIMEOUT + 1] = NANOSECONDS
         self._rows = [self._board[i:].ctypes.data for i in range(count)]
@@ -165,7 +174,7 @@ class Helpers:
             try:
                 for i, band in enumerate(others):
                     self._bands[i], self._failures[i] = band, None
-                    is_awake = is_taken(self._rows[i], PYTHON, 0)
+                    is_awake = self._native.is_taken(self._rows[i], PYTHON, 0)
                     handed += 1
                     if not is_awake:
                         self._pool.submit(self._help, i)
@@ -184,10 +193,10 @@ class Helpers:
         blocks = rows.blocks(edges)
         words, (bands, size) = blocks.ctypes.data, blocks.shape
         with self._lock:
-            if hand_out(self._rows[0], rows.entry, words, size, bands):
+            if self._native.hand_out(self._rows[0], rows.entry, words, size, bands):
                 for i in np.flatnonzero(self._board[:bands - 1, STATUS] == ASLEEP).tolist():
                     self._pool.submit(self._help, i)
-            failed = run_entry(rows.entry, words)
+            failed = self._native.run_entry(rows.entry, words)
             self._wait(bands - 1)
             failed |= int(self._board[:bands - 1, STATUS].any())
         if failed:
@@ -195,11 +204,11 @@ class Helpers:
 
     def _wait(self, count: int) -> None:
         """Until the first helpers are done with their bands."""
-        while not are_done(self._rows[0], count, self._looks):
+        while not self._native.are_done(self._rows[0], count, self._looks):
             time.sleep(NAP)
 
     def _help(self, i: int) -> None:
-        while is_called(self._rows[i], self._looks, self._delay):
+        while self._native.is_called(self._rows[i], self._looks, self._delay):
             try:
                 band = self._bands[i]
                 assert band is not None
@@ -207,18 +216,19 @@ class Helpers:
             except BaseException as error:  # of any kind: the thread that waits must see it
                 self._failures[i] = error
             self._bands[i] = None
-            report_done(self._rows[i])
+            self._native.report_done(self._rows[i])
 
 
 @cache
 def pauses_in(seconds: float) -> int:
     """About how many pauses this processor makes in that time, at least 1."""
-    make_pauses(1)
+    functions().make_pauses(1)
     least = min(_time_pauses(SAMPLE) for _ in range(3))
     return max(1, int(seconds * SAMPLE / least))
 
 
 def _time_pauses(count: int) -> float:
+    make_pauses = functions().make_pauses
     begin = time.perf_counter()
     make_pauses(count)
     return time.perf_counter() - begin

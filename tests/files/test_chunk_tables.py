@@ -10,7 +10,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.frame import Role
-from postfx.io.exr import EXR_MAGIC, TILED_IMAGE
+from postfx.io.exr import EXR_MAGIC, TILED_IMAGE, pack_headers
 from postfx.io.exr.container import ExrContainer
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import is_complete, write_frame
@@ -62,7 +62,7 @@ def write_contradiction(folder: Path) -> Path:
         (header,), version, chunks = (file.headers, file.version,
                                       [stored for _, stored in file.copy_chunks(0)])
     header.set_text("type", "scanlineimage")
-    head = struct.pack("<iI", EXR_MAGIC, version) + header.pack()
+    head = struct.pack("<iI", EXR_MAGIC, version) + pack_headers([header])[8:]
     sizes = [len(chunk) for chunk in chunks]
     table = len(head) + 8 * len(chunks) + np.cumsum([0, *sizes[:-1]])
     path.write_bytes(head + table.astype("<u8").tobytes() + b"".join(chunks))

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import postfx
-from postfx.compiled.calls import BoundRows, Form
+from postfx.compiled.calls import BoundRows
+from postfx.compiled.library import Rows
 from postfx.frame import Frame, Role
 from postfx.interpolate import Between
 from postfx.neural import Grid, Learner, Network
@@ -78,13 +79,13 @@ def _recording() -> Iterator[list[Call]]:
         if name not in calls and sum(array.nbytes for array in arrays) <= MOST_BYTES:
             calls[name] = Call(name, (first, last), [array.copy() for array in arrays])
 
-    enter_form: Callable[..., None] = Form.__call__
+    enter_rows: Callable[..., None] = Rows.__call__
     enter_bound: Callable[..., None] = BoundRows.__call__
     blocks: Callable[..., np.ndarray] = BoundRows.blocks
 
-    def form(self: Any, first: int, last: int, *arrays: np.ndarray) -> None:
-        keep(self._name, first, last, arrays)
-        enter_form(self, first, last, *arrays)
+    def rows(self: Any, first: int, last: int, *arrays: np.ndarray) -> None:
+        keep(self.name, first, last, arrays)
+        enter_rows(self, first, last, *arrays)
 
     def bound(self: Any, first: int, last: int) -> None:
         keep(self._name, first, last, self._arrays)
@@ -95,7 +96,7 @@ def _recording() -> Iterator[list[Call]]:
         return blocks(self, edges)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Form, "__call__", form)
+        patch.setattr(Rows, "__call__", rows)
         patch.setattr(BoundRows, "__call__", bound)
         patch.setattr(BoundRows, "blocks", of_threads)
         found: list[Call] = []

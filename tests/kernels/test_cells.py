@@ -17,11 +17,9 @@ from postfx.kernels.statistics import (
     depth_doublings,
     half_means,
     mark_positive,
-    mix_places,
-    moments,
     pair_means,
-    places_inside,
-    true_correlation,
+    pick_light,
+    relate_cells,
 )
 from postfx.planes import INFINITY_BITS, is_blank, is_finite, is_same_plane, largest_bits_of, lend
 from postfx.repair import repair_nonfinite
@@ -117,37 +115,52 @@ def test_pair_means(block: int) -> None:
                                   np.nan_to_num(np.stack(pairs, axis=2), posinf=0))
 
 
-def test_places_in_another_picture() -> None:
-    motion = RANDOM.normal(0, 4, (9, 13, 2))
-    motion[3, 4] = np.nan
-    x, y, cells = places_inside(motion)
-    down, across = np.mgrid[:9, :13] + np.moveaxis(motion, 2, 0)[::-1]
-    inside = is_inside(motion, across, down)
-    assert 0 < len(cells) < 117
-    np.testing.assert_array_equal(cells, np.flatnonzero(inside))
-    before = RANDOM.normal(size=(9, 13, 6))
-    np.testing.assert_array_equal(mix_places(before, x, y),
-                                  bilinear(before, across[inside], down[inside]))
+def test_light_of_some_rows_and_columns() -> None:
+    colour = bad_colours(9, 14)
+    colour[0, 5], colour[8, 2] = (1, np.inf, -np.inf), (1, np.nan, 1)
+    rows, columns = np.array([[3, 0], [8, 3]]), np.array([13, 2, 5, 5, 0])
+    seen = colour[rows.ravel()][:, columns]
+    light = light_of(np.where(np.isnan(seen), np.nan, np.clip(seen, 0, 1e30)))
+    found = pick_light(colour, rows, columns)
+    np.testing.assert_allclose(found, np.nan_to_num(light), rtol=1e-6)
 
 
 def test_noise_is_taken_from_a_correlation() -> None:
-    shown = RANDOM.normal(size=(40000, 1, 1))
-    noisy = [shown + RANDOM.normal(0, 0.8, (40000, 2, 1)) for _ in range(2)]
-    raw = np.corrcoef(*(halves.mean(axis=1)[:, 0] for halves in noisy))[0, 1]
-    assert raw < 0.8 and abs(true_correlation(*noisy, 0.1, 0.5) - 1) < 0.02
-    assert abs(true_correlation(noisy[0], RANDOM.normal(size=(40000, 1, 1)) + np.zeros((1, 2, 1)),
-                                0.1, 0.5)) < 0.02
-    assert (np.isnan(true_correlation(*noisy, 2.0, 0.5))
-            and np.isnan(true_correlation(*noisy, 0.1, 0.9)))
+    shown, still = RANDOM.normal(size=(200, 200, 1, 1)), np.zeros((200, 200, 2))
+    noisy = [shown + RANDOM.normal(0, 0.8, (200, 200, 2, 1)) for _ in range(2)]
+    raw = np.corrcoef(*(halves.mean(axis=2).ravel() for halves in noisy))[0, 1]
+    found, _ = relate_cells(*noisy, still, 0.1, 0.5)
+    assert raw < 0.8
+    assert found == pytest.approx(1, abs=0.02)
+    other = np.repeat(RANDOM.normal(size=(200, 200, 1, 1)), 2, axis=2)
+    unrelated, _ = relate_cells(noisy[0], other, still, 0.1, 0.5)
+    assert unrelated == pytest.approx(0, abs=0.02)
+    assert relate_cells(*noisy, still, 2.0, 0.5) == (None, 40000)
+    assert relate_cells(*noisy, still, 0.1, 0.9) == (None, 40000)
 
 
-def test_moments() -> None:
-    a, b = RANDOM.normal(3, 1, (500, 2, 3)), RANDOM.normal(-2, 2, (500, 2, 3))
-    for one, other in ((a[:, 0], b[:, 1]), (a[:, 0, :1], a[:, 0, :1])):
-        one_less, other_less = one - one.mean(0), other - other.mean(0)
-        wanted = [np.mean(x * y) for x, y in ((one_less, one_less), (other_less, other_less),
-                                              (one_less, other_less))]
-        np.testing.assert_allclose(moments(one, other), wanted, rtol=1e-12)
+def test_cells_are_related_to_what_was_at_their_places() -> None:
+    before, motion = RANDOM.normal(3, 1, (9, 13, 2, 3)), RANDOM.normal(0, 2, (9, 13, 2))
+    before[:, :, 1] += before[:, :, 0]
+    now = before + RANDOM.normal(-2, 0.5, before.shape)
+    motion[3, 4] = np.nan
+    down, across = np.mgrid[:9, :13] + np.moveaxis(motion, 2, 0)[::-1]
+    inside = is_inside(motion, across, down)
+    assert 0 < inside.sum() < 117
+    then = bilinear(before.reshape(9, 13, 6), across[inside], down[inside]).reshape(-1, 2, 3)
+    here = now[inside]
+
+    def correlate(one: np.ndarray, other: np.ndarray) -> float:
+        """Of all channels together, without the means of each."""
+        one, other = (one - one.mean(axis=0)).ravel(), (other - other.mean(axis=0)).ravel()
+        return float(one @ other / np.sqrt((one @ one) * (other @ other)))
+
+    reliable = [2 * between / (1 + between)
+                for between in (correlate(set_[:, 0], set_[:, 1]) for set_ in (then, here))]
+    wanted = correlate(then.mean(axis=1), here.mean(axis=1)) / np.sqrt(np.prod(reliable))
+    found, count = relate_cells(before, now, motion, 0.1, 0.1)
+    assert found == pytest.approx(wanted, rel=1e-12)
+    assert count == inside.sum()
 
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 9), (40, 62)], ids=str)
@@ -243,9 +256,12 @@ def test_misses_lie_twice_as_far_as_the_farthest_hit(missed):
 
 def test_planes_at_any_address_are_taken():
     """What a checkpoint held lies where its bytes lie."""
-    held = np.frombuffer(bytearray(8 * 24 + 1), np.uint8)[1:]
-    plane = held.view(np.float64).reshape(3, 4, 2)
-    assert not plane.flags.aligned
-    plane[...] = np.arange(24).reshape(3, 4, 2)
-    mixed = mix_places(plane, np.array([1.0]), np.array([2.0]))
-    np.testing.assert_array_equal(mixed, plane[2:3, 1])
+    plane = np.arange(12.0).reshape(3, 4, 1) + RANDOM.uniform(size=(3, 4, 2))
+    held = np.frombuffer(bytearray(plane.nbytes + 1), np.uint8)[1:]
+    elsewhere = held.view(np.float64).reshape(plane.shape)
+    assert not elsewhere.flags.aligned
+    elsewhere[...] = plane
+    still = np.zeros((3, 4, 2))
+    found, _ = relate_cells(elsewhere, elsewhere, still, 0.1, 0.5)
+    assert found is not None
+    assert found == relate_cells(plane, plane, still, 0.1, 0.5)[0]

@@ -142,7 +142,7 @@ def test_a_budget_chooses_among_them() -> None:
     upscaler, chosen = pipeline.passes[0], []
     for number in range(1, 7):
         pipeline(noisy(number))
-        chosen.append(upscaler.choice())
+        chosen.append(upscaler.choice)
     assert chosen[0] == "s" and chosen[-1] == "m" and ran(pipeline) == {"s.1x", "m.1x"}
 
 
@@ -222,7 +222,7 @@ def test_a_recalled_history_of_a_budget_is_of_the_same_network() -> None:
     whole = chain(size=OUTPUT, budget=1000)
     for number in range(6):
         whole(sized(number, 1))
-    assert whole.passes[0].choice() == "m"
+    assert whole.passes[0].choice == "m"
     again = chain(size=OUTPUT, budget=1000)
     again.recall(sized(5, 1), {name: np.array(value) for name, value in whole.history().items()})
     assert again.passes[0]._history.model == "denoise_upscale.m.1x"

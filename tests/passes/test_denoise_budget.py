@@ -161,7 +161,7 @@ def test_the_history_goes_on_with_the_other_network(monkeypatch: pytest.MonkeyPa
     chosen = []
     for number in range(1, 8):
         chain(noisy(number))
-        chosen.append(upscaler.choice())
+        chosen.append(upscaler.choice)
     at = chosen.index("m")
     assert chosen == ["s"] * at + ["m"] * (7 - at)
     before, after = kept[at]
@@ -174,14 +174,14 @@ def test_the_history_goes_on_with_the_other_network(monkeypatch: pytest.MonkeyPa
 def test_strength_0_runs_no_network_and_chooses_none() -> None:
     chain = Pipeline([upscaler := DenoiseUpscale(budget=10, strength=0)], Device("cpu", threads=2),
                      exposure=0.0)
-    assert upscaler.choice() is None
+    assert upscaler.choice is None
     chain(noisy(1))
-    assert upscaler.choice() is None
+    assert upscaler.choice is None
 
 
 def test_without_a_budget_one_network_runs_and_is_told() -> None:
     chain = Pipeline([upscaler := DenoiseUpscale(model="s")], Device("cpu", threads=2),
                      exposure=0.0)
-    assert upscaler.choice() is None
+    assert upscaler.choice is None
     assert np.isfinite(chain(noisy(1))[Role.COLOUR]).all()
-    assert upscaler.choice() == "s"
+    assert upscaler.choice == "s"

@@ -93,7 +93,7 @@ def test_a_gpu_gives_the_same() -> None:
     chain = Pipeline([upscaler], Device("cuda"), exposure=0.0)
     for number in range(1, 5):
         found = chain(flat(number, 0.7))[Role.COLOUR]
-    assert upscaler.choice() == CLASSIC
+    assert upscaler.choice == CLASSIC
     np.testing.assert_allclose(found, 0.7, rtol=1e-2)
 
 
@@ -109,7 +109,7 @@ def test_it_runs_where_no_network_fits_the_budget_and_the_history_goes_on() -> N
     chain, chosen = Pipeline([upscaler], Device("cpu", threads=2), exposure=0.0), []
     for number in range(1, 7):
         chain(flat(number, 0.7))
-        chosen.append(upscaler.choice())
+        chosen.append(upscaler.choice)
     assert chosen[:3] == ["s"] * 3 and chosen[-1] == CLASSIC
     history = upscaler.history()
     assert history["next_state"][..., 3].min() > 3 and f"network {CLASSIC}" in history
@@ -125,7 +125,7 @@ def test_it_needs_the_compiled_kernels_of_a_cpu() -> None:
     chain = Pipeline([upscaler], device, exposure=0.0)
     for number in range(1, 5):
         chain(flat(number, 0.7))
-    assert upscaler.choice() == "s"
+    assert upscaler.choice == "s"
 
 
 def test_parts_need_a_network() -> None:

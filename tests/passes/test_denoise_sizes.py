@@ -164,7 +164,7 @@ def test_with_a_mask_alpha_a_budget_and_guides(device: Device) -> None:
         result = pipeline(guided(frame, *OUTPUT[::-1]))
         assert (result.spec.width == OUTPUT[0] and np.isfinite(result[Role.COLOUR]).all()
                 and Role.ALPHA in result)
-    assert upscaler.choice() == "m"
+    assert upscaler.choice == "m"
 
 
 def test_without_a_network_only_the_input_is_resampled(device: Device) -> None:

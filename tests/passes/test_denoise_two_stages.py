@@ -140,7 +140,7 @@ def test_frames_with_jitter_keep_what_it_tells_between_pixels() -> None:
     given = frames(2, jitter=(0.25, -0.125))
     pipeline = chain()
     assert_same(pictures(pipeline, given), pictures(chain("l"), given))
-    assert pipeline.passes[0].choice() == "l"
+    assert pipeline.passes[0].choice == "l"
     assert pipeline.passes[0].reflect(given[0].spec).notes == (
         f"{STAGES}l enlarges; l alone where frames have jitter",)
 
@@ -186,12 +186,12 @@ def test_a_budget_leaves_both_networks_to_frames_that_have_the_time() -> None:
     given, pipeline, chosen = frames(8), chain(budget=1e6), []
     for frame in given:
         found = pipeline(frame)
-        chosen.append(pipeline.passes[0].choice())
+        chosen.append(pipeline.passes[0].choice)
     assert chosen[0] == "s" and chosen[-1] == "xl then l"
     assert_same([chain(budget=1e6)(given[0])[Role.COLOUR]], pictures(chain("s"), given[:1]))
     jittered = replace(given[0], jitter=(0.25, -0.25))
     pipeline(jittered)
-    assert pipeline.passes[0].choice() == "l"
+    assert pipeline.passes[0].choice == "l"
     assert np.isfinite(found[Role.COLOUR]).all()
 
 
@@ -240,7 +240,7 @@ def test_a_network_that_enlarges_of_its_own_comes_after_the_first(tmp_path: Path
     (found,) = pictures(pipeline, [frame])
     mixture = chain(scale=1, strength=DENOISED_SHARE)(frame)[Role.COLOUR]
     assert_same([found], pictures(chain("s.fp32"), [with_planes(frame, colour=mixture)]))
-    assert pipeline.passes[0].choice() == "xl in two stages"
+    assert pipeline.passes[0].choice == "xl in two stages"
     by_file = chain(str(tmp_path / "denoise_upscale.xl.onnx"))
     assert_same(pictures(by_file, [frame]), [found])
 
@@ -261,7 +261,7 @@ def test_a_shipped_network_for_mixtures_has_no_other_frames(
     whole, chosen, kept, wanted = chain(), [], [], []
     for frame in (given[0], jittered, *given[2:]):
         wanted += pictures(whole, [frame])
-        chosen.append(whole.passes[0].choice())
+        chosen.append(whole.passes[0].choice)
         kept.append({name: np.array(value) for name, value in (whole.history() or {}).items()})
     assert chosen == ["xl in two stages", "l", "xl in two stages", "xl in two stages"]
     assert_same(wanted[:1], [by_own])

@@ -89,11 +89,11 @@ def test_gtao_is_chosen_where_no_network_can_run(device: Device, monkeypatch) ->
     without = Occlusion(radius=1.0)
     shade = Pipeline([without], device, exposure=1.0)(corner())[Role.COLOUR][..., 0]
     np.testing.assert_array_equal(shade, wanted)
-    assert without.choice() == "gtao"
+    assert without.choice == "gtao"
     monkeypatch.undo()
     with_network = Occlusion(radius=1.0)
     Pipeline([with_network], device, exposure=1.0)(corner())
-    assert with_network.choice() == "network"
+    assert with_network.choice == "network"
 
 
 def test_misses_and_broken_depth_are_left_alone(device: Device) -> None:

@@ -6,6 +6,7 @@ Layout of the file: https://openexr.com/en/latest/OpenEXRFileLayout.html
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, BinaryIO, NamedTuple
@@ -15,6 +16,8 @@ from postfx.io.windows import Window
 
 EXR_MAGIC = 20000630
 EXR_VERSION = 2
+_FILE_START = struct.Struct("<iI")
+"""The magic number, and the version with its flags."""
 TILED = 0x200
 LONG_NAMES = 0x400
 DEEP = 0x800
@@ -129,17 +132,6 @@ class Header:
         """Replace or add an attribute of type string."""
         self.set(name, "string", raw(value))
 
-    def pack(self) -> bytes:
-        """The header as a file holds it."""
-        entries = [f"{name}\0{kind}\0".encode(*_AS_TEXT) + struct.pack("<i", len(value)) + value
-                   for name, (kind, value) in self.attributes.items()]
-        return b"".join(entries) + b"\0"
-
-    def has_long_names(self) -> bool:
-        """Whether a name in it needs the flag for names of more than 31 bytes."""
-        kinds = [kind for kind, _ in self.attributes.values()]
-        return _holds_long((*self.attributes, *kinds), self.attributes["channels"])
-
     def _value(self, name: str) -> bytes:
         if name not in self.attributes:
             raise ReadError(f"its header has no {name}")
@@ -150,13 +142,6 @@ class Header:
         if len(value) != struct.calcsize(layout):
             raise ReadError(f"its header has a broken {name}")
         return struct.unpack(layout, value)
-
-
-@lru_cache(64)
-def _holds_long(names: tuple[str, ...], channels: Attribute) -> bool:
-    """Whether one of these names, or of those of channels, is long."""
-    listed = [channel.name for channel in Header({"channels": channels}).channels]
-    return any(len(raw(name)) > SHORT_NAME for name in (*names, *listed))
 
 
 _AS_TEXT = ("utf-8", "surrogateescape")
@@ -197,6 +182,32 @@ def pack_channels(channels: list[ChannelInfo]) -> bytes:
     return b"".join(entries) + b"\0"
 
 
+def pack_headers(headers: Sequence[Header]) -> bytes:
+    """What `read_headers` reads: version, flags, and the headers of all parts."""
+    several = len(headers) > 1
+    kinds = {header.part_type for header in headers}
+    flags = MULTI_PART * several | DEEP * bool(kinds & {DEEP_SCANLINES, DEEP_TILES})
+    flags |= TILED * (not several and TILED_IMAGE in kinds)
+    found = []
+    for header in headers:
+        types = [attribute.kind for attribute in header.attributes.values()]
+        if _holds_long((*header.attributes, *types), header.attributes["channels"]):
+            flags |= LONG_NAMES
+        found += [f"{name}\0{kind}\0".encode(*_AS_TEXT) + struct.pack("<i", len(value)) + value
+                  for name, (kind, value) in header.attributes.items()]
+        found.append(b"\0")
+    end = b"\0" * several
+    return _FILE_START.pack(EXR_MAGIC, EXR_VERSION | flags) + b"".join(found) + end
+
+
+@lru_cache(64)
+def _holds_long(names: tuple[str, ...], channels: Attribute) -> bool:
+    """Whether one of these names, or of those of channels, needs the flag for names of more than 31
+    bytes."""
+    listed = [channel.name for channel in Header({"channels": channels}).channels]
+    return any(len(raw(name)) > SHORT_NAME for name in (*names, *listed))
+
+
 def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
     """Version flags and the headers of all parts; the file is left where the chunks' table begins.
 
@@ -204,9 +215,7 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
     early or are larger than `MAX_HEADERS`.
     """
     start = _Start(file)
-    magic, version = struct.unpack("<iI", start.take(8))
-    if magic != EXR_MAGIC or version & 0xFF != EXR_VERSION:
-        raise ReadError("it is not an OpenEXR file")
+    version = start.version
     several = bool(version & MULTI_PART)
     headers = [Header(start.attributes())]
     while several and (attributes := start.attributes()):  # an empty one ends the headers
@@ -227,14 +236,24 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
 
 
 class _Start:
-    """The start of a file, read in blocks: `at` counts the bytes taken. Raises ReadError where the
-    file ends."""
+    """The start of a file, read in blocks: its version, then its headers. Raises ReadError where it
+    is not OpenEXR, or ends.
+
+    Attributes:
+        version: with the file's flags.
+        at: bytes that were taken.
+    """
 
     def __init__(self, file: BinaryIO) -> None:
-        self.at = 0
         self._file, self._held = file, file.read(_HEADER_BLOCK_BYTES)
+        self.at = _FILE_START.size
+        if len(self._held) < self.at:
+            raise ReadError("its header ends early")
+        magic, self.version = _FILE_START.unpack_from(self._held)
+        if magic != EXR_MAGIC or self.version & 0xFF != EXR_VERSION:
+            raise ReadError("it is not an OpenEXR file")
 
-    def take(self, count: int) -> bytes:
+    def _take(self, count: int) -> bytes:
         """The next bytes."""
         begin, self.at = self.at, self.at + count
         if self.at > len(self._held):
@@ -290,10 +309,10 @@ class _Start:
         if not name:
             return name, b"", b""
         kind = self._name()
-        (size,) = struct.unpack("<i", self.take(4))
+        (size,) = struct.unpack("<i", self._take(4))
         if size < 0 or self.at + size > MAX_HEADERS:
             raise ReadError(f"its header claims {size} bytes for {ascii(text(name))}")
-        return name, kind, self.take(size)
+        return name, kind, self._take(size)
 
     def _hold(self, end: int) -> None:
         # twice as much each time

@@ -24,21 +24,17 @@ import OpenImageIO as oiio
 from postfx.errors import ReadError
 from postfx.files import file_threads, memory_file, run_in_order
 from postfx.io.exr import (
-    DEEP,
     DEEP_SCANLINES,
     DEEP_TILES,
-    EXR_MAGIC,
-    EXR_VERSION,
-    LONG_NAMES,
     MULTI_PART,
     PART_TYPES,
     SAMPLE_BYTES,
     SAMPLE_TYPES,
     SCANLINE_IMAGE,
-    TILED,
     TILED_IMAGE,
     Attribute,
     Header,
+    pack_headers,
     read_headers,
 )
 from postfx.io.windows import Window
@@ -425,9 +421,7 @@ def write_container(path: Path, parts: list[NewPart]) -> int:
             part.header.set_text("type", part.header.part_type)
             part.header.set("chunkCount", "int", struct.pack("<i", part.count))
     with path.open("wb", 1 << 20) as file:  # chunks may be single lines
-        file.write(struct.pack("<iI", EXR_MAGIC,
-                               EXR_VERSION | _flags([part.header for part in parts])))
-        file.write(b"".join(part.header.pack() for part in parts) + b"\0" * several)
+        file.write(pack_headers([part.header for part in parts]))
         table = file.tell()
         file.write(bytes(8 * sum(part.count for part in parts)))
         offsets: list[int] = []
@@ -444,13 +438,6 @@ def write_container(path: Path, parts: list[NewPart]) -> int:
         file.seek(table)
         file.write(struct.pack(f"<{len(offsets)}Q", *offsets))
     return size
-
-
-def _flags(headers: list[Header]) -> int:
-    kinds, several = {header.part_type for header in headers}, len(headers) > 1
-    flags = MULTI_PART * several | DEEP * bool(kinds & {DEEP_SCANLINES, DEEP_TILES})
-    flags |= TILED * (not several and TILED_IMAGE in kinds)
-    return flags | LONG_NAMES * any(header.has_long_names() for header in headers)
 
 
 ChannelPlanes = Sequence[tuple[np.ndarray, np.ndarray]]

@@ -189,7 +189,6 @@ class DenoiseUpscale(Pass):
         self._used: str | None = None
         self._cameras, self._repeats = Cameras(), RepeatDetector()
         self._memory = FrameMemory()
-        self._notice: str | None = None
         self._has_told = False
         self._spared = 0
         own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
@@ -384,23 +383,6 @@ class DenoiseUpscale(Pass):
     def savings(self) -> tuple[tuple[str, str], ...]:
         return self._savings.lines() if self.strength else ()
 
-    def choice(self) -> str | None:
-        """The network of the last frame that took one, or both."""
-        if not self._used:
-            return None
-        ready = self._ready
-        model = ready.models.get(self._used) if isinstance(ready, ReadyNetwork) else None
-        if not model:
-            return None
-        name = network_name(self._used, model)
-        if not (isinstance(ready, ReadyNetwork) and ready.first and ready.first.runs):
-            return name
-        return f"{name} in two stages" if name == self._used else f"{self._used} then {name}"
-
-    def notice(self) -> str | None:
-        told, self._notice = self._notice, None
-        return told
-
     def reset(self) -> None:
         self._fresh = self._wider = False
         self._exposure = 1.0
@@ -520,7 +502,11 @@ class DenoiseUpscale(Pass):
         tag = self._tags[self._ladder.rung if self._ladder else 0]
         is_last = tag == self._tags[-1]
         if ready.first and not ready.first.look(frame, is_last) and is_last:
-            return ready.alone_tag
+            tag = ready.alone_tag
+
+        self.choice = name = network_name(tag, ready.models[tag])
+        if ready.first and ready.first.runs:
+            self.choice = f"{name} in two stages" if name == tag else f"{tag} then {name}"
         return tag
 
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
@@ -564,8 +550,8 @@ class DenoiseUpscale(Pass):
         repeats = self._repeats(planes) and self._fresh
         if repeats and not self._has_told:
             cause, fix = ONE_SEED
-            self._notice = ("it has the noise of the frame next to it, so it is denoised alone; "
-                            f"likely: {cause}; fix: {fix}")
+            self.notices += ("it has the noise of the frame next to it, so it is denoised alone; "
+                             f"likely: {cause}; fix: {fix}",)
             self._has_told = True
         return repeats
 
