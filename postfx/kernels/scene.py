@@ -31,8 +31,8 @@ REFLECTANCE_OFFSET = np.float32(0.01)
 
 MOST_LIGHT_LOG = np.float32(20)
 """Bound of the logarithm of light that a network may give."""
-THREADS = 256
-"""Of a block on a GPU; each makes a point."""
+POINTS_OF_A_BLOCK = 256
+"""On a GPU, where each thread makes one."""
 
 _PICTURE = ("height", "width", 3)
 FIND_POINTS = Kernel(
@@ -40,7 +40,7 @@ FIND_POINTS = Kernel(
     ("points", 0), {"camera": (CAMERA_NUMBERS,), "box": (BOX_NUMBERS,),
                     "depth": ("height", "width", 1), "normal": _PICTURE,
                     "points": ("points", POINT)},
-    blocks=Blocks(THREADS, THREADS))
+    blocks=Blocks(POINTS_OF_A_BLOCK, POINTS_OF_A_BLOCK))
 LIGHT_OF_POINTS = Kernel(
     "scene_light", ("values", "diffuse", "specular", "colour"), ("output",), Rows("scene_light"),
     ("output", 0), {"values": ("points", 3), "diffuse": _PICTURE, "specular": _PICTURE,
