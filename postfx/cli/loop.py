@@ -115,7 +115,7 @@ def _load_rounds(path: Path) -> list[dict[str, Any]]:
 def find_predictor(forwarded: list[str]) -> str | None:
     """The network that predicts its error with these options of `run`: the one that they name for
     the render's size, or that it takes by itself where memory is enough. None for one that
-    predicts none, or not beside the layers of --aov."""
+    predicts none."""
     from postfx.cli.main import make_parser
     from postfx.cli.run_options import RUN
     from postfx.cli.usual_network import is_chosen
@@ -134,8 +134,16 @@ def find_predictor(forwarded: list[str]) -> str | None:
         network = str(options.get("model", USUAL_NETWORK))
     else:
         network = usual_network((1, 1), 1, Device(given.device))
-    predicts = not given.aov and predicts_error(model_of(network, UNSCALED))
-    return network if predicts else None
+    return network if predicts_error(model_of(network, UNSCALED)) else None
+
+
+def ask_error(forwarded: list[str]) -> list[str]:
+    """Options of `run` that also write the error that the network expects, beside the layers that
+    --aov names in these."""
+    from postfx.cli.main import make_parser
+
+    layers = make_parser(["run"]).parse_args(["run", "-", *forwarded]).aov
+    return [*forwarded, "--aov", ",".join(filter(None, (layers, "error")))]
 
 
 class Loop:
@@ -153,8 +161,8 @@ class Loop:
         self._predictor = (None if arguments.error == BY_HALVES
                            else find_predictor(arguments.forwarded))
         if arguments.error == BY_NETWORK and not self._predictor:
-            raise OptionError(f"--error {BY_NETWORK}: this network predicts none, or not beside "
-                              f"--aov: give --error {BY_HALVES}, or another --model behind --")
+            raise OptionError(f"--error {BY_NETWORK}: this network predicts none: give --error "
+                              f"{BY_HALVES}, or another --model behind --")
         self._halves = HALVES[:1] if self._predictor else HALVES
         if arguments.samples < len(self._halves):
             raise OptionError(f"--samples {arguments.samples}: two halves need 2 or more, such as "
@@ -323,12 +331,12 @@ class Loop:
         more, most: samples of the round, in the mean and of any region."""
         begin = time.perf_counter()
         if len(self._halves) == 1:
-            self._denoise("merged", self._arguments.output, "--aov", "error",
-                          *self._name_network())
+            forwarded = [*self._name_network(), *ask_error(self._arguments.forwarded)]
+            self._denoise("merged", self._arguments.output, forwarded)
         else:
-            self._denoise("merged", self._arguments.output)
-            for half in self._halves:
-                self._denoise(half, self._clean(half))
+            for renders, output in (("merged", self._arguments.output),
+                                    *((half, self._clean(half)) for half in self._halves)):
+                self._denoise(renders, output, self._arguments.forwarded)
         self.rounds.append({"more_samples": more, "most_samples": most, "render_seconds": seconds})
         self.rounds[-1] |= self._plan()
         self.rounds[-1]["denoise_seconds"] = time.perf_counter() - begin
@@ -340,13 +348,13 @@ class Loop:
         chosen = any(word.partition("=")[0] == "--model" for word in self._arguments.forwarded)
         return [] if chosen else ["--model", str(self._predictor)]
 
-    def _denoise(self, renders: str, output: str, *options: str) -> None:
+    def _denoise(self, renders: str, output: str, options: list[str]) -> None:
         """Denoise all frames of a folder of renders."""
         from postfx.cli.main import make_parser
 
         words = ["run", str(self._work / renders / "####.exr"), "-o", output,
                  f"--frames={self._arguments.frames}",
-                 "--overwrite", "--scale", "1", "--quiet", *options, *self._arguments.forwarded]
+                 "--overwrite", "--scale", "1", "--quiet", *options]
         given = make_parser(["run"]).parse_args(words)
         given.words = words
         with redirect_stdout(io.StringIO()):

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.adaptive.estimate import read_error
 from postfx.cli.main import main
 from postfx.frame import Role
 from postfx.io.exr.merge import merge_renders
@@ -123,6 +124,26 @@ def test_a_network_that_predicts_its_error_needs_no_halves(tmp_path: Path, fake:
     assert not (work / "half2").exists()
     assert loop(tmp_path, fake, *words, "--error", "halves", model="l") == 2
     assert "was begun with --error network" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("given", [["--aov", "key,fill"], ["--aov=fill,error,key"]])
+@pytest.mark.parametrize("network", ["xl", "l"])
+def test_light_groups_need_no_halves_either(tmp_path: Path, fake: str, given, network):
+    """The network predicts its error beside them, and they still add up to the picture."""
+    Path(shlex.split(fake)[1]).write_text(FAKE.replace("    header =", """\
+    for name, share in (("key", 0.7), ("fill", 0.3)):
+        planes |= {f"{name}.{channel}": share * light[..., axis]
+                   for axis, channel in enumerate("RGB")}
+    header ="""))
+    words = ["loop", "--render", fake, "-o", f"{tmp_path}/clean/####.exr", "--samples", "4",
+             "--quality", "60dB", "--rounds", "1", "--budget", "4", "--tile", "16"]
+    assert main([*words, "--", *given, "--model", network]) == 0
+    assert not (tmp_path / "clean/loop/half2").exists()
+    sequence = read_sequence(tmp_path / "clean/0001.exr", aov="key,fill")
+    found = sequence.read(1)
+    both = found.parts["key"] + found.parts["fill"]
+    np.testing.assert_allclose(both, found[Role.COLOUR], atol=2e-3)
+    assert read_error(tmp_path / "clean/0001.exr").max() > 0
 
 
 def test_a_network_without_a_prediction_is_refused_where_it_must_have_one(
