@@ -67,7 +67,6 @@ from postfx.interpolate.ways import (
     DOUBTING_ROWS,
     FLOW_HANDICAP,
     LEAST_LEFT_OF_FLOW,
-    LEAST_SPREAD_OF_FLOW,
     LEAST_UNEVEN,
     LESS_EVEN_THAN_FLOW,
     MORE_EVEN,
@@ -111,6 +110,8 @@ MOST_GROWN_PX = 64
 Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 BY_VECTORS = 1.0, 0.0, 0.0, 0.0
 """Shares of pictures where that along the vectors is the only one."""
+BY_FLOW = 0.0, 1.0, 0.0, 0.0
+"""The same of that along estimated motion."""
 AFTER_SHARE = "share of the frame after"
 """What is mixed beside parts: 0 in the frame before, 1 in the one after."""
 OVERLAYS = ("mix", "hold")
@@ -455,11 +456,9 @@ class Between:
             return self._shares_without_vectors
         row = self._row
         if ways.vectors_fit and ways.is_thin:
-            explained = not ways.vectors_explain_little(len(row)) or ways.vectors_stand_still
-            if explained or ways.motion <= ways.flow:
-                return BY_VECTORS
-            given, flowing = shares_of((ways.motion, ways.flow))
-            return given, flowing, 0.0, 0.0
+            return *ways.shares_of_thin(len(row)), 0.0, 0.0
+        if not ways.vectors_fit and ways.is_thin_along_flow:
+            return BY_FLOW
         worse = (self._unevenness_along(self._vectors)
                  if ways.vectors_explain_little(len(row)) else 0.0)
         # a blend is what vectors show that stand still, unless they are worse
@@ -494,7 +493,7 @@ class Between:
             return BY_VECTORS
         flow = self._estimated_back
         explained = compare_ways(*self._small, flow, flow)
-        if explained is None or explained.spread < LEAST_SPREAD_OF_FLOW or (
+        if explained is None or explained.is_thin_along_flow or (
                 explained.flow < LEAST_LEFT_OF_FLOW * explained.still):
             return BY_VECTORS
         way, measure = np.float32(self._scale) * flow, self._unevenness

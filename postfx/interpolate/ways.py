@@ -52,6 +52,17 @@ LEAST_SPREAD = 0.1
 beside them: 0.02 to 0.06 of a wire that moves before a wall, 0.13 and more in dissolves."""
 DIFFERENT_WAY_SHARE = 0.5
 """Share of pixels whose ways must differ for vectors not to fit."""
+FINDS_MORE = 1.12
+"""Misfit of vectors that explain much, in that of the flow, from which the flow finds more of a
+thin thing."""
+LEAST_LED = 0.2
+"""Share of the misfit of vectors that lies where these lead anywhere, from which they are wrong: 0
+where they know nothing of a thing, such as sparks, and half where a wire has wrong ones."""
+LED_CELLS = 0.1
+"""Cells from which a vector leads anywhere."""
+FINDS_NOTHING = 0.9
+"""Misfit of vectors, in that of standing still, from which they find nothing of a thin thing: up to
+0.92 of right ones, 0.97 and more of (1, 1)."""
 
 UNEVEN_POWER = 4
 """Power of their unevenness by which ways count."""
@@ -105,7 +116,9 @@ class Ways:
         apart: share of the pixels at which the two ways differ by more than
             DIFFERENT_WAY_CELLS.
         different: share of those at which vectors differ from standing still as well.
-        spread: share of pixels over which the difference along vectors is spread.
+        spread, flow_spread: share of pixels over which the difference along vectors and along
+            estimated motion is spread.
+        led: share of the difference along vectors that lies where these lead anywhere.
     """
 
     flow: float
@@ -115,11 +128,15 @@ class Ways:
     apart: float
     different: float
     spread: float
+    flow_spread: float
+    led: float
 
     @property
     def vectors_fit(self) -> bool:
         """Whether vectors may be used. They are where estimated motion is the same mostly: a thing
-        may have none."""
+        may have none. They are nowhere if they fit worse than standing still, too."""
+        if self.motion > max(MUCH_WORSE * self.flow, WORSE * self.still):
+            return False
         if self.apart < DIFFERENT_WAY_SHARE:
             return True
         if self.motion > MUCH_WORSE * self.flow:
@@ -151,6 +168,24 @@ class Ways:
         return self.spread < LEAST_SPREAD
 
     @property
+    def is_thin_along_flow(self) -> bool:
+        """The same of estimated motion."""
+        return self.flow_spread < LEAST_SPREAD_OF_FLOW
+
+    def shares_of_thin(self, frames: int) -> tuple[float, float]:
+        """How much vectors and estimated motion count before a thin thing, by so many frames: by
+        how much of it each finds."""
+        if self.vectors_stand_still and self.led < LEAST_LED:
+            return 1.0, 0.0  # vectors know nothing of it, and cells take the flow where it fits
+        is_much_found = not self.vectors_explain_little(frames)
+        if self.motion <= self.flow * (FINDS_MORE if is_much_found else 1):
+            return 1.0, 0.0
+        # all but the thing fits any way, so that small differences tell much
+        power = 2 if self.motion > FINDS_NOTHING * self.still else 1
+        given, flowing = shares_of(((self.motion / self.flow) ** power, 1.0))
+        return given, flowing
+
+    @property
     def vectors_stand_still(self) -> bool:
         """Whether nothing moves by the vectors."""
         return self.motion >= LIKE_STILL * self.still and self.different < DIFFERENT_VECTOR_SHARE
@@ -173,8 +208,10 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
     apart, moving = (np.abs(one).max(-1)[inside] > DIFFERENT_WAY_CELLS
                      for one in (fields[0] - fields[1], fields[1]))
     left = np.minimum(np.abs(other - now), MOST_APART)
-    spread = float(left.sum() ** 2 / max(left.size * np.square(left).sum(), LEAST_UNEVEN**2))
-    return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()), spread)
+    leads = np.abs(fields[1]).max(-1)[inside] > LED_CELLS
+    return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()),
+                _spread(other, now), _spread(one, now),
+                float(left[leads].sum() / max(left.sum(), LEAST_UNEVEN)))
 
 
 def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level: float,
@@ -254,6 +291,12 @@ def shares_of(uneven: Sequence[float]) -> list[float]:
 def _misfit(one: np.ndarray, other: np.ndarray) -> float:
     """Mean difference of toned light."""
     return float(np.minimum(np.abs(one - other), MOST_APART).mean())
+
+
+def _spread(one: np.ndarray, other: np.ndarray) -> float:
+    """Share of pixels over which the difference of toned light is spread."""
+    left = np.minimum(np.abs(one - other), MOST_APART)
+    return float(left.sum() ** 2 / max(left.size * np.square(left).sum(), LEAST_UNEVEN**2))
 
 
 def _toned(light: np.ndarray, level: float) -> np.ndarray:
