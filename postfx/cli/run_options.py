@@ -318,6 +318,12 @@ DENOISING = Section("denoising and size", (
            sets="sequence.clamp_fireflies", excludes=_FOR_DENOISER,
            help="before denoising, darken pixels that are more than N times (such as 8) as bright "
            "as the third brightest of the 24 around them; the run prints how much light that took"),
+    Option(flag="--pixel-filter", metavar="auto|none|PX", sets="denoiser.pixel_filter",
+           excludes=_FOR_DENOISER,
+           help="standard deviation, in pixels, of a gaussian pixel filter by which the renderer "
+           "added each sample to several pixels; xl, l and OIDN get frames without it, and it is "
+           "applied to their picture. auto finds it by the noise of the first frame (default), "
+           "none undoes nothing"),
     Option(flag="--reactive", metavar="KIND[,NAME=NUMBER]", sets="denoiser.reactive",
            excludes=_FOR_DENOISER,
            help="how to find pixels that have no motion vectors of their own, such as particles, "
