@@ -73,8 +73,8 @@ FREQUENCIES = 256
 """Frequencies by which weights are computed."""
 
 NORMALS = (Role.NORMAL, Role.DENOISING_NORMAL)
-FILTERED_ROLES = (Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.DENOISING_ALBEDO,
-                  *NORMALS)
+FILTERED_ROLES = (Role.COLOUR, Role.OPAQUE_COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO,
+                  Role.DENOISING_ALBEDO, *NORMALS)
 """Planes that renderers filter, of those that help to denoise."""
 
 _spread_plane = Rows("spread_plane")

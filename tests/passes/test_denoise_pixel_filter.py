@@ -140,6 +140,16 @@ def test_light_outside_the_gamut_is_kept() -> None:
     np.testing.assert_allclose(found.mean((0, 1)), light.mean((0, 1)), rtol=0.07)
 
 
+def test_a_mask_of_differences_compares_light_without_the_filter() -> None:
+    """Where nothing lies before what is opaque, the history counts as without a mask."""
+    option = {"model": "l", "reactive": "difference"}
+    masked, plain = chain(**option), chain("l")
+    for number in (1, 2):
+        wanted = picture(plain, frame(number))
+        found = picture(masked, frame(number, opaque_colour=light_of(number)))
+    np.testing.assert_allclose(found, wanted, atol=1e-3)
+
+
 def test_a_still_in_one_call() -> None:
     found = postfx.denoise(light_of(1), model="l", device="cpu", exposure=0.0)
     left = picture(chain("l", pixel_filter="none"), Frame({Role.COLOUR: light_of(1)}))
