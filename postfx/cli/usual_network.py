@@ -52,18 +52,29 @@ def choose_network(sequence: Sequence, first: int, options: Mapping[str, Any],
 
 def choose_pixel_filter(sequence: Sequence, first: int,
                         options: Mapping[str, Any]) -> float | str:
-    """The denoiser's option for the pixel filter of a shot that begins with the frame ``first``:
-    what ``options`` say, or what that frame tells, so that all frames have the same, wherever a run
-    begins. Not looked for where no network would use it."""
+    """The denoiser's option for the pixel filter of a sequence: what ``options`` say; or what the
+    first frame on the disk tells, so that all frames have the same, wherever a run begins; or the
+    ``first`` one that runs, where that tells nothing. Not looked for where no network would use
+    it."""
     given: float | str = options.get("pixel_filter", "auto")
-    network = model_of(str(options.get("model", USUAL_NETWORK)), UNSCALED)
-    if parse_stddev(given) is not None or not gives_picture(network):
+    named = parse_stddev(given)
+    if named is not None:
+        return named or "none"
+    if not gives_picture(model_of(str(options.get("model", USUAL_NETWORK)), UNSCALED)):
         return given
-    with sequence.open(first) as files:
-        if not files.spec().has(Role.COLOUR):
-            return "none"
-        try:
-            frame = files.read(first, [Role.COLOUR], [])
-        except ReadError:  # is told, or left out, when its turn comes
-            return given
-    return find_stddev(frame[Role.COLOUR], frame.samples) or "none"
+    earliest = next(filter(sequence.holds, sequence.present()), first)
+    stddevs = (_find_stddev(sequence.reader(), number)
+               for number in dict.fromkeys((earliest, first)))
+    return next(filter(None, stddevs), "none")
+
+
+def _find_stddev(sequence: Sequence, number: int) -> float | None:
+    """What a frame tells of the pixel filter; None for nothing."""
+    try:
+        with sequence.open(number) as files:
+            if not files.spec().has(Role.COLOUR):
+                return None
+            frame = files.read(number, [Role.COLOUR], [])
+    except ReadError:  # is told, or left out, when its turn comes
+        return None
+    return find_stddev(frame[Role.COLOUR], frame.samples)

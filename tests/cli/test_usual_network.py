@@ -73,6 +73,12 @@ def test_chunks_undo_the_pixel_filter_of_the_first_frame(postfx, tmp_path):
         assert "--pixel-filter" in chunk["command"]
         assert postfx(*chunk["command"][1:]).code == 0
     assert postfx("run", "in/shot.####.exr", "-o", "one/a.####.exr", *words).code == 0
+    assert postfx("run", "in/shot.####.exr", "-o", "two/", "--frames", "2", *words).code == 0
+    widths = {made["passes"]["denoise_upscale"]["pixel_filter"]
+              for folder in ("one", "two", "parts")
+              for made in json.loads((tmp_path / folder / "postfx.manifest.json").read_text()
+                                     )["runs"].values()}
+    assert len(widths) == 1
     for path in sorted((tmp_path / "one").glob("*.exr")):
         one, other = (Sequence(found) for found in (path, tmp_path / "parts" / path.name))
         assert (one.read(one.numbers[0])["colour"] == other.read(one.numbers[0])["colour"]).all()
