@@ -38,9 +38,16 @@ FEWEST_CLEAN_CELLS = 16
 """Cells that are taken, if there are so many."""
 CLEAN_CELL = 1.5
 """Other cells are taken that have at most this times the structure of noise alone."""
-MOST_STRUCTURE = 1.7
-"""Nothing is said where the cleanest cells have more than this times the structure of noise
-alone: detail looks like noise that is spread."""
+SURE_STRUCTURE = 1.7
+"""The cleanest cells may have at most this times the structure of noise alone, or detail, which
+looks like noise that is spread, is part of what is compared."""
+MOST_STRUCTURE = 4.0
+"""Beyond this many times nothing is said."""
+LEAST_UNSURE_PX = 0.4
+"""Standard deviation in pixels below which it may all be detail there: independent noise of 64
+samples among leaves tells up to 0.38."""
+UNSURE_SHARE = 0.93
+"""Share of the standard deviation that is taken there, as detail makes it larger."""
 ROUNDS = 3
 """How often cells are chosen by the width that those before told."""
 MOST_LIGHT = 1e9
@@ -225,7 +232,10 @@ def _measure(colour: np.ndarray) -> float | None:
         stddev = float(np.interp(-highest / min(across, down), -ratios, widths))
         alone = float(np.interp(stddev, widths, structures))
         most = max(always, CLEAN_CELL * alone)
-    return stddev if always <= MOST_STRUCTURE * alone else None
+    if always <= SURE_STRUCTURE * alone:
+        return stddev
+    is_spread = always <= MOST_STRUCTURE * alone and stddev >= LEAST_UNSURE_PX
+    return UNSURE_SHARE * stddev if is_spread else None
 
 
 def _table() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
