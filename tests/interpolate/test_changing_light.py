@@ -277,8 +277,8 @@ def test_a_shot_that_stands_still_goes_over_into_one_that_moves(shot, least):
 
 @pytest.mark.parametrize(("shot", "first", "least"), [("stripes", 0, 2), ("pan", 2, -0.5)])
 def test_a_shot_that_moves_by_vectors_goes_over_into_another(shot, first, least):
-    """What moves by the vectors is told from what moves otherwise, as if it stood still. These were
-    GAIN_HERE dB below the better one of estimated motion and a mean."""
+    """What moves by the vectors is told from what moves otherwise, as if it stood still. Stripes
+    were 4.3 dB below the better one of estimated motion and a mean, the pan 2.3."""
     move = {"stripes": stripes, "pan": lambda time: texture(X - 4 * time, Y + time, 11)}[shot]
 
     def shown(time):
@@ -296,7 +296,6 @@ def test_a_shot_that_moves_by_vectors_goes_over_into_another(shot, first, least)
     flow = Between(*alone[1:3])
     flow._shares = BY_VECTORS  # which are estimated
     best = max(psnr(mean, wanted), psnr(flow.frame(0.5)[Role.COLOUR], wanted))
-    print("GAIN", shot, psnr(found, wanted) - best)
     assert psnr(found, wanted) > best + least
 
 
