@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -215,7 +216,7 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
 
 
 def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level: float,
-               rests: bool = False, alone: float = ALONE,
+               shot: np.ndarray | None = None, alone: float = ALONE,
                rows: int = COMPARED_ROWS) -> float:
     """How unevenly the colours of frames in a row go on along a way: by how much frames differ from
     the mean of those next to them, or, of two frames, by how much they differ.
@@ -229,7 +230,8 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level:
         first: number of the one before the time between, 0 or 1.
         motion: (rows, columns, 2) to the frame before in pixels of the pictures, for cells of them.
         level: light that is toned to about the middle.
-        rests: whether what four frames show beside `straight_course` is looked at.
+        shot: likewise, of a shot that goes over into one that moves by `motion`: what four frames
+            show beside `straight_course` along it is looked at.
         alone: how much differences count that cells beside have not in common.
         rows: of cells, or columns of the shorter side, that are looked at.
     """
@@ -244,22 +246,30 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level:
     is_seen = np.logical_and.reduce([is_inside(row[0], *place) for place in places])
     if not is_seen.any():
         is_seen[:] = True
+    led = None if shot is None else np.nan_to_num(
+        shot[:last_row:step, :last_column:step]).reshape(-1, 2)[is_seen]
     here, beside, below = (
         _differences(row, [(x[is_seen] + right, y[is_seen] + lower) for x, y in places], level,
-                     rests)
+                     led)
         for right, lower in ((0, 0), (side, 0), (0, side)))
     common = max(float(np.mean(here * (beside + below))) / 2, 0.0)
     return float((common + alone * (float(np.mean(here * here)) - common)) ** 0.5)
 
 
 def _differences(row: Sequence[np.ndarray], places: Sequence[tuple[np.ndarray, np.ndarray]],
-                 level: float, rests: bool) -> np.ndarray:
-    """The differences of `unevenness` at places (x, y) in each frame, (..., 3)."""
+                 level: float, led: np.ndarray | None) -> np.ndarray:
+    """The differences of `unevenness` at places (x, y) in each frame, (..., 3). led: motion (count,
+    2) of the other shot there."""
     shown = []
     for number, (x, y) in enumerate(places):
-        seen = [bilinear(one, x, y, lambda light: _toned(light, level))
-                for one in (row if rests else row[number:number + 1])]
-        shown.append(rest_of(seen, number) if rests else seen[0])
+        toned = partial(_toned, level=level)
+        if led is None:
+            shown.append(bilinear(row[number], x, y, toned))
+            continue
+        seen = [bilinear(one, x + (number - other) * led[:, 0], y + (number - other) * led[:, 1],
+                         toned)
+                for other, one in enumerate(row)]
+        shown.append(rest_of(seen, number))
     if len(shown) == 2:
         return np.asarray(shown[0] - shown[1])
     return np.stack([(one + other) / 2 - middle for one, middle, other in

@@ -275,6 +275,30 @@ def test_a_shot_that_stands_still_goes_over_into_one_that_moves(shot, least):
     assert psnr(found, wanted) > max(psnr(mean, wanted), psnr(flow, wanted)) + least
 
 
+@pytest.mark.parametrize(("shot", "first", "least"), [("stripes", 0, 2), ("pan", 2, -0.5)])
+def test_a_shot_that_moves_by_vectors_goes_over_into_another(shot, first, least):
+    """What moves by the vectors is told from what moves otherwise, as if it stood still. Stripes
+    were 4.3 dB below the better one of estimated motion and a mean, the pan 2.3."""
+    move = {"stripes": stripes, "pan": lambda time: texture(X - 4 * time, Y + time, 11)}[shot]
+
+    def shown(time):
+        return (1 - time / 8) * picture(time)[0] + time / 8 * move(time)
+
+    row, alone = [], []
+    for time in range(first, first + 4):
+        planes = {Role.COLOUR: shown(time).astype(np.float32)}
+        alone.append(Frame(dict(planes), number=time))
+        planes[Role.MOTION] = frame(time)[Role.MOTION]
+        row.append(Frame(planes, number=time))
+    wanted = shown(first + 1.5)
+    found = Between(*row[1:], last=Between(*row[:2])).frame(0.5)[Role.COLOUR]
+    mean = (row[1][Role.COLOUR] + row[2][Role.COLOUR]) / 2
+    flow = Between(*alone[1:3])
+    flow._shares = BY_VECTORS  # which are estimated
+    best = max(psnr(mean, wanted), psnr(flow.frame(0.5)[Role.COLOUR], wanted))
+    assert psnr(found, wanted) > best + least
+
+
 def test_where_vectors_do_not_fit_light_does_not_change_along_them_either():
     """At the end of a dissolve into stripes the picture is that of estimated motion alone. It was
     6.7 dB below: light that changes had been sought along the vectors of the shot that went."""
