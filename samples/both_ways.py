@@ -1,7 +1,7 @@
 """Denoise the sample sequence forwards, with a run-up and in both directions: PSNR of every frame,
 and a picture of the first.
 
-python samples/both_ways.py [PICTURE.png] [--model s]
+python samples/both_ways.py [PICTURE.png] [--model m]
 
 The picture: the first frame as it was rendered, denoised forwards, with a run-up and in both
 directions, and the reference.
@@ -32,7 +32,7 @@ def psnr(colour: np.ndarray, reference: Frame) -> float:
 
 parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path("out/both_ways.png"))
-parser.add_argument("--model", default="m")
+parser.add_argument("--model", default="xl")
 args = parser.parse_args()
 
 shot = postfx.read_sequence(ROOM / "noisy.####.exr")

@@ -1,6 +1,6 @@
 """Measure the trails that particles without motion vectors leave, with and without a reactive mask.
 
-python samples/ghosts.py [--models s,m] [--smoke] [-o ghosts.png]
+python samples/ghosts.py [--models s,m,xl] [--smoke] [-o ghosts.png]
 
 Sparks, or puffs of grey smoke, are put in front of the frames of samples/room, in their colour
 only. Printed is the mean squared error x1000, in the display curve, of pixels that are clear of
@@ -134,7 +134,7 @@ def measure(results: list[np.ndarray], sequence: list[Shot]) -> tuple[float, flo
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
-    parser.add_argument("--models", default="s,m")
+    parser.add_argument("--models", default="s,m,xl")
     parser.add_argument("--smoke", action="store_true", help="puffs of smoke instead of sparks")
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()

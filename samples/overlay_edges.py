@@ -6,7 +6,7 @@ python samples/overlay_edges.py [PICTURE.png]
 Prints, for overlays whose coverage is known: the RMS error of premultiplied RGBA, how far colour or
 alpha leave the range of the four nearest pixels, and by how much colours are brighter than the
 nearest straight colours at the coverage that comes out, each the largest, and the share of the
-pixels where that is more than 0.001. PICTURE: the second frame of the sample room under an overlay,
+pixels where that is more than 0.001. PICTURE: the last frame of the sample room under an overlay,
 and a part of it by cubic interpolation without limits and by postfx.
 """
 
@@ -127,19 +127,17 @@ def draw(path: str) -> None:
         found = over(layer(0.6 * (far < 0.2), (0.02, 0.25, 0.4)), found)
         return over(layer(0.95 * (np.abs(far - 0.16) < 0.012), (1.6, 1.2, 0.3)), found)
 
-    def shown(passes: list[postfx.Pipeline]) -> np.ndarray:
-        (last,) = [each(frame) for frame in frames for each in passes][-1:]
+    def shown(enlarge: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """The last frame under the overlay, enlarged in this way, as code values."""
+        enlarged = enlarge(front).astype(np.float32)
+        passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=2), postfx.Overlay(),
+                                  postfx.ToneMap()])
+        for frame in postfx.read_sequence(ROOM):
+            last = passes(replace(frame, guides={Role.OVERLAY: enlarged}))
         return np.rint(255 * np.clip(last[Role.COLOUR], 0, 1)).astype(np.uint8)
 
     front = rendered(overlay, 180, 320)
-    still = [replace(frame, jitter=(0.0, 0.0)) for frame in postfx.read_sequence(ROOM, "2")]
-    frames = [replace(frame, planes={**frame.planes, Role.OVERLAY: front}) for frame in still]
-    mine = shown([postfx.Pipeline([postfx.DenoiseUpscale(scale=2), postfx.Overlay(),
-                                   postfx.ToneMap()])])
-    frames = [replace(frame, guides={Role.OVERLAY: cubic(front).astype(np.float32)})
-              for frame in still]
-    ringing = shown([postfx.Pipeline([postfx.DenoiseUpscale(scale=2), postfx.Overlay(),
-                                      postfx.ToneMap()])])
+    ringing, mine = shown(WAYS["cubic"]), shown(WAYS["and held to coverage"])
     parts = [picture[66:156, 356:446].repeat(2, 0).repeat(2, 1) for picture in (ringing, mine)]
     Path(path).write_bytes(png(np.concatenate([mine, np.concatenate(parts)], axis=1)))
 

@@ -9,8 +9,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
+
+from postfx.report.charts import Canvas
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_BLACK = (0, 0, 0)
+_WHITE = (255, 255, 255)
 _GAP = 4
 """Pixels between two crops."""
 _NAME_HEIGHT = 24
@@ -48,29 +53,22 @@ def below(pictures: Sequence[np.ndarray]) -> np.ndarray:
 
 def name_columns(names: Sequence[str], width: int) -> np.ndarray:
     """A row of names in black on white, each in the middle of a column of so many pixels."""
-    from PIL import Image, ImageDraw, ImageFont
-
-    row = Image.new("RGB", (len(names) * (width + _GAP) - _GAP, _NAME_HEIGHT), "white")
-    draw = ImageDraw.Draw(row)
-    font = ImageFont.load_default(_LETTER_HEIGHT)
+    row = Canvas(len(names) * (width + _GAP) - _GAP, _NAME_HEIGHT, _WHITE)
     for number, name in enumerate(names):
         middle = number * (width + _GAP) + width / 2
-        draw.text((middle, _NAME_HEIGHT / 2), name, "black", font, anchor="mm")
-    return np.asarray(row, np.float32) / 255
+        row.text(middle, _NAME_HEIGHT / 2, name, _BLACK, _LETTER_HEIGHT, "center")
+    return row.pixels / 255
 
 
 def name_corner(picture: np.ndarray, name: str, corner: str = "left") -> np.ndarray:
     """A picture (height, width, 3) of code values with its name in white on black in a lower
     corner, "left" or "right"."""
-    from PIL import Image, ImageDraw, ImageFont
-
-    font = ImageFont.load_default(_LETTER_HEIGHT)
-    width, height = round(font.getlength(name)) + 2 * _MARGIN, _LETTER_HEIGHT + 2 * _MARGIN
-    box = Image.new("RGB", (width, height))
-    ImageDraw.Draw(box).text((width / 2, height / 2), name, "white", font, anchor="mm")
+    size = oiio.ImageBufAlgo.text_size(name, _LETTER_HEIGHT)
+    width, height = size.width + 2 * _MARGIN, _LETTER_HEIGHT + 2 * _MARGIN
+    box = Canvas(width, height, _BLACK)
+    box.text(width / 2, height / 2, name, _WHITE, _LETTER_HEIGHT, "center")
     named = picture.copy()
-    named[-height:, slice(width) if corner == "left" else slice(-width, None)] = (
-        np.asarray(box, np.float32) / 255)
+    named[-height:, slice(width) if corner == "left" else slice(-width, None)] = box.pixels / 255
     return named
 
 
