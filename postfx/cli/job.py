@@ -70,7 +70,7 @@ from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
-from postfx.passes.denoise import NO_HISTORY_REMARK
+from postfx.passes.denoise import NO_HISTORY_REMARK, DenoiseUpscale
 from postfx.passes.denoise.options import enlargement
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
@@ -338,6 +338,12 @@ class Job:
                 self._tell(filter(None, [self._viewer.notice()]), tell)
         return self._files().path(number)
 
+    def _undone_stddev(self) -> float:
+        """The standard deviation in pixels of the pixel filter that the denoiser undoes; 0 for
+        none."""
+        return max((step.instance.undone_stddev(self.plan.input) for step in self.plan.steps
+                    if isinstance(step.instance, DenoiseUpscale)), default=0.0)
+
     def report(self, failure: BaseException | None = None) -> Report:
         """What happened so far."""
         return Report(
@@ -354,6 +360,7 @@ class Job:
                       *self._exposure.warnings(),
                       *warn_of_budget(self._arguments.budget, self._pass_ms, self._choices)],
             choices={name: dict(counts) for name, counts in self._choices.items()},
+            pixel_filter=self._undone_stddev(),
             outputs=self._written,
             told=self._noticed,
             guides=guides_in(self.plan, {"scale", "size"} & {*self._values("denoiser")} != set()),

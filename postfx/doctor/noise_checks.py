@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from postfx.doctor import Finding, warning
+from postfx.doctor import Finding, info
 from postfx.doctor.material import Material
 from postfx.frame import Role
 from postfx.pixel_filter import find_stddev
@@ -18,8 +18,8 @@ def check_pixel_filter(material: Material) -> Iterator[Finding]:
         return
     evidence = ("noise of pixels beside each other is alike, as a gaussian pixel filter with a "
                 f"standard deviation of {stddev:.2f} pixels makes it")
-    yield warning(Role.COLOUR, "noise-spread", evidence,
-                  "the renderer adds each sample to several pixels",
-                  "none needed with 'xl' and 'l': the filter is undone before them and applied to "
-                  "their picture (--pixel-filter none switches that off); other denoisers leave "
-                  "such noise: render with a box filter of one pixel for them")
+    yield info(Role.COLOUR, "noise-spread", evidence,
+               "the renderer adds each sample to several pixels",
+               "nothing to do with 'xl' and 'l': they see frames without that filter, and it is "
+               "applied to their picture (--pixel-filter none leaves it); other denoisers leave "
+               "such noise, unless a box filter of one pixel renders the frames")

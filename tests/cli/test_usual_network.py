@@ -48,12 +48,13 @@ def spread_noise(folder, *numbers, spread=True):
 
 @pytest.mark.parametrize("spread", (True, False))
 def test_a_run_undoes_the_pixel_filter_that_the_noise_tells(postfx, tmp_path, spread):
-    """The best network stays, and the warning says what is done."""
+    """The best network stays, and the summary says what was done."""
     spread_noise(tmp_path / "in", 1, spread=spread)
     done = postfx(*RUN)
     assert done.code == 0 and "chose    denoise_upscale: xl for 1 frame" in done.err
-    told = [line for line in done.err.splitlines() if "noise of pixels beside each other" in line]
-    assert bool(told) == spread
+    told = [line for line in done.err.splitlines() if line.startswith("undid")]
+    assert len(told) == spread and "noise of pixels" not in done.err
+    assert all("a pixel filter of 0.4" in line or "a pixel filter of 0.5" in line for line in told)
     runs = json.loads((tmp_path / "out/postfx.manifest.json").read_text())["runs"]
     (used,) = (made["passes"]["denoise_upscale"]["pixel_filter"] for made in runs.values())
     assert used == (pytest.approx(0.5, rel=0.1) if spread else "none")

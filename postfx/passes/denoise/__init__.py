@@ -640,19 +640,23 @@ class DenoiseUpscale(Pass):
         notes = [self._network_note(spec)] if self.strength else []
         notes += self._filter_notes(spec) if self.strength and self._parts else []
         notes += [f"stays {self.size} where frames change their size"] if self.size else []
-        notes += self._pixel_filter_notes(spec) if self.strength else []
+        notes += self._pixel_filter_notes(spec)
         notes += [f"own filters: {', '.join(self._own)}"] if self.strength and self._own else []
         notes += (["smooth reflections move by their hit distance"]
                   if self.strength and can_follow(spec) else [])
         return tuple(notes)
 
+    def undone_stddev(self, spec: FrameSpec) -> float:
+        """The standard deviation, in pixels, of the pixel filter that is undone in frames of a
+        spec, as far as the option tells; 0 for none."""
+        sees = self._has_first_stage(spec) or gives_picture(model_of(self._tag, self._ending(spec)))
+        return self._given_stddev or 0.0 if sees and self.strength else 0.0
+
     def _pixel_filter_notes(self, spec: FrameSpec) -> list[str]:
         """What becomes of a pixel filter whose width is known."""
-        sees = self._has_first_stage(spec) or gives_picture(model_of(self._tag, self._ending(spec)))
-        if not (self._given_stddev and sees):
-            return []
-        return [f"a pixel filter of {self._given_stddev:.2f} px is undone before it and applied "
-                "again"]
+        stddev = self.undone_stddev(spec)
+        return ([f"a pixel filter of {stddev:.2f} px is undone before it and applied again"]
+                if stddev else [])
 
     def _filter_notes(self, spec: FrameSpec) -> list[str]:
         """Which other network filters the parts of frames of a spec."""
