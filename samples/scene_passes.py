@@ -21,9 +21,10 @@ import numpy as np
 
 import postfx
 from postfx import Device, Pipeline, Role
+from postfx.kernels.scene import POINT
 from postfx.neural import Network
 from postfx.passes.scene import Irradiance, Occlusion, SceneShading
-from postfx.passes.scene_points import POINT, SceneBox
+from postfx.passes.scene_points import SceneBox
 
 ROOM = Path(__file__).parent / "room"
 

@@ -123,7 +123,7 @@ KERNEL_FAMILIES = {
     "denoiser": ("kernels/denoise/",),
     "frames between": ("kernels/interpolate/", "interpolate/"),
     "networks": ("kernels/convolution", "kernels/products", "kernels/neural", "kernels/mlp",
-                 "kernels/gelu", "kernels/occlusion"),
+                 "kernels/gelu", "kernels/occlusion", "kernels/scene"),
     "colour and pictures": ("kernels/colour", "kernels/tonemap", "kernels/image", "kernels/partner",
                             "kernels/accumulate"),
     "files and what is looked at": ("kernels/statistics", "kernels/pixel_formats"),

@@ -33,10 +33,10 @@ from postfx import Device, Frame, Pipeline, Role
 from postfx.colour.views import to_codes
 from postfx.errors import FrameError, PostfxError
 from postfx.frame import DEPTH_MISS
+from postfx.kernels.scene import POINT
 from postfx.neural import Learner, Network
 from postfx.passes.scene import SceneShading, camera_of
 from postfx.passes.scene_points import (
-    POINT,
     SceneBox,
     light_to_learn,
     places_of,

@@ -1,8 +1,9 @@
 """Passes by networks that know light of scenes: ambient occlusion of any scene, and irradiance and
 shading of one.
 
-Their work around the networks is done by the host, in `Device.host_state`, so they run on every
-device. On a GPU planes are copied to the host and back for it.
+Around a network of points of `scene_shading` there are kernels. Other work around the networks is
+done by the host, in `Device.host_state`, so the passes run on every device. On a GPU planes are
+copied to the host and back for it.
 """
 
 from __future__ import annotations
@@ -16,8 +17,15 @@ import numpy as np
 from postfx.errors import FrameError, ModelError, PassOptionError
 from postfx.frame import DEPTH_MISS, TOLD, Frame, FrameSpec, Role
 from postfx.kernels.occlusion import CAMERA, FIND_SURFACE, HORIZONS, SMOOTH_OCCLUSION
+from postfx.kernels.scene import (
+    BOX_NUMBERS,
+    CAMERA_NUMBERS,
+    FIND_POINTS,
+    LIGHT_OF_POINTS,
+    POINT,
+)
 from postfx.passes import Pass, Reflection, ResidentFrame
-from postfx.passes.scene_points import POINT, SceneBox, find_points, light_of
+from postfx.passes.scene_points import SceneBox
 from postfx.runtime import (
     ArgumentTable,
     CommandBuffer,
@@ -355,8 +363,6 @@ SCENE_PLANES = {"diffuse_albedo": 3, "specular_albedo": 3, "normal": 3, "roughne
 """Planes that a network of a scene may read, with their channels."""
 POINT_PLANES = ("depth", "normal", "diffuse_albedo", "specular_albedo", "colour")
 """Planes that are read around a network of points."""
-CAMERA_NUMBERS = 16
-"""Numbers of its camera: place and axes (4 x 3), tangents of half the field of view, jitter."""
 
 
 class SceneShading(_Linear):
@@ -431,27 +437,21 @@ class SceneShading(_Linear):
         library, name = self._found.library, self._found.name
         count, new = spec.height * spec.width, device.heap.transient
         points, values = new("points", (count, POINT)), new("light", (count, 3))
-
-        def look(camera: np.ndarray, depth: np.ndarray, normal: np.ndarray,
-                 seen: np.ndarray) -> None:
-            in_bands(len(depth), find_points, camera, depth, normal, box,
-                     seen.reshape(*depth.shape[:2], POINT))
-
-        looks = device.host_state("points of a scene", ("camera", "depth", "normal"), ("points",),
-                                  look)
-        lights = device.host_state("light of points",
-                                   ("values", "diffuse_albedo", "specular_albedo", "colour"),
-                                   ("output",), _shade)
-        self._looks = ArgumentTable(looks, {"camera": self._camera, "points": points})
+        scene = device.heap.tensor("box", (BOX_NUMBERS,))
+        scene.put(box.numbers())
+        self._looks = ArgumentTable(device.compute_state(FIND_POINTS),
+                                    {"camera": self._camera, "box": scene, "points": points})
         network = device.pipeline_state(library, name, {"points": count})
         self._network = ArgumentTable(network, {"points": points, "values": values})
-        self._lights = ArgumentTable(lights, {"values": values, "output": self._shaded})
+        self._lights = ArgumentTable(device.compute_state(LIGHT_OF_POINTS),
+                                     {"values": values, "output": self._shaded})
 
     def _encode_points(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
-        for table, names in ((self._looks, ("depth", "normal")),
-                             (self._lights, ("diffuse_albedo", "specular_albedo", "colour"))):
-            for name in names:
-                table[name] = frame[Role(name)]
+        self._looks["depth"] = frame[Role.DEPTH]
+        self._looks["normal"] = frame[Role.NORMAL]
+        self._lights["diffuse"] = frame[Role.DIFFUSE_ALBEDO]
+        self._lights["specular"] = frame[Role.SPECULAR_ALBEDO]
+        self._lights["colour"] = frame[Role.COLOUR]
         for table in (self._looks, self._network, self._lights):
             self._dispatch(commands, "scene", table)
         frame.set(Role.COLOUR, self._shaded)
@@ -483,17 +483,6 @@ class SceneShading(_Linear):
         self._fresh = not history
         if history:
             self._states[1].upload(history["state"])
-
-
-def _shade(values: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, colour: np.ndarray,
-           output: np.ndarray) -> None:
-    by_pixel = values.reshape(colour.shape)
-
-    def shade(first: int, last: int) -> None:
-        rows = slice(first, last)
-        output[rows] = light_of(by_pixel[rows], diffuse[rows], specular[rows], colour[rows])
-
-    in_bands(len(output), shade)
 
 
 def camera_of(frame: Frame | ResidentFrame) -> np.ndarray:

@@ -8,20 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from postfx.errors import ModelError
+from postfx.kernels.scene import (
+    FIND_POINTS,
+    LAMP_REFLECTANCE,
+    POINT,
+    REFLECTANCE_OFFSET,
+    REFLECTANCE_SHARE,
+)
 
-POINT = 9
-"""Numbers of a point: place in the scene's box, normal, and mirrored view direction."""
-FARTHEST_PLACE = 1.5
-"""Places farther out than so many half sides of the box count as there."""
-LAMP_REFLECTANCE = 0.005
-"""Less reflectance than this have lamps and misses only."""
-
-# Of each channel's reflectance: a share of the largest channel, and what is added.
-REFLECTANCE_SHARE = 0.15
-REFLECTANCE_OFFSET = 0.01
-
-MOST_LIGHT_LOG = 20.0
-"""Bound of the logarithm of light that a network may give."""
 CARD = "scene"
 """Key of the box in a model's card."""
 
@@ -50,28 +44,27 @@ class SceneBox(NamedTuple):
                              "it")
         return cls(middle, reach)
 
+    def numbers(self) -> np.ndarray:
+        """What kernels read, (4,): the middle, and the reach."""
+        return np.array([*self.middle, self.reach], np.float32)
+
     def card(self) -> dict[str, Any]:
         """What `of_card` reads."""
         return {CARD: {"middle": [float(side) for side in self.middle], "reach": self.reach}}
 
 
-def rays_of(camera: np.ndarray, height: int, width: int,
-            rows: slice = slice(None)) -> np.ndarray:
-    """View rays (height, width, 3) of a picture or of some of its rows, 1 long along the view axis.
+def places_of(camera: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Places in the world (height, width, 3) of a depth plane (height, width, 1).
 
     camera: (16,): its axes left, up and forward, its place, tangents of half the field of view,
         and jitter.
     """
+    height, width = depth.shape[:2]
     across = (1 - 2 * (np.arange(width, dtype=np.float32) + 0.5 + camera[14]) / width) * camera[12]
-    places = np.arange(height, dtype=np.float32)[rows]
-    down = (1 - 2 * (places + 0.5 + camera[15]) / height) * camera[13]
+    down = (1 - 2 * (np.arange(height, dtype=np.float32) + 0.5 + camera[15]) / height) * camera[13]
     along = down[:, None] * camera[3:6] + camera[6:9]
-    return np.asarray(across[None, :, None] * camera[:3] + along[:, None], np.float32)
-
-
-def places_of(camera: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Places in the world (height, width, 3) of a depth plane (height, width, 1)."""
-    return np.asarray(camera[9:12] + depth * rays_of(camera, *depth.shape[:2]), np.float32)
+    rays = across[None, :, None] * camera[:3] + along[:, None]
+    return np.asarray(camera[9:12] + depth * rays, np.float32)
 
 
 def points_of(
@@ -81,22 +74,10 @@ def points_of(
 
     depth: (height, width, 1). normal: (height, width, 3), in the world.
     """
-    points = np.empty((*depth.shape[:2], POINT), np.float32)
-    find_points(0, len(points), camera, depth, normal, box, points)
-    return points.reshape(-1, POINT)
-
-
-def find_points(first: int, last: int, camera: np.ndarray, depth: np.ndarray, normal: np.ndarray,
-                box: SceneBox, points: np.ndarray) -> None:
-    """Rows `first` to `last` - 1 of `points` (height, width, 9), as `points_of` makes them."""
-    rows = slice(first, last)
-    height, width = depth.shape[:2]
-    rays, here, facing = rays_of(camera, height, width, rows), points[rows], normal[rows]
-    place = camera[9:12] - box.middle + depth[rows] * rays
-    np.clip(place / np.float32(box.reach), -FARTHEST_PLACE, FARTHEST_PLACE, out=here[..., :3])
-    here[..., 3:6] = facing
-    rays /= np.sqrt(np.einsum("ijk,ijk->ij", rays, rays))[..., None]
-    here[..., 6:] = rays - 2 * np.einsum("ijk,ijk->ij", rays, facing)[..., None] * facing
+    points = np.empty((depth.shape[0] * depth.shape[1], POINT), np.float32)
+    FIND_POINTS.rows(0, len(points), camera, box.numbers(), np.ascontiguousarray(depth),
+                     np.ascontiguousarray(normal), points)
+    return points
 
 
 def reflectance_of(diffuse: np.ndarray, specular: np.ndarray) -> np.ndarray:
@@ -112,13 +93,3 @@ def light_to_learn(light: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
     """What the network is to give: (pixels, 3) of light (height, width, 3), 0 and more."""
     logs: np.ndarray = np.log1p(np.maximum(light, 0) / reflectance).reshape(-1, 3)
     return logs.astype(np.float32)
-
-
-def light_of(
-    values: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, colour: np.ndarray
-) -> np.ndarray:
-    """Light (height, width, 3) of what the network gave; lamps and misses keep their colour."""
-    learnt = np.expm1(np.clip(values.reshape(colour.shape), 0, np.float32(MOST_LIGHT_LOG)))
-    is_emitter = (diffuse + specular).max(-1, keepdims=True) < LAMP_REFLECTANCE
-    light: np.ndarray = np.where(is_emitter, colour, learnt * reflectance_of(diffuse, specular))
-    return light

@@ -8,10 +8,11 @@ import pytest
 import postfx
 from postfx import Device, Frame, Pipeline, Role, integrate
 from postfx.errors import FrameError, ModelError, PassOptionError
+from postfx.kernels.scene import POINT
 from postfx.neural import Network
 from postfx.passes import scene
 from postfx.passes.scene import Irradiance, Occlusion, SceneShading, camera_of
-from postfx.passes.scene_points import POINT, places_of, reflectance_of
+from postfx.passes.scene_points import places_of, reflectance_of
 from training import irradiance, train_scene
 
 ROOM = Path(__file__).parents[2] / "samples/room"
