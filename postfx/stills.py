@@ -14,10 +14,9 @@ import numpy as np
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import NO_HISTORY_REMARK, DenoiseUpscale
-from postfx.passes.denoise.models import BEST_NETWORK, USUAL_NETWORK, usual_network
+from postfx.passes.denoise.models import usual_network
 from postfx.passes.denoise.options import validate_scale
 from postfx.pipeline import Pipeline
-from postfx.pixel_filter import spread_ratio
 from postfx.plan import Plan
 from postfx.runtime import Device, default_device
 from postfx.system import host_floats
@@ -65,8 +64,7 @@ def denoise(
         roughness: (height, width) or (height, width, 1).
         depth: likewise, along the view axis.
         scale, strength: as for `postfx.DenoiseUpscale`.
-        model: likewise; None for 'xl' where memory is enough for it and no pixel filter spread the
-            noise of an array of NumPy, else 'm'.
+        model: likewise; None for 'xl' where memory is enough for it, else 'm'.
         exposure: 'auto', or stops: what the picture is exposed by before the network sees it; the
             result is not.
         device: 'cpu', 'cuda', 'cuda:1' or 'auto'; None for the default device, or the GPU where
@@ -100,12 +98,8 @@ def _choose_network(picture: Any, scale: float, place: str | None) -> str:
     """The network for a picture of any library, if nobody chose one."""
     shape: tuple[int, ...] = getattr(picture, "shape", ())
     height, width = (shape[0], shape[1]) if len(shape) > 1 else (0, 0)
-    network = _network_at((width, height), validate_scale(scale) or 1.0,
-                          None if place is None else str(place))
-    is_colour = isinstance(picture, np.ndarray) and picture.ndim == 3 and picture.shape[2] >= 3
-    if network != BEST_NETWORK or not is_colour:
-        return network
-    return network if spread_ratio(picture[..., :3], None) is None else USUAL_NETWORK
+    return _network_at((width, height), validate_scale(scale) or 1.0,
+                       None if place is None else str(place))
 
 
 @lru_cache(maxsize=64)

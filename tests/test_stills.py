@@ -9,7 +9,6 @@ import pytest
 
 import postfx
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, PostfxError, Role, stills
-from tests.doctor.breakages import filtered
 
 RNG = np.random.default_rng(0)
 COLOUR, ALBEDO = RNG.random((24, 32, 3), np.float32), RNG.random((24, 32, 3), np.float32)
@@ -59,14 +58,6 @@ def test_tensors_in_and_out():
                            device="cpu")
     assert torch.equal(torch.from_dlpack(found), torch.from_numpy(
         postfx.denoise(COLOUR, albedo=ALBEDO, model="s", device="cpu")))
-
-
-def test_noise_that_a_pixel_filter_spread_takes_the_usual_network():
-    noise = np.random.default_rng(3).gamma(1, 1.0, (96, 128, 1)).repeat(3, 2).astype(np.float32)
-    spread = filtered(filtered(noise, None), None).astype(np.float32)
-    found = postfx.denoise(spread)
-    np.testing.assert_array_equal(found, postfx.denoise(spread, model="m"))
-    assert not np.array_equal(found, postfx.denoise(spread, model="xl"))
 
 
 def test_networks_are_loaded_once():

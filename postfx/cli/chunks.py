@@ -146,6 +146,7 @@ def cut_up(words: Words[str], given: argparse.Namespace, size: int,
     own += [] if given.overwrite or given.skip_existing else ["--skip-existing"]
     network = _network(given, sequence)
     own += [] if network is None else ["--model", network]
+    own += _pixel_filter(given, sequence, network)
     folder = (Path(given.output) if with_slashes(given.output).endswith("/")
               else Path(given.output).parent)
     whole = format_frames(sequence.numbers)
@@ -179,6 +180,23 @@ def _network(given: argparse.Namespace, sequence: Sequence) -> str | None:
     except DeviceError:  # nobody knows here how much memory the farm's GPUs have
         return USUAL_NETWORK
     return choose_network(sequence, first, options, device).network
+
+
+def _pixel_filter(given: argparse.Namespace, sequence: Sequence,
+                  network: str | None) -> list[str]:
+    """The option that names the pixel filter of all chunks, which each would look for in its own
+    first frame; none where one is named, or nothing is denoised, or the network undoes none."""
+    from postfx.cli.interruptions import OnError, first_readable
+    from postfx.cli.run_options import RUN
+    from postfx.cli.usual_network import choose_pixel_filter
+
+    options = RUN.values_for("denoiser", given)
+    if given.no_denoise or "pixel_filter" in options:
+        return []
+    options |= {} if network is None else {"model": network}
+    first = first_readable(sequence, OnError(given.on_error))
+    found = choose_pixel_filter(sequence, first, options)
+    return [] if found == "auto" else ["--pixel-filter", str(found)]
 
 
 def _open(given: argparse.Namespace, frames: str | None) -> Sequence:

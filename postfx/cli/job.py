@@ -50,7 +50,7 @@ from postfx.cli.summary import (
     warn_of_budget,
 )
 from postfx.cli.told import Told
-from postfx.cli.usual_network import choose_network, is_chosen
+from postfx.cli.usual_network import choose_network, choose_pixel_filter, is_chosen
 from postfx.compiled.library import CompileWatch
 from postfx.cuts import CutDetector
 from postfx.errors import OptionError, PostfxError, WriteError
@@ -70,7 +70,7 @@ from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
-from postfx.passes.denoise import NO_HISTORY_REMARK
+from postfx.passes.denoise import NO_HISTORY_REMARK, DenoiseUpscale
 from postfx.passes.denoise.options import enlargement
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
@@ -201,15 +201,15 @@ class Job:
         return RUN.values_for(part, self._arguments)
 
     def _denoiser_options(self, device: Device) -> dict[str, Any]:
-        """The denoiser's options. Without --model they name the network that is best, unless time
-        or memory is bounded."""
+        """The denoiser's options. They name the pixel filter that is undone, and without --model
+        the network that is best, unless time or memory is bounded."""
         given = self._values("denoiser")
-        if is_chosen(self._arguments, given):
-            return given
-        choice = choose_network(self.sequence, self.first, given, device)
-        if choice.lack:
-            self.skips.append(Skip("the best network", choice.lack))
-        return {**given, "model": choice.network}
+        if not is_chosen(self._arguments, given):
+            choice = choose_network(self.sequence, self.first, given, device)
+            if choice.lack:
+                self.skips.append(Skip("the best network", choice.lack))
+            given["model"] = choice.network
+        return {**given, "pixel_filter": choose_pixel_filter(self.sequence, self.first, given)}
 
     def _has_plain_albedo(self) -> bool:
         """Whether the first frame's diffuse albedo shows none of the textures: a default, an
@@ -338,6 +338,12 @@ class Job:
                 self._tell(filter(None, [self._viewer.notice()]), tell)
         return self._files().path(number)
 
+    def _undone_stddev(self) -> float:
+        """The standard deviation in pixels of the pixel filter that the denoiser undoes; 0 for
+        none."""
+        return max((step.instance.undone_stddev(self.plan.input) for step in self.plan.steps
+                    if isinstance(step.instance, DenoiseUpscale)), default=0.0)
+
     def report(self, failure: BaseException | None = None) -> Report:
         """What happened so far."""
         return Report(
@@ -354,6 +360,7 @@ class Job:
                       *self._exposure.warnings(),
                       *warn_of_budget(self._arguments.budget, self._pass_ms, self._choices)],
             choices={name: dict(counts) for name, counts in self._choices.items()},
+            pixel_filter=self._undone_stddev(),
             outputs=self._written,
             told=self._noticed,
             guides=guides_in(self.plan, {"scale", "size"} & {*self._values("denoiser")} != set()),
@@ -632,7 +639,9 @@ class Job:
         if denoising is None:
             skips.append(Skip("denoise_upscale", "--no-denoise"))
         else:
-            passes += [create("partner", of=partner)] if partner else []
+            if partner:
+                words = _with_filter(partner, denoising.get("pixel_filter", "auto"))
+                passes.append(create("partner", of=words))
             passes.append(create("denoise_upscale", **denoising, **parts))
         passes += [create("both_ways", **parts)] if both_ways else []
         if denoising is not None and partner:
@@ -720,6 +729,14 @@ def announce_run_up(check: Callable[[], None],
         told = first
 
     return before_frame
+
+
+def _with_filter(partner: str, pixel_filter: float | str) -> str:
+    """The words of a partner: Open Image Denoise undoes the same pixel filter as the denoiser."""
+    name, _, options = partner.partition(",")
+    if name != "oidn" or "pixel_filter=" in options or pixel_filter == "auto":
+        return partner
+    return f"{partner},pixel_filter={pixel_filter}"
 
 
 def _outputs(arguments: argparse.Namespace, sequence: Sequence) -> OutputFiles | None:

@@ -25,10 +25,10 @@ part: --render is a command that renders the pictures and regions of a JSON file
 replaces {jobs}. Scripts for Blender and Mitsuba come with postfx; docs/howto/render_more.md
 describes the file for others.
 
-The network predicts its own error, if it can: 'l' and the default do. Else, or with --error halves,
-everything is rendered in two halves with different seeds. Each half, denoised, is compared with the
-other: that measures the error, but takes about a tenth more samples for the same picture. With
---budget a round renders at most as many samples as there are, the last one what is left.
+Everything is rendered in two halves of one sequence of samples. Each half, denoised, is compared
+with the other: that measures the error. With --error network the network predicts it: 'l' and the
+default do, which takes a third of the time to denoise, and some more samples for the same picture.
+With --budget a round renders at most as many samples as there are, the last one what is left.
 
 OUTPUT always holds the denoised frames of the last round. The merged renders and a log are in
 --work. A loop that was stopped goes on from there, and further with a larger budget or more rounds.
@@ -45,8 +45,8 @@ examples:
 """
 JOBS = "{jobs}"
 HALVES = ("half1", "half2")
-"""Names of the renders with different seeds. A loop whose network predicts its error has the first
-one alone."""
+"""Names of the halves of the samples. A loop whose network predicts its error has the first one
+alone."""
 BY_NETWORK, BY_HALVES = "network", "halves"
 """Where the error comes from."""
 SEEDS = 1009
@@ -71,9 +71,9 @@ LOOP = Options(Section("", (
     Option(flag="--rounds", metavar="N", type=parse_positive, default=4,
            help="rounds at most after the first one (default: 4)"),
     SAMPLE_OPTIONS["--tile"],
-    Option(flag="--error", choices=("auto", BY_NETWORK, BY_HALVES), default="auto",
-           help="where the error comes from: what the network expects, or two halves of the "
-           "samples (default: the network, if it predicts one)"),
+    Option(flag="--error", choices=(BY_HALVES, BY_NETWORK), default=BY_HALVES,
+           help="where the error comes from: two halves of the samples (default), or what the "
+           "network expects"),
     Option(flag="--work", metavar="DIR",
            help="folder of the renders (default: a folder loop beside OUTPUT)"),
     Option(flag="--overwrite", help="replace output files that are there"),
@@ -115,7 +115,7 @@ def _load_rounds(path: Path) -> list[dict[str, Any]]:
 def find_predictor(forwarded: list[str]) -> str | None:
     """The network that predicts its error with these options of `run`: the one that they name for
     the render's size, or that it takes by itself where memory is enough. None for one that
-    predicts none, or not beside the layers of --aov."""
+    predicts none."""
     from postfx.cli.main import make_parser
     from postfx.cli.run_options import RUN
     from postfx.cli.usual_network import is_chosen
@@ -134,8 +134,16 @@ def find_predictor(forwarded: list[str]) -> str | None:
         network = str(options.get("model", USUAL_NETWORK))
     else:
         network = usual_network((1, 1), 1, Device(given.device))
-    predicts = not given.aov and predicts_error(model_of(network, UNSCALED))
-    return network if predicts else None
+    return network if predicts_error(model_of(network, UNSCALED)) else None
+
+
+def ask_error(forwarded: list[str]) -> list[str]:
+    """Options of `run` that also write the error that the network expects, beside the layers that
+    --aov names in these."""
+    from postfx.cli.main import make_parser
+
+    layers = make_parser(["run"]).parse_args(["run", "-", *forwarded]).aov
+    return [*forwarded, "--aov", ",".join(filter(None, (layers, "error")))]
 
 
 class Loop:
@@ -150,11 +158,11 @@ class Loop:
         if not arguments.render or JOBS not in arguments.render:
             raise OptionError("--render: give a command with {jobs} in it, such as --render "
                               "'my_render {jobs}'")
-        self._predictor = (None if arguments.error == BY_HALVES
-                           else find_predictor(arguments.forwarded))
+        self._predictor = (find_predictor(arguments.forwarded) if arguments.error == BY_NETWORK
+                           else None)
         if arguments.error == BY_NETWORK and not self._predictor:
-            raise OptionError(f"--error {BY_NETWORK}: this network predicts none, or not beside "
-                              f"--aov: give --error {BY_HALVES}, or another --model behind --")
+            raise OptionError(f"--error {BY_NETWORK}: this network predicts none: give --error "
+                              f"{BY_HALVES}, or another --model behind --")
         self._halves = HALVES[:1] if self._predictor else HALVES
         if arguments.samples < len(self._halves):
             raise OptionError(f"--samples {arguments.samples}: two halves need 2 or more, such as "
@@ -179,11 +187,12 @@ class Loop:
     def run(self) -> Any:
         """All rounds; yields a line for each."""
         if not self.rounds:
-            seconds = self._render([job for number in self._numbers
-                                    for job in self._jobs(number, None, self._arguments.samples)])
+            jobs = [job for number in self._numbers
+                    for job in self._jobs(number, None, self._arguments.samples)]
+            seconds = self._render(jobs)
+            for job in jobs:
+                self._begin(job)
             for number in self._numbers:
-                for half in self._halves:
-                    self._file("round0", number, half).replace(self._merged(number, half))
                 self._merge(number)
             self._finish_round(seconds, 0.0, self._arguments.samples)
             yield self._line()
@@ -247,16 +256,16 @@ class Loop:
 
     def _jobs(self, number: int, region: dict[str, int] | None, samples: int,
               more: str = "") -> list[dict[str, Any]]:
-        """One picture or region to render: a job for each half."""
+        """One picture or region to render: a job for each half. Halves are parts of one sequence,
+        so that a renderer that can go on in it has no more noise than in one render of both."""
         count = len(self.rounds)
         box = None if region is None else {key: region[key]
                                            for key in ("x", "y", "width", "height")}
         shares = [samples] if len(self._halves) == 1 else [(samples + 1) // 2, samples // 2]
         drawn = sum(one["most_samples"] for one in self.rounds)
-        drawn = drawn if len(self._halves) == 1 else (drawn + 1) // 2
         return [{"frame": number, "half": half, "region": box, "samples": share,
                  "seed": SEEDS * (len(HALVES) * count + index) + number,
-                 "first_seed": SEEDS * index + number, "first_sample": drawn,
+                 "first_seed": number, "first_sample": drawn + sum(shares[:index]),
                  "output": str(self._file(f"round{count}", number, half, more).absolute())}
                 for index, (half, share) in enumerate(zip(self._halves, shares, strict=True))]
 
@@ -300,6 +309,17 @@ class Loop:
             raise RunError(f"--render: {words[0]} cannot be started: {reason}; check its "
                            "name") from error
 
+    def _begin(self, job: dict[str, Any]) -> None:
+        """Make the render of the first round that of a half."""
+        from postfx.io.exr.merge import merge_renders
+
+        rendered, merged = Path(job["output"]), self._merged(job["frame"], job["half"])
+        if job["first_sample"]:  # headers of Cycles count those before it, too
+            merge_renders([rendered], merged, [job["samples"]])
+            rendered.unlink()
+        else:
+            rendered.replace(merged)
+
     def _add(self, number: int, half: str, jobs: list[dict[str, Any]]) -> None:
         """Merge regions into a half of a frame."""
         from postfx.io.exr.merge import merge_renders
@@ -323,12 +343,12 @@ class Loop:
         more, most: samples of the round, in the mean and of any region."""
         begin = time.perf_counter()
         if len(self._halves) == 1:
-            self._denoise("merged", self._arguments.output, "--aov", "error",
-                          *self._name_network())
+            forwarded = [*self._name_network(), *ask_error(self._arguments.forwarded)]
+            self._denoise("merged", self._arguments.output, forwarded)
         else:
-            self._denoise("merged", self._arguments.output)
-            for half in self._halves:
-                self._denoise(half, self._clean(half))
+            for renders, output in (("merged", self._arguments.output),
+                                    *((half, self._clean(half)) for half in self._halves)):
+                self._denoise(renders, output, self._arguments.forwarded)
         self.rounds.append({"more_samples": more, "most_samples": most, "render_seconds": seconds})
         self.rounds[-1] |= self._plan()
         self.rounds[-1]["denoise_seconds"] = time.perf_counter() - begin
@@ -340,13 +360,13 @@ class Loop:
         chosen = any(word.partition("=")[0] == "--model" for word in self._arguments.forwarded)
         return [] if chosen else ["--model", str(self._predictor)]
 
-    def _denoise(self, renders: str, output: str, *options: str) -> None:
+    def _denoise(self, renders: str, output: str, options: list[str]) -> None:
         """Denoise all frames of a folder of renders."""
         from postfx.cli.main import make_parser
 
         words = ["run", str(self._work / renders / "####.exr"), "-o", output,
                  f"--frames={self._arguments.frames}",
-                 "--overwrite", "--scale", "1", "--quiet", *options, *self._arguments.forwarded]
+                 "--overwrite", "--scale", "1", "--quiet", *options]
         given = make_parser(["run"]).parse_args(words)
         given.words = words
         with redirect_stdout(io.StringIO()):

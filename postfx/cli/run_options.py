@@ -318,12 +318,12 @@ DENOISING = Section("denoising and size", (
            sets="sequence.clamp_fireflies", excludes=_FOR_DENOISER,
            help="before denoising, darken pixels that are more than N times (such as 8) as bright "
            "as the third brightest of the 24 around them; the run prints how much light that took"),
-    Option(flag="--reactive", metavar="KIND[,NAME=NUMBER]", sets="denoiser.reactive",
+    Option(flag="--pixel-filter", metavar="auto|none|PX", sets="denoiser.pixel_filter",
            excludes=_FOR_DENOISER,
-           help="how to find pixels that have no motion vectors of their own, such as particles, "
-           "so that they leave no ghosts. 'plane' takes the AOV 'reactive'. 'difference' compares "
-           "colour with the AOV 'opaque_colour', with scale= and threshold=. 'auto' takes the "
-           "first of these that is there (default), 'none' neither"),
+           help="standard deviation, in pixels, of the gaussian by which the renderer added each "
+           "sample to several pixels. Networks xl and l, and oidn, get frames without it, and it "
+           "is applied to their picture. Or auto, to find it by the noise of the first frame "
+           "(default), or none"),
 ))
 
 _ERROR = "error"
@@ -349,6 +349,12 @@ PART_SECTION = Section("masks, light groups and passes", (
            help="what not to denoise: objects or materials of a Cryptomatte, ids of an AOV, auto "
            "for a noise-free sky, converged:0.01 for pixels whose error is at most 1 %%, or "
            "converged:256spp. Add =S to denoise with strength S, e.g. auto,sky_*,logo=0.5,7-9@id"),
+    Option(flag="--reactive", metavar="KIND[,NAME=NUMBER]", sets="denoiser.reactive",
+           excludes=_FOR_DENOISER,
+           help="how to find pixels that have no motion vectors of their own, such as particles, "
+           "so that they leave no ghosts. 'plane' takes the AOV 'reactive'. 'difference' compares "
+           "colour with the AOV 'opaque_colour', with scale= and threshold=. 'auto' takes the "
+           "first of these that is there (default), 'none' neither"),
     Option(flag="--aov", metavar="NAMES|auto", sets="sequence.aov", convert=_name_layers,
            also={"denoiser.error": _asks_error}, excludes=_FOR_DENOISER,
            help="light groups and passes to denoise with the picture, so that they still add up to "

@@ -333,6 +333,8 @@ class Report:
         told: those of them that were shown while the run was on.
         outputs: paths that were written.
         choices: pass name -> what it chose (a network) -> frames, of passes that choose.
+        pixel_filter: standard deviation, in pixels, of the filter that was undone before denoising
+            and applied again; 0 for none.
         guides: size of the planes at output size, roles that were used, and whether the output's
             size follows from them; None without guides.
         exposure: by how much frames were exposed.
@@ -357,6 +359,7 @@ class Report:
     preparation: Preparation = Preparation()
     ahead_ms: list[float] = field(default_factory=list)
     choices: dict[str, dict[str, int]] = field(default_factory=dict)
+    pixel_filter: float = 0.0
     guides: dict[str, Any] | None = None
     exposure: ExposureUsed = ExposureUsed()
     cuts: list[int] = field(default_factory=list)
@@ -385,6 +388,7 @@ class Report:
             "outputs": self.outputs,
             "guides": self.guides,
             "chosen": self.choices,
+            "pixel_filter": self.pixel_filter,
             "exposure": self.exposure.as_dict(),
             "cuts": self.cuts,
             "broken": self.bad_pixels,
@@ -412,6 +416,9 @@ class Report:
                          f"first frames' history: {median(self.ahead_ms):.1f} ms a frame")
         lines += [f"chose    {name}: {_count_choices(counts)}"
                   for name, counts in self.choices.items()]
+        if self.pixel_filter:
+            lines.append(f"undid    a pixel filter of {self.pixel_filter:.2f} px before denoising, "
+                         "and applied it to the picture (--pixel-filter none leaves it)")
         if self.exposure.is_applied and self.exposure.multipliers:
             lines.append(f"exposure {self.exposure}")
         lines += [f"guides   {_guides_text(self.guides)}"] if self.guides else []

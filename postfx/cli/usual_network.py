@@ -1,5 +1,5 @@
-"""Which network a run takes where nobody chose one: by its arguments, the memory that there is, and
-the noise of its first frame."""
+"""What a run takes where nobody chose it: the network, by its arguments and the memory that there
+is, and the pixel filter that it undoes, by the noise of its first frame."""
 
 from __future__ import annotations
 
@@ -8,26 +8,24 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from postfx.errors import ReadError
-from postfx.frame import FrameSpec, Role
+from postfx.frame import Role
 from postfx.io.sequence import Sequence
 from postfx.passes.denoise.models import (
-    BEST_NETWORK,
+    UNSCALED,
     USUAL_NETWORK,
+    gives_picture,
     lacks_memory,
+    model_of,
     takes_best,
     usual_network,
 )
 from postfx.passes.denoise.options import enlargement
-from postfx.pixel_filter import spread_ratio
+from postfx.pixel_filter import find_stddev, parse_stddev
 from postfx.runtime import Device
-
-SPREAD = (f"a pixel filter spread the noise, which '{BEST_NETWORK}' takes for detail: "
-          f"{USUAL_NETWORK} runs; a box filter is better")
 
 
 class Choice(NamedTuple):
-    """A network, and why it is not the best one, where its memory or the noise decided; else
-    None."""
+    """A network, and why it is not the best one, where its memory decided; else None."""
 
     network: str
     lack: str | None
@@ -46,20 +44,37 @@ def choose_network(sequence: Sequence, first: int, options: Mapping[str, Any],
     ``options``."""
     with sequence.open(first) as files:
         spec = files.spec()
-        choice = _choose_by_size(spec, options, device)
-        if choice.network != BEST_NETWORK or not spec.has(Role.COLOUR):
-            return choice
-        try:
-            frame = files.read(first, [Role.COLOUR], [])
-        except ReadError:  # is told, or left out, when its turn comes
-            return choice
-    if spread_ratio(frame[Role.COLOUR], frame.samples) is not None:
-        return Choice(USUAL_NETWORK, SPREAD)
-    return choice
-
-
-def _choose_by_size(spec: FrameSpec, options: Mapping[str, Any], device: Device) -> Choice:
     size, scale = (spec.width, spec.height), enlargement(spec, options)
     guided = spec.guides is not None
     lack = lacks_memory(size, scale, device) if takes_best(scale, device, guided) else None
     return Choice(usual_network(size, scale, device, guided), lack)
+
+
+def choose_pixel_filter(sequence: Sequence, first: int,
+                        options: Mapping[str, Any]) -> float | str:
+    """The denoiser's option for the pixel filter of a sequence: what ``options`` say; or what the
+    first frame on the disk tells, so that all frames have the same, wherever a run begins; or the
+    ``first`` one that runs, where that tells nothing. Not looked for where no network would use
+    it."""
+    given: float | str = options.get("pixel_filter", "auto")
+    named = parse_stddev(given)
+    if named is not None:
+        return named or "none"
+    if not gives_picture(model_of(str(options.get("model", USUAL_NETWORK)), UNSCALED)):
+        return given
+    earliest = next(filter(sequence.holds, sequence.present()), first)
+    stddevs = (_find_stddev(sequence.reader(), number)
+               for number in dict.fromkeys((earliest, first)))
+    return next(filter(None, stddevs), "none")
+
+
+def _find_stddev(sequence: Sequence, number: int) -> float | None:
+    """What a frame tells of the pixel filter; None for nothing."""
+    try:
+        with sequence.open(number) as files:
+            if not files.spec().has(Role.COLOUR):
+                return None
+            frame = files.read(number, [Role.COLOUR], [])
+    except ReadError:  # is told, or left out, when its turn comes
+        return None
+    return find_stddev(frame[Role.COLOUR], frame.samples)

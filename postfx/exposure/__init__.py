@@ -24,11 +24,14 @@ if TYPE_CHECKING:
     from postfx.io.sequence import Sequence as FrameSequence
 
 LIMITS_EV = (-40.0, 40.0)
-"""Beyond them light is not finite in what follows; the darkest that is not black needs 22."""
+"""Beyond them light is not finite in what follows."""
 PERCENTILES = (2.0, 98.0)
 RANGE_EV = 9.0  # anything further below the 98th percentile counts as black
-# mean luminance of an empty block: borders, misses; in pictures dimmer than 1, that part of theirs
-BLACK_LUMINANCE = 2.0**-24
+BLACK_LUMINANCE = KEY / 2.0 ** LIMITS_EV[1]
+"""Mean luminance of a block that nothing brings to mid grey. Pixels of all pictures are the same in
+any unit of light above it, so half floats' least light is no limit."""
+EMPTY_SHARE = 2.0**-24
+"""Luminance of an empty block, such as borders and misses, in that of bright ones."""
 METERED_BLOCK_PX = 8
 MOST_METERED_BLOCKS = 160
 
@@ -65,8 +68,7 @@ def measure(colour: np.ndarray) -> float | None:
     if not (means > BLACK_LUMINANCE).any():
         return None
     bright = float(np.percentile(means[means > 0], PERCENTILES[1]))
-    # dim pictures have dimmer blocks that count
-    log = np.log2(means[means > BLACK_LUMINANCE * min(bright, 1.0)])
+    log = np.log2(means[means > EMPTY_SHARE * bright])
     in_order, low_at, high_at = np.sort(log), *[(log.size - 1) * (percent / 100)
                                                 for percent in PERCENTILES]
     # members: two blocks have no inside

@@ -67,7 +67,6 @@ from postfx.interpolate.ways import (
     DOUBTING_ROWS,
     FLOW_HANDICAP,
     LEAST_LEFT_OF_FLOW,
-    LEAST_SPREAD_OF_FLOW,
     LEAST_UNEVEN,
     LESS_EVEN_THAN_FLOW,
     MORE_EVEN,
@@ -90,6 +89,7 @@ from postfx.motion.flow import (
     tone,
 )
 from postfx.planes import is_same_plane, largest_bits_of
+from postfx.sampling import bilinear
 from postfx.system import at_once, begin
 from postfx.temporal.reverse_motion import LOST, invert_motion
 
@@ -111,6 +111,8 @@ MOST_GROWN_PX = 64
 Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 BY_VECTORS = 1.0, 0.0, 0.0, 0.0
 """Shares of pictures where that along the vectors is the only one."""
+BY_FLOW = 0.0, 1.0, 0.0, 0.0
+"""The same of that along estimated motion."""
 AFTER_SHARE = "share of the frame after"
 """What is mixed beside parts: 0 in the frame before, 1 in the one after."""
 OVERLAYS = ("mix", "hold")
@@ -446,7 +448,7 @@ class Between:
     @cached_property
     def _shares(self) -> tuple[float, float, float, float]:
         """How much the picture by vectors, the one by estimated motion, the mean of both frames and
-        `_over_still` count. The mean alone does where one frame is black, as nothing shows how its
+        `_over_shot` count. The mean alone does where one frame is black, as nothing shows how its
         light changed."""
         ways = self._ways
         if not self._all_lit:
@@ -455,11 +457,9 @@ class Between:
             return self._shares_without_vectors
         row = self._row
         if ways.vectors_fit and ways.is_thin:
-            explained = not ways.vectors_explain_little(len(row)) or ways.vectors_stand_still
-            if explained or ways.motion <= ways.flow:
-                return BY_VECTORS
-            given, flowing = shares_of((ways.motion, ways.flow))
-            return given, flowing, 0.0, 0.0
+            return *ways.shares_of_thin(len(row)), 0.0, 0.0
+        if not ways.vectors_fit and ways.is_thin_along_flow:
+            return BY_FLOW
         worse = (self._unevenness_along(self._vectors)
                  if ways.vectors_explain_little(len(row)) else 0.0)
         # a blend is what vectors show that stand still, unless they are worse
@@ -474,16 +474,16 @@ class Between:
         flow = scale * other._estimated_back
         flowing = FLOW_HANDICAP * measure(flow)
         mean = measure(np.zeros_like(flow))
-        over_still = given = math.inf
-        if ways.vectors_stand_still and len(row) == 4:
-            over_still = REST_HANDICAP * measure(flow, rests=True)
+        over_shot = given = math.inf
+        if len(row) == 4:
+            over_shot = REST_HANDICAP * measure(flow, shot=self._vectors)
         if ways.vectors_fit:
             given = measure(self._vectors)
         if ways.vectors_fit and is_still:
-            if min(flowing, over_still) > CLEARLY_BETTER * given:
+            if min(flowing, over_shot) > CLEARLY_BETTER * given:
                 return BY_VECTORS
             mean = math.inf  # it is what such vectors show
-        found = shares_of((given, flowing, mean, over_still))
+        found = shares_of((given, flowing, mean, over_shot))
         return found[0], found[1], found[2], found[3]
 
     @property
@@ -494,7 +494,7 @@ class Between:
             return BY_VECTORS
         flow = self._estimated_back
         explained = compare_ways(*self._small, flow, flow)
-        if explained is None or explained.spread < LEAST_SPREAD_OF_FLOW or (
+        if explained is None or explained.is_thin_along_flow or (
                 explained.flow < LEAST_LEFT_OF_FLOW * explained.still):
             return BY_VECTORS
         way, measure = np.float32(self._scale) * flow, self._unevenness
@@ -758,7 +758,7 @@ class Between:
             flowing = self._without_vectors._compose(t, 0.0, stacked, self._stack({}))[0]
             ways[1] = flowing[0], flowing[1]
         if shares[3]:
-            ways[3] = self._over_still(t, planes)
+            ways[3] = self._over_shot(t, planes)
         picture, mixed = np.zeros_like(made[0]), np.zeros_like(made[1])
         for share, way in zip(shares, ways, strict=True):
             if share:
@@ -766,20 +766,25 @@ class Between:
                 mixed += np.float32(share) * way[1]
         return picture, mixed
 
-    def _over_still(self, t: float, planes: dict[Role | str, Pair]) -> Pair:
-        """The picture of a shot that stands still and goes over into one that moves, or the
-        reverse, and planes that are mixed like it: the straight course of each pixel, and what is
-        beside it along estimated motion."""
+    def _over_shot(self, t: float, planes: dict[Role | str, Pair]) -> Pair:
+        """The picture of a shot that moves by the vectors and goes over into another one, or the
+        reverse, and planes that are mixed like it: the straight course of each point along the
+        vectors, and what is beside it along estimated motion."""
+        way = enlarge_motion(self._vectors / np.float32(self._scale), *self._size)
+        led = partial(_led, way) if way.any() else (lambda picture, _: picture)
         row = [_finite(frame[Role.COLOUR]) for frame in self._row]
         stacks = [self._stack_of(number, planes) for number in range(len(row))]
-        picture, mixed = (mean + np.float32(t - 0.5) * growth
-                          for mean, growth in (straight_course(row), straight_course(stacks)))
-        before, after = (rest_of(row, number) for number in (1, 2))
+        courses, rests = [], []
+        for frames in (row, stacks):
+            at_time = [led(one, 1 + t - number) for number, one in enumerate(frames)]
+            mean, growth = straight_course(at_time)
+            courses.append(mean + np.float32(t - 0.5) * growth)
+            rests.append([led(rest_of(at_time, number), number - 1 - t) for number in (1, 2)])
+        before, after = rests[0]
         least = min(before.min(), after.min())  # pictures are not below 0
-        moved = self._without_vectors._compose(
-            t, 0.0, (rest_of(stacks, 1), rest_of(stacks, 2)), self._stack({}),
-            (before - least, after - least))[0]
-        return picture + moved[0] + least, mixed + moved[1]
+        moved = self._without_vectors._compose(t, 0.0, (rests[1][0], rests[1][1]), self._stack({}),
+                                               (before - least, after - least))[0]
+        return courses[0] + moved[0] + least, courses[1] + moved[1]
 
     def _stack_of(self, number: int, planes: dict[Role | str, Pair]) -> np.ndarray:
         """All channels of planes and parts of a frame of `_row`; those that it has not are of the
@@ -877,6 +882,16 @@ def _mean_at(pair: Pair, t: float) -> np.ndarray:
     """The mean of a plane of both frames, by time."""
     mean: np.ndarray = pair[0] + np.float32(t) * (pair[1] - pair[0])
     return mean
+
+
+def _led(way: np.ndarray, picture: np.ndarray, time: float) -> np.ndarray:
+    """A picture (h, w, channels) along motion (h, w, 2) to the frame before, after so many frames'
+    time of it."""
+    h, w = way.shape[:2]
+    y, x = np.indices((h, w), np.float32)
+    moved = np.float32(time) * way
+    found: np.ndarray = bilinear(picture, (x + moved[..., 0]).ravel(), (y + moved[..., 1]).ravel())
+    return np.ascontiguousarray(found.reshape(picture.shape))
 
 
 def _at_cells(toned: np.ndarray, scale: int) -> np.ndarray:

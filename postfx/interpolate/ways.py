@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -52,6 +53,17 @@ LEAST_SPREAD = 0.1
 beside them: 0.02 to 0.06 of a wire that moves before a wall, 0.13 and more in dissolves."""
 DIFFERENT_WAY_SHARE = 0.5
 """Share of pixels whose ways must differ for vectors not to fit."""
+FINDS_MORE = 1.12
+"""Misfit of vectors that explain much, in that of the flow, from which the flow finds more of a
+thin thing."""
+LEAST_LED = 0.2
+"""Share of the misfit of vectors that lies where these lead anywhere, from which they are wrong: 0
+where they know nothing of a thing, such as sparks, and half where a wire has wrong ones."""
+LED_CELLS = 0.1
+"""Cells from which a vector leads anywhere."""
+FINDS_NOTHING = 0.9
+"""Misfit of vectors, in that of standing still, from which they find nothing of a thin thing: up to
+0.92 of right ones, 0.97 and more of (1, 1)."""
 
 UNEVEN_POWER = 4
 """Power of their unevenness by which ways count."""
@@ -105,7 +117,9 @@ class Ways:
         apart: share of the pixels at which the two ways differ by more than
             DIFFERENT_WAY_CELLS.
         different: share of those at which vectors differ from standing still as well.
-        spread: share of pixels over which the difference along vectors is spread.
+        spread, flow_spread: share of pixels over which the difference along vectors and along
+            estimated motion is spread.
+        led: share of the difference along vectors that lies where these lead anywhere.
     """
 
     flow: float
@@ -115,11 +129,15 @@ class Ways:
     apart: float
     different: float
     spread: float
+    flow_spread: float
+    led: float
 
     @property
     def vectors_fit(self) -> bool:
         """Whether vectors may be used. They are where estimated motion is the same mostly: a thing
-        may have none."""
+        may have none. They are nowhere if they fit worse than standing still, too."""
+        if self.motion > max(MUCH_WORSE * self.flow, WORSE * self.still):
+            return False
         if self.apart < DIFFERENT_WAY_SHARE:
             return True
         if self.motion > MUCH_WORSE * self.flow:
@@ -151,6 +169,24 @@ class Ways:
         return self.spread < LEAST_SPREAD
 
     @property
+    def is_thin_along_flow(self) -> bool:
+        """The same of estimated motion."""
+        return self.flow_spread < LEAST_SPREAD_OF_FLOW
+
+    def shares_of_thin(self, frames: int) -> tuple[float, float]:
+        """How much vectors and estimated motion count before a thin thing, by so many frames: by
+        how much of it each finds."""
+        if self.vectors_stand_still and self.led < LEAST_LED:
+            return 1.0, 0.0  # vectors know nothing of it, and cells take the flow where it fits
+        is_much_found = not self.vectors_explain_little(frames)
+        if self.motion <= self.flow * (FINDS_MORE if is_much_found else 1):
+            return 1.0, 0.0
+        # all but the thing fits any way, so that small differences tell much
+        power = 2 if self.motion > FINDS_NOTHING * self.still else 1
+        given, flowing = shares_of(((self.motion / self.flow) ** power, 1.0))
+        return given, flowing
+
+    @property
     def vectors_stand_still(self) -> bool:
         """Whether nothing moves by the vectors."""
         return self.motion >= LIKE_STILL * self.still and self.different < DIFFERENT_VECTOR_SHARE
@@ -173,12 +209,14 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
     apart, moving = (np.abs(one).max(-1)[inside] > DIFFERENT_WAY_CELLS
                      for one in (fields[0] - fields[1], fields[1]))
     left = np.minimum(np.abs(other - now), MOST_APART)
-    spread = float(left.sum() ** 2 / max(left.size * np.square(left).sum(), LEAST_UNEVEN**2))
-    return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()), spread)
+    leads = np.abs(fields[1]).max(-1)[inside] > LED_CELLS
+    return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()),
+                _spread(other, now), _spread(one, now),
+                float(left[leads].sum() / max(left.sum(), LEAST_UNEVEN)))
 
 
 def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level: float,
-               rests: bool = False, alone: float = ALONE,
+               shot: np.ndarray | None = None, alone: float = ALONE,
                rows: int = COMPARED_ROWS) -> float:
     """How unevenly the colours of frames in a row go on along a way: by how much frames differ from
     the mean of those next to them, or, of two frames, by how much they differ.
@@ -192,7 +230,8 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level:
         first: number of the one before the time between, 0 or 1.
         motion: (rows, columns, 2) to the frame before in pixels of the pictures, for cells of them.
         level: light that is toned to about the middle.
-        rests: whether what four frames show beside `straight_course` is looked at.
+        shot: likewise, of a shot that goes over into one that moves by `motion`: what four frames
+            show beside `straight_course` along it is looked at.
         alone: how much differences count that cells beside have not in common.
         rows: of cells, or columns of the shorter side, that are looked at.
     """
@@ -207,22 +246,30 @@ def unevenness(row: Sequence[np.ndarray], first: int, motion: np.ndarray, level:
     is_seen = np.logical_and.reduce([is_inside(row[0], *place) for place in places])
     if not is_seen.any():
         is_seen[:] = True
+    led = None if shot is None else np.nan_to_num(
+        shot[:last_row:step, :last_column:step]).reshape(-1, 2)[is_seen]
     here, beside, below = (
         _differences(row, [(x[is_seen] + right, y[is_seen] + lower) for x, y in places], level,
-                     rests)
+                     led)
         for right, lower in ((0, 0), (side, 0), (0, side)))
     common = max(float(np.mean(here * (beside + below))) / 2, 0.0)
     return float((common + alone * (float(np.mean(here * here)) - common)) ** 0.5)
 
 
 def _differences(row: Sequence[np.ndarray], places: Sequence[tuple[np.ndarray, np.ndarray]],
-                 level: float, rests: bool) -> np.ndarray:
-    """The differences of `unevenness` at places (x, y) in each frame, (..., 3)."""
+                 level: float, led: np.ndarray | None) -> np.ndarray:
+    """The differences of `unevenness` at places (x, y) in each frame, (..., 3). led: motion (count,
+    2) of the other shot there."""
     shown = []
     for number, (x, y) in enumerate(places):
-        seen = [bilinear(one, x, y, lambda light: _toned(light, level))
-                for one in (row if rests else row[number:number + 1])]
-        shown.append(rest_of(seen, number) if rests else seen[0])
+        toned = partial(_toned, level=level)
+        if led is None:
+            shown.append(bilinear(row[number], x, y, toned))
+            continue
+        seen = [bilinear(one, x + (number - other) * led[:, 0], y + (number - other) * led[:, 1],
+                         toned)
+                for other, one in enumerate(row)]
+        shown.append(rest_of(seen, number))
     if len(shown) == 2:
         return np.asarray(shown[0] - shown[1])
     return np.stack([(one + other) / 2 - middle for one, middle, other in
@@ -254,6 +301,12 @@ def shares_of(uneven: Sequence[float]) -> list[float]:
 def _misfit(one: np.ndarray, other: np.ndarray) -> float:
     """Mean difference of toned light."""
     return float(np.minimum(np.abs(one - other), MOST_APART).mean())
+
+
+def _spread(one: np.ndarray, other: np.ndarray) -> float:
+    """Share of pixels over which the difference of toned light is spread."""
+    left = np.minimum(np.abs(one - other), MOST_APART)
+    return float(left.sum() ** 2 / max(left.size * np.square(left).sum(), LEAST_UNEVEN**2))
 
 
 def _toned(light: np.ndarray, level: float) -> np.ndarray:

@@ -8,10 +8,12 @@ from typing import ClassVar, Never
 import numpy as np
 
 from postfx import oidn
+from postfx.compiled.calls import whole
 from postfx.errors import PassOptionError
 from postfx.frame import FrameSpec, Role
 from postfx.oidn import QUALITIES, OpenImageDenoise, total_albedo
 from postfx.passes import Pass, Reflection, ResidentFrame
+from postfx.pixel_filter import PixelFilter, find_stddev, parse_stddev
 from postfx.runtime import CommandBuffer, Device
 
 PREFERRED_ALBEDOS = (Role.DENOISING_ALBEDO, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
@@ -31,6 +33,8 @@ class Oidn(Pass):
     Options:
         quality: 'high', 'balanced' or 'fast'.
         alpha: whether alpha is denoised, too, in frames where it is neither 0 nor 1 somewhere.
+        pixel_filter: as for `postfx.DenoiseUpscale`, but 'auto' looks at each frame: noise that a
+            pixel filter spread over several pixels stays otherwise.
 
     Parts of the picture stay as they are. Raises PassOptionError for another quality, DeviceError
     without the package.
@@ -38,8 +42,10 @@ class Oidn(Pass):
 
     name: ClassVar[str] = "oidn"
 
-    def __init__(self, quality: str = "high", *, alpha: bool = True, **unknown: Never) -> None:
-        super().__init__(quality=quality, alpha=alpha, **unknown)
+    def __init__(self, quality: str = "high", *, alpha: bool = True,
+                 pixel_filter: float | str = "auto", **unknown: Never) -> None:
+        super().__init__(quality=quality, alpha=alpha, pixel_filter=pixel_filter, **unknown)
+        self._given_stddev = parse_stddev(pixel_filter)
         if quality not in QUALITIES:
             raise PassOptionError(f"pass 'oidn' has no quality '{quality}': give "
                                   f"{', '.join(QUALITIES)}")
@@ -84,6 +90,7 @@ class Oidn(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
+        self._samples = frame.samples
         commands.run(self._colour, "filters", output=self._output,
                      **{str(role): frame[role] for role in self._roles})
         frame.set(Role.COLOUR, self._output)
@@ -93,13 +100,26 @@ class Oidn(Pass):
 
     def _denoise_colour(self, colour: np.ndarray, *others: np.ndarray) -> None:
         *planes, output = others
-        known = dict(zip(self._roles[1:], planes, strict=True))
+        known = dict(zip(self._roles, (colour, *planes), strict=True))
+        stddev = self._given_stddev
+        if stddev is None:
+            stddev = find_stddev(colour, self._samples)
+        if not stddev:
+            self._denoise(colour, self._aids(known), output)
+            return
+        pixel_filter, denoised = PixelFilter(stddev), np.empty_like(output)
+        undone = pixel_filter.without(known)
+        self._denoise(undone[Role.COLOUR], self._aids(undone), denoised)
+        pixel_filter.finish(whole(colour, np.float32), undone[Role.COLOUR], denoised, output)
+
+    def _aids(self, known: Mapping[Role, np.ndarray]) -> dict[str, np.ndarray]:
+        """The planes that help, by the filters' names."""
         albedos = [known[role] for role in PREFERRED_ALBEDOS if role in known]
         aids = {"albedo": total_albedo(*albedos)} if albedos else {}
         for role in NORMALS:
             if role in known:
                 aids["normal"] = known[role]
-        self._denoise(colour, aids, output)
+        return aids
 
     def _denoise_alpha_plane(self, alpha: np.ndarray, output: np.ndarray) -> None:
         if not ((alpha > 0) & (alpha < 1)).any():

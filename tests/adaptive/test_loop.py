@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.adaptive.estimate import read_error
 from postfx.cli.main import main
 from postfx.frame import Role
 from postfx.io.exr.merge import merge_renders
@@ -101,10 +102,39 @@ def test_a_budget_is_kept_over_all_rounds(tmp_path: Path, fake: str, capsys):
     assert len(seeds) == 2 * len(rounds)
 
 
+def test_halves_are_of_one_sequence(tmp_path: Path, fake: str):
+    """Both go on where the other one ends, round by round, with seeds of their own for renderers
+    that cannot. Cycles' headers count the samples that were left out before the first one."""
+    script = Path(shlex.split(fake)[1])
+    script.write_text(FAKE.replace('{"postfx:spp": job["samples"]}',
+                                   '{"postfx:spp": job["first_sample"] + job["samples"]}'))
+    words = ("--samples", "9", "--quality", "60dB", "--tile", "16", "--rounds", "2", "--budget",
+             "27")
+    assert loop(tmp_path, fake, *words) == 0
+    work, drawn, counts = tmp_path / "clean/loop", 0, np.zeros((64, 96))
+    for number in range(3):
+        jobs = json.loads((work / f"round{number}.json").read_text())["jobs"]
+        assert {job["first_seed"] for job in jobs} == {1}
+        assert len({job["seed"] for job in jobs}) == 2
+        first, second = ([job for job in jobs if job["half"] == half]
+                         for half in ("half1", "half2"))
+        for one, other in zip(first, second, strict=True):
+            assert one["region"] == other["region"] and one["first_sample"] == drawn
+            assert other["first_sample"] == drawn + one["samples"]
+            box = one["region"] or {"x": 0, "y": 0, "width": 96, "height": 64}
+            counts[box["y"] : box["y"] + box["height"],
+                   box["x"] : box["x"] + box["width"]] += one["samples"] + other["samples"]
+        drawn += max(one["samples"] + other["samples"]
+                     for one, other in zip(first, second, strict=True))
+    merged = read_sequence(work / "merged/0001.exr").read(1)[Role.SAMPLE_COUNT][:, :, 0]
+    np.testing.assert_array_equal(merged, counts)
+
+
 def test_a_network_that_predicts_its_error_needs_no_halves(tmp_path: Path, fake: str, capsys):
     """One sequence of samples: each round goes on where the last one ended."""
     words = ("--samples", "4", "--quality", "60dB", "--tile", "16", "--json")
-    assert loop(tmp_path, fake, *words, "--rounds", "1", "--budget", "4", model="l") == 0
+    more = ("--rounds", "1", "--budget", "4", "--error", "network")
+    assert loop(tmp_path, fake, *words, *more, model="l") == 0
     rounds = json.loads(capsys.readouterr().out)["rounds"]
     assert len(rounds) == 2 and 4 < rounds[1]["samples"] <= 8
     work = tmp_path / "clean/loop"
@@ -121,8 +151,29 @@ def test_a_network_that_predicts_its_error_needs_no_halves(tmp_path: Path, fake:
     merged = read_sequence(work / "merged/0001.exr").read(1)[Role.SAMPLE_COUNT][:, :, 0]
     np.testing.assert_array_equal(merged, counts)
     assert not (work / "half2").exists()
-    assert loop(tmp_path, fake, *words, "--error", "halves", model="l") == 2
+    assert loop(tmp_path, fake, *words, model="l") == 2
     assert "was begun with --error network" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("given", [["--aov", "key,fill"], ["--aov=fill,error,key"]])
+@pytest.mark.parametrize("network", ["xl", "l"])
+def test_light_groups_need_no_halves_either(tmp_path: Path, fake: str, given, network):
+    """The network predicts its error beside them, and they still add up to the picture."""
+    Path(shlex.split(fake)[1]).write_text(FAKE.replace("    header =", """\
+    for name, share in (("key", 0.7), ("fill", 0.3)):
+        planes |= {f"{name}.{channel}": share * light[..., axis]
+                   for axis, channel in enumerate("RGB")}
+    header ="""))
+    words = ["loop", "--render", fake, "-o", f"{tmp_path}/clean/####.exr", "--samples", "4",
+             "--quality", "60dB", "--rounds", "1", "--budget", "4", "--tile", "16",
+             "--error", "network"]
+    assert main([*words, "--", *given, "--model", network]) == 0
+    assert not (tmp_path / "clean/loop/half2").exists()
+    sequence = read_sequence(tmp_path / "clean/0001.exr", aov="key,fill")
+    found = sequence.read(1)
+    both = found.parts["key"] + found.parts["fill"]
+    np.testing.assert_allclose(both, found[Role.COLOUR], atol=2e-3)
+    assert read_error(tmp_path / "clean/0001.exr").max() > 0
 
 
 def test_a_network_without_a_prediction_is_refused_where_it_must_have_one(

@@ -45,7 +45,8 @@ def test_json_report(postfx, shot):
     report = done.json
     assert set(report) == {"frames", "seconds", "ms_per_frame", "passes", "skipped", "warnings",
                            "outputs", "guides",
-                           "chosen", "cuts", "broken", "run_up", "prepared", "exposure"}
+                           "chosen", "cuts", "broken", "run_up", "prepared", "exposure",
+                           "pixel_filter"}
     assert report["frames"] == 2
     assert report["outputs"] == ["out/shot.0001.exr", "out/shot.0003.exr"]
     assert set(report["ms_per_frame"]) == {"median", "min", "max"}

@@ -1,14 +1,16 @@
 """The network that a run takes where nobody chose one."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import postfx
+from postfx.io.sequence import Sequence
 from postfx.io.writer import write_channels
 from postfx.passes.denoise import models
-from tests.doctor.breakages import filtered as spread
+from tests.splatted import splatted
 
 CHOOSES_NETWORK = True
 ENLARGING = models.short_tag(models.mixture_model("xl"))
@@ -34,20 +36,53 @@ def test_a_run_takes_the_best_network(postfx, shot, tmp_path, options, network):
     assert f"; network {tag}" in postfx(*RUN, *options, "--explain").out
 
 
-@pytest.mark.parametrize(("filtered", "network"), ((True, "m"), (False, "xl")))
-def test_noise_that_a_pixel_filter_spread_takes_the_usual_one(postfx, tmp_path, filtered, network):
-    """The best one takes it for detail."""
-    light = np.random.default_rng(3).gamma(1, 1.0, (96, 128, 1)).repeat(3, 2).astype(np.float32)
-    if filtered:
-        light = spread(spread(light, None), None).astype(np.float32)
-    (tmp_path / "in").mkdir()
-    write_channels(tmp_path / "in/shot.0001.exr",
-                   {name: light[..., axis] for axis, name in enumerate("RGB")}, {})
+def spread_noise(folder, *numbers, spread=True):
+    """Frames of grey noise in a folder, after a gaussian pixel filter."""
+    folder.mkdir()
+    for number in numbers:
+        light = np.random.default_rng(number).gamma(1, 1.0, (96, 128, 1)).repeat(3, 2)
+        light = splatted(np.full((96, 128, 3), 0.5), 0.5, seed=number) if spread else light
+        write_channels(folder / f"shot.{number:04d}.exr",
+                       {name: light[..., axis] for axis, name in enumerate("RGB")}, {})
+
+
+@pytest.mark.parametrize("spread", (True, False))
+def test_a_run_undoes_the_pixel_filter_that_the_noise_tells(postfx, tmp_path, spread):
+    """The best network stays, and the summary says what was done."""
+    spread_noise(tmp_path / "in", 1, spread=spread)
     done = postfx(*RUN)
-    assert done.code == 0 and f"chose    denoise_upscale: {network} for 1 frame" in done.err
-    told = [line for line in done.err.splitlines() if "a pixel filter spread the noise" in line]
-    assert bool(told) == filtered
-    assert "network xl" in postfx(*RUN, "--model", "xl", "--explain").out
+    assert done.code == 0 and "chose    denoise_upscale: xl for 1 frame" in done.err
+    told = [line for line in done.err.splitlines() if line.startswith("undid")]
+    assert len(told) == spread and "noise of pixels" not in done.err
+    assert all("a pixel filter of 0.4" in line or "a pixel filter of 0.5" in line for line in told)
+    runs = json.loads((tmp_path / "out/postfx.manifest.json").read_text())["runs"]
+    (used,) = (made["passes"]["denoise_upscale"]["pixel_filter"] for made in runs.values())
+    assert used == (pytest.approx(0.5, rel=0.1) if spread else "none")
+    explained = postfx(*RUN, "--explain").out
+    assert ("a pixel filter of 0.5" in explained or "a pixel filter of 0.4" in explained) == spread
+    assert "pixel filter" not in postfx(*RUN, "--pixel-filter", "none", "--explain").out
+    assert "a pixel filter of 0.45 px" in postfx(*RUN, "--pixel-filter", "0.45", "--explain").out
+
+
+def test_chunks_undo_the_pixel_filter_of_the_first_frame(postfx, tmp_path):
+    """Their pixels are those of one run, though each would find another width."""
+    spread_noise(tmp_path / "in", 1, 2)
+    words = ("--model", "l", "--device", "cpu", "--run-up", "0")
+    done = postfx("chunks", "in/shot.####.exr", "--size", "1", "-o", "parts/a.####.exr", "--json",
+                  "--", *words)
+    for chunk in done.json["chunks"]:
+        assert "--pixel-filter" in chunk["command"]
+        assert postfx(*chunk["command"][1:]).code == 0
+    assert postfx("run", "in/shot.####.exr", "-o", "one/a.####.exr", *words).code == 0
+    assert postfx("run", "in/shot.####.exr", "-o", "two/", "--frames", "2", *words).code == 0
+    widths = {made["passes"]["denoise_upscale"]["pixel_filter"]
+              for folder in ("one", "two", "parts")
+              for made in json.loads((tmp_path / folder / "postfx.manifest.json").read_text()
+                                     )["runs"].values()}
+    assert len(widths) == 1
+    for path in sorted((tmp_path / "one").glob("*.exr")):
+        one, other = (Sequence(found) for found in (path, tmp_path / "parts" / path.name))
+        assert (one.read(one.numbers[0])["colour"] == other.read(one.numbers[0])["colour"]).all()
 
 
 @pytest.mark.parametrize(("options", "said"), (

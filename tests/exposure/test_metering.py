@@ -79,6 +79,15 @@ def test_deep_black_counts_as_nine_stops_below_the_highlights() -> None:
     assert measure(colour) == pytest.approx(np.log2(0.18) + 4.5, abs=0.05)
 
 
+@pytest.mark.parametrize("decimals", [-11, -9, -8, -7, -3, 3, 8])
+def test_light_in_any_unit_is_shown_alike(decimals: int) -> None:
+    """Half floats end at 6e-8, and light below that counted as black. Dim blocks count alike."""
+    unit = np.float32(10.0**decimals)
+    colour = picture()
+    colour[:, ::7] *= np.float32(1e-5)
+    assert measure(colour * unit) == pytest.approx(measure(colour) - np.log2(unit), abs=1e-4)
+
+
 def test_a_black_frame_has_no_exposure_and_keeps_the_last() -> None:
     black = np.zeros((32, 32, 3), np.float32)
     assert measure(black) is None

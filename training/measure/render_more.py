@@ -360,8 +360,8 @@ def main() -> None:
                         help=f"of the loop, of {', '.join(map(str, ROUNDS))} (default: 16,64)")
     parser.add_argument("--model", default="xl", help="network (default: %(default)s)")
     parser.add_argument("--error", type=lambda text: text.split(","),
-                        default=["network", "halves"],
-                        help="where loops have the error from (default: network,halves)")
+                        default=["halves", "network"],
+                        help="where loops have the error from (default: halves,network)")
     parser.add_argument("--reference", type=int, default=512,
                         help="samples a pixel of references (default: 512)")
     parser.add_argument("--thresholds", default="0.6,0.2,0.07", help="of Cycles' adaptive sampling")

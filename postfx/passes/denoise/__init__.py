@@ -63,8 +63,10 @@ from postfx.passes.denoise.savings import (
     Amount,
     Savings,
 )
-from postfx.passes.denoise.tiling import CELL, Sizes, active_cells, whole_tiles
+from postfx.passes.denoise.tiling import CELL, Sizes, active_cells, grown, whole_tiles
+from postfx.passes.denoise.unfiltered import SPREAD_MARGIN_PX
 from postfx.passes.denoise.window import Work
+from postfx.pixel_filter import find_stddev, parse_stddev
 from postfx.repeats import ONE_SEED, Alike, FrameMemory, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 
@@ -85,6 +87,8 @@ FIRST_STAGE = "first stage "
 """In a history, names of what denoises frames before they are enlarged begin so."""
 WIDER = "wider primaries"
 """In a history, whether its light is in wider primaries than the frames'."""
+FOUND_STDDEV = "pixel filter"
+"""In a history, the standard deviation in pixels of the filter that a shot's first frame told."""
 REPEATS = "repeats "
 """In a history, names of what noise that repeats is found by begin so."""
 
@@ -127,6 +131,11 @@ class DenoiseUpscale(Pass):
         strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The
             plane `strength` sets it pixel by pixel, and both are multiplied; no network runs where
             it is 0.
+        pixel_filter: what to do where the renderer adds each sample to several pixels, so that
+            noise looks like detail: 'auto', find the filter by the noise of a shot's first frame;
+            or the standard deviation of its gaussian, 0.2 to 0.75 pixels: networks that give the
+            picture itself, 'xl' and 'l' at the render's size, then see planes without it, and it is
+            applied to their picture; 'none', nothing.
         parts: names of the frames' parts that are denoised with the picture, or `postfx.frame.Part`
             for those that are not light. Light of one group keeps its sum.
         part_filters: 'picture' filters parts like the picture; 'own' runs the network on each part
@@ -163,18 +172,21 @@ class DenoiseUpscale(Pass):
 
     def __init__(self, scale: float | None = None, *, size: Sequence[int] | None = None,
                  model: str = "m",
-                 strength: float = 1.0, budget: float | None = None, reactive: str = "auto",
+                 strength: float = 1.0, pixel_filter: float | str = "auto",
+                 budget: float | None = None, reactive: str = "auto",
                  parts: Sequence[Part | str] = (), part_filters: str = "picture",
                  alpha: bool = True, error: bool = False,
                  library: Library | str | Path | None = None, **unknown: Never) -> None:
-        super().__init__(scale=scale, size=size, model=model, strength=strength, budget=budget,
-                         reactive=reactive, parts=parts, part_filters=part_filters, alpha=alpha,
-                         error=error, library=library, **unknown)
+        super().__init__(scale=scale, size=size, model=model, strength=strength,
+                         pixel_filter=pixel_filter, budget=budget, reactive=reactive, parts=parts,
+                         part_filters=part_filters, alpha=alpha, error=error, library=library,
+                         **unknown)
         self.scale = validate_scale(scale)
         self.size = validate_size(size, self.scale)
         self.strength = self._number("strength", strength)
         if not 0 <= self.strength <= 1:
             raise PassOptionError(f"strength {self.strength:g}: give a number from 0 to 1")
+        self._given_stddev = parse_stddev(pixel_filter)
         self.budget = None if budget is None else self._number("budget", budget)
         if self.budget is not None and not self.budget > 0:
             raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a "
@@ -321,7 +333,7 @@ class DenoiseUpscale(Pass):
         """What denoises frames before they are enlarged by these networks, and mixes them with the
         noisy ones. Its strength is 1 in the halo of these, too, where little of what it does comes
         to the result: so both halos are one."""
-        stage = DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False,
+        stage = DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False, pixel_filter="none",
                                **{name: self.options[name]
                                   for name in ("model", "reactive", "library")})
         stage._spared = halo_of(models) + CELL
@@ -386,6 +398,7 @@ class DenoiseUpscale(Pass):
     def reset(self) -> None:
         self._fresh = self._wider = False
         self._exposure = 1.0
+        self._found_stddev: float | None = None
         self._cameras.reset()
         self._repeats.reset()
         self._memory.forget()
@@ -396,6 +409,8 @@ class DenoiseUpscale(Pass):
         known = {"exposure": np.array(self._exposure, np.float64),
                  f"{NETWORK_PREFIX}{self._used}": np.array(1, np.int64),
                  WIDER: np.array(self._wider, np.int64)}
+        if self._found_stddev is not None:
+            known[FOUND_STDDEV] = np.array(self._found_stddev, np.float64)
         known |= {f"{REPEATS}{name}": array for name, array in self._repeats.history().items()}
         if isinstance(self._ready, ReadyNetwork) and self._ready.first:
             known |= {f"{FIRST_STAGE}{name}": array
@@ -413,6 +428,8 @@ class DenoiseUpscale(Pass):
                 raise KeyError(f"pass '{self.name}' has no history at strength 0")
             self._used = next(iter(key.removeprefix(NETWORK_PREFIX)
                                    for key in history if key.startswith(NETWORK_PREFIX)), "")
+            if FOUND_STDDEV in history:
+                self._found_stddev = float(history[FOUND_STDDEV])
             self._history.use(self._ready.models[self._used])
             self._history.recall(history)
             self._part_history.recall(history)
@@ -465,6 +482,10 @@ class DenoiseUpscale(Pass):
             savings.note_frame(Amount.SAME, 0.0, [REPEATED_NOISE] if repeats else [])
             return self._result
 
+        self._used = self._choose(frame, ready)
+        stddev = self._stddev(frame) if ready.sees_noise_alone(self._used) else 0.0
+        if stddev and cells is not None:
+            cells = grown(cells, SPREAD_MARGIN_PX)
         lit = ready.lit_cells(frame) if cells is None and Role.MOTION not in frame else None
         active = cells if lit is None else lit
         judged = cells is not None and ready.may_restore(frame)
@@ -476,14 +497,14 @@ class DenoiseUpscale(Pass):
         gain = frame.exposure_factor / self._exposure if keep else 1.0
         if not self._wider and ready.is_outside(frame):
             self._widen(keep)
-        self._used = self._choose(frame, ready)
         still = keep and gain == 1 and frame.is_blank(Role.MOTION)
         camera = None
         if ready.reflections:
             camera, why = self._cameras.step(frame, keep and not still)
             reasons += [(UNFOLLOWED_REFLECTIONS, why)] if why else []
         params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
-        work = Work(ready.models[self._used], params, keep, still, cells, band, self._wider, camera)
+        work = Work(ready.models[self._used], params, keep, still, cells, band, self._wider, camera,
+                    stddev)
         colour = ready.encode(commands, frame, work, reasons)
         self._fresh, self._exposure = not frame.unusable, frame.exposure_factor
         if alike is not Alike.OTHER:
@@ -508,6 +529,17 @@ class DenoiseUpscale(Pass):
         if ready.first and ready.first.runs:
             self.choice = f"{name} in two stages" if name == tag else f"{tag} then {name}"
         return tag
+
+    def _stddev(self, frame: ResidentFrame) -> float:
+        """The standard deviation in pixels of the filter that spread a frame's noise, 0 for none:
+        the option's, or what the shot's first frame tells that is looked at."""
+        if self._given_stddev is not None:
+            return self._given_stddev
+        if self._found_stddev is None:
+            colour = frame.host_planes.get(Role.COLOUR)
+            found = None if colour is None else find_stddev(colour, frame.samples)
+            self._found_stddev = found or 0.0
+        return self._found_stddev
 
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
         """What a frame is beside the one before. Only what is denoised alone, from planes of the
@@ -608,10 +640,23 @@ class DenoiseUpscale(Pass):
         notes = [self._network_note(spec)] if self.strength else []
         notes += self._filter_notes(spec) if self.strength and self._parts else []
         notes += [f"stays {self.size} where frames change their size"] if self.size else []
+        notes += self._pixel_filter_notes(spec)
         notes += [f"own filters: {', '.join(self._own)}"] if self.strength and self._own else []
         notes += (["smooth reflections move by their hit distance"]
                   if self.strength and can_follow(spec) else [])
         return tuple(notes)
+
+    def undone_stddev(self, spec: FrameSpec) -> float:
+        """The standard deviation, in pixels, of the pixel filter that is undone in frames of a
+        spec, as far as the option tells; 0 for none."""
+        sees = self._has_first_stage(spec) or gives_picture(model_of(self._tag, self._ending(spec)))
+        return self._given_stddev or 0.0 if sees and self.strength else 0.0
+
+    def _pixel_filter_notes(self, spec: FrameSpec) -> list[str]:
+        """What becomes of a pixel filter whose width is known."""
+        stddev = self.undone_stddev(spec)
+        return ([f"a pixel filter of {stddev:.2f} px is undone before it and applied again"]
+                if stddev else [])
 
     def _filter_notes(self, spec: FrameSpec) -> list[str]:
         """Which other network filters the parts of frames of a spec."""

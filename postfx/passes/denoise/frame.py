@@ -45,6 +45,7 @@ from postfx.passes.denoise.primaries import WiderPrimaries
 from postfx.passes.denoise.reflections import Reflections, can_follow
 from postfx.passes.denoise.savings import FULL_STRENGTH, HAZY_DEPTH, Reason
 from postfx.passes.denoise.tiling import CELL, Sizes, grown
+from postfx.passes.denoise.unfiltered import Unfiltered
 from postfx.passes.denoise.window import THE_PICTURE, Work
 from postfx.planes import sampled
 from postfx.runtime import CommandBuffer, Device, Tensor
@@ -133,6 +134,7 @@ class ReadyNetwork(Ready):
         strength: None where all of the picture is fully denoised.
         layers: parts of the picture, and alpha; None without both.
         wider: for light that the frame's primaries do not hold.
+        unfiltered: for noise that the renderer's pixel filter spread.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Mapping[str, str],
@@ -162,6 +164,7 @@ class ReadyNetwork(Ready):
         self.strength = (None if full
                          else Strength(device, spec, output, wishes.strength, self.plain))
         self.wider = WiderPrimaries(device, parts)
+        self.unfiltered = Unfiltered(device, spec, output)
         self.error = ExpectedError(device, spec, output) if wishes.error else None
         self.alone_tag = wishes.alone_tag
         reach, halo = reach_of(names), halo_of(names)
@@ -175,9 +178,13 @@ class ReadyNetwork(Ready):
                reasons: list[Reason]) -> Tensor:
         """Record all that is done about a frame, in the order of the tables of `graph`; returns the
         colour. What it leaves out goes to the `reasons`. The history stays fully denoised."""
+        given = (self.unfiltered.undo(commands, frame, work.filter_stddev) if work.filter_stddev
+                 else {})
         mixture = self.first.encode(commands, frame, work) if self.first else None
         if work.wider:
             self.wider.widen(commands, frame)
+            self.wider.widen_planes(commands, "filtered", given)
+        undone = {role: frame[role] for role in given}
         self.frames.use(work.model)
         planes = self._planes.encode(commands, frame, work.model in self._blanking)
         if self._planes.hazy:
@@ -186,7 +193,8 @@ class ReadyNetwork(Ready):
             planes["reactive"] = self._mask.encode(commands, frame)
         if self.reflections and work.camera is not None:
             planes["motion"] = self.reflections.encode(commands, frame, work.camera, planes)
-        noisy = planes
+        noisy = {**planes, **{str(role): plane for role, plane in given.items()
+                              if planes.get(str(role)) is undone[role]}}
         if mixture:
             planes = {**planes, "colour": self.wider.widen_light(commands, "mixture", mixture)
                       if work.wider else mixture}
@@ -203,10 +211,10 @@ class ReadyNetwork(Ready):
         if self.layers and not filtered:  # alpha is only resampled
             self.layers.skip()
         restore = self.restore if self.may_restore(frame) else None
-        rows = (self.frames.rows(work.band, work.cells) if filtered or restore or self.strength
-                else (0, 0))
+        finishes = filtered or restore or self.strength or given
+        rows = self.frames.rows(work.band, work.cells) if finishes else (0, 0)
         picture = targets.setdefault(THE_PICTURE, {})
-        if self.strength and not (filtered or self.restore):
+        if self.strength and not (filtered or self.restore or given):
             picture |= self.strength.begin(frame, rows)
         if self.error:
             picture |= self.error.written
@@ -222,12 +230,26 @@ class ReadyNetwork(Ready):
         if restore:
             colour = restore.encode(commands, frame, colour, rows, work.cells,
                                     by_planes=work.model in self.pictures)
+        if given:
+            frame.tensors.update(given)
+            lights = given[Role.COLOUR], undone[Role.COLOUR]
+            restored = colour
+            colour = self.unfiltered.spread(commands, "spread picture", lights, restored, rows)
+            denoised = (colour if restored is denoised or not filtered else
+                        self.unfiltered.spread(commands, "spread without detail", lights, denoised,
+                                               rows))
         if strength:
             colour = strength.encode(commands, frame, colour, rows)
         if filtered:
             pictures = Pictures(filtered_picture or denoised, denoised, colour)
             filtered.finish(commands, frame, pictures, rows, restore, strength)
         return self.wider.narrow(commands, frame, colour) if work.wider else colour
+
+    def sees_noise_alone(self, tag: str) -> bool:
+        """Whether the network of a tag, or the one before it, takes noise for detail that is alike
+        in pixels beside each other."""
+        runs_first = self.first is not None and self.first.runs
+        return runs_first or self.models[tag] in self.pictures
 
     def is_outside(self, frame: ResidentFrame) -> bool:
         """Whether so much of a frame's light lies outside its gamut. Not looked for on a GPU."""

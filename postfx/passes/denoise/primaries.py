@@ -41,6 +41,11 @@ class WiderPrimaries:
         self._convert_all(commands, "guide", frame.guides, COLOURS, True)
         self._convert_all(commands, "part", frame.parts, self._lights, True)
 
+    def widen_planes(self, commands: CommandBuffer, kind: str,
+                     planes: MutableMapping[Role, Tensor]) -> None:
+        """Record the conversion of other planes of a frame, of some kind, which are replaced."""
+        self._convert_all(commands, f"{kind} plane", planes, COLOURS, True)
+
     def widen_light(self, commands: CommandBuffer, name: str, light: Tensor) -> Tensor:
         """Record the conversion of light that is no plane of the frame; returns the result."""
         return self._convert(commands, name, light, True)

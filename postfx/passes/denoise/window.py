@@ -83,6 +83,7 @@ class Work(NamedTuple):
         band: the windows that are worked on; None: the whole frame.
         wider: whether light goes to wider primaries.
         camera: what tells the motion of reflections; None: they move with their surfaces.
+        filter_stddev: of the pixel filter that is undone, in pixels; 0: none is.
     """
 
     model: str
@@ -93,6 +94,7 @@ class Work(NamedTuple):
     band: Band | None
     wider: bool
     camera: np.ndarray | None
+    filter_stddev: float = 0.0
 
 
 @dataclass
