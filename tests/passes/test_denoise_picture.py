@@ -37,6 +37,16 @@ def denoised(model: str, frames: list[Frame], **options: object) -> list[dict[Ro
     return [{role: np.array(plane) for role, plane in found.planes.items()} for found in results]
 
 
+@pytest.mark.parametrize("model", ["l", "xl"])
+@pytest.mark.parametrize("albedo", [1.5, 3.0, 13.0])
+def test_albedo_above_one_takes_no_light(model: str, albedo: float) -> None:
+    """As of a backdrop whose texture is brighter than white: 13 once took half of the light."""
+    (frame, _), (usual, _) = shot(), shot()
+    frame.planes[Role.DIFFUSE_ALBEDO][:] = albedo
+    found, wanted = (denoised(model, [one])[0][Role.COLOUR].mean() for one in (frame, usual))
+    assert found == pytest.approx(wanted, rel=0.05)
+
+
 def test_opaque_alpha_changes_nothing() -> None:
     alone, opaque = denoised("l", shot()), denoised("l", shot(np.ones((*SIZE, 1), np.float32)))
     for first, second in zip(alone, opaque, strict=True):

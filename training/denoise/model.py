@@ -253,6 +253,7 @@ def reflectance(factor: Tensor, own: Tensor) -> Reflectance:
 # The recurrent step -------------------------------------------------------------------------------
 
 # Plain numbers: torch.compile breaks graphs at NumPy's.
+MOST_REFLECTANCE = float(layout.MOST_REFLECTANCE)
 MAX_DEPTH, MAX_FLOAT, MAX_LIGHT = (float(most) for most in (layout.MAX_DEPTH, layout.MAX_FLOAT,
                                                             layout.MAX_LIGHT))
 ALIGN = 16
@@ -388,7 +389,8 @@ def features_of(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor
     return torch.cat((
         ops.log_encode(demodulate(inputs.colour, factor)),
         ops.log_encode(past.accumulated * past.valid), ops.log_encode(history / factor),
-        ops.sanitise(inputs.diffuse_albedo, 0, 2), ops.sanitise(inputs.specular_albedo, 0, 2),
+        ops.sanitise(inputs.diffuse_albedo, 0, MOST_REFLECTANCE),
+        ops.sanitise(inputs.specular_albedo, 0, MOST_REFLECTANCE),
         ops.sanitise(inputs.normal, -1, 1), ops.sanitise(inputs.roughness, 0, 1),
         scale / (scale + ops.sanitise(inputs.depth, 0, MAX_DEPTH)),
         past.depth_change, past.valid, past.count / MAX_COUNT,

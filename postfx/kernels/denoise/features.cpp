@@ -124,8 +124,8 @@ FN void feature_row(const Looks& looks, Long here, const FeatureRooms& rooms, fl
         for (int c = 0; c < 3; c++) {
             diffuse[c] = pick<F, 3>(some + 3 * x + c);
             specular[c] = pick<F, 3>(others + 3 * x + c);
-            store<F>(to(9 + c) + x, within<F>(diffuse[c], 0.0f, 2.0f));
-            store<F>(to(12 + c) + x, within<F>(specular[c], 0.0f, 2.0f));
+            store<F>(to(9 + c) + x, within<F>(diffuse[c], 0.0f, MOST_REFLECTANCE));
+            store<F>(to(12 + c) + x, within<F>(specular[c], 0.0f, MOST_REFLECTANCE));
             store<F>(to(15 + c) + x, held<F>(pick<F, 3>(normal + 3 * x + c), -1.0f, 1.0f));
         }
         const Tint<F> tint = tinted<F>(diffuse[0] + specular[0], diffuse[1] + specular[1],

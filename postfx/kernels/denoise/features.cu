@@ -134,8 +134,8 @@ __device__ inline void prepare_features(View colour, View diffuse_albedo, View s
     put(to + 6,
         {encoded_last(mean.r, memory.valid * share.r), encoded_last(mean.g, memory.valid * share.g),
          encoded_last(mean.b, memory.valid * share.b)});
-    put_bounded(to + 9, diffuse, 0.0f, 2.0f);
-    put_bounded(to + 12, specular, 0.0f, 2.0f);
+    put_bounded(to + 9, diffuse, 0.0f, MOST_REFLECTANCE);
+    put_bounded(to + 12, specular, 0.0f, MOST_REFLECTANCE);
     put_bounded(to + 15, direction, -1.0f, 1.0f);
     to[18] = clamped(rough, 0.0f, 1.0f);
     to[19] = scale / (scale + z);
