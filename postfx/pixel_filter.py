@@ -27,36 +27,39 @@ NOISE_WINDOW_PX = 960, 540
 """Most columns and rows, in the middle of the picture, that are looked at."""
 NOISE_CELL_PX = 12
 """Side of the cells whose noise is compared."""
-LEAST_NOISE = 0.05
+LEAST_NOISE = 0.002
 """Square of what `SHARPEST` leaves in a cell, in squares of the cell's mean light, from which on
-noise is looked at: 4 % of noise that is not spread."""
+noise is looked at: 0.7 % of noise that is not spread."""
+LEAST_NOISE_ALONE = 0.05
+"""The same without planes that tell detail from noise: 4 %."""
+LEAST_LIT = 1e-4
+"""Darker cells are not looked at, in shares of the brightest one's light."""
+MOST_TEXTURE = 0.1
+"""A cell counts as even whose albedo and normal change by at most this share of its light's
+change."""
+LEAST_TEXTURE_LIGHT = 1e-4
+"""Albedo squared that changes are divided by at least."""
 LEAST_NOISY_CELLS = 8
 """Noisy cells without which nothing is said."""
+LEAST_NOISY_SHARE = 0.5
+"""Share of the even cells that has to be noisy: else what is seen is detail that no plane knows."""
 CLEAN_CELLS_SHARE = 0.1
 """Share of the noisy cells, those with the least structure, that is always taken."""
 FEWEST_CLEAN_CELLS = 16
 """Cells that are taken, if there are so many."""
 CLEAN_CELL = 1.5
 """Other cells are taken that have at most this times the structure of noise alone."""
-SURE_STRUCTURE = 1.7
-"""The cleanest cells may have at most this times the structure of noise alone, or detail, which
-looks like noise that is spread, is part of what is compared."""
-MOST_STRUCTURE = 4.0
-"""Beyond this many times nothing is said."""
-LEAST_UNSURE_PX = 0.4
-"""Standard deviation in pixels below which it may all be detail there: independent noise of 64
-samples among leaves tells up to 0.38."""
-UNSURE_SHARE = 0.93
-"""Share of the standard deviation that is taken there, as detail makes it larger."""
+MOST_STRUCTURE = 1.5
+"""Nothing is said where the cleanest cells have more than this times the structure of noise alone:
+then detail is compared, which looks like noise that is spread. Undoing a filter that is not there
+costs 4 to 12 dB."""
 ROUNDS = 3
 """How often cells are chosen by the width that those before told."""
 MOST_LIGHT = 1e9
 """Light above this is taken as this much, so that sums stay finite."""
-MOST_NOISY_SAMPLES = 32
-"""Known samples a pixel beyond which detail is more than noise."""
-LEAST_FOUND_PX = 0.3
+LEAST_FOUND_PX = 0.34
 """Standard deviation in pixels below which noise counts as independent. Thirteen kinds of content
-with independent noise tell up to 0.26."""
+with independent noise of 4 to 1024 samples tell up to 0.28."""
 TABLE_SIZE = 111
 """Widths that are told apart."""
 
@@ -79,9 +82,9 @@ MOST_GAIN = 6.0
 FREQUENCIES = 256
 """Frequencies by which weights are computed."""
 
+ALBEDOS = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 NORMALS = (Role.NORMAL, Role.DENOISING_NORMAL)
-FILTERED_ROLES = (Role.COLOUR, Role.OPAQUE_COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO,
-                  Role.DENOISING_ALBEDO, *NORMALS)
+FILTERED_ROLES = (Role.COLOUR, Role.OPAQUE_COLOUR, *ALBEDOS, Role.DENOISING_ALBEDO, *NORMALS)
 """Planes that renderers filter, of those that help to denoise."""
 
 _spread_plane = Rows("spread_plane")
@@ -188,7 +191,8 @@ def correlation(apart: np.ndarray, stddev: float | np.ndarray) -> np.ndarray:
     return found
 
 
-def find_stddev(colour: np.ndarray, samples: float | None = None) -> float | None:
+def find_stddev(colour: np.ndarray, planes: Mapping[Role, np.ndarray] | None = None
+                ) -> float | None:
     """The standard deviation, in pixels, of the gaussian pixel filter that spread a picture's
     noise; None where the noise is independent, or too little of it is seen to tell.
 
@@ -197,27 +201,24 @@ def find_stddev(colour: np.ndarray, samples: float | None = None) -> float | Non
 
     Args:
         colour: (height, width, 3), light.
-        samples: a pixel, if that is known.
+        planes: of the frame. Albedos and normal tell where light has detail.
     """
-    if (samples or 0) > MOST_NOISY_SAMPLES:
-        return None
-    stddev = _measure(colour)
+    stddev = _measure(colour, planes or {})
     return None if stddev is None or stddev < LEAST_FOUND_PX else round(stddev, 3)
 
 
-def _measure(colour: np.ndarray) -> float | None:
+def _measure(colour: np.ndarray, planes: Mapping[Role, np.ndarray]) -> float | None:
     """What the noise of a picture tells of the filter's standard deviation; None for nothing."""
-    light = _window_of(colour)
+    light = _window_of(colour).clip(0.0, MOST_LIGHT).mean(axis=2)
     if min(light.shape) < NOISE_CELL_PX + len(SHARPEST):
         return None
     sharpest, beside, below, slow_down, slow_across = (
-        _means_of_cells(np.square(_along(_along(light, down, 0), across, 1)))
+        _power(light, down, across)
         for down, across in ((SHARPEST, SHARPEST), (SHARPEST, SHARP), (SHARP, SHARPEST),
                              (SMOOTH, SHARP), (SHARP, SMOOTH)))
-    mean = _means_of_cells(light[1:-1, 1:-1])
-    noisy = (mean > 0) & (sharpest > LEAST_NOISE * np.square(mean))
+    noisy = _noisy_cells(light, sharpest, planes)
     count = int(np.count_nonzero(noisy))
-    if count < LEAST_NOISY_CELLS:
+    if not count:
         return None
     noise = (sharpest + beside + below)[noisy]
     shares = [(band[noisy] / noise) for band in (sharpest, beside, below)]
@@ -232,10 +233,38 @@ def _measure(colour: np.ndarray) -> float | None:
         stddev = float(np.interp(-highest / min(across, down), -ratios, widths))
         alone = float(np.interp(stddev, widths, structures))
         most = max(always, CLEAN_CELL * alone)
-    if always <= SURE_STRUCTURE * alone:
-        return stddev
-    is_spread = always <= MOST_STRUCTURE * alone and stddev >= LEAST_UNSURE_PX
-    return UNSURE_SHARE * stddev if is_spread else None
+    return stddev if always <= MOST_STRUCTURE * alone else None
+
+
+def _noisy_cells(light: np.ndarray, sharpest: np.ndarray,
+                 planes: Mapping[Role, np.ndarray]) -> np.ndarray:
+    """Cells that show noise and no texture; none if too few of those without texture do."""
+    mean = _means_of_cells(light[1:-1, 1:-1])
+    lit = mean > max(LEAST_LIT * mean.max(), 0.0)
+    change = np.divide(sharpest, np.square(mean), out=np.zeros_like(mean), where=lit)
+    texture = _texture(planes)
+    least = LEAST_NOISE_ALONE if texture is None else LEAST_NOISE
+    even = lit if texture is None else lit & (texture <= MOST_TEXTURE * np.maximum(change, least))
+    noisy: np.ndarray = even & (change > least)
+    enough = max(LEAST_NOISY_CELLS, LEAST_NOISY_SHARE * np.count_nonzero(even))
+    return noisy if np.count_nonzero(noisy) >= enough else np.zeros_like(noisy)
+
+
+def _texture(planes: Mapping[Role, np.ndarray]) -> np.ndarray | None:
+    """By how much albedo and normal change from pixel to pixel in each cell, squared, the albedo
+    relative to its mean; None without both."""
+    found = []
+    albedos = [planes[role] for role in ALBEDOS if role in planes]
+    if albedos:
+        albedo = sum(_window_of(one).mean(axis=2) for one in albedos)
+        mean = _means_of_cells(albedo[1:-1, 1:-1])
+        found.append(_power(albedo, SHARPEST, SHARPEST)
+                     / np.maximum(np.square(mean), LEAST_TEXTURE_LIGHT))
+    if Role.NORMAL in planes:
+        normal = _window_of(planes[Role.NORMAL])
+        found.append(np.sum([_power(normal[..., axis], SHARPEST, SHARPEST) for axis in range(3)],
+                            axis=0))
+    return np.maximum.reduce(found) if found else None
 
 
 def _table() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -248,14 +277,19 @@ def _table() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             2 * smooth * sharp / (np.square(sharpest) + 2 * sharpest * sharp))
 
 
-def _window_of(colour: np.ndarray) -> np.ndarray:
-    """The mean of the channels in the middle of a picture."""
-    height, width = colour.shape[:2]
+def _window_of(plane: np.ndarray) -> np.ndarray:
+    """The middle of a plane (height, width, channels); what is not finite is 0."""
+    height, width = plane.shape[:2]
     columns, rows = min(width, NOISE_WINDOW_PX[0]), min(height, NOISE_WINDOW_PX[1])
     left, top = (width - columns) // 2, (height - rows) // 2
-    window = np.nan_to_num(colour[top:top + rows, left:left + columns], posinf=0.0, neginf=0.0)
-    light: np.ndarray = window.clip(0.0, MOST_LIGHT).mean(axis=2, dtype=np.float64)
-    return light
+    window = plane[top:top + rows, left:left + columns].astype(np.float64)
+    known: np.ndarray = np.nan_to_num(window, posinf=0.0, neginf=0.0)
+    return known
+
+
+def _power(plane: np.ndarray, down: tuple[int, ...], across: tuple[int, ...]) -> np.ndarray:
+    """Mean squares, by cells, of a band of a plane (rows, columns)."""
+    return _means_of_cells(np.square(_along(_along(plane, down, 0), across, 1)))
 
 
 def _along(plane: np.ndarray, weights: tuple[int, ...], axis: int) -> np.ndarray:

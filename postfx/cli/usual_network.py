@@ -20,8 +20,11 @@ from postfx.passes.denoise.models import (
     usual_network,
 )
 from postfx.passes.denoise.options import enlargement
-from postfx.pixel_filter import find_stddev, parse_stddev
+from postfx.pixel_filter import ALBEDOS, find_stddev, parse_stddev
 from postfx.runtime import Device
+
+LOOKED_AT = (Role.COLOUR, *ALBEDOS, Role.NORMAL)
+"""Planes by which a pixel filter is found."""
 
 
 class Choice(NamedTuple):
@@ -72,9 +75,10 @@ def _find_stddev(sequence: Sequence, number: int) -> float | None:
     """What a frame tells of the pixel filter; None for nothing."""
     try:
         with sequence.open(number) as files:
-            if not files.spec().has(Role.COLOUR):
+            spec = files.spec()
+            if not spec.has(Role.COLOUR):
                 return None
-            frame = files.read(number, [Role.COLOUR], [])
+            frame = files.read(number, list(filter(spec.has, LOOKED_AT)), [])
     except ReadError:  # is told, or left out, when its turn comes
         return None
-    return find_stddev(frame[Role.COLOUR], frame.samples)
+    return find_stddev(frame[Role.COLOUR], frame.planes)

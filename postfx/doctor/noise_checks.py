@@ -13,7 +13,7 @@ from postfx.pixel_filter import find_stddev
 def check_pixel_filter(material: Material) -> Iterator[Finding]:
     """Noise that the renderer's pixel filter spreads over several pixels."""
     first = material.first
-    stddev = find_stddev(first[Role.COLOUR], first.samples) if Role.COLOUR in first else None
+    stddev = find_stddev(first[Role.COLOUR], first.planes) if Role.COLOUR in first else None
     if stddev is None:
         return
     evidence = ("noise of pixels beside each other is alike, as a gaussian pixel filter with a "

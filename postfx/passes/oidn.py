@@ -90,7 +90,6 @@ class Oidn(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._samples = frame.samples
         commands.run(self._colour, "filters", output=self._output,
                      **{str(role): frame[role] for role in self._roles})
         frame.set(Role.COLOUR, self._output)
@@ -103,7 +102,7 @@ class Oidn(Pass):
         known = dict(zip(self._roles, (colour, *planes), strict=True))
         stddev = self._given_stddev
         if stddev is None:
-            stddev = find_stddev(colour, self._samples)
+            stddev = find_stddev(colour, known)
         if not stddev:
             self._denoise(colour, self._aids(known), output)
             return

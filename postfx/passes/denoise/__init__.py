@@ -537,7 +537,7 @@ class DenoiseUpscale(Pass):
             return self._given_stddev
         if self._found_stddev is None:
             colour = frame.host_planes.get(Role.COLOUR)
-            found = None if colour is None else find_stddev(colour, frame.samples)
+            found = None if colour is None else find_stddev(colour, frame.host_planes)
             self._found_stddev = found or 0.0
         return self._found_stddev
 
