@@ -45,7 +45,7 @@ LEAST_NOISY_SHARE = 0.5
 """Share of the even cells that has to be noisy: else what is seen is detail that no plane knows."""
 CLEAN_CELLS_SHARE = 0.1
 """Share of the noisy cells, those with the least structure, that is always taken."""
-FEWEST_CLEAN_CELLS = 16
+FEWEST_CLEAN_CELLS = 8
 """Cells that are taken, if there are so many."""
 CLEAN_CELL = 1.5
 """Other cells are taken that have at most this times the structure of noise alone."""

@@ -13,6 +13,9 @@ from postfx.runtime import Device
 from tests.splatted import splatted
 
 SIZE = 120, 160
+FLAT = {Role.DIFFUSE_ALBEDO: np.full((*SIZE, 3), 0.5, np.float32),
+        Role.NORMAL: np.tile(np.float32([0, 0, 1]), (*SIZE, 1))}
+"""Planes without texture."""
 
 
 def slope(size: tuple[int, int] = SIZE) -> np.ndarray:
@@ -31,7 +34,7 @@ def neighbours(noise: np.ndarray) -> float:
 @pytest.mark.parametrize("stddev", (0.35, 0.42, 0.5, 0.6, 0.7))
 def test_the_width_is_found_in_the_noise(stddev: float, samples: int) -> None:
     for seed in (1, 2):
-        found = find_stddev(splatted(slope(), stddev, samples, seed))
+        found = find_stddev(splatted(slope(), stddev, samples, seed), FLAT)
         assert found == pytest.approx(stddev, rel=0.1)
 
 
@@ -52,12 +55,32 @@ def test_independent_noise_tells_of_no_filter(shape: float) -> None:
 
 def test_nothing_is_found_where_nothing_can_be() -> None:
     spread = splatted(slope(), 0.5)
-    assert find_stddev(spread, samples=16) is not None
-    assert find_stddev(spread, samples=256) is None
+    assert find_stddev(spread) is not None
     assert find_stddev(slope().astype(np.float32)) is None
     assert find_stddev(np.zeros((*SIZE, 3), np.float32)) is None
     assert find_stddev(spread[:10, :10]) is None
     assert find_stddev(np.full((*SIZE, 3), np.nan, np.float32)) is None
+
+
+def test_texture_that_planes_know_is_no_filter() -> None:
+    """Soft texture with a little noise of its own looks like spread noise; more noise that is
+    spread is still told."""
+    texture = splatted(np.full((*SIZE, 3), 0.4), 0.5, samples=1, seed=3)
+    planes = {**FLAT, Role.DIFFUSE_ALBEDO: texture}
+    noise = np.random.default_rng(1).gamma(400, 1 / 400, (*SIZE, 3))
+    assert find_stddev((texture * slope()).astype(np.float32)) is not None
+    assert find_stddev((texture * slope() * noise).astype(np.float32), planes) is None
+    half = {**planes, Role.DIFFUSE_ALBEDO: texture.copy()}
+    half[Role.DIFFUSE_ALBEDO][:, 80:] = 0.5
+    light = half[Role.DIFFUSE_ALBEDO] * splatted(slope(), 0.5, samples=4)
+    assert find_stddev(light.astype(np.float32), half) == pytest.approx(0.5, rel=0.1)
+
+
+def test_detail_of_light_on_few_cells_is_no_filter() -> None:
+    """As of caustics on a wall: most of what is even has no noise."""
+    light = slope()
+    light[:36, :80] = splatted(light, 0.5)[:36, :80]
+    assert find_stddev(light.astype(np.float32), FLAT) is None
 
 
 def test_fine_detail_without_noise_is_no_filter() -> None:

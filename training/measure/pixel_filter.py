@@ -37,6 +37,8 @@ FILTER_REACH_PX = 2
 """Pixels to each side that the filter covers."""
 OIDN_WAYS = ("prefiltered", "none")
 METHOD_COLUMNS = ("input", "m", "xl", "oidn", "xl_undone", "oidn_undone", "before")
+BOX_SIZE_PX = 320, 192
+"""Columns and rows of Mitsuba's box."""
 BOX_SAMPLES = 4, 16
 """Samples a pixel of Mitsuba's box."""
 BOX_REFERENCE_SAMPLES = 1024
@@ -89,8 +91,9 @@ def mitsuba_cases() -> Iterator[Case]:
     from training.measure.validation.mitsuba_box import build
 
     scene = build(1)
+    width, height = BOX_SIZE_PX
     scene["sensor"]["film"] |= {"rfilter": {"type": "gaussian"}, "pixel_format": "rgb",
-                                "component_format": "float32"}
+                                "component_format": "float32", "width": width, "height": height}
     scene["integrator"] = {"type": "aov", "aovs": "albedo:albedo,normal:sh_normal,depth:depth",
                            "light": {"type": "path", "max_depth": 6}}
     box = mitsuba.load_dict(scene)

@@ -2,7 +2,7 @@
 
     python -m training.measure.pixel_filter_picture docs/images/pixel_filter.png
 
-Mitsuba's Cornell box at 16 samples a pixel, with Mitsuba's default filter, three times as large:
+Mitsuba's Cornell box at 16 samples a pixel, with Mitsuba's default filter, twice as large:
 the noisy frame, Open Image Denoise with prefiltered planes, `xl` as it runs by default, and a
 reference.
 """
@@ -20,9 +20,9 @@ from postfx.colour.views import to_codes
 from postfx.frame import Role
 from training.measure.pixel_filter import mitsuba_cases
 
-PART = slice(0, 96), slice(32, 118)
+PART = slice(12, 156), slice(76, 220)
 """Rows and columns of the box that are shown."""
-ZOOM = 3
+ZOOM = 2
 """Pixels of the picture for each of the frame."""
 GAP_PX = 6
 """White columns between the parts."""

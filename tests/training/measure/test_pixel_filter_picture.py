@@ -11,7 +11,7 @@ from postfx.frame import Frame, Role
 from training.measure import pixel_filter_picture
 from training.measure.pixel_filter import Case
 
-SIZE = 128, 128
+SIZE = 160, 224
 
 
 def test_the_picture_shows_four_parts_side_by_side(tmp_path: Path,
