@@ -130,7 +130,10 @@ ENCODINGS = (*LINEAR, *DISPLAY_KINDS)
 Rec.709; and code values 0..1 of a display by its name, with peak and white for HDR
 ('pq,peak=1000,white=203')."""
 
-GUIDE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH)
+ALBEDOS = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+"""Planes whose sum is a surface's reflectance."""
+
+GUIDE_ROLES = (*ALBEDOS, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH)
 """Planes at output size that make edges exact."""
 
 OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY, Role.LATER)

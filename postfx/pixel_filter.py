@@ -18,7 +18,7 @@ import numpy as np
 from postfx.compiled.calls import whole
 from postfx.compiled.library import Rows
 from postfx.errors import PassOptionError
-from postfx.frame import Role
+from postfx.frame import ALBEDOS, Role
 from postfx.planes import Divide
 
 # Finding a filter.
@@ -82,7 +82,6 @@ MOST_GAIN = 6.0
 FREQUENCIES = 256
 """Frequencies by which weights are computed."""
 
-ALBEDOS = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 NORMALS = (Role.NORMAL, Role.DENOISING_NORMAL)
 FILTERED_ROLES = (Role.COLOUR, Role.OPAQUE_COLOUR, *ALBEDOS, Role.DENOISING_ALBEDO, *NORMALS)
 """Planes that renderers filter, of those that help to denoise."""

@@ -174,12 +174,13 @@ def _network(given: argparse.Namespace, sequence: Sequence) -> str | None:
     options = RUN.values_for("denoiser", given)
     if given.no_denoise or is_chosen(given, options):
         return None
-    first = first_readable(sequence, OnError(given.on_error))
+    with sequence.open(first_readable(sequence, OnError(given.on_error))) as files:
+        spec = files.spec()
     try:
         device = Device() if given.device == "auto" else Device(given.device)
     except DeviceError:  # nobody knows here how much memory the farm's GPUs have
         return USUAL_NETWORK
-    return choose_network(sequence, first, options, device).network
+    return choose_network(spec, options, device).network
 
 
 def _pixel_filter(given: argparse.Namespace, sequence: Sequence,

@@ -205,7 +205,7 @@ class Job:
         the network that is best, unless time or memory is bounded."""
         given = self._values("denoiser")
         if not is_chosen(self._arguments, given):
-            choice = choose_network(self.sequence, self.first, given, device)
+            choice = choose_network(self._first_spec, given, device)
             if choice.lack:
                 self.skips.append(Skip("the best network", choice.lack))
             given["model"] = choice.network

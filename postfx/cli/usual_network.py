@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from postfx.errors import ReadError
-from postfx.frame import Role
+from postfx.frame import ALBEDOS, FrameSpec, Role
 from postfx.io.sequence import Sequence
 from postfx.passes.denoise.models import (
     UNSCALED,
@@ -20,7 +20,7 @@ from postfx.passes.denoise.models import (
     usual_network,
 )
 from postfx.passes.denoise.options import enlargement
-from postfx.pixel_filter import ALBEDOS, find_stddev, parse_stddev
+from postfx.pixel_filter import find_stddev, parse_stddev
 from postfx.runtime import Device
 
 LOOKED_AT = (Role.COLOUR, *ALBEDOS, Role.NORMAL)
@@ -41,12 +41,8 @@ def is_chosen(arguments: argparse.Namespace, options: Mapping[str, Any]) -> bool
     return is_bounded or "model" in options
 
 
-def choose_network(sequence: Sequence, first: int, options: Mapping[str, Any],
-                   device: Device) -> Choice:
-    """The network of a shot that begins with the frame ``first`` of a sequence, by the denoiser's
-    ``options``."""
-    with sequence.open(first) as files:
-        spec = files.spec()
+def choose_network(spec: FrameSpec, options: Mapping[str, Any], device: Device) -> Choice:
+    """The network of a shot whose first frame has this spec, by the denoiser's ``options``."""
     size, scale = (spec.width, spec.height), enlargement(spec, options)
     guided = spec.guides is not None
     lack = lacks_memory(size, scale, device) if takes_best(scale, device, guided) else None

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from postfx.frame import FrameSpec, Role
+from postfx.frame import ALBEDOS, FrameSpec, Role
 from postfx.kernels.denoise.output import SUMS, TILE
 from postfx.kernels.image import positions
 from postfx.passes import ResidentFrame
@@ -109,8 +109,7 @@ def tiles_of_even_light(planes: Mapping[Role, np.ndarray]) -> np.ndarray | None:
     A texture of single pixels at random looks like noise to a network, in the planes, too. But
     where colour over albedo is even, there is no noise to remove.
     """
-    albedos = [planes[role] for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
-               if role in planes]
+    albedos = [planes[role] for role in ALBEDOS if role in planes]
     if not albedos or Role.COLOUR not in planes:
         return None
     even: np.ndarray | None = None
