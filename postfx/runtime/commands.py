@@ -419,7 +419,8 @@ class Execution:
         """Run the dispatches up to the first that fails, and wait until they are done."""
         try:
             spans = None
-            if self._recorder is None and (self._memory.replays or self._footprint.narrow):
+            if (self._dispatches and self._recorder is None
+                    and (self._memory.replays or self._footprint.narrow)):
                 spans = self._at_once()
             if spans is None:
                 beside = (self._footprint.narrow and self._recorder is None

@@ -103,8 +103,7 @@ class CudaMemory:
     def fork(self, streams: Sequence[int], before: Sequence[int]) -> Fork | None:
         """Commands on streams of their own, see `Fork`; None if all are on the device's."""
         self._enter()
-        return (Fork(self.stream, streams, before, lambda: self._graphs.capturing) if any(streams)
-                else None)
+        return Fork(self.stream, streams, before, self._graphs.mark) if any(streams) else None
 
     def allocate(self, nbytes: int) -> CudaChunk:
         """A new chunk."""
@@ -151,7 +150,7 @@ class CudaMemory:
     def mark(self) -> Event:
         """An event at this point of the stream."""
         self._enter()
-        return Event(self.stream, self._graphs.capturing)
+        return self._graphs.mark(self.stream)
 
     def milliseconds(self, begin: Event, end: Event) -> float:
         """Time between two events that have both happened."""
@@ -330,12 +329,13 @@ class Fork:
         own: the device's stream.
         streams: of each command, 0 for the device's.
         before: the commands before each one, as a bit mask of indices.
+        mark: makes an event at this point of a stream, see `CudaGraphs.mark`.
     """
 
     def __init__(self, own: int, streams: Sequence[int], before: Sequence[int],
-                 capturing: Callable[[], bool]) -> None:
+                 mark: Callable[[int], Event]) -> None:
         self._own, self._streams = own, [stream or own for stream in streams]
-        self._before, self._capturing = before, capturing
+        self._before, self._mark = before, mark
         self._begun = Event(own, False)
         self._last: dict[int, Event] = {}
         self._ends: dict[int, Event] = {}
@@ -349,9 +349,9 @@ class Fork:
         # the last one of each
         for event in {self._streams[other]: self._ends[other] for other in before}.values():
             _let_wait(stream, event)
-        begin = Event(stream, self._capturing())
+        begin = self._mark(stream)
         execute()
-        end = Event(stream, self._capturing())
+        end = self._mark(stream)
         self._last[stream] = self._ends[index] = Event(stream, False)
         return begin, end
 
@@ -428,7 +428,16 @@ class CudaGraphs:
         # None: ran, but was not captured
         self._known: LRUCache[Hashable, Graph | None] = LRUCache(MOST_CAPTURED_GRAPHS)
         self._refused: LRUCache[Hashable, None] = LRUCache(MOST_CAPTURED_GRAPHS)
+        self._captured_events: list[Event] = []
         self.capturing = False
+
+    def mark(self, stream: int) -> Event:
+        """An event at this point of a stream. A graph that is being captured keeps it: the driver
+        crashes where a graph is made executable after one of its events is gone."""
+        event = Event(stream, self.capturing)
+        if self.capturing:
+            self._captured_events.append(event)
+        return event
 
     def replay(self, key: Hashable, kept: Any, enqueue: Callable[[], Any]) -> Any:
         """Launch the work of `enqueue` as a graph and return its result; None if it has to run
@@ -449,7 +458,7 @@ class CudaGraphs:
     def _capture(self, enqueue: Callable[[], Any], kept: Any) -> Graph | None:
         mode = driver().CUstreamCaptureMode.CU_STREAM_CAPTURE_MODE_RELAXED
         check_result(driver().cuStreamBeginCapture(self._stream, mode))
-        self.capturing, result = True, None
+        self.capturing, self._captured_events, result = True, [], None
         try:
             result = enqueue()
         except Exception:  # not capturable: it runs one by one, which raises its errors
@@ -460,16 +469,14 @@ class CudaGraphs:
         if int(status):
             LOG.debug("commands cannot be one CUDA graph: %s", status)
             return None
-        if result is None:
-            # what was captured before the error has marks whose events are gone: making it
-            # executable would read them
+        if result is None:  # what was captured before the error is a part
             driver().cuGraphDestroy(captured)
             return None
         if _calls_host(captured):
             LOG.debug("commands call the host once they are done: no CUDA graph")
             driver().cuGraphDestroy(captured)
             return None
-        return Graph(captured, result, kept)
+        return Graph(captured, result, (kept, self._captured_events))
 
 
 def _calls_host(graph: Any) -> bool:

@@ -227,6 +227,18 @@ def test_empty_buffer_is_fine(device):
     assert commands.timings == []
 
 
+def test_empty_buffer_is_no_graph(device, monkeypatch):
+    """As of two black frames in a row, for which no network runs."""
+    asked = []
+    monkeypatch.setattr(device.memory, "replays", True)
+    monkeypatch.setattr(device.memory, "replay", lambda *arguments: asked.append(arguments),
+                        raising=False)
+    commands = device.command_buffer("empty")
+    commands.commit()
+    commands.wait(10)
+    assert not asked and commands.timings == []
+
+
 @pytest.fixture
 def by_itself():
     """A device that orders commands by what they read and write."""

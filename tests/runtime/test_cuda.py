@@ -81,7 +81,7 @@ def test_what_cannot_be_captured_runs_one_by_one(driver: Driver) -> None:
     graphs = CudaGraphs(STREAM)
 
     def enqueue() -> None:
-        mark = Event(STREAM, graphs.capturing)
+        mark = graphs.mark(STREAM)
         raise RuntimeError(f"operation not permitted when stream is capturing, after {mark}")
 
     assert [graphs.replay("frame", None, enqueue) for _ in range(4)] == [None] * 4
@@ -89,6 +89,22 @@ def test_what_cannot_be_captured_runs_one_by_one(driver: Driver) -> None:
     assert driver.count("cuStreamEndCapture") == 1, "the stream has to leave its capture"
     assert driver.count("cuGraphInstantiate") == 0 and driver.count("cuGraphDestroy") == 1
     assert not graphs.capturing
+
+
+def test_a_graph_keeps_events_that_nobody_else_keeps(driver: Driver) -> None:
+    """The driver crashes where it makes a graph executable whose event is gone."""
+    graphs = CudaGraphs(STREAM)
+
+    def enqueue() -> list[object]:
+        graphs.mark(STREAM)
+        return []
+
+    for _ in range(3):
+        graphs.replay("frame", None, enqueue)
+    assert driver.count("cuEventCreate") == 1 and driver.count("cuGraphLaunch") == 2
+    assert driver.count("cuEventDestroy") == 0
+    del graphs
+    assert driver.count("cuEventDestroy") == 1
 
 
 def test_a_capture_that_the_driver_gave_up(driver: Driver) -> None:
@@ -170,7 +186,8 @@ def test_streams_wait_for_what_barriers_put_before(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(cuda, "driver", lambda: played)
     played.done[STREAM] = {"earlier"}
     streams = [0, a, b, a, 0, b]
-    fork = Fork(STREAM, streams, [0, 0b1, 0b1, 0, 0b1111, 0], lambda: captured)
+    fork = Fork(STREAM, streams, [0, 0b1, 0b1, 0, 0b1111, 0],
+                lambda stream: Event(stream, captured))
     with fork:
         for number, stream in enumerate(streams):
             fork.run(number, played.command(number, stream or STREAM))
