@@ -1,5 +1,6 @@
 // Rows of colour.
 #include "colour.h"
+#include "views.h"
 
 static Status apply_cube_rows(Long first, Long last, Picture colour, Given<Shaping> params,
                               Given<Matrix> matrix, Cube cube, NewPicture output) {
@@ -73,6 +74,24 @@ static void encode_display_rows(Long first, Long last, Picture colour, Given<Dis
     }
 }
 EXPORT(encode_display, encode_display_rows)
+
+// Views that are formulas.
+template <class Formula>
+static void show_rows(Long first, Long last, Picture colour, Given<Showing> params,
+                      NewPicture output) {
+    for (Long y = first; y < last; y++) {
+        const float* from = colour(y);
+        float* out = output(y);
+        across(0, colour.size[1], PIXELS(auto one, Long x) {
+            typedef decltype(one) F;
+            const Colour<F> light = finite<F>(colour_at<F>(from + 3 * x));
+            const Shown<F> shown = show_light<Formula, F>(*params, light.r, light.g, light.b);
+            store_colour<F>(out + 3 * x, {shown.r, shown.g, shown.b});
+        });
+    }
+}
+EXPORT(show_neutral, show_rows<Neutral>)
+EXPORT(show_reinhard, show_rows<Reinhard>)
 
 // A matrix alone.
 static void convert_primaries_rows(Long first, Long last, Picture colour, Given<Matrix> matrix,

@@ -1,3 +1,5 @@
+#include "views.h"
+
 // Looks colours up in a cube: colour (height, width, 3), params (3,), matrix (9,), cube (size,
 // size, size, 3) -> output (height, width, 3).
 template <int NUMBERS>
@@ -81,4 +83,27 @@ extern "C" __global__ void encode_display(View colour, View params, View decode,
     const float gain = exponent == 0.0f ? 1.0f : powf(fmaxf(luminance, DARK), exponent);
     for (int c = 0; c < 3; c++)
         output.at[here + c] = looked_up(encode, root(fminf(light[c] * gain, 1.0f)));
+}
+
+// Views that are formulas: colour (height, width, 3), params (14,) -> output (height, width, 3).
+template <class Formula>
+__device__ inline void show(const View& colour, const View& params, const View& output) {
+    const int width = output.size[1];
+    PIXEL(width, output.size[0]);
+    const size_t here = 3 * (size_t(y) * width + x);
+    float in[3];
+    for (int c = 0; c < 3; c++) in[c] = clamped(colour.at[here + c], -BRIGHTEST, BRIGHTEST);
+    const Showing& by = *reinterpret_cast<const Showing*>(params.at);
+    const Shown<float> shown = show_light<Formula, float>(by, in[0], in[1], in[2]);
+    output.at[here] = shown.r;
+    output.at[here + 1] = shown.g;
+    output.at[here + 2] = shown.b;
+}
+
+extern "C" __global__ void show_neutral(View colour, View params, View output) {
+    show<Neutral>(colour, params, output);
+}
+
+extern "C" __global__ void show_reinhard(View colour, View params, View output) {
+    show<Reinhard>(colour, params, output);
 }
