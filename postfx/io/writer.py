@@ -162,7 +162,9 @@ def write_frame(
     if not isinstance(frame, Frame):
         raise FrameError("write_frame takes a path and a postfx.Frame, not "
                          f"{type(frame).__name__}: give Frame({{'colour': array}})")
-    path = _path_of(path)
+    if not isinstance(path, str | PathLike):
+        raise WriteError(f"{path!r} is no file name: give a text or a path")
+    path = Path(path)
     if not isinstance(compression, str) or not isinstance(bits, int | None):
         raise WriteError(f"{path}: compression {compression!r} and bits {bits!r}: give a text and "
                          "a whole number")
@@ -191,12 +193,6 @@ def write_frame(
     for note, *facts in notes:
         TOLD.warning(note, path, *facts)
     return path
-
-
-def _path_of(path: object) -> Path:
-    if not isinstance(path, str | PathLike):
-        raise WriteError(f"{path!r} is no file name: give a text or a path")
-    return Path(path)
 
 
 def _write_light(path: Path, found: list[tuple[Frame, LightPlan, Header]], keep: bool,
@@ -372,11 +368,11 @@ def _light_rows(frame: Frame, plan: LightPlan, limit: float | None, losses: _Los
     """Channels of light as they are written. Those that a compression alters are cut at a limit."""
     colour, (before, behind) = frame[Role.COLOUR], plan.planes
     area, data = plan.windows.area, plan.windows.data
-    top, left = data.y0 - area.y0, data.x0 - area.x0
+    top, columns = data.y0 - area.y0, slice(data.x0 - area.x0, data.x1 + 1 - area.x0)
     is_altered = plan.altered.any()
 
     def read(first: int, last: int) -> list[np.ndarray]:
-        some = slice(first + top, last + top), slice(left, left + data.width)
+        some = slice(first + top, last + top), columns
         light = light_of(colour[some], plan.display) if plan.display else colour[some]
         planes = [light, *[frame[role][some] for role in before]]
         planes += [_divide_part(frame, name, some) for name in plan.parts]
