@@ -136,9 +136,10 @@ class View(Pass):
     """Exposed scene-linear colour to code values of a display, by a view of OpenColorIO, a look-up
     table or a formula.
 
-    Formulas are kernels. Other views are evaluated for every pixel on the host. With `exact=False`
-    a cube of 65x65x65 stands in for them, on the device, which takes a fraction of the time. In
-    saturated light it is up to 10 of 255 steps off.
+    Formulas are kernels. Other views are evaluated for every pixel on the host, and so are formulas
+    where kernels run by their portable definitions. With `exact=False` a cube of 65x65x65 stands in
+    for these, on the device, which takes a fraction of the time. In saturated light it is up to 10
+    of 255 steps off.
 
     Options:
         view: 'neutral' (Khronos PBR Neutral), 'reinhard', 'ocio:VIEW' of the config $OCIO or the
@@ -158,8 +159,9 @@ class View(Pass):
     def __init__(self, view: str = "neutral", *, display: str = "srgb", exact: bool = True,
                  **unknown: Never) -> None:
         super().__init__(view=view, display=display, exact=exact, **unknown)
-        self._view, self._exact = find_view(view, parse_display(display)), bool(exact)
-        self.choice, self._formula = self._view.title, FORMULAS.get(view)
+        self._view_name, self._exact = view, bool(exact)
+        self._view = find_view(view, parse_display(display))
+        self.choice = self._view.title
         self._matrix = matrix_between(REC709, self._view.primaries)
         # a table is read now, so that a broken one is told before any frame
         self._view.apply(np.zeros((1, 3)))
@@ -180,6 +182,9 @@ class View(Pass):
         size = spec.height, spec.width, 3
         self._output, self._cube = device.heap.transient("display colour", size), {}
         self._numbers: tuple[float, ...] = (AXIS_TOE, AXIS_SCALE)
+        # formulas have no portable definition
+        has_formulas = device.runs_rows or device.gpu is not None
+        self._formula = FORMULAS.get(self._view_name) if has_formulas else None
         if self._formula:
             own, display = self._view.primaries, self._view.display
             self._numbers = (*self._matrix.ravel(), *to_xyz(own)[1], display.most)
