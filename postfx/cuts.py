@@ -79,7 +79,7 @@ WINDOW_PX = 32
 """Side of the windows that are looked for."""
 SEARCHED_PX = 48
 """Pixels each way in which they are."""
-WINDOW_SIDE_PX = WINDOW_PX + 2 * SEARCHED_PX
+SEARCHED_SIDE_PX = WINDOW_PX + 2 * SEARCHED_PX
 """Side of a window with what is around it."""
 WINDOWS = 3, 4
 """Rows and columns of windows."""
@@ -255,11 +255,11 @@ def _picture(frame: Frame) -> Picture | None:
     dark = np.log2(np.moveaxis(some.min((0, 3)), 0, -1).astype(np.float64) + black)
     pixels = pick_light(colour, *places.detail).reshape(2, 2 * rows, 2, 2 * columns)
     detail = np.stack([pixels[0, :, 0], pixels[0, :, 1], pixels[1, :, 0]], axis=-1)
-    windows = np.empty((0, WINDOW_SIDE_PX, WINDOW_SIDE_PX), np.float32)
+    windows = np.empty((0, SEARCHED_SIDE_PX, SEARCHED_SIDE_PX), np.float32)
     if places.windows:
         windows = pick_light(colour, *places.windows).reshape(
-            WINDOWS[0], WINDOW_SIDE_PX, WINDOWS[1], WINDOW_SIDE_PX
-        ).swapaxes(1, 2).reshape(-1, WINDOW_SIDE_PX, WINDOW_SIDE_PX)
+            WINDOWS[0], SEARCHED_SIDE_PX, WINDOWS[1], SEARCHED_SIDE_PX
+        ).swapaxes(1, 2).reshape(-1, SEARCHED_SIDE_PX, SEARCHED_SIDE_PX)
     return Picture(band_of(light.transpose(1, 2, 0), *BAND_CELLS), guides, motion,
                    (block / height, block / width), band_of(dark, *BAND_CELLS), detail, windows,
                    longest)

@@ -1,10 +1,9 @@
 #include "views.h"
 
 // Looks colours up in a cube: colour (height, width, 3), params (3,), matrix (9,), cube (size,
-// size, size, 3) -> output (height, width, 3).
-template <int NUMBERS>
-__device__ inline void look_up(const View& colour, const View& params, const View& matrix,
-                               const View& cube, const View& output) {
+// size, size, 4) -> output (height, width, 3).
+extern "C" __global__ void __launch_bounds__(256, 4)
+    apply_cube_fours(View colour, View params, View matrix, View cube, View output) {
     // A thread makes two pixels beside each other.
     __shared__ Pair staged[DOWN][3 * ACROSS];
     const int width = output.size[1], height = output.size[0], start = 2 * ACROSS * blockIdx.x;
@@ -29,23 +28,12 @@ __device__ inline void look_up(const View& colour, const View& params, const Vie
     const Colour places[2] = {shaped(by, light), shaped(by, light + 3)};
 #pragma unroll
     for (int k = 0; k < 2; k++) {
-        const Colour one = looked_up<NUMBERS>(cube, places[k]);
+        const Colour one = looked_up<4>(cube, places[k]);
         found[3 * k] = one.r;
         found[3 * k + 1] = one.g;
         found[3 * k + 2] = one.b;
     }
     put_pixels(staged[threadIdx.y], found, output, y, x, start);
-}
-
-extern "C" __global__ void __launch_bounds__(256, 4)
-    apply_cube(View colour, View params, View matrix, View cube, View output) {
-    look_up<3>(colour, params, matrix, cube, output);
-}
-
-// The same with a cube (size, size, size, 4).
-extern "C" __global__ void __launch_bounds__(256, 4)
-    apply_cube_fours(View colour, View params, View matrix, View cube, View output) {
-    look_up<4>(colour, params, matrix, cube, output);
 }
 
 // Colour (height, width, 3) to a display's code values: decoded if it is code values, turned by a

@@ -30,7 +30,7 @@ from postfx.workers import Workers
 
 THREAD_ROWS = 32
 """Rows of a picture that one thread shows at a time."""
-FORMULAS = {"neutral": SHOW_NEUTRAL, "reinhard": SHOW_REINHARD}
+VIEW_KERNELS = {"neutral": SHOW_NEUTRAL, "reinhard": SHOW_REINHARD}
 """Views that are kernels, by name; the display's kernel encodes their light."""
 
 
@@ -184,7 +184,7 @@ class View(Pass):
         self._numbers: tuple[float, ...] = (AXIS_TOE, AXIS_SCALE)
         # formulas have no portable definition
         has_formulas = device.runs_rows or device.gpu is not None
-        self._formula = FORMULAS.get(self._view_name) if has_formulas else None
+        self._formula = VIEW_KERNELS.get(self._view_name) if has_formulas else None
         if self._formula:
             own, display = self._view.primaries, self._view.display
             self._numbers = (*self._matrix.ravel(), *to_xyz(own)[1], display.most)
