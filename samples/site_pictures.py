@@ -20,9 +20,9 @@ import postfx
 from postfx import Frame, Role
 from postfx.cli.main import main
 from postfx.exposure import measure
-from postfx.exposure.debugger import debug
 from postfx.passes import registry
-from postfx.report.charts import Canvas, draw_exposure, save_png
+from postfx.tools.exposure.debugger import debug
+from postfx.tools.report.charts import Canvas, draw_exposure, save_png
 
 ROOT = Path(__file__).resolve().parent.parent
 PAPER, INK = (250, 250, 248), (60, 60, 60)

@@ -7,8 +7,8 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import WriteError
-from postfx.exposure.debugger import Reading, Report, Shot
-from postfx.report.charts import (
+from postfx.tools.exposure.debugger import Reading, Report, Shot
+from postfx.tools.report.charts import (
     NEEDED_RGB,
     PLOT_LEFT_PX,
     PLOT_RIGHT_PX,

@@ -12,10 +12,10 @@ import OpenImageIO as oiio
 
 from postfx.colour.views import FALSE_COLOUR_BANDS
 from postfx.errors import WriteError
-from postfx.exposure.debugger import DRIFTING_VERDICT, RIGHT_VERDICT, Report, Shot
 from postfx.files import write_atomically
-from postfx.report.frame_log import Row
 from postfx.thumbnails import png
+from postfx.tools.exposure.debugger import DRIFTING_VERDICT, RIGHT_VERDICT, Report, Shot
+from postfx.tools.report.frame_log import Row
 
 Colour = tuple[int, int, int]
 
