@@ -190,7 +190,7 @@ class ExposureCheck:
 
     def write_pictures(self) -> Iterator[Path]:
         """Write what --curve and --views ask for; each path when it is there."""
-        from postfx.tools.report.charts import draw_exposure
+        from postfx.tools.exposure.plot import draw_exposure
 
         views = self._arguments.views and Path(self._arguments.views)
         curves = [self._arguments.curve, views and views / "curve.png"]
@@ -207,10 +207,10 @@ class ExposureCheck:
         """The whole chain runs here: noise would be in every view."""
         from dataclasses import replace
 
+        from postfx.canvas import save_png
         from postfx.frame import Role
         from postfx.passes.registry import create
         from postfx.pipeline import Pipeline
-        from postfx.tools.report.charts import save_png
 
         denoise = Pipeline([create("denoise_upscale")], self._device, "metadata")
         view = Pipeline(self._view(), self._device, "metadata")
@@ -239,7 +239,7 @@ def _views(clean: Frame, display: np.ndarray,
            exposure_factor: float) -> Iterator[tuple[str, np.ndarray]]:
     from postfx.colour.views import false_colour, log_c, luma, zebra
     from postfx.frame import Role
-    from postfx.tools.report.charts import add_key
+    from postfx.tools.exposure.plot import add_key
 
     signals = {"log_c": log_c(luma(clean[Role.COLOUR]) * exposure_factor), "display": luma(display)}
     for name, signal in signals.items():
