@@ -13,6 +13,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -77,6 +79,8 @@ WINDOW_PX = 32
 """Side of the windows that are looked for."""
 SEARCHED_PX = 48
 """Pixels each way in which they are."""
+SEARCHED_SIDE_PX = WINDOW_PX + 2 * SEARCHED_PX
+"""Side of a window with what is around it."""
 WINDOWS = 3, 4
 """Rows and columns of windows."""
 LEAST_SMOOTH = 0.6
@@ -86,6 +90,9 @@ LEAST_WINDOWS = 6
 FOUND_CORRELATION = 0.48
 """Median of how well windows are found, from which frames are of one shot: 0.66 and more where the
 camera pans, zooms or turns, 0.51 and more in dissolves, 0.2 to 0.47 of two walls, 0.55 of waves."""
+
+MOST_PICTURE_SIZES = 8
+"""Sizes of pictures for which it is kept where they are looked at."""
 
 
 @dataclass(slots=True)
@@ -221,13 +228,14 @@ def _picture(frame: Frame) -> Picture | None:
     if colour is None:
         return None
     height, width = colour.shape[:2]
-    block = max(LEAST_BLOCK, math.ceil(max(height, width) / MOST_CELLS))
-    rows, columns = height // block, width // block
+    places = _places(height, width)
+    block, (rows, columns) = places.block, places.cells
     if rows * columns < LEAST_COMPARED:
         return None
     halves = half_means(colour, block)
     mean = (np.sqrt(halves).sum() / halves.size) ** 2
-    light = np.log2(halves + (BLACK_LIGHT_RATIO * mean or 1.0))
+    black = BLACK_LIGHT_RATIO * mean or 1.0
+    light = np.log2(halves + black)
     guides: dict[Role, np.ndarray] = {}
     for role in (Role.DIFFUSE_ALBEDO, Role.NORMAL):
         if role in planes:
@@ -235,54 +243,83 @@ def _picture(frame: Frame) -> Picture | None:
     if Role.DEPTH in planes:
         guides[Role.DEPTH] = depth_doublings(pair_means(planes[Role.DEPTH], block),
                                              LEAST_MISS)
-    motion = None
+    motion, longest = None, 0.0
     if Role.MOTION in planes:
         motion = planes[Role.MOTION][block // 2 :: block,
                                      block // 2 :: block][:rows, :columns].astype(float) / block
         motion[np.abs(motion).max(-1) > max(rows, columns)] = np.nan  # stands for none
-    dark = np.log2(_darkest(colour, block) + (BLACK_LIGHT_RATIO * mean or 1.0))
-    longest = 0.0
-    if motion is not None:
-        middles = tuple(slice(count // (2 * windows), None, max(count // windows, 1))
-                        for count, windows in zip((rows, columns), WINDOWS, strict=True))
-        longest = block * float(np.nan_to_num(np.abs(motion[middles])).max())
+        longest = block * float(np.nan_to_num(np.abs(motion[places.middles])).max())
+
+    # Light of single pixels.
+    some = pick_light(colour, *places.dark).reshape(DARK_PLACES, 2, rows, DARK_PLACES, columns)
+    dark = np.log2(np.moveaxis(some.min((0, 3)), 0, -1).astype(np.float64) + black)
+    pixels = pick_light(colour, *places.detail).reshape(2, 2 * rows, 2, 2 * columns)
+    detail = np.stack([pixels[0, :, 0], pixels[0, :, 1], pixels[1, :, 0]], axis=-1)
+    windows = np.empty((0, SEARCHED_SIDE_PX, SEARCHED_SIDE_PX), np.float32)
+    if places.windows:
+        windows = pick_light(colour, *places.windows).reshape(
+            WINDOWS[0], SEARCHED_SIDE_PX, WINDOWS[1], SEARCHED_SIDE_PX
+        ).swapaxes(1, 2).reshape(-1, SEARCHED_SIDE_PX, SEARCHED_SIDE_PX)
     return Picture(band_of(light.transpose(1, 2, 0), *BAND_CELLS), guides, motion,
-                   (block / height, block / width), band_of(dark, *BAND_CELLS),
-                   _detail(colour, block), _windows(colour), longest)
+                   (block / height, block / width), band_of(dark, *BAND_CELLS), detail, windows,
+                   longest)
 
 
-def _darkest(colour: np.ndarray, block: int) -> np.ndarray:
-    """The darkest of some pixels of both halves of each cell (rows, columns, 2), which are its even
-    and its odd rows."""
-    rows, columns = (block * np.arange(side // block) for side in colour.shape[:2])
-    places = block * (2 * np.arange(DARK_PLACES)[:, None] + 1) // (2 * DARK_PLACES)
-    halves = np.minimum(places - places % 2 + (0, 1), block - 1)
-    light = pick_light(colour, halves[:, :, None] + rows, places + columns)
-    found = light.reshape(DARK_PLACES, 2, rows.size, DARK_PLACES, columns.size).min((0, 3))
-    darkest: np.ndarray = np.moveaxis(found, 0, -1).astype(np.float64)
-    return darkest
+Grid = tuple[np.ndarray, np.ndarray]
+"""Rows of pixels, and columns of them."""
 
 
-def _detail(colour: np.ndarray, block: int) -> np.ndarray:
-    """The light of `Picture.detail`."""
-    places = np.array([0, block // 2]) + block // 8
-    rows, columns = (block * np.arange(side // block)[:, None] + places
-                     for side in colour.shape[:2])
-    return np.stack([pick_light(colour, rows + below, columns + right)
-                     for below, right in ((0, 0), (0, 1), (1, 0))], axis=-1)
+class Places(NamedTuple):
+    """Where pictures of one size are looked at.
+
+    Attributes:
+        block: pixels along the side of a cell.
+        cells: rows and columns of whole cells.
+        middles: cells in the middle of windows.
+        dark: pixels of both halves of each cell, which are its even and its odd rows: places, half,
+            cell; places, cell.
+        detail: four pixels of each cell and those beside them: that or the next one, place.
+        windows: pixels of windows with what is around them, edges repeated; None of small pictures.
+    """
+
+    block: int
+    cells: tuple[int, int]
+    middles: tuple[slice, slice]
+    dark: Grid
+    detail: Grid
+    windows: Grid | None
 
 
-def _windows(colour: np.ndarray) -> np.ndarray:
-    """The light of `Picture.windows`; edges are repeated."""
-    side = WINDOW_PX + 2 * SEARCHED_PX
-    if min(colour.shape[:2]) < 3 * WINDOW_PX:
-        return np.empty((0, side, side), np.float32)
-    places = []
-    for size, count in zip(colour.shape[:2], WINDOWS, strict=True):
-        first = ((size - WINDOW_PX) * (np.arange(count) + 0.5) / count).astype(int) - SEARCHED_PX
-        places.append((first[:, None] + np.arange(side)).clip(0, size - 1))
-    light = pick_light(colour, *places).reshape(WINDOWS[0], side, WINDOWS[1], side)
-    return light.swapaxes(1, 2).reshape(-1, side, side)
+@lru_cache(MOST_PICTURE_SIZES)
+def _places(height: int, width: int) -> Places:
+    """They follow from the size alone."""
+    sides = height, width
+    block = max(LEAST_BLOCK, math.ceil(max(sides) / MOST_CELLS))
+    first_rows, first_columns = (block * np.arange(side // block) for side in sides)
+    cells = first_rows.size, first_columns.size
+    middle_rows, middle_columns = (
+        slice(count // (2 * windows), None, max(count // windows, 1))
+        for count, windows in zip(cells, WINDOWS, strict=True)
+    )
+
+    inside = block * (2 * np.arange(DARK_PLACES)[:, None] + 1) // (2 * DARK_PLACES)
+    halves = np.minimum(inside - inside % 2 + (0, 1), block - 1)
+    dark = (halves[:, :, None] + first_rows).ravel(), (inside + first_columns).ravel()
+
+    beside = np.array([[0], [1]]) + np.array([0, block // 2]) + block // 8
+    detail_rows, detail_columns = ((beside[:, None] + first[:, None]).ravel()
+                                   for first in (first_rows, first_columns))
+
+    windows = None
+    if min(sides) >= 3 * WINDOW_PX:
+        around = np.arange(-SEARCHED_PX, WINDOW_PX + SEARCHED_PX)
+        first = [((side - WINDOW_PX) * (np.arange(count) + 0.5) / count).astype(int)
+                 for side, count in zip(sides, WINDOWS, strict=True)]
+        window_rows, window_columns = ((places[:, None] + around).clip(0, side - 1).ravel()
+                                       for places, side in zip(first, sides, strict=True))
+        windows = window_rows, window_columns
+    return Places(block, cells, (middle_rows, middle_columns), dark,
+                  (detail_rows, detail_columns), windows)
 
 
 def _relation_of_windows(before: Picture, now: Picture) -> float | None:

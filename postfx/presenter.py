@@ -128,7 +128,7 @@ class Pacing:
 
     def draw(self, path: str | Path) -> None:
         """Write a PNG of all intervals in order, and of their histogram. Raises WriteError."""
-        from postfx.report.charts import draw_pacing
+        from postfx.pacing_plot import draw_pacing
 
         draw_pacing(str(self), self.interval, self.intervals, self.histogram, BUCKET, Path(path))
 

@@ -23,9 +23,9 @@ import OpenImageIO as oiio
 
 import postfx
 from postfx import Frame, Role
-from postfx.bench.metrics import Pictures, flicker, flip, grey_factor, psnr, ssim
 from postfx.colour.views import to_codes
 from postfx.sampling import bilinear, motion_at
+from postfx.tools.bench.metrics import Pictures, flicker, flip, grey_factor, psnr, ssim
 
 try:
     import cv2

@@ -222,7 +222,7 @@ def draw_clock(canvas, x, y, on):
 
 def draw(path, columns, changed):
     """A picture of panels in columns."""
-    from postfx.report.charts import Canvas
+    from postfx.canvas import Canvas
 
     heights = [sum(LINE * (len(rows) + (rows[0][0][0] != TITLE)) + 2 * EDGE
                    for rows in column.values())

@@ -22,9 +22,9 @@ from ray_caster import render
 
 import postfx
 from postfx import Role, integrate
-from postfx.bench.metrics import to_codes
 from postfx.kernels.image import resample
 from postfx.masks import Threshold, strength_of_converged
+from postfx.tools.bench.metrics import to_codes
 
 TARGETS = (0.1, 0.05, 0.02, 0.01)
 STEP, REFERENCE = 16, 64

@@ -33,9 +33,9 @@ import numpy as np
 
 import postfx
 from postfx import Frame, Role, integrate
-from postfx.bench.methods import OTHERS, Method, make
-from postfx.bench.metrics import LUMINANCE_WEIGHTS, grey_factor, psnr
 from postfx.colour.views import to_codes
+from postfx.tools.bench.methods import OTHERS, Method, make
+from postfx.tools.bench.metrics import LUMINANCE_WEIGHTS, grey_factor, psnr
 
 PARTS = ("albedo", "light", "shadow edges")
 PATCH, COARSE, SCALE, SPECULAR = 64, 4, 2, 0.04

@@ -16,8 +16,8 @@ import numpy as np
 
 import postfx
 from postfx import Role
-from postfx.bench.metrics import to_codes
 from postfx.masks import misses_of, strength_of_misses
+from postfx.tools.bench.metrics import to_codes
 
 ROOM = Path(__file__).parent / "room"
 NOISE = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.3)

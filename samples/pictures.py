@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.report.charts import Canvas
+from postfx.canvas import Canvas
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _BLACK = (0, 0, 0)

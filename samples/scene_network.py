@@ -23,8 +23,8 @@ from sky import cleaned, shown
 
 import postfx
 from postfx import Device, Frame, Library, Role
-from postfx.bench.metrics import Pictures, flicker
 from postfx.runtime import ArgumentTable
+from postfx.tools.bench.metrics import Pictures, flicker
 
 ROOM = Path(__file__).parent / "room"
 WAYS = ("shading", "temporal", "temporal, no history", "amplifier")

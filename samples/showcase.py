@@ -30,8 +30,8 @@ from pictures import (
 from PIL import Image
 
 import postfx
-from postfx.bench.metrics import psnr, to_codes
 from postfx.frame import Frame, Role
+from postfx.tools.bench.metrics import psnr, to_codes
 
 NETWORK = "xl"
 """What `postfx run` takes at the render's size."""

@@ -18,11 +18,12 @@ import OpenImageIO as oiio
 
 import postfx
 from postfx import Frame, Role
+from postfx.canvas import Canvas, save_png
 from postfx.cli.main import main
 from postfx.exposure import measure
-from postfx.exposure.debugger import debug
 from postfx.passes import registry
-from postfx.report.charts import Canvas, draw_exposure, save_png
+from postfx.tools.exposure.debugger import debug
+from postfx.tools.exposure.plot import draw_exposure
 
 ROOT = Path(__file__).resolve().parent.parent
 PAPER, INK = (250, 250, 248), (60, 60, 60)

@@ -26,8 +26,8 @@ from compare_speed import noisy_frames
 from masked_speed import masked
 
 import postfx
-from postfx.bench.measure import peak_memory
 from postfx.passes.denoise.models import HALOS
+from postfx.tools.bench.measure import peak_memory
 
 SIZES = "427x240,640x360,960x540,1280x720,1920x1080"
 SHARES = 100, 75, 50, 25, 10, 1

@@ -120,12 +120,12 @@ def count_kernel_lines(repository: Path = PACKAGE.parent) -> dict[str, str]:
 
 
 KERNEL_FAMILIES = {
-    "denoiser": ("kernels/denoise/",),
+    "denoiser": ("kernels/denoise/", "kernels/pixel_filter"),
     "frames between": ("kernels/interpolate/", "interpolate/"),
     "networks": ("kernels/convolution", "kernels/products", "kernels/neural", "kernels/mlp",
                  "kernels/gelu", "kernels/occlusion", "kernels/scene"),
     "colour and pictures": ("kernels/colour", "kernels/tonemap", "kernels/image", "kernels/partner",
-                            "kernels/accumulate"),
+                            "kernels/accumulate", "kernels/views"),
     "files and what is looked at": ("kernels/statistics", "kernels/pixel_formats"),
     "numbers and rows": ("kernels/",),
 }

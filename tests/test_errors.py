@@ -15,8 +15,8 @@ from postfx.colour.ocio import file_transform
 from postfx.errors import CommandTimeout
 from postfx.frame import Frame, Role
 from postfx.io.profile import load_profile
-from postfx.report import capture_data
 from postfx.runs.manifest import MANIFEST_NAME, Manifest, Output, verify
+from postfx.tools.report import capture_data
 
 PACKAGE = Path(postfx.__file__).parent
 

@@ -12,7 +12,11 @@ from postfx.colour.displays import parse_display
 from postfx.colour.views import find_view
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
-from postfx.look_table import (
+from postfx.passes.display import View
+from postfx.passes.tonemap import ToneMap
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+from postfx.tools.look_table import (
     MOST_REPLACED_SHARE,
     LookTable,
     delta_e_itp,
@@ -20,10 +24,6 @@ from postfx.look_table import (
     measure_difference,
     to_itp,
 )
-from postfx.passes.display import View
-from postfx.passes.tonemap import ToneMap
-from postfx.pipeline import Pipeline
-from postfx.runtime import Device
 
 colour = pytest.importorskip("colour")
 OCIO = pytest.importorskip("PyOpenColorIO")

@@ -17,20 +17,20 @@ import pytest
 
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 pytest.importorskip("skimage", reason="needs the extra 'bench'")
-from postfx.bench.measure import Material, Sources  # noqa: E402
-from postfx.bench.methods import (  # noqa: E402
-    OTHERS,
-    Method,
-    catalogue,
-    make,  # noqa: E402
-)
-from postfx.bench.metrics import Pictures, flicker, flip, grey_factor, psnr, ssim, to_codes  # noqa: E402
 from postfx.frame import GUIDE_ROLES, Frame, Role  # noqa: E402
 from postfx.kernels.denoise import KERNEL  # noqa: E402
 from postfx.passes.denoise import models  # noqa: E402
 from postfx.passes.denoise.models import UNSCALED, exact, split_ending  # noqa: E402
 from postfx.runtime import Device, Library  # noqa: E402
 from postfx.sampling import motion_at  # noqa: E402
+from postfx.tools.bench.measure import Material, Sources  # noqa: E402
+from postfx.tools.bench.methods import (  # noqa: E402
+    OTHERS,
+    Method,
+    catalogue,
+    make,  # noqa: E402
+)
+from postfx.tools.bench.metrics import Pictures, flicker, flip, grey_factor, psnr, ssim, to_codes  # noqa: E402
 from tests.made_once import copy_made_once  # noqa: E402
 
 REPOSITORY = Path(__file__).parent.parent
@@ -129,7 +129,7 @@ def psnrs_of_peer(folder: Path, name: str, version: str) -> np.ndarray:
     code."""
     measuring = REPOSITORY / "postfx"
     sources = [*folder.glob("noisy.*.exr"), *folder.glob("reference.*.exr"),
-               *(measuring / "bench").glob("*.py"), measuring / "oidn.py", Path(__file__)]
+               *(measuring / "tools/bench").glob("*.py"), measuring / "oidn.py", Path(__file__)]
     with TemporaryDirectory() as copied:
         copy_made_once(f"psnr-{name}-{folder.name}", sources, version,
                        lambda made: np.save(made / "psnr.npy", psnrs(folder, name)), Path(copied))

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
-from postfx.bench.metrics import grey_factor, psnr, to_codes  # noqa: E402
 from postfx.frame import Frame, Role  # noqa: E402
 from postfx.passes.denoise import DenoiseUpscale  # noqa: E402
 from postfx.pipeline import Pipeline  # noqa: E402
 from postfx.runtime import Device  # noqa: E402
+from postfx.tools.bench.metrics import grey_factor, psnr, to_codes  # noqa: E402
 
 VIEW = Path(__file__).parent / "many_samples.npz"
 AVERAGED = (Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS)

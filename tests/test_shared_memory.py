@@ -13,12 +13,12 @@ import pytest
 import postfx
 import postfx.runtime.device as device_module
 from postfx.frame import GUIDE_ROLES, ROLES, Frame, Role
-from postfx.report.capture_data import compare
-from postfx.report.page import write_capture
 from postfx.runtime import Device
 from postfx.runtime.device import ProviderMemory
 from postfx.runtime.heap import Heap
 from postfx.runtime.session import Placement
+from postfx.tools.report.capture_data import compare
+from postfx.tools.report.page import write_capture
 from tests import toys
 
 PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO,

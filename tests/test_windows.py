@@ -71,7 +71,7 @@ assert files.os.name == "nt" and os.name == "posix"
 assert not hasattr(files.os, "kill") and hasattr(os, "kill")
 assert not hasattr(system.mmap, "MADV_DONTNEED") and not system.Path("/proc/self/cgroup").is_file()
 try:
-    from postfx.bench import measure
+    from postfx.tools.bench import measure
     measure.peak_memory()
 except ModuleNotFoundError as error:
     assert error.name == "resource"  # the last resort, where neither /proc nor psutil says it

@@ -4,7 +4,7 @@ const CHANNELS = { colour: 3, diffuse_albedo: 3, specular_albedo: 3, normal: 3, 
 const ABSENT = { roughness: 0.5, depth: 1 }; // and 0: what stands for a plane that a frame lacks
 const HAZY = ["diffuse_albedo", "specular_albedo", "depth"]; // planes that a volume hides
 const MISS = 1e10, FARTHEST = 1e9, FOUND = 0.12;
-// Metering: see postfx/exposure/__init__.py.
+// Metering: see postfx/exposure.py.
 const [KEY, BLACK, RANGE_EV, BLOCK, MOST_BLOCKS, LIMIT_EV] = [0.18, 2 ** -24, 9, 8, 160, 16];
 
 /** ONNX Runtime on the GPU where the browser has WebGPU, else on the CPU; and which of both. */

@@ -88,9 +88,12 @@ def execute(arguments: argparse.Namespace) -> int:
         raise BenchError("bench needs --reference and -o, or --stress: see postfx bench --help")
     from pathlib import Path
 
-    from postfx.bench.job import Bench, Request  # loads the runtime, which --help must not wait for
-    from postfx.bench.measure import Sources
-    from postfx.bench.report import print_table
+    from postfx.tools.bench.job import (  # loads the runtime, which --help must not wait for
+        Bench,
+        Request,
+    )
+    from postfx.tools.bench.measure import Sources
+    from postfx.tools.bench.report import print_table
 
     sources = Sources(arguments.input, arguments.reference, arguments.guides, arguments.frames,
                       arguments.profile)
@@ -107,9 +110,9 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _stress(arguments: argparse.Namespace) -> int:
-    from postfx.bench.stress import as_dict, as_text, stress
     from postfx.io.sequence import read_sequence
     from postfx.runtime import Device
+    from postfx.tools.bench.stress import as_dict, as_text, stress
 
     frames = list(read_sequence(arguments.input, arguments.frames, arguments.profile))
     models = arguments.models.split(",") if arguments.models else None

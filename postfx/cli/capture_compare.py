@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from postfx.cli.options import parse_from_zero
 
 if TYPE_CHECKING:
-    from postfx.report.capture_data import Comparison
+    from postfx.tools.report.capture_data import Comparison
 
 DESCRIPTION = """\
 Compare two captures of the same passes, options and frame, command by command: the first tensor
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Compare; returns the exit code."""
     # loads the runtime, which --help must not wait for
-    from postfx.report.capture_data import compare
+    from postfx.tools.report.capture_data import compare
 
     found = compare(arguments.a, arguments.b, arguments.tolerance)
     print(json.dumps(found.as_dict()) if arguments.json else text_of(found))

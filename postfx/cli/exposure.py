@@ -15,9 +15,9 @@ from postfx.cli.run_options import FILES, INPUT, refuse_several_views
 if TYPE_CHECKING:  # what measuring needs is loaded by then: --help must not wait for it
     import numpy as np
 
-    from postfx.exposure.debugger import Report, Shot
     from postfx.frame import Frame
     from postfx.passes import Pass
+    from postfx.tools.exposure.debugger import Report, Shot
 
 DESCRIPTION = """\
 Measure the exposure of a sequence at the end of the chain: a grey checkerboard, divided by the
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Measure a sequence; returns the exit code."""
-    from postfx.exposure.response import write_chart
+    from postfx.tools.exposure.response import write_chart
 
     EXPOSURE_OPTIONS.refuse_conflicts(arguments)
     refuse_several_views(arguments, "exposure")
@@ -124,8 +124,8 @@ class ExposureCheck:
     def _measure(self) -> Report:
         """By the view, or by what another chain made of boards."""
         from postfx.exposure import colours_of
-        from postfx.exposure.debugger import debug, debug_graded, judge_view
-        from postfx.exposure.response import GradedBoards, read_response
+        from postfx.tools.exposure.debugger import debug, debug_graded, judge_view
+        from postfx.tools.exposure.response import GradedBoards, read_response
 
         given, frames = self._arguments, colours_of(self._sequence)
         if not given.graded:
@@ -138,7 +138,7 @@ class ExposureCheck:
     @property
     def is_right(self) -> bool:
         """Whether every shot is exposed right."""
-        from postfx.exposure.debugger import RIGHT_VERDICT
+        from postfx.tools.exposure.debugger import RIGHT_VERDICT
 
         return self._report.verdict == RIGHT_VERDICT
 
@@ -190,7 +190,7 @@ class ExposureCheck:
 
     def write_pictures(self) -> Iterator[Path]:
         """Write what --curve and --views ask for; each path when it is there."""
-        from postfx.report.charts import draw_exposure
+        from postfx.tools.exposure.plot import draw_exposure
 
         views = self._arguments.views and Path(self._arguments.views)
         curves = [self._arguments.curve, views and views / "curve.png"]
@@ -207,10 +207,10 @@ class ExposureCheck:
         """The whole chain runs here: noise would be in every view."""
         from dataclasses import replace
 
+        from postfx.canvas import save_png
         from postfx.frame import Role
         from postfx.passes.registry import create
         from postfx.pipeline import Pipeline
-        from postfx.report.charts import save_png
 
         denoise = Pipeline([create("denoise_upscale")], self._device, "metadata")
         view = Pipeline(self._view(), self._device, "metadata")
@@ -239,7 +239,7 @@ def _views(clean: Frame, display: np.ndarray,
            exposure_factor: float) -> Iterator[tuple[str, np.ndarray]]:
     from postfx.colour.views import false_colour, log_c, luma, zebra
     from postfx.frame import Role
-    from postfx.report.charts import add_key
+    from postfx.tools.exposure.plot import add_key
 
     signals = {"log_c": log_c(luma(clean[Role.COLOUR]) * exposure_factor), "display": luma(display)}
     for name, signal in signals.items():
@@ -248,7 +248,7 @@ def _views(clean: Frame, display: np.ndarray,
 
 
 def _row(shot: Shot, report: Report) -> str:
-    from postfx.exposure.debugger import DRIFTING_VERDICT
+    from postfx.tools.exposure.debugger import DRIFTING_VERDICT
 
     frames = str(shot.first) if shot.first == shot.last else f"{shot.first}-{shot.last}"
     low, high = report.limits_ev  # black and white: beyond them nothing can be measured

@@ -388,10 +388,10 @@ class Interpolation:
         """Keep the PSNR of a new frame."""
         if self._reference is None or not moment.t or not self._reference.holds(moment.number):
             return
-        from postfx.bench.metrics import grey_factor, psnr
         from postfx.colour.views import to_codes
         from postfx.errors import FrameError
         from postfx.frame import Role
+        from postfx.tools.bench.metrics import grey_factor, psnr
 
         wanted = self._reference.read(moment.number)[Role.COLOUR]
         if wanted.shape != frame[Role.COLOUR].shape:

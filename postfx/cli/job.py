@@ -89,8 +89,8 @@ if TYPE_CHECKING:
     from postfx.cli.report import RunReport
     from postfx.doctor.first_frames import FirstFrames
     from postfx.doctor.inspection import Inspection
-    from postfx.report.live import LiveViewer
-    from postfx.report.page import FrameCapture
+    from postfx.tools.report.live import LiveViewer
+    from postfx.tools.report.page import FrameCapture
 
 NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
 BACKWARDS = "denoise_upscale backwards"
@@ -231,7 +231,7 @@ class Job:
 
     def _make_capture(self, device: Device) -> FrameCapture:
         # It loads pages, which other runs need not wait for.
-        from postfx.report.page import FrameCapture
+        from postfx.tools.report.page import FrameCapture
 
         return FrameCapture(device, check=not self._arguments.explain, **self._values("capture"))
 
@@ -239,7 +239,7 @@ class Job:
         if self._arguments.live is None or self._arguments.explain:
             return None
         # It loads sockets, which other runs need not wait for.
-        from postfx.report.live import LiveViewer
+        from postfx.tools.report.live import LiveViewer
 
         return LiveViewer(self._arguments.live)
 

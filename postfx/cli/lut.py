@@ -57,9 +57,9 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.exposure import ExposureMeter
     from postfx.frame import Role
     from postfx.io.sequence import read_sequence
-    from postfx.look_table import LookTable, expose_colour
     from postfx.passes.display import make_display_passes
     from postfx.runtime import Device
+    from postfx.tools.look_table import LookTable, expose_colour
 
     path = Path(arguments.output)
     if path.suffix.lower() != ".cube":

@@ -18,8 +18,8 @@ from postfx.frame import Frame, Role
 from postfx.io.writer import check_folder
 from postfx.kernels.image import resample
 from postfx.pipeline import Pipeline
-from postfx.report.frame_log import Comparison, FrameLog, Look, References, measure_errors
-from postfx.report.page import write_report
+from postfx.tools.report.frame_log import Comparison, FrameLog, Look, References, measure_errors
+from postfx.tools.report.page import write_report
 
 if TYPE_CHECKING:
     from postfx.io.sequence import Sequence

@@ -6,7 +6,7 @@ nothing else has to change:
     device    postfx.runtime.Device            sequence  postfx.io.sequence.Sequence
     denoiser  postfx.DenoiseUpscale            look      postfx.passes.display.make_display_passes
     writer    postfx.io.writer.write_frame     run       postfx.runs.run.Options
-    page      postfx.cli.report.RunReport      capture   postfx.report.page.FrameCapture
+    page      postfx.cli.report.RunReport      capture   postfx.tools.report.page.FrameCapture
 """
 
 from __future__ import annotations

@@ -14,9 +14,9 @@ from postfx.cli.run_options import FILES, INPUT, RUN
 if TYPE_CHECKING:
     import numpy as np
 
-    from postfx.adaptive.plan import Outlook, Tiles
     from postfx.frame import Frame
     from postfx.io.sequence import Sequence
+    from postfx.tools.adaptive.plan import Outlook, Tiles
 
 DESCRIPTION = """\
 Say how many more samples each tile of a shot needs until its denoised frames reach a quality. This
@@ -101,12 +101,12 @@ class SamplesJob:
     """Everything that the arguments ask for. Raises PostfxError where they do not fit together."""
 
     def __init__(self, arguments: argparse.Namespace, is_quiet: bool = False) -> None:
-        from postfx.adaptive.plan import parse_quality
         from postfx.errors import OptionError, WriteError
         from postfx.exposure import ExposureMeter
         from postfx.frame import Role
         from postfx.io.sequence import Sequence, read_sequence
         from postfx.io.writer import ExistingFiles, OutputFiles
+        from postfx.tools.adaptive.plan import parse_quality
 
         SAMPLE_OPTIONS.refuse_conflicts(arguments)
         self._arguments, self._is_quiet = arguments, is_quiet
@@ -144,12 +144,12 @@ class SamplesJob:
 
     def measure(self) -> None:
         """Find the tiles of all frames, and plan their samples."""
-        from postfx.adaptive.pictures import thumbnail
-        from postfx.adaptive.plan import make_tiles, plan_samples
         from postfx.cli.summary import FrameProgress
         from postfx.colour.views import to_codes
         from postfx.frame import Role
         from postfx.io.render_time import render_seconds
+        from postfx.tools.adaptive.pictures import thumbnail
+        from postfx.tools.adaptive.plan import make_tiles, plan_samples
 
         with FrameProgress(len(self._sequence), self._is_quiet) as progress:
             progress.start(0)
@@ -167,9 +167,9 @@ class SamplesJob:
 
     def write(self) -> None:
         """Write maps and pictures."""
-        from postfx.adaptive.pictures import write_picture
-        from postfx.adaptive.plan import spread
         from postfx.io.writer import write_channels
+        from postfx.tools.adaptive.pictures import write_picture
+        from postfx.tools.adaptive.plan import spread
 
         for index, (tiles, more) in enumerate(zip(self.tiles, self.plan, strict=True)):
             if self._outputs:
@@ -183,7 +183,7 @@ class SamplesJob:
 
     def as_dict(self) -> dict[str, Any]:
         """The plan for programs."""
-        from postfx.adaptive.plan import find_regions, psnr
+        from postfx.tools.adaptive.plan import find_regions, psnr
 
         frames = []
         for tiles, more in zip(self.tiles, self.plan, strict=True):
@@ -207,7 +207,7 @@ class SamplesJob:
 
     def text(self) -> str:
         """The plan for people."""
-        from postfx.adaptive.plan import psnr
+        from postfx.tools.adaptive.plan import psnr
 
         found = self._outlook()
         marked, count = (sum(int(number) for number in numbers) for numbers in
@@ -230,16 +230,16 @@ class SamplesJob:
         return "\n".join(lines)
 
     def _outlook(self) -> Outlook:
-        from postfx.adaptive.plan import look_ahead
+        from postfx.tools.adaptive.plan import look_ahead
 
         return look_ahead(self.tiles, self.plan, self.quality)
 
     def _frames(self) -> Iterator[tuple[Frame, np.ndarray, np.ndarray]]:
         """Each frame, its denoised colour (its own where that is not needed) and the expected
         error."""
-        from postfx.adaptive.estimate import estimate_error, estimate_from_halves, mean_frame
         from postfx.errors import MissingPlaneError
         from postfx.frame import Role
+        from postfx.tools.adaptive.estimate import estimate_error, estimate_from_halves, mean_frame
 
         denoisers: list[Any] = []
         for frame in self._sequence:
@@ -273,8 +273,8 @@ class SamplesJob:
     def _read_error(self, frame: Frame) -> np.ndarray | None:
         """The plane 'error' of a frame, from the files that are to have it, or else from those that
         may."""
-        from postfx.adaptive.estimate import read_error
         from postfx.errors import MissingPlaneError
+        from postfx.tools.adaptive.estimate import read_error
 
         places = [self._errors] if self._errors else [self._sequence, *self._denoised]
         paths = [path for place in places for path in place.files(frame.number).values()]

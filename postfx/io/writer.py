@@ -162,7 +162,9 @@ def write_frame(
     if not isinstance(frame, Frame):
         raise FrameError("write_frame takes a path and a postfx.Frame, not "
                          f"{type(frame).__name__}: give Frame({{'colour': array}})")
-    path = _path_of(path)
+    if not isinstance(path, str | PathLike):
+        raise WriteError(f"{path!r} is no file name: give a text or a path")
+    path = Path(path)
     if not isinstance(compression, str) or not isinstance(bits, int | None):
         raise WriteError(f"{path}: compression {compression!r} and bits {bits!r}: give a text and "
                          "a whole number")
@@ -193,12 +195,6 @@ def write_frame(
     return path
 
 
-def _path_of(path: object) -> Path:
-    if not isinstance(path, str | PathLike):
-        raise WriteError(f"{path!r} is no file name: give a text or a path")
-    return Path(path)
-
-
 def _write_light(path: Path, found: list[tuple[Frame, LightPlan, Header]], keep: bool,
                  relax: Callable[[], None] | None) -> list[tuple[Any, ...]]:
     """Write an EXR of one view or several. Where a lossy compression makes light infinite, write it
@@ -212,11 +208,7 @@ def _write_light(path: Path, found: list[tuple[Frame, LightPlan, Header]], keep:
     for limit in _LIMITS if altered else _LIMITS[:1]:
         pictures = []
         for frame, plan, header in found:
-            pixels = _linear_pixels(frame, plan, losses)
-            if altered:
-                pixels = _limited(pixels, plan.altered, limit, losses)
-            pixels = crop(pixels, plan.windows.area, plan.windows.data)
-            rows = _channel_rows(pixels, plan.header.places, relax)
+            rows = _light_rows(frame, plan, limit, losses, relax)
             pictures.append(Picture(Header(dict(header.attributes)), rows, frame))
         write_exr(path, pictures, keep, plans[0].key)
         if not altered or _is_finite(path, altered):
@@ -245,17 +237,6 @@ class _Losses:
 
     beyond: set[str] = field(default_factory=set)
     has_nan: bool = False
-
-
-def _channel_rows(pixels: Pixels, places: list[int], relax: Callable[[], None] | None) -> Rows:
-    """Channels of pixels, in the order of these places."""
-    def rows(first: int, last: int) -> list[np.ndarray]:
-        found = pixels(slice(first, last))
-        if relax is not None:
-            relax()
-        return [found[:, :, place] for place in places]
-
-    return rows
 
 
 def _write_codes(path: Path, frame: Frame, dither: Dither, bits: int | None,
@@ -321,10 +302,13 @@ def write_channels(
     spec.attribute("compression", "zip")
     set_attributes(spec, attributes or {})
     header = PictureHeader(spec, attributes or {})
-    rows = _channel_rows(lambda rows: np.stack([plane[rows] for plane in planes], axis=2),
-                         header.places, None)
+    stored = [planes[place] for place in header.places]
+
+    def read(first: int, last: int) -> list[np.ndarray]:
+        return [plane[first:last] for plane in stored]
+
     with output_file(path) as temporary:
-        write_exr(temporary, [Picture(header.first, rows)])
+        write_exr(temporary, [Picture(header.first, read)])
     return path
 
 
@@ -333,21 +317,16 @@ _LIMITS = (None, 60000, 52000, 40000, 24000)
 percent of what is around a pixel, leaves all within half floats."""
 
 
-def _limited(pixels: Pixels, altered: np.ndarray, limit: float | None,
-             losses: _Losses) -> Pixels:
+def _limit(pixels: np.ndarray, altered: np.ndarray, limit: float | None,
+           losses: _Losses) -> np.ndarray:
     """Pixels whose altered channels are cut at a limit and are 0 in place of NaN."""
-
-    def convert(rows: slice) -> np.ndarray:
-        found = pixels(rows)
-        if (is_nan := altered & np.isnan(found)).any():
-            losses.has_nan = True
-            found = np.where(is_nan, found.dtype.type(0), found)
-        if limit is None:
-            return found
-        return np.where(altered & (np.abs(found) > limit),
-                        np.copysign(found.dtype.type(limit), found), found)
-
-    return convert
+    if (is_nan := altered & np.isnan(pixels)).any():
+        losses.has_nan = True
+        pixels = np.where(is_nan, pixels.dtype.type(0), pixels)
+    if limit is None:
+        return pixels
+    return np.where(altered & (np.abs(pixels) > limit),
+                    np.copysign(pixels.dtype.type(limit), pixels), pixels)
 
 
 def _is_finite(path: Path, names: set[str]) -> bool:
@@ -384,26 +363,34 @@ def is_complete(path: str | PathLike[str], width: int, height: int) -> bool:
     return readable and has_end(Path(path), Path(path).suffix)
 
 
-def _linear_pixels(frame: Frame, plan: LightPlan, losses: _Losses) -> Pixels:
-    """Rows of light as they are written."""
-    colour = frame[Role.COLOUR]
-    before, behind = plan.planes
+def _light_rows(frame: Frame, plan: LightPlan, limit: float | None, losses: _Losses,
+                relax: Callable[[], None] | None) -> Rows:
+    """Channels of light as they are written. Those that a compression alters are cut at a limit."""
+    colour, (before, behind) = frame[Role.COLOUR], plan.planes
+    area, data = plan.windows.area, plan.windows.data
+    top, columns = data.y0 - area.y0, slice(data.x0 - area.x0, data.x1 + 1 - area.x0)
+    is_altered = plan.altered.any()
 
-    def convert(rows: slice) -> np.ndarray:
-        light = light_of(colour[rows], plan.display) if plan.display else colour[rows]
-        planes = [light, *[frame[role][rows] for role in before]]
-        planes += [_divide_part(frame, name, rows) for name in plan.parts]
-        planes += [frame[role][rows] for role in behind]
+    def read(first: int, last: int) -> list[np.ndarray]:
+        some = slice(first + top, last + top), columns
+        light = light_of(colour[some], plan.display) if plan.display else colour[some]
+        planes = [light, *[frame[role][some] for role in before]]
+        planes += [_divide_part(frame, name, some) for name in plan.parts]
+        planes += [frame[role][some] for role in behind]
         pixels = np.concatenate(planes, axis=2) if len(planes) > 1 else light
-        if not plan.half:
-            return pixels
-        if largest_bits_of(pixels) >= BEYOND_HALF_BITS:
-            beyond = (np.abs(pixels) >= BEYOND_HALF).any((0, 1))
-            losses.beyond.update(kind for kind, is_beyond in zip(plan.kinds, beyond, strict=True)
-                                 if is_beyond)
-        return to_halves(pixels)
+        if plan.half:
+            if largest_bits_of(pixels) >= BEYOND_HALF_BITS:
+                beyond = (np.abs(pixels) >= BEYOND_HALF).any((0, 1))
+                losses.beyond.update(kind for kind, is_beyond
+                                     in zip(plan.kinds, beyond, strict=True) if is_beyond)
+            pixels = to_halves(pixels)
+        if is_altered:
+            pixels = _limit(pixels, plan.altered, limit, losses)
+        if relax is not None:
+            relax()
+        return [pixels[:, :, place] for place in plan.header.places]
 
-    return convert
+    return read
 
 
 def _code_pixels(frame: Frame, display: Display | None, opaque: bool, straight: bool, depth: int,
@@ -432,18 +419,18 @@ def _divide_by_alpha(codes: np.ndarray, alpha: np.ndarray, display: Display) -> 
     return found
 
 
-def _divide_part(frame: Frame, name: str, rows: slice) -> np.ndarray:
+def _divide_part(frame: Frame, name: str, some: tuple[slice, slice]) -> np.ndarray:
     """A part as its file stores it: divided by its factor, 0 where that is 0; a factor is at least
     LEAST_FACTOR where there is light, which would be lost."""
     divided = [other for other, source in frame.part_sources.items()
                if source.factor == name and other in frame.parts]
     if divided:
-        factor, light = frame.parts[name][rows], [frame.parts[other][rows] > 0 for other in divided]
+        factor, light = frame.parts[name][some], [frame.parts[other][some] > 0 for other in divided]
         return np.where(np.any(light, axis=0), np.maximum(factor, LEAST_FACTOR), factor)
-    part, source = frame.parts[name][rows], frame.part_sources.get(name)
+    part, source = frame.parts[name][some], frame.part_sources.get(name)
     if source is None or source.factor is None or source.factor not in frame.parts:
         return part
-    stored, factor = np.zeros_like(part), _divide_part(frame, source.factor, rows)
+    stored, factor = np.zeros_like(part), _divide_part(frame, source.factor, some)
     np.divide(part, factor, out=stored, where=factor > 0)
     return stored
 

@@ -1,5 +1,6 @@
 // Rows of colour.
 #include "colour.h"
+#include "views.h"
 
 static Status apply_cube_rows(Long first, Long last, Picture colour, Given<Shaping> params,
                               Given<Matrix> matrix, Cube cube, NewPicture output) {
@@ -18,6 +19,20 @@ static Status apply_cube_rows(Long first, Long last, Picture colour, Given<Shapi
     return DONE;
 }
 EXPORT(apply_cube, apply_cube_rows)
+
+// Rows in which each colour is changed by itself.
+template <class Change>
+FN void each_colour(Long first, Long last, const Picture& colour, const NewPicture& output,
+                    const Change& change) {
+    for (Long y = first; y < last; y++) {
+        const float* from = colour(y);
+        float* out = output(y);
+        across(0, colour.size[1], PIXELS(auto one, Long x) {
+            typedef decltype(one) F;
+            store_colour<F>(out + 3 * x, change(colour_at<F>(from + 3 * x)));
+        });
+    }
+}
 
 // A display's code values.
 
@@ -47,43 +62,46 @@ static void encode_display_rows(Long first, Long last, Picture colour, Given<Dis
                                 View<const float, 1> decode, View<const float, 1> encode,
                                 NewPicture output) {
     const float most = params->most, exponent = params->exponent;
-    for (Long y = first; y < last; y++) {
-        const float* from = colour(y);
-        float* out = output(y);
-        across(0, colour.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            Colour<F> seen = finite<F>(colour_at<F>(from + 3 * x));
-            if (params->codes > 0.0f) {
-                seen = {decoded<F>(seen.r, decode.at), decoded<F>(seen.g, decode.at),
-                        decoded<F>(seen.b, decode.at)};
-            }
-            const Colour<F> light = params->matrix.apply<F>(seen);
-            F gain = F(1.0f);
-            if (exponent != 0.0f) {
-                const F luminance = RED * within<F>(light.r, 0.0f, most)
-                                  + GREEN * within<F>(light.g, 0.0f, most)
-                                  + BLUE * within<F>(light.b, 0.0f, most);
-                const F power = exponent * log_of<F>(larger<F>(luminance, F(DARK)));
-                gain = exp_of<F>(within<F>(power, -80.0f, 80.0f));
-            }
-            store_colour<F>(out + 3 * x, {encoded<F>(light.r, most, gain, encode.at),
-                                          encoded<F>(light.g, most, gain, encode.at),
-                                          encoded<F>(light.b, most, gain, encode.at)});
-        });
-    }
+    each_colour(first, last, colour, output, PIXELS(auto given) {
+        typedef decltype(given.r) F;
+        Colour<F> seen = finite<F>(given);
+        if (params->codes > 0.0f) {
+            seen = {decoded<F>(seen.r, decode.at), decoded<F>(seen.g, decode.at),
+                    decoded<F>(seen.b, decode.at)};
+        }
+        const Colour<F> light = params->matrix.apply<F>(seen);
+        F gain = F(1.0f);
+        if (exponent != 0.0f) {
+            const F luminance = RED * within<F>(light.r, 0.0f, most)
+                              + GREEN * within<F>(light.g, 0.0f, most)
+                              + BLUE * within<F>(light.b, 0.0f, most);
+            const F power = exponent * log_of<F>(larger<F>(luminance, F(DARK)));
+            gain = exp_of<F>(within<F>(power, -80.0f, 80.0f));
+        }
+        return Colour<F>{encoded<F>(light.r, most, gain, encode.at),
+                         encoded<F>(light.g, most, gain, encode.at),
+                         encoded<F>(light.b, most, gain, encode.at)};
+    });
 }
 EXPORT(encode_display, encode_display_rows)
+
+// Views that are formulas.
+template <class Formula>
+static void show_rows(Long first, Long last, Picture colour, Given<Showing> params,
+                      NewPicture output) {
+    each_colour(first, last, colour, output, PIXELS(auto given) {
+        typedef decltype(given.r) F;
+        const Colour<F> light = finite<F>(given);
+        const Shown<F> shown = show_light<Formula, F>(*params, light.r, light.g, light.b);
+        return Colour<F>{shown.r, shown.g, shown.b};
+    });
+}
+EXPORT(show_neutral, show_rows<Neutral>)
+EXPORT(show_reinhard, show_rows<Reinhard>)
 
 // A matrix alone.
 static void convert_primaries_rows(Long first, Long last, Picture colour, Given<Matrix> matrix,
                                    NewPicture output) {
-    for (Long y = first; y < last; y++) {
-        const float* from = colour(y);
-        float* out = output(y);
-        across(0, colour.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            store_colour<F>(out + 3 * x, matrix->apply<F>(colour_at<F>(from + 3 * x)));
-        });
-    }
+    each_colour(first, last, colour, output, PIXELS(auto given) { return matrix->apply(given); });
 }
 EXPORT(convert_primaries, convert_primaries_rows)

@@ -1,8 +1,9 @@
+#include "views.h"
+
 // Looks colours up in a cube: colour (height, width, 3), params (3,), matrix (9,), cube (size,
-// size, size, 3) -> output (height, width, 3).
-template <int NUMBERS>
-__device__ inline void look_up(const View& colour, const View& params, const View& matrix,
-                               const View& cube, const View& output) {
+// size, size, 4) -> output (height, width, 3).
+extern "C" __global__ void __launch_bounds__(256, 4)
+    apply_cube_fours(View colour, View params, View matrix, View cube, View output) {
     // A thread makes two pixels beside each other.
     __shared__ Pair staged[DOWN][3 * ACROSS];
     const int width = output.size[1], height = output.size[0], start = 2 * ACROSS * blockIdx.x;
@@ -27,23 +28,12 @@ __device__ inline void look_up(const View& colour, const View& params, const Vie
     const Colour places[2] = {shaped(by, light), shaped(by, light + 3)};
 #pragma unroll
     for (int k = 0; k < 2; k++) {
-        const Colour one = looked_up<NUMBERS>(cube, places[k]);
+        const Colour one = looked_up<4>(cube, places[k]);
         found[3 * k] = one.r;
         found[3 * k + 1] = one.g;
         found[3 * k + 2] = one.b;
     }
     put_pixels(staged[threadIdx.y], found, output, y, x, start);
-}
-
-extern "C" __global__ void __launch_bounds__(256, 4)
-    apply_cube(View colour, View params, View matrix, View cube, View output) {
-    look_up<3>(colour, params, matrix, cube, output);
-}
-
-// The same with a cube (size, size, size, 4).
-extern "C" __global__ void __launch_bounds__(256, 4)
-    apply_cube_fours(View colour, View params, View matrix, View cube, View output) {
-    look_up<4>(colour, params, matrix, cube, output);
 }
 
 // Colour (height, width, 3) to a display's code values: decoded if it is code values, turned by a
@@ -81,4 +71,27 @@ extern "C" __global__ void encode_display(View colour, View params, View decode,
     const float gain = exponent == 0.0f ? 1.0f : powf(fmaxf(luminance, DARK), exponent);
     for (int c = 0; c < 3; c++)
         output.at[here + c] = looked_up(encode, root(fminf(light[c] * gain, 1.0f)));
+}
+
+// Views that are formulas: colour (height, width, 3), params (14,) -> output (height, width, 3).
+template <class Formula>
+__device__ inline void show(const View& colour, const View& params, const View& output) {
+    const int width = output.size[1];
+    PIXEL(width, output.size[0]);
+    const size_t here = 3 * (size_t(y) * width + x);
+    float in[3];
+    for (int c = 0; c < 3; c++) in[c] = clamped(colour.at[here + c], -BRIGHTEST, BRIGHTEST);
+    const Showing& by = *reinterpret_cast<const Showing*>(params.at);
+    const Shown<float> shown = show_light<Formula, float>(by, in[0], in[1], in[2]);
+    output.at[here] = shown.r;
+    output.at[here + 1] = shown.g;
+    output.at[here + 2] = shown.b;
+}
+
+extern "C" __global__ void show_neutral(View colour, View params, View output) {
+    show<Neutral>(colour, params, output);
+}
+
+extern "C" __global__ void show_reinhard(View colour, View params, View output) {
+    show<Reinhard>(colour, params, output);
 }

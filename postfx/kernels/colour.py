@@ -23,6 +23,11 @@ of the luminance by which light is multiplied; decode (4098,): light of evenly s
 values 0..1. NaN becomes 0. Both tables repeat their last value; `postfx.passes.display` makes them.
 The torch definition is `training.kernels.tonemap.EncodeDisplay`.
 
+`show_neutral` and `show_reinhard` are the formulas of `postfx.colour.views`: light of a scene to
+light of a display. Bindings (float32): colour (height, width, 3); params (14,): exposure, a 3x3
+matrix row-major to the formula's primaries, the weights of luminance there, and the display's most
+light; output (height, width, 3). Negative values after the matrix and NaN count as 0.
+
 `convert_primaries` is a matrix alone: colour (height, width, 3); matrix (9,) row-major; output
 (height, width, 3), of any sign. The torch definition is
 `training.kernels.tonemap.ConvertPrimaries`.
@@ -100,6 +105,16 @@ ENCODE_DISPLAY = Kernel(
         "output": ("height", "width", 3),
     },
 )
+
+SHOW_NEUTRAL = Kernel(
+    name="show_neutral",
+    reads=("colour", "params"),
+    writes=("output",),
+    rows=Rows("show_neutral"),
+    row_axis=("output", 0),
+    shapes={"colour": ("height", "width", 3), "params": (14,), "output": ("height", "width", 3)},
+)
+SHOW_REINHARD = replace(SHOW_NEUTRAL, name="show_reinhard", rows=Rows("show_reinhard"))
 
 CONVERT_PRIMARIES = Kernel(
     name="convert_primaries",

@@ -7,22 +7,31 @@ from typing import ClassVar, Never
 
 import numpy as np
 
-from postfx.colour import REC709, matrix_between
+from postfx.colour import REC709, Chromaticities, matrix_between, to_xyz
 from postfx.colour.displays import Display as Target
 from postfx.colour.displays import parse_display
 from postfx.colour.views import AXIS_SCALE, AXIS_TOE, VIEWS, bake, find_view, is_view
 from postfx.errors import ColourError, PassOptionError, suggest
 from postfx.frame import LINEAR, FrameSpec, Role
 from postfx.kernels import BRIGHTEST
-from postfx.kernels.colour import ENCODE_DISPLAY, ROOT, STEPS, form_of
+from postfx.kernels.colour import (
+    ENCODE_DISPLAY,
+    ROOT,
+    SHOW_NEUTRAL,
+    SHOW_REINHARD,
+    STEPS,
+    form_of,
+)
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.passes.registry import create
 from postfx.plan import Skip
-from postfx.runtime import CommandBuffer, Device, Library
+from postfx.runtime import CommandBuffer, Device, Library, Tensor
 from postfx.workers import Workers
 
 THREAD_ROWS = 32
 """Rows of a picture that one thread shows at a time."""
+VIEW_KERNELS = {"neutral": SHOW_NEUTRAL, "reinhard": SHOW_REINHARD}
+"""Views that are kernels, by name; the display's kernel encodes their light."""
 
 
 class Display(Pass):
@@ -62,10 +71,7 @@ class Display(Pass):
         source = _source(spec, self._target)
         self._params = device.heap.tensor("display params", (12,))
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
-        self._curves = {}
-        for name, values in (("decode", decoding(source)), ("encode", encoding(self._target))):
-            self._curves[name] = device.heap.tensor(f"display {name}", values.shape)
-            self._curves[name].upload(values)
+        self._curves = _curves(device, source, self._target)
         device.make_ready(ENCODE_DISPLAY)
         self._exposed, self._source = spec.encoding == "scene-linear", source
         super().compile(device, spec)
@@ -79,10 +85,11 @@ class Display(Pass):
         frame.set(Role.COLOUR, self._output)
 
 
-def parameters(source: Target | None, target: Target, exposure_factor: float = 1.0) -> np.ndarray:
-    """Parameters of the kernel `encode_display`, from code values of a display, or from light in
-    Rec.709 (None)."""
-    matrix = matrix_between(source.kind.primaries if source else REC709, target.kind.primaries)
+def parameters(source: Target | None, target: Target, exposure_factor: float = 1.0,
+               primaries: Chromaticities = REC709) -> np.ndarray:
+    """Parameters of the kernel `encode_display`, from code values of a display, or from light of
+    some primaries (None)."""
+    matrix = matrix_between(source.kind.primaries if source else primaries, target.kind.primaries)
     exponent = 1 / target.system_gamma - 1
     matrix = matrix * exposure_factor / target.unit
     values = [*matrix.ravel(), source is not None, target.most / target.unit, exponent]
@@ -100,6 +107,15 @@ def encoding(target: Target) -> np.ndarray:
     """Table `encode` of the kernel. Between the entries it errs by less than 2e-6 (PQ: 5e-6) of the
     code range."""
     return _table(target.kind.curve.encode(np.linspace(0, 1, STEPS + 1) ** ROOT))
+
+
+def _curves(device: Device, source: Target | None, target: Target) -> dict[str, Tensor]:
+    """Both tables of the kernel as tensors."""
+    found = {}
+    for name, values in (("decode", decoding(source)), ("encode", encoding(target))):
+        found[name] = device.heap.tensor(f"display {name}", values.shape)
+        found[name].upload(values)
+    return found
 
 
 def _table(values: np.ndarray) -> np.ndarray:
@@ -120,9 +136,10 @@ class View(Pass):
     """Exposed scene-linear colour to code values of a display, by a view of OpenColorIO, a look-up
     table or a formula.
 
-    A view is evaluated for every pixel on the host. With `exact=False` a cube of 65x65x65 stands in
-    for it, on the device, which takes a fraction of the time. In saturated light it is up to 10 of
-    255 steps off.
+    Formulas are kernels. Other views are evaluated for every pixel on the host, and so are formulas
+    where kernels run by their portable definitions. With `exact=False` a cube of 65x65x65 stands in
+    for these, on the device, which takes a fraction of the time. In saturated light it is up to 10
+    of 255 steps off.
 
     Options:
         view: 'neutral' (Khronos PBR Neutral), 'reinhard', 'ocio:VIEW' of the config $OCIO or the
@@ -142,7 +159,8 @@ class View(Pass):
     def __init__(self, view: str = "neutral", *, display: str = "srgb", exact: bool = True,
                  **unknown: Never) -> None:
         super().__init__(view=view, display=display, exact=exact, **unknown)
-        self._view, self._exact = find_view(view, parse_display(display)), bool(exact)
+        self._view_name, self._exact = view, bool(exact)
+        self._view = find_view(view, parse_display(display))
         self.choice = self._view.title
         self._matrix = matrix_between(REC709, self._view.primaries)
         # a table is read now, so that a broken one is told before any frame
@@ -161,10 +179,21 @@ class View(Pass):
         return None if spec.encoding == "scene-linear" else f"colour is {spec.encoding} already"
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        self._params = device.heap.tensor("view params", (3,))
-        self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
-        self._cube = {}
-        if self._exact:
+        size = spec.height, spec.width, 3
+        self._output, self._cube = device.heap.transient("display colour", size), {}
+        self._numbers: tuple[float, ...] = (AXIS_TOE, AXIS_SCALE)
+        # formulas have no portable definition
+        has_formulas = device.runs_rows or device.gpu is not None
+        self._formula = VIEW_KERNELS.get(self._view_name) if has_formulas else None
+        if self._formula:
+            own, display = self._view.primaries, self._view.display
+            self._numbers = (*self._matrix.ravel(), *to_xyz(own)[1], display.most)
+            self._light = device.heap.transient("display light", size)
+            self._encoding = {"params": device.heap.tensor("display params", (12,)),
+                              **_curves(device, None, display)}
+            self._encoding["params"].upload(parameters(None, display, primaries=own))
+            device.make_ready(self._formula, ENCODE_DISPLAY)
+        elif self._exact:
             self._workers = Workers(device.threads, "postfx view")
             self._state = device.host_state("view", ("colour", "params"), ("output",), self._show)
         else:
@@ -174,16 +203,25 @@ class View(Pass):
             self._cube["matrix"].upload(self._matrix.ravel())
             self._cube["cube"].upload(values)
             self._state = device.compute_state(kernel)
+        self._params = device.heap.tensor("view params", (1 + len(self._numbers),))
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._params.put(np.array([frame.exposure_factor, AXIS_TOE, AXIS_SCALE], np.float32))
-        tensors = {"colour": frame[Role.COLOUR], "output": self._output}
-        commands.repeat((self, *tensors.values()),
-                        partial(commands.run, self._state, "view", params=self._params, **tensors,
-                                **self._cube))
+        self._params.put(np.array([frame.exposure_factor, *self._numbers], np.float32))
+        colour = frame[Role.COLOUR]
+        commands.repeat((self, colour, self._output), partial(self._record, commands, colour))
         frame.set(Role.COLOUR, self._output)
+
+    def _record(self, commands: CommandBuffer, colour: Tensor) -> None:
+        if self._formula:
+            commands.run(self._formula, "show", colour=colour, params=self._params,
+                         output=self._light)
+            commands.run(ENCODE_DISPLAY, "encode", colour=self._light, output=self._output,
+                         **self._encoding)
+        else:
+            commands.run(self._state, "view", colour=colour, params=self._params,
+                         output=self._output, **self._cube)
 
     def _show(self, colour: np.ndarray, params: np.ndarray, output: np.ndarray) -> None:
         matrix, most = self._matrix * float(params[0]), float(BRIGHTEST)

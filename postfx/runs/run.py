@@ -277,8 +277,7 @@ class Run:
 
     def note_output(self, number: int, path: Path, frame: Frame, **facts: Any) -> None:
         """Record a file that was written; `frame` is the result, `facts` go to the log."""
-        height, width = next(iter(frame.planes.values())).shape[:2]
-        width, height = self._sequence.shown_size(width, height)
+        width, height = self._output_size
         output = self._folder.add_output(
             path, {"models": dict(self._pipeline.device.models)}, frame=number, width=width,
             height=height, inputs=self._inputs(number), starts=frame.reset)
@@ -335,11 +334,16 @@ class Run:
         for text in self.warnings:
             self._log("warning", text=text)
 
+    @cached_property
+    def _output_size(self) -> tuple[int, int]:
+        """Width and height of all files, as they are shown."""
+        return self._sequence.shown_size(self._plan.output.width, self._plan.output.height)
+
     def _choose(self, names: dict[str, int]) -> set[int]:
         """Frames to write: all, or those whose file is missing or not as it should be."""
         if self._outputs.existing is not ExistingFiles.SKIP:
             return set(names.values())
-        size = self._sequence.shown_size(self._plan.output.width, self._plan.output.height)
+        size = self._output_size
         before, wanted = self._folder.before, set()
         others = []
         for number in dict.fromkeys(names.values()):

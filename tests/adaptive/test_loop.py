@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.adaptive.estimate import read_error
 from postfx.cli.main import main
 from postfx.frame import Role
 from postfx.io.exr.merge import merge_renders
 from postfx.io.frame_reader import FrameFiles
 from postfx.io.sequence import read_sequence
+from postfx.tools.adaptive.estimate import read_error
 
 ROOT = Path(__file__).resolve().parents[2]
 HOSTS = ROOT / "hosts/loop"

@@ -6,14 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.adaptive.estimate import (
+from postfx.cli.main import main
+from postfx.colour.views import to_codes
+from postfx.errors import FrameError, OptionError
+from postfx.frame import Frame, Role
+from postfx.io.image_file import ImageFile
+from postfx.io.writer import write_channels
+from postfx.tools.adaptive.estimate import (
     error_of_half,
     estimate_error,
     estimate_from_halves,
     mean_frame,
     read_error,
 )
-from postfx.adaptive.plan import (
+from postfx.tools.adaptive.plan import (
     FEWEST_SAMPLES,
     MOST_SAMPLES_FACTOR,
     SLOPE,
@@ -26,12 +32,6 @@ from postfx.adaptive.plan import (
     plan_samples,
     spread,
 )
-from postfx.cli.main import main
-from postfx.colour.views import to_codes
-from postfx.errors import FrameError, OptionError
-from postfx.frame import Frame, Role
-from postfx.io.image_file import ImageFile
-from postfx.io.writer import write_channels
 
 ROOM = Path(__file__).resolve().parents[2] / "samples/room"
 
@@ -212,7 +212,7 @@ def test_a_quality_in_flip_spreads_a_budget_more_evenly_than_one_in_decibels():
 def test_the_estimate_orders_the_tiles_of_real_renders(shared_dir: Path):
     """Of other people's scenes at the render's size: by tiles, against the measured error."""
     import postfx
-    from postfx.bench.metrics import grey_factor
+    from postfx.tools.bench.metrics import grey_factor
 
     logs = []
     pipeline = postfx.Pipeline([postfx.DenoiseUpscale(scale=1.0, model="s")])

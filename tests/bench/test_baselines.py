@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from postfx.bench.baselines import LONGEST_AVERAGE_FRAMES, Accumulator, HostKernels, Oidn
 from postfx.frame import Frame, Role
 from postfx.runtime import Device
+from postfx.tools.bench.baselines import LONGEST_AVERAGE_FRAMES, Accumulator, HostKernels, Oidn
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
-from postfx.bench import measure  # noqa: E402
-from postfx.bench.measure import Task, peak_memory, run_task, timing  # noqa: E402
-from postfx.bench.methods import OTHERS, Method  # noqa: E402
 from postfx.compiled import library  # noqa: E402
 from postfx.errors import BenchError  # noqa: E402
+from postfx.tools.bench import measure  # noqa: E402
+from postfx.tools.bench.measure import Task, peak_memory, run_task, timing  # noqa: E402
+from postfx.tools.bench.methods import OTHERS, Method  # noqa: E402
 
 
 def test_timing_of_runs():
@@ -28,8 +28,8 @@ def test_timing_of_runs():
 def test_peak_memory_is_the_process_own():
     """A parent that is large when it starts another process does not count there."""
     ballast = np.ones(150_000_000 // 8)
-    code = "from postfx.bench.measure import peak_memory; import numpy as n; b = peak_memory(); "
-    code += "a = n.ones(25_000_000); print([b, peak_memory()])"
+    code = "from postfx.tools.bench.measure import peak_memory; import numpy as n; "
+    code += "b = peak_memory(); a = n.ones(25_000_000); print([b, peak_memory()])"
     before, after = json.loads(subprocess.check_output([sys.executable, "-c", code], text=True))
     assert 190 < after - before < 230
     assert peak_memory() > before + ballast.nbytes / 1e6 / 2

@@ -2,9 +2,9 @@
 
 import pytest
 
-from postfx.bench.job import with_planes
-from postfx.bench.methods import OTHERS, catalogue, select
 from postfx.errors import BenchError
+from postfx.tools.bench.job import with_planes
+from postfx.tools.bench.methods import OTHERS, catalogue, select
 
 MODELS = ("denoise_upscale.l", "denoise_upscale.m", "denoise_upscale.m.guides",
           "denoise_upscale.m.int8", "denoise_upscale.m.fp16", "denoise_upscale.s", "tonemap.aces2")

@@ -10,10 +10,10 @@ import pytest
 
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 pytest.importorskip("skimage", reason="needs the extra 'bench'")
-from postfx.bench import metrics  # noqa: E402
-from postfx.bench.measure import Material, Sources  # noqa: E402
 from postfx.frame import Frame, Role  # noqa: E402
 from postfx.io.writer import write_frame  # noqa: E402
+from postfx.tools.bench import metrics  # noqa: E402
+from postfx.tools.bench.measure import Material, Sources  # noqa: E402
 
 
 def frame(colour, number=1, **facts):

@@ -7,8 +7,8 @@ import OpenImageIO as oiio
 import pytest
 from matplotlib.text import Text
 
-from postfx.bench import pictures, report
 from postfx.frame import Frame, Role
+from postfx.tools.bench import pictures, report
 
 FIGURES = {"ssim_late": 0.9, "flip_late": 0.1, "relmse_late": 0.01, "worst_frame": 1,
            "worst_psnr": 1.0, "not_finite": 0}
@@ -100,7 +100,7 @@ def test_the_table_is_whole_outside_a_terminal(capsys):
 @pytest.mark.parametrize("figure", ["psnr_late", "flicker_late"])
 def test_labels_of_the_plot_stand_apart(tmp_path, figure, monkeypatch):
     pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
-    from postfx.bench import pictures
+    from postfx.tools.bench import pictures
 
     boxes, place = [], pictures._place
     monkeypatch.setattr(pictures, "_place",
@@ -115,7 +115,7 @@ def test_labels_of_the_plot_stand_apart(tmp_path, figure, monkeypatch):
 
 def test_crops_are_where_pictures_differ_and_do_not_overlap():
     pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
-    from postfx.bench.pictures import pick
+    from postfx.tools.bench.pictures import pick
 
     difference = np.zeros((60, 100))
     difference[10:31, 70:91] = 1.0
@@ -127,7 +127,7 @@ def test_crops_are_where_pictures_differ_and_do_not_overlap():
 
 def test_failures_are_where_ours_is_behind_the_better_of_the_others():
     pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
-    from postfx.bench.pictures import pick_deficits
+    from postfx.tools.bench.pictures import pick_deficits
 
     ours, one, other = np.zeros((60, 100)), np.full((60, 100), 0.1), np.full((60, 100), 9.0)
     ours[10:31, 70:91] = 0.3
@@ -157,7 +157,7 @@ class Sequence:
 
 def test_failures_are_drawn_of_the_worst_frame_only_where_there_are_any(tmp_path, monkeypatch):
     pytest.importorskip("matplotlib", reason="needs the extra 'bench'")
-    from postfx.bench import pictures
+    from postfx.tools.bench import pictures
 
     flat = np.ones((40, 60, 3), np.float32)
     spot = flat.copy()

@@ -146,8 +146,8 @@ def test_errors_name_the_mend(postfx, scene, tmp_path, numbers, facts, arguments
 
 
 def test_a_library_that_is_not_installed(monkeypatch, capsys):
-    from postfx import bench
     from postfx.cli.main import main
+    from postfx.tools import bench
 
     find = bench.find_spec
     monkeypatch.setattr(bench, "find_spec",

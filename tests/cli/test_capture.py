@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from postfx.report.page import FrameCapture
 from postfx.runtime import CommandError, Device
+from postfx.tools.report.page import FrameCapture
 
 RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise", "--tonemap", "local",
        "--device", "cpu")

@@ -19,9 +19,9 @@ from postfx.io.read_options import ReadOptions
 from postfx.io.writer import write_frame
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.display import make_display_passes
-from postfx.report.page import FrameCapture
 from postfx.runs.run import Options
 from postfx.runtime import Device, Library
+from postfx.tools.report.page import FrameCapture
 
 ROOM = Path(__file__).resolve().parents[2] / "samples" / "room"
 PARTS = {"device": Device, "sequence": ReadOptions, "look": make_display_passes,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from postfx.errors import ReportError
-from postfx.report import frame_log
-from postfx.report.frame_log import References
+from postfx.tools.report import frame_log
+from postfx.tools.report.frame_log import References
 
 ROOM = Path(__file__).resolve().parents[2] / "samples" / "room"
 RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--no-denoise", "--device", "cpu",

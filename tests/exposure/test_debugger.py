@@ -11,11 +11,11 @@ import pytest
 import postfx
 from postfx.errors import ExposureError
 from postfx.exposure import ExposureMeter, colours_of, measure
-from postfx.exposure.debugger import Report, debug
-from postfx.exposure.response import Board, Response
 from postfx.passes.display import Display, View
 from postfx.passes.tonemap import ToneMap
 from postfx.runtime import Device
+from postfx.tools.exposure.debugger import Report, debug
+from postfx.tools.exposure.response import Board, Response
 from tests.exposure.scenes import picture, scene
 
 ERRORS = np.arange(-2, 2.01, 0.25)

@@ -15,11 +15,11 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx import Frame, Pipeline, Role
-from postfx.exposure.debugger import debug, debug_graded
-from postfx.exposure.response import GradedBoards, read_response, write_chart
 from postfx.passes.display import View
 from postfx.passes.exposure_tool import ExposureTool
 from postfx.runtime import Device
+from postfx.tools.exposure.debugger import debug, debug_graded
+from postfx.tools.exposure.response import GradedBoards, read_response, write_chart
 from tests.exposure.scenes import scene
 
 NEEDED = 2.0

@@ -12,9 +12,12 @@ import pytest
 from postfx import Frame, Pipeline, Role
 from postfx.colour.displays import srgb_encode
 from postfx.errors import ExposureError
-from postfx.exposure import response
-from postfx.exposure.debugger import debug_graded, judge_view
-from postfx.exposure.response import (
+from postfx.passes.exposure_tool import ExposureTool
+from postfx.passes.tonemap import ToneMap
+from postfx.runtime import Device
+from postfx.tools.exposure import response
+from postfx.tools.exposure.debugger import debug_graded, judge_view
+from postfx.tools.exposure.response import (
     OWN_CURVE,
     GradedBoards,
     Response,
@@ -22,9 +25,6 @@ from postfx.exposure.response import (
     read_response,
     write_chart,
 )
-from postfx.passes.exposure_tool import ExposureTool
-from postfx.passes.tonemap import ToneMap
-from postfx.runtime import Device
 from tests.exposure.scenes import scene
 
 ERRORS = (0.0, 1.0, -1.0, 0.37, -1.6)

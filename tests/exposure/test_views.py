@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from postfx.colour.views import FALSE_COLOUR_BANDS, false_colour, log_c, zebra
-from postfx.report.charts import add_key
+from postfx.tools.exposure.plot import add_key
 
 COLOURS = {band.meaning: band.colour for band in FALSE_COLOUR_BANDS}
 

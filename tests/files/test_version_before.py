@@ -15,11 +15,11 @@ from postfx import DenoiseUpscale, Device, Pipeline, read_sequence
 from postfx.cli.main import main
 from postfx.exposure import ExposureMeter
 from postfx.frame import Role
-from postfx.report.capture_data import compare
-from postfx.report.capture_data import read as read_capture
 from postfx.runs.folder import load_checkpoint, read_about
 from postfx.runs.manifest import MANIFEST_NAME, load_manifest
 from postfx.runtime import Library
+from postfx.tools.report.capture_data import compare
+from postfx.tools.report.capture_data import read as read_capture
 from tests.files.exr_files import headers_of
 
 SAMPLES = Path(__file__).parent / "version_before"

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from postfx import Between
-from postfx.bench.baselines import Accumulator, HostKernels
 from postfx.compiled import build, library
 from postfx.compiled.library import Rows
 from postfx.frame import Frame, Role
@@ -20,6 +19,7 @@ from postfx.motion import flow
 from postfx.motion.estimated import motion_of
 from postfx.runtime import Device
 from postfx.temporal.reverse_motion import HistoryLength, premultiply, share_by_length
+from postfx.tools.bench.baselines import Accumulator, HostKernels
 from tests.conftest import REPOSITORY
 
 SOURCES = [*sorted((build.KERNELS / "interpolate").glob("*.cpp")), build.KERNELS / "accumulate.cpp"]

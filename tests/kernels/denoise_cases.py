@@ -19,7 +19,6 @@ from postfx.kernels.denoise.network_io import (
     OPEN_ERROR,
     OPEN_FINE,
     OPEN_FINE_PRODUCTS,
-    OPEN_LOGITS,
     OPEN_PHASED,
     OPEN_PRODUCTS,
     PACK,
@@ -65,7 +64,7 @@ KERNELS = (
     RESIZE, REFLECTIONS, JUDGE, DETAIL,
     RESTORE, STRENGTH, RESAMPLE, REACTIVE,
     SPREAD_MASK, KEEP, ENLARGE_OVERLAY, OVER, OVER_ALPHA, ASSEMBLE,
-    PACK, OPEN, OPEN_FINE, OPEN_PHASED, OPEN_LOGITS, OPEN_ERROR,
+    PACK, OPEN, OPEN_FINE, OPEN_PHASED, OPEN_ERROR,
     OPEN_PRODUCTS, OPEN_FINE_PRODUCTS, STORE,
     STORE_RINGED,
     REFLECT, ACCUMULATE_PART, UPSAMPLE_LIGHT, BALANCE, GATHER, LEVEL, ENLARGE_ALPHA, FIT, CORRECT,
@@ -215,7 +214,7 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.concatenate((2 * unit[:3] - 1, unit[3:4], unit[4:] - 0.5))
     if name == "means":  # one cell where planes are not doubted
         return unit[:1, :1] if case.h % 2 else unit
-    if name in ("raw", "raw_fine", "phased_fine", "fine_logits"):
+    if name in ("raw", "raw_fine", "phased_fine"):
         return random.normal(0, 4, size)
     if name == "log_error":
         return 18 * unit - 16

@@ -7,14 +7,32 @@ import numpy as np
 import onnxruntime
 import pytest
 
+from postfx.colour import REC2020
+from postfx.colour.views import neutral, reinhard
 from postfx.compiled import library
 from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
-from postfx.kernels.colour import APPLY_CUBE, CONVERT_PRIMARIES, ENCODE_DISPLAY
+from postfx.kernels.colour import (
+    APPLY_CUBE,
+    BRIGHTEST,
+    CONVERT_PRIMARIES,
+    ENCODE_DISPLAY,
+    SHOW_NEUTRAL,
+    SHOW_REINHARD,
+)
 from postfx.kernels.image import CHECKERBOARD
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH_GRID
 from postfx.system import models_dir
-from tests.kernels.tonemap_cases import HOLDS, PACES, SHAPER, Hold, Pace, arguments, sizes
+from tests.kernels.tonemap_cases import (
+    HOLDS,
+    PACES,
+    SHAPER,
+    SHOWING,
+    Hold,
+    Pace,
+    arguments,
+    sizes,
+)
 
 torch = pytest.importorskip("torch")
 
@@ -90,6 +108,25 @@ def test_every_level_gives_the_same_bits(kernel: Kernel) -> None:
             np.testing.assert_array_equal(output, found["v3"], f"{height}x{width} {level}")
         if lowest is not None:
             np.testing.assert_allclose(lowest, like, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("kernel", [SHOW_NEUTRAL, SHOW_REINHARD], ids=lambda kernel: kernel.name)
+def test_views_are_their_formulas_with_the_same_bits_at_every_level(kernel: Kernel) -> None:
+    for height, width in sizes(kernel):
+        given = arguments(kernel, height, width)
+        held = np.nan_to_num(given["colour"], posinf=BRIGHTEST, neginf=-BRIGHTEST)
+        light = held.astype(np.float64) @ SHOWING[1:10].reshape(3, 3).T * SHOWING[0]
+        light = light.clip(0, BRIGHTEST)
+        wanted = neutral(light) if kernel is SHOW_NEUTRAL else reinhard(light, REC2020, SHOWING[-1])
+        found = {}
+        for level in library.levels():
+            found[level] = np.full(wanted.shape, np.nan, np.float32)
+            Rows(kernel.rows.name, level=level)(0, height, *given.values(), found[level])
+            np.testing.assert_allclose(found[level], wanted, rtol=1e-5, atol=1e-5)
+        lowest = found.pop("baseline", None)  # without fused products
+        for level, output in found.items():
+            np.testing.assert_array_equal(output, found["v3"], f"{height}x{width} {level}")
+        assert lowest is None or np.isfinite(lowest).all()
 
 
 @pytest.mark.parametrize("kernel", DEFINITIONS, ids=lambda kernel: kernel.name)

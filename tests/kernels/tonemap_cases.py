@@ -7,10 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postfx.colour import REC709, REC2020, matrix_between
+from postfx.colour import REC709, REC2020, matrix_between, to_xyz
 from postfx.colour.displays import parse_display
 from postfx.kernels import Kernel
-from postfx.kernels.colour import APPLY_CUBE, APPLY_CUBE_FOURS, CONVERT_PRIMARIES, ENCODE_DISPLAY
+from postfx.kernels.colour import (
+    APPLY_CUBE,
+    APPLY_CUBE_FOURS,
+    CONVERT_PRIMARIES,
+    ENCODE_DISPLAY,
+    SHOW_NEUTRAL,
+    SHOW_REINHARD,
+)
 from postfx.kernels.image import CHECKERBOARD, turns
 from postfx.kernels.tonemap import (
     EXPOSE,
@@ -26,11 +33,14 @@ from postfx.passes.display import decoding, encoding, parameters
 
 KERNELS = (SLICE_APPLY, LOWRES, LIGHT, FOLLOW, SMOOTH_GRID, EXPOSE, ENCODE_DISPLAY, APPLY_CUBE,
            CHECKERBOARD)
-ON_GPU = (APPLY_CUBE_FOURS,)
+ON_GPU = (APPLY_CUBE_FOURS, SHOW_NEUTRAL, SHOW_REINHARD)
 HLG = parse_display("hlg")
 SIZES = ((1, 1), (5, 7), (67, 129), (300, 260))
 SHAPER = (2.0**-8, 1.0 / math.log2(1.0 + 2.0**16))  # toe, and the scale by which 2^8 becomes 1
-PARAMS = {ENCODE_DISPLAY: parameters(None, HLG, 1.7), FOLLOW: np.array([0.98, 0.6, 1.0, SHAPER[1]])}
+SHOWING = np.array([1.7, *matrix_between(REC709, REC2020).ravel(), *to_xyz(REC2020)[1], 4.9])
+"""Exposure, matrix, weights of luminance and most light of a view that is a formula."""
+PARAMS = {ENCODE_DISPLAY: parameters(None, HLG, 1.7), FOLLOW: np.array([0.98, 0.6, 1.0, SHAPER[1]]),
+          SHOW_NEUTRAL: SHOWING, SHOW_REINHARD: SHOWING}
 
 
 def fixed_shape(kernel: Kernel, name: str) -> tuple[int, ...]:

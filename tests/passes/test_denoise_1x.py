@@ -15,9 +15,11 @@ from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise import models as model_names
 from postfx.passes.denoise.assembly import Frames
+from postfx.passes.denoise.history import History, Turn
 from postfx.passes.denoise.models import UNSCALED, halo_of, model_of, seamless
+from postfx.passes.denoise.window import Work
 from postfx.pipeline import Pipeline
-from postfx.runtime import Device, Library
+from postfx.runtime import CommandBuffer, Device, Library, Tensor
 from postfx.system import models_dir
 from tests.passes.denoise_frames import guided, noisy
 
@@ -163,14 +165,19 @@ def changing() -> list[Frame]:
 @pytest.mark.usefixtures("models")
 def test_the_history_goes_on_to_the_render_size_and_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """All but the hidden state, which another network could not read."""
-    pipeline, kept, use = chain(size=OUTPUT), [], Frames.use
+    pipeline, kept = chain(size=OUTPUT), []
+    encode, turn = Frames.encode, History.turn
 
-    def watched(frames: Frames, model: str) -> None:
-        before = frames._history.next["next_state"].download()
-        use(frames, model)
-        kept.append((model, before, frames._history.next["next_state"].download()))
+    def begin(frames: Frames, commands: CommandBuffer, planes: dict, work: Work, *rest) -> Tensor:
+        kept.append([work.model, frames._history.next["next_state"].download()])
+        return encode(frames, commands, planes, work, *rest)
 
-    monkeypatch.setattr(Frames, "use", watched)
+    def go_on(history: History, *given) -> Turn:
+        kept[-1].append(history.next["next_state"].download())
+        return turn(history, *given)
+
+    monkeypatch.setattr(Frames, "encode", begin)
+    monkeypatch.setattr(History, "turn", go_on)
     for frame in changing():
         begun = chain(size=OUTPUT)(frame)[Role.COLOUR]
         assert np.array_equal(pipeline(frame)[Role.COLOUR], begun) == (frame.number == 0)

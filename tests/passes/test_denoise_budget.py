@@ -9,10 +9,12 @@ from postfx.errors import PassOptionError
 from postfx.frame import Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.assembly import Frames
+from postfx.passes.denoise.history import History, Turn
 from postfx.passes.denoise.models import Ladder, cost, family
 from postfx.passes.denoise.options import RenderSize
+from postfx.passes.denoise.window import Work
 from postfx.pipeline import Pipeline
-from postfx.runtime import Device
+from postfx.runtime import CommandBuffer, Device, Tensor
 from tests.passes.denoise_frames import noisy
 
 COSTS = (1.0, 3.5, 5.0)
@@ -150,14 +152,18 @@ def test_the_history_goes_on_with_the_other_network(monkeypatch: pytest.MonkeyPa
     """All but the hidden state, which it could not read."""
     chain, kept = Pipeline([upscaler := DenoiseUpscale(budget=1000)], Device("cpu", threads=2),
                            exposure=0.0), []
-    use = Frames.use
+    encode, turn = Frames.encode, History.turn
 
-    def watched(frames: Frames, model: str) -> None:
-        before = frames._history.next["next_state"].download()
-        use(frames, model)
-        kept.append((before, frames._history.next["next_state"].download()))
+    def begin(frames: Frames, commands: CommandBuffer, planes: dict, work: Work, *rest) -> Tensor:
+        kept.append([frames._history.next["next_state"].download()])
+        return encode(frames, commands, planes, work, *rest)
 
-    monkeypatch.setattr(Frames, "use", watched)
+    def go_on(history: History, *given) -> Turn:
+        kept[-1].append(history.next["next_state"].download())
+        return turn(history, *given)
+
+    monkeypatch.setattr(Frames, "encode", begin)
+    monkeypatch.setattr(History, "turn", go_on)
     chosen = []
     for number in range(1, 8):
         chain(noisy(number))

@@ -7,9 +7,9 @@ import pytest
 
 from postfx.cli.capture_compare import text_of
 from postfx.errors import CompareError
-from postfx.report.capture_data import compare
-from postfx.report.page import write_capture
 from postfx.runtime.capture import largest_error
+from postfx.tools.report.capture_data import compare
+from postfx.tools.report.page import write_capture
 from tests.deep import LEVEL, capture_deep, make_deep
 
 

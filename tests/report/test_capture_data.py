@@ -1,6 +1,6 @@
 """Who wrote what is read, by address."""
 
-from postfx.report.capture_data import edges
+from postfx.tools.report.capture_data import edges
 
 
 def command(index, reads=(), writes=()):

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from postfx.errors import ReadError, WriteError
-from postfx.report.capture_data import as_dict, read
-from postfx.report.page import write_capture
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.capture import MISSING
+from postfx.tools.report.capture_data import as_dict, read
+from postfx.tools.report.page import write_capture
 from tests import toys
 
 SVG = "http://www.w3.org/2000/svg"

@@ -4,9 +4,9 @@ motion."""
 import numpy as np
 import pytest
 
-from postfx.report.charts import charts
-from postfx.report.frame_log import LONGEST_SIDE_PX, FrameLog, Look, measure_change
-from postfx.report.pictures import encode_light
+from postfx.tools.report.charts import charts
+from postfx.tools.report.frame_log import LONGEST_SIDE_PX, FrameLog, Look, measure_change
+from postfx.tools.report.pictures import encode_light
 
 SCENE, DISPLAY = Look(False), Look(True)
 STILL = np.zeros((8, 12, 2), np.float32)

@@ -18,8 +18,8 @@ from postfx.errors import OptionError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
-from postfx.report import live
-from postfx.report.live import LiveViewer, packets, parse_address
+from postfx.tools.report import live
+from postfx.tools.report.live import LiveViewer, packets, parse_address
 
 
 class Tev:

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from postfx.report.page import write_capture
 from postfx.runtime import ArgumentTable, Device
+from postfx.tools.report.page import write_capture
 from tests.deep import capture_deep, make_deep, make_long
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from onnx import helper
 
-from postfx.report.networks import describe
 from postfx.runtime.capture import MISSING
+from postfx.tools.report.networks import describe
 from tests import toys
 from tests.deep import make_deep
 

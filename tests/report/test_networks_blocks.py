@@ -2,7 +2,7 @@
 
 import random
 
-from postfx.report.networks import Node, blocks
+from postfx.tools.report.networks import Node, blocks
 
 
 def test_a_run_ends_where_the_graph_forks_or_joins():

@@ -6,7 +6,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from postfx.report.pictures import picture, sheet
+from postfx.tools.report.pictures import picture, sheet
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 
 from postfx.colour.displays import srgb_encode
 from postfx.colour.views import to_codes
-from postfx.report.pictures import EVEN_LIGHT, LARGEST_SIDE_PX, encode_light, pack_codes
+from postfx.tools.report.pictures import EVEN_LIGHT, LARGEST_SIDE_PX, encode_light, pack_codes
 
 
 def light_of(codes, highest):

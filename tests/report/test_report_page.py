@@ -16,7 +16,7 @@ pytest.importorskip("skimage")
 from postfx import read_sequence  # noqa: E402
 from postfx.cli.main import main  # noqa: E402
 from postfx.frame import Role  # noqa: E402
-from postfx.report.pictures import encode_light  # noqa: E402
+from postfx.tools.report.pictures import encode_light  # noqa: E402
 
 ROOM = Path(__file__).resolve().parents[2] / "samples" / "room"
 SVG = "http://www.w3.org/2000/svg"

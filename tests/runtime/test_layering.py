@@ -77,14 +77,20 @@ def test_files_know_neither_kernels_nor_what_is_made_of_frames():
         assert name != "postfx.motion" or "postfx.io" not in found
 
 
-def test_frames_and_passes_know_neither_reports_nor_benchmarks():
-    """Who may look at them from above: the command line, the doctor, and a presenter, which draws
-    its pacing."""
-    allowed = {"bench", "cli", "doctor", "report"}
+def test_only_the_command_line_takes_tools():
     looking = {name for name, found in import_graph(PACKAGE).items()
-               if room_of(name) not in allowed and {room_of(one) for one in found} & {"bench",
-                                                                                      "report"}}
-    assert looking == {"postfx.presenter"}
+               if room_of(name) not in ("cli", "tools")
+               and "tools" in {room_of(one) for one in found}}
+    assert not looking
+
+
+def test_tools_know_one_another_in_one_direction():
+    """A tool is a folder of them, or a file."""
+    graph = {name.removeprefix("postfx."): {one.removeprefix("postfx.") for one in found}
+             for name, found in import_graph(PACKAGE).items()}
+    pairs = {(module.split(".")[1], one.split(".")[1]) for module, found in graph.items()
+             for one in found if module.startswith("tools.") and one.startswith("tools.")}
+    assert not {(one, other) for one, other in pairs if one != other and (other, one) in pairs}
 
 
 def test_no_two_rooms_import_each_other():

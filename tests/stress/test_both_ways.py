@@ -6,7 +6,6 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from postfx.bench.stress import BRIGHTEST_OUTPUT, HARD
 from postfx.frame import Frame, Role
 from postfx.io.read_options import ReadOptions
 from postfx.passes.composite import BothWays
@@ -14,6 +13,7 @@ from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from postfx.temporal.reverse_order import Backwards
+from postfx.tools.bench.stress import BRIGHTEST_OUTPUT, HARD
 from tests.passes.denoise_frames import flat, noisy
 from tests.stress.scenes import SIZES, on
 

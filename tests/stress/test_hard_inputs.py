@@ -7,7 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postfx.bench.stress import (
+from postfx.frame import Frame, Role
+from postfx.io.sequence import read_sequence
+from postfx.passes import Pass
+from postfx.passes.composite import Overlay
+from postfx.passes.display import Display, View
+from postfx.passes.tonemap import ToneMap
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device, Library
+from postfx.tools.bench.stress import (
     BRIGHTEST_OUTPUT,
     HARD,
     LIGHT_CHANGES,
@@ -17,14 +25,6 @@ from postfx.bench.stress import (
     stress,
     tags,
 )
-from postfx.frame import Frame, Role
-from postfx.io.sequence import read_sequence
-from postfx.passes import Pass
-from postfx.passes.composite import Overlay
-from postfx.passes.display import Display, View
-from postfx.passes.tonemap import ToneMap
-from postfx.pipeline import Pipeline
-from postfx.runtime import Device, Library
 from tests.passes.denoise_frames import noisy
 from tests.stress.scenes import ROOM, SIZES, held, on, pipeline
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postfx.bench.stress import BRIGHTEST_OUTPUT, HARD, LIGHT_CHANGES
 from postfx.frame import GUIDE_ROLES, Frame, Role
 from postfx.passes.exposure_tool import GREYS, ExposureTool
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from postfx.tools.bench.stress import BRIGHTEST_OUTPUT, HARD, LIGHT_CHANGES
 from tests.passes import mirror_scene
 from tests.passes.denoise_frames import guided, noisy
 from tests.stress.scenes import held, on, pipeline, way

@@ -43,7 +43,7 @@ BOUNDS = {
     "denoise_detail": ROUNDED, "denoise_restore": ROUNDED, "denoise_strength": ROUNDED,
     "denoise_keep": ROUNDED, "denoise_open": ROUNDED, "denoise_open_fine": ROUNDED,
     "denoise_open_phased": ROUNDED, "overlay_over": ROUNDED,
-    "denoise_mirrored": ROUNDED, "denoise_open_logits": ROUNDED, "denoise_open_error": ROUNDED,
+    "denoise_mirrored": ROUNDED, "denoise_open_error": ROUNDED,
     "overlay_over_alpha": ROUNDED, "mix_partner": 5e-6, "enlarge_motion": ROUNDED,
     "smooth": ROUNDED, "light": ROUNDED, "follow": ROUNDED, "expose": ROUNDED, "apply_cube": 5e-7,
     "convert_primaries": 5e-7, "lowres": 5e-7, "denoise_trust": 1e-6, "denoise_accumulate": 1e-6,

@@ -12,10 +12,10 @@ import pytest
 
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 pytest.importorskip("skimage", reason="needs the extra 'bench'")
-from postfx.bench.measure import Material, Sources  # noqa: E402
-from postfx.bench.metrics import psnr, to_codes  # noqa: E402
 from postfx.frame import Role  # noqa: E402
 from postfx.runtime import Device  # noqa: E402
+from postfx.tools.bench.measure import Material, Sources  # noqa: E402
+from postfx.tools.bench.metrics import psnr, to_codes  # noqa: E402
 from tests.stress.scenes import pipeline  # noqa: E402
 
 FRAMES = 3

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postfx.bench.baselines import HostKernels
 from postfx.frame import Frame, Role
 from postfx.kernels.denoise.output import ASSEMBLE
 from postfx.passes.denoise.tiling import SIDE_MULTIPLE
 from postfx.runtime import Device
+from postfx.tools.bench.baselines import HostKernels
 from tests.kernels import host_cuda
 from tests.passes.denoise_frames import noisy
 from tests.passes.test_denoise_strength_golden import blended64

@@ -31,8 +31,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from fileseq.frameset import FrameSet
 
-from postfx.bench.metrics import psnr
 from postfx.colour.views import to_codes
+from postfx.tools.bench.metrics import psnr
 from training.datagen.variant import use_variant
 
 if TYPE_CHECKING:

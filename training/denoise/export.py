@@ -27,7 +27,6 @@ from postfx.kernels.denoise.network_io import (
     OPEN_ERROR,
     OPEN_FINE,
     OPEN_FINE_PRODUCTS,
-    OPEN_LOGITS,
     OPEN_PHASED,
     OPEN_PRODUCTS,
     PACK,
@@ -66,11 +65,18 @@ from postfx.passes.denoise.network import (
     CONTROLS_NAME,
     ERROR,
     FEATURE_PARTS,
-    FINE_LOGITS,
+    FINE_HEAD,
     PHASED_FINE,
     PICTURE,
 )
-from training.denoise.model import LEVELS, Trunk, TrunkConfig, filters, stem
+from training.denoise.model import (
+    LEVELS,
+    Trunk,
+    TrunkConfig,
+    activate_fine,
+    filters,
+    stem,
+)
 from training.denoise.picture import PictureConfig, PictureNetwork, layout_from
 from training.denoise.residual import (
     STEEPEST,
@@ -101,7 +107,7 @@ CONTENT = (f"logits of 5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES},
            f"sharpening at four phases 4 + 4, mix, distrust, importance, hidden state {HIDDEN}")
 MEANING = {
     PHASED_FINE: f"{CONTENT}; of each the four phases of 2x2 pixels",
-    FINE_LOGITS: CONTENT,
+    FINE_HEAD: f"{CONTENT}, as the kernels read them",
     PICTURE: "log(1 + exposed colour)",
     CONTROLS_NAME: "share of the picture beside the history, distrust of what was accumulated, 1, "
     f"hidden state {HIDDEN}",
@@ -112,7 +118,7 @@ MEANING = {
 }
 Layout = TrunkConfig | ResidualConfig | PictureConfig
 Network = Trunk | ResidualTrunk | PictureNetwork
-COUNTS = {PHASED_FINE: 4 * FINE, FINE_LOGITS: FINE, PICTURE: 3, CONTROLS_NAME: CONTROL_COUNT,
+COUNTS = {PHASED_FINE: 4 * FINE, FINE_HEAD: FINE, PICTURE: 3, CONTROLS_NAME: CONTROL_COUNT,
           ERROR: 1, "level4": KERNEL}
 """Channels of the outputs; other levels have a mix, too."""
 ALIKE = "the same at all pixels"
@@ -187,7 +193,6 @@ KERNELS = {
     OPEN: kernels.Open,
     OPEN_FINE: kernels.OpenFine,
     OPEN_PHASED: kernels.OpenPhased,
-    OPEN_LOGITS: kernels.OpenLogits,
     OPEN_ERROR: kernels.OpenError,
     OPEN_PRODUCTS: kernels.OpenProducts,
     OPEN_FINE_PRODUCTS: kernels.OpenFineProducts,
@@ -234,7 +239,7 @@ def outputs(config: Layout) -> tuple[str, ...]:
         return PICTURE, CONTROLS_NAME, ERROR
     if not isinstance(config, ResidualConfig):
         return PHASED_FINE, *levels
-    return FINE_LOGITS, *levels, *((ERROR,) if config.mirrored else ())
+    return FINE_HEAD, *levels, *((ERROR,) if config.mirrored else ())
 
 
 class ExportedTrunk(Trunk):
@@ -262,8 +267,7 @@ class ExportedTrunk(Trunk):
 
 
 class ExportedResidual(ResidualTrunk):
-    """The same network, except that it reads its inputs in parts, and its fine head ends with the
-    convolution."""
+    """The same network, except that it reads its inputs in parts."""
 
     def __init__(self, trunk: ResidualTrunk):
         super().__init__(trunk.config)
@@ -288,7 +292,8 @@ class ExportedResidual(ResidualTrunk):
                   levels: list[torch.Tensor]) -> tuple[torch.Tensor, ...]:
         ends = (() if self.error is None
                 else (self.error(stream).clamp(LEAST_LOG_ERROR, MOST_LOG_ERROR),))
-        return self.fine(stream), *levels, *ends
+        fine = activate_fine(self.fine(stream).clamp(-STEEPEST, STEEPEST))
+        return fine, *levels, *ends
 
 
 class ExportedPicture(PictureNetwork):
@@ -398,7 +403,7 @@ def _output(config: Layout, name: str) -> dict[str, Any]:
     if not has_level(config, name):
         return {"shape": [1, _channels(name), 1, 1], "meaning": f"{meaning}; {ALIKE}",
                 "constant": True}
-    if name in (FINE_LOGITS, PICTURE, CONTROLS_NAME, ERROR):
+    if name in (FINE_HEAD, PICTURE, CONTROLS_NAME, ERROR):
         return {"shape": [1, _channels(name), "height", "width"], "meaning": meaning}
     level = 1 if name == PHASED_FINE else int(name[-1])
     return {"shape": [1, _channels(name), f"height/{2**level}", f"width/{2**level}"],

@@ -23,7 +23,6 @@ from postfx.kernels.denoise import (
     MIX,
     MOST_STATE,
     PLANE_TRUST,
-    STEEPEST,
     TRUST_CELL,
     UNKNOWN,
 )
@@ -449,13 +448,6 @@ class OpenPhased(nn.Module):
 
     def forward(self, phased_fine: Tensor) -> Tensor:
         return activate_fine(F.pixel_shuffle(phased_fine, 2))
-
-
-class OpenLogits(nn.Module):
-    """fine_logits (1, 80, hp, wp) -> fine (1, 80, hp, wp), activated."""
-
-    def forward(self, fine_logits: Tensor) -> Tensor:
-        return activate_fine(ops.sanitise(fine_logits, -float(STEEPEST), float(STEEPEST)))
 
 
 class OpenError(nn.Module):

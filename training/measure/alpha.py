@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.bench.metrics import psnr
 from postfx.colour.displays import srgb_encode
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from postfx.tools.bench.metrics import psnr
 from training.measure.parts import busy
 
 SIDE, HAIRS, FRAMES, SAMPLES = 128, 140, 6, 4

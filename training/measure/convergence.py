@@ -80,7 +80,7 @@ def methods(args: argparse.Namespace, scale: int,
     """Method -> function from a frame to a picture of `size` (height, width); the input itself
     comes first."""
     import postfx
-    from postfx.bench.methods import OTHERS, Method, make
+    from postfx.tools.bench.methods import OTHERS, Method, make
 
     device = postfx.Device(args.device)
     wanted = {INPUT: "bicubic"} | ({} if args.no_oidn else {"OIDN high": "oidn-high"})
@@ -93,7 +93,7 @@ def methods(args: argparse.Namespace, scale: int,
 def measure(view: dict[str, np.ndarray], args: argparse.Namespace) -> list[dict[str, Any]]:
     """A row for each scale, sample count and method; `gain` is its PSNR above its input's."""
     import postfx
-    from postfx.bench.metrics import grey_factor
+    from postfx.tools.bench.metrics import grey_factor
 
     rows = []
     for scale in map(int, args.scales.split(",")):

@@ -186,7 +186,7 @@ def find_crossing(counts: np.ndarray, curve: np.ndarray, error: float) -> float 
 
 def measure(args: argparse.Namespace) -> None:
     """Write the counts and the plot."""
-    from postfx.bench.metrics import grey_factor
+    from postfx.tools.bench.metrics import grey_factor
 
     view = load_view(args.view)
     exposure = grey_factor((view["reference_a"] + view["reference_b"]) / 2)
@@ -214,9 +214,9 @@ def measure(args: argparse.Namespace) -> None:
 def _pictures(view: dict[str, np.ndarray], args: argparse.Namespace) -> dict[str, list[np.ndarray]]:
     """Method -> results for the single images, each as the first frame of a sequence."""
     import postfx
-    from postfx.bench.baselines import Oidn
     from postfx.frame import Role
     from postfx.passes.denoise.models import exact
+    from postfx.tools.bench.baselines import Oidn
 
     frames = [postfx.Frame({Role(name): view[name][k] for name in PLANES}, exposure=None, samples=1)
               for k in range(len(view["colour"]))]

@@ -29,10 +29,10 @@ from typing import Any
 import numpy as np
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline
-from postfx.bench.baselines import HostKernels, Oidn
-from postfx.bench.metrics import grey_factor
 from postfx.colour.views import to_codes
 from postfx.frame import Role
+from postfx.tools.bench.baselines import HostKernels, Oidn
+from postfx.tools.bench.metrics import grey_factor
 from training.datagen.clip_file import load_clip
 from training.measure.runs import record_kinds
 

@@ -23,11 +23,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from postfx import DenoiseUpscale, Device, Pipeline
-from postfx.bench.baselines import Oidn
-from postfx.bench.metrics import grey_factor
 from postfx.colour.views import to_codes
 from postfx.frame import Role
 from postfx.io.sequence import Sequence
+from postfx.tools.bench.baselines import Oidn
+from postfx.tools.bench.metrics import grey_factor
 from training.measure.table import SINGLE, Shot, parser_of_kinds, shots
 
 CELL_PX = 32

@@ -5,7 +5,7 @@ enlarged.
 
 CLIPS holds .npz files as `training.datagen` makes them, with references at the render's size or
 twice that size. References are averaged down to the render's size at 1x. Figures are those of
-`postfx.bench.metrics`, of the second half of the frames: PSNR in dB, FLIP and flicker.
+`postfx.tools.bench.metrics`, of the second half of the frames: PSNR in dB, FLIP and flicker.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from postfx import DenoiseUpscale, Device, Frame, MixPartner, Partner, Pipeline
-from postfx.bench.baselines import HostKernels, Oidn
-from postfx.bench.metrics import SequenceScore
 from postfx.frame import Role
 from postfx.passes.partner import partner_weight
+from postfx.tools.bench.baselines import HostKernels, Oidn
+from postfx.tools.bench.metrics import SequenceScore
 from training.datagen.clip_file import exposure_of, load_clip
 
 PLANES = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion")

@@ -24,14 +24,14 @@ from pathlib import Path
 
 import numpy as np
 
-from postfx.bench.baselines import HostKernels, Oidn
-from postfx.bench.metrics import grey_factor, psnr
 from postfx.colour.displays import srgb_encode
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.passes.denoise import PART_FILTERS, DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from postfx.tools.bench.baselines import HostKernels, Oidn
+from postfx.tools.bench.metrics import grey_factor, psnr
 
 FRAMES, WARM_UP = 12, 3
 """Frames that run, and how many of them are not timed."""

@@ -26,11 +26,11 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx import DenoiseUpscale, Device, Frame, Oidn, Pipeline
-from postfx.bench.baselines import Oidn as PlainOidn
 from postfx.colour.views import to_codes
 from postfx.frame import Role
 from postfx.io.sequence import Sequence
 from postfx.pixel_filter import FILTERED_ROLES
+from postfx.tools.bench.baselines import Oidn as PlainOidn
 from training.measure.table import Shot, numbers, parser_of_kinds, shots, words
 
 FILTER_REACH_PX = 2

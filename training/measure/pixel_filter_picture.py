@@ -15,9 +15,9 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx import DenoiseUpscale, Device, Pipeline
-from postfx.bench.baselines import Oidn
 from postfx.colour.views import to_codes
 from postfx.frame import Role
+from postfx.tools.bench.baselines import Oidn
 from training.measure.pixel_filter import mitsuba_cases
 
 PART = slice(12, 156), slice(76, 220)

@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline
-from postfx.bench.baselines import HostKernels, Oidn
 from postfx.colour.views import to_codes
 from postfx.frame import Role
+from postfx.tools.bench.baselines import HostKernels, Oidn
 
 SIDE = 96  # render pixels
 SAMPLES = tuple(2**k for k in range(11))

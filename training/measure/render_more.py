@@ -43,15 +43,15 @@ from pathlib import Path
 import numpy as np
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, read_sequence
-from postfx.adaptive.estimate import error_of_half, estimate_error, estimate_from_halves
-from postfx.adaptive.plan import SLOPE, tile_sums
-from postfx.bench.metrics import grey_factor
 from postfx.cli.main import main as postfx
 from postfx.colour.views import to_codes
 from postfx.frame import Role
 from postfx.io.exr.merge import merge_renders
 from postfx.masks.noise import count_unit
 from postfx.passes.denoise.models import UNSCALED, model_of, predicts_error
+from postfx.tools.adaptive.estimate import error_of_half, estimate_error, estimate_from_halves
+from postfx.tools.adaptive.plan import SLOPE, tile_sums
+from postfx.tools.bench.metrics import grey_factor
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "training/measure/validation"

@@ -32,13 +32,13 @@ from typing import Any
 
 import numpy as np
 
-from postfx.bench.baselines import Accumulator, HostKernels, Oidn
-from postfx.bench.metrics import SequenceScore
 from postfx.errors import PostfxError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.oidn import GUIDE_WAYS
 from postfx.runtime import Device
+from postfx.tools.bench.baselines import Accumulator, HostKernels, Oidn
+from postfx.tools.bench.metrics import SequenceScore
 
 FIGURES = ("psnr", "flip", "flicker")
 SINGLE = (*GUIDE_WAYS, "none")

@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 
 from postfx import DenoiseUpscale, Device, Pipeline, read_sequence
-from postfx.bench.metrics import flip, grey_factor, psnr
 from postfx.colour.views import to_codes
 from postfx.frame import Role
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_channels
+from postfx.tools.bench.metrics import flip, grey_factor, psnr
 
 TILE = 16
 """Side of the clean tiles, pixels."""

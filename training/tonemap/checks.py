@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from postfx.bench.metrics import FOLLOWED_DIFFERENCE, LUMINANCE_WEIGHTS, warp
 from postfx.colour.displays import parse_display
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
-from postfx.look_table import to_itp
 from postfx.sampling import motion_at
+from postfx.tools.bench.metrics import FOLLOWED_DIFFERENCE, LUMINANCE_WEIGHTS, warp
+from postfx.tools.look_table import to_itp
 from training.tonemap.looks import View, exact_view
 from training.tonemap.model import MID_GREY
 from training.tonemap.pictures import hue_chart, ramp

@@ -29,15 +29,15 @@ import numpy as np
 import OpenImageIO as oiio
 import torch
 
-from postfx.bench.metrics import flip, psnr, ssim
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
 from postfx.kernels.colour import APPLY_CUBE
 from postfx.kernels.tonemap import SLICE_APPLY
-from postfx.look_table import delta_e_itp
 from postfx.passes.tonemap import ToneMap, find_model, shaper
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from postfx.tools.bench.metrics import flip, psnr, ssim
+from postfx.tools.look_table import delta_e_itp
 from training.measure.quality_report.document import Block, compose, number, parse, table
 from training.tonemap.checks import (
     SRGB,

@@ -134,9 +134,12 @@ class KeepPlan:
             kept = enlarge_rows(file, _find_part(file, recipe.part), [*recipe.kept],
                                 self._enlargement, pixels)
             apart = False
-        elif recipe.kept:
-            kept = _stored_rows(source, recipe, stack)
-            apart = {*recipe.kept} <= source.storages[recipe.part].channels.keys()
+        elif {*recipe.kept} <= source.storages[recipe.part].channels.keys():
+            kept = partial(_read_kept, source, recipe) if recipe.kept else None
+        else:
+            file = stack.enter_context(ImageFile(source.path, checked=True))
+            kept = partial(file.read_stored, _find_part(file, recipe.part), recipe.kept)
+            apart = False
 
         def read(first: int, last: int) -> list[np.ndarray]:
             picture = rows(first, last) if recipe.fresh else ()
@@ -147,21 +150,14 @@ class KeepPlan:
         return picture_part(header, read, apart)
 
 
-def _stored_rows(source: ExrContainer, recipe: Recipe, stack: ExitStack) -> Rows:
-    """Reads the channels that are kept of a part, bit for bit."""
-    part, names = recipe.part, recipe.kept
-    if not {*names} <= source.storages[part].channels.keys():
-        file = stack.enter_context(ImageFile(source.path, checked=True))
-        return partial(file.read_stored, _find_part(file, part), names)
-
-    def read(first: int, last: int) -> Sequence[np.ndarray]:
-        found = read_stored(source, part, names, first, last)
-        if found is not None:
-            return found
-        with ImageFile(source.path, checked=True) as file:  # which says what is broken
-            return file.read_stored(_find_part(file, part), names, first, last)
-
-    return read
+def _read_kept(source: ExrContainer, recipe: Recipe, first: int,
+               last: int) -> Sequence[np.ndarray]:
+    """The channels that are kept of a part, bit for bit."""
+    found = read_stored(source, recipe.part, recipe.kept, first, last)
+    if found is not None:
+        return found
+    with ImageFile(source.path, checked=True) as file:  # which says what is broken
+        return file.read_stored(_find_part(file, recipe.part), recipe.kept, first, last)
 
 
 def _find_part(file: ImageFile, index: int) -> Part:

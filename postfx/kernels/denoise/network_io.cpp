@@ -116,24 +116,6 @@ static void open_phased_rows(Long first, Long last, View<const float, 4> phased,
 }
 EXPORT_ALONE(denoise_open_phased, open_phased_rows)
 
-// Of a fine head at the render size.
-static void open_logits_rows(Long first, Long last, View<const float, 4> logits, Heads fine) {
-    for (Long channel = 0; channel < FINE; channel++) {
-        for (Long y = first; y < last; y++) {
-            const float* from = logits(0, channel, y);
-            float* out = fine(0, channel, y);
-            with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
-                across(0, fine.size[3], PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
-                    const F logit = within<F>(known<F>(load<F>(from + x)), -STEEPEST, STEEPEST);
-                    store<F>(out + x, opened<F, meaning.is>(logit));
-                });
-            });
-        }
-    }
-}
-EXPORT_ALONE(denoise_open_logits, open_logits_rows)
-
 // The expected squared error of a part's pixels; of one that is unknown, the largest.
 static void open_error_rows(Long first, Long last, View<const float, 4> log_error, Places, Places,
                             View<float, 3> error) {

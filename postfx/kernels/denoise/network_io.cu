@@ -73,18 +73,6 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_phased(View phase
     }
 }
 
-// Activations of a fine head at the render size.
-extern "C" __global__ void __launch_bounds__(256) denoise_open_logits(View logits, View fine) {
-    PIXEL(fine.size[3], fine.size[2]);
-    const size_t plane = size_t(fine.size[2]) * fine.size[3], at = size_t(y) * fine.size[3] + x;
-    const float* const from = logits.at + at;
-    float* const to = fine.at + at;
-    for (int channel = 0; channel < FINE; channel++) {
-        const float logit = clamped(from[channel * plane], -STEEPEST, STEEPEST);
-        to[channel * plane] = fine_of(channel, logit);
-    }
-}
-
 // The expected squared error of a part's pixels: log_error (1, 1, hp, wp), part_rows (th,),
 // part_columns (tw,) -> error (th, tw, 1).
 extern "C" __global__ void denoise_open_error(View log_error, View part_rows, View part_columns,

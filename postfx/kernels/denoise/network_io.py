@@ -11,9 +11,7 @@ Float32: activations of the fine head, and its four phases moved to their places
 of 2x2 pixels, top left first. One pass takes less time than activations and a shuffle inside the
 network, each of which reads and writes 160 MB at 960x540.
 
-Where a network's last level has the render size, ``fine_logits`` (1, 80, hp, wp) are its fine head
-before the activations, and ``log_error`` (1, 1, hp, wp) is the logarithm of each pixel's expected
-squared error.
+``log_error`` (1, 1, hp, wp) is the logarithm of each pixel's expected squared error.
 
 Integers, output: the last products are summed in 32 bits and scaled here. ``products`` are sums of
 8-bit products; ``scaling`` (2, C) holds a factor and an offset for each channel, which give its
@@ -70,10 +68,6 @@ in_half(OPEN_FINE, "fine")
 OPEN_PHASED = kernel("open_phased", ("phased_fine",), ("fine",), None, ("fine", 2),
                      phased_fine=(1, 4 * FINE, "half_hp", "half_wp"),
                      fine=(1, FINE, "2*half_hp", "2*half_wp"))
-
-
-OPEN_LOGITS = kernel("open_logits", ("fine_logits",), ("fine",), None, ("fine", 2),
-                     fine_logits=(1, FINE, "hp", "wp"))
 
 
 LEAST_LOG_ERROR = -14.0

@@ -172,7 +172,7 @@ find one ready."""
 class Frames:
     """The networks for frames of one size. The history can continue at another size.
 
-    The first of several models is in use until `use` takes another. Guided models read guides.
+    Of several models each frame names its own. Guided models read guides.
     Reactive frames have a mask that tells where the history is not used. Layered ones may have
     layers beside the picture. `spared`: render pixels that the halo is smaller, as what is active
     has so many that nobody sees.
@@ -199,13 +199,6 @@ class Frames:
         self._output = between("output", (sizes.height, sizes.width, 3))
         self._assembly = Assembly(device, sizes)
         device.make_ready(*kernels_of(FRAME_NEEDS, frozenset({"reactive"} if reactive else ())))
-        self.model = models[0]
-
-    def use(self, model: str) -> None:
-        """Switch models from the next frame on. The history continues, without the hidden state."""
-        self.model = model
-        if self._history.model != model:
-            self._history.use(model)
 
     def beside(self, history: History) -> Frames:
         """The same networks for other frames of the same size, which have this history."""
@@ -238,7 +231,8 @@ class Frames:
                layers: Sequence[Layer] = (),
                written: Targets = MappingProxyType({})) -> Tensor:
         """Record one frame, or some tiles of it; returns the output colour tensor, which is
-        undefined outside the tiles' rows.
+        undefined outside the tiles' rows. After another model the history continues, without the
+        hidden state.
 
         Args:
             layers: parts and alpha that are filtered beside the picture.
@@ -246,9 +240,11 @@ class Frames:
         """
         keep, band = work.keep, work.band
         apart = (bool(work.still or band or self._bands or layers or self._reactive)
-                 or self.model == CLASSIC)
+                 or work.model == CLASSIC)
         rows = band.rows_held if band and not layers else (0, self._sizes.h)
         size = self._sizes.h, self._sizes.w
+        if self._history.model != work.model:
+            self._history.use(work.model)
         last, left, kept = self._history.turn(commands, size, keep, apart, rows)
         self._common["params"].put(work.params)
         if keep != self._kept:
@@ -263,25 +259,25 @@ class Frames:
         # counts
         moves = keep and not work.still or last["history"] is left["next_history"]
         masked = keep and self._reactive
-        record = partial(self._record, commands, seen, targets, moves, masked, band, kept, layers)
+        record = partial(self._record, commands, seen, targets, moves, masked, work, kept, layers)
         if layers:  # whose tensors are many
             record()
         else:
-            commands.repeat((self, self.model, moves, masked, band, kept, *seen.values(),
+            commands.repeat((self, work.model, moves, masked, band, kept, *seen.values(),
                              *picture.values()), record)
         return picture["output"]
 
     def _record(self, commands: CommandBuffer, seen: Mapping[str, Tensor], targets: Targets,
-                moves: bool, masked: bool, band: Band | None, kept: Rows,
+                moves: bool, masked: bool, work: Work, kept: Rows,
                 layers: Sequence[Layer]) -> None:
         words = frozenset({"reactive"} if self._reactive else ())
         run_steps(commands, FRAME_NEEDS, seen, words)
-        if band is None and self._whole:
-            self._whole.encode(commands, self._window, self.model, seen, targets, moves, masked,
+        if work.band is None and self._whole:
+            self._whole.encode(commands, self._window, work.model, seen, targets, moves, masked,
                                layers)
-        for some in [band] if band else self._bands:
-            self._encode_tiles(commands, some, seen, targets, masked, kept if band else some.own,
-                               layers)
+        for band in [work.band] if work.band else self._bands:
+            rows = kept if work.band else band.own
+            self._encode_tiles(commands, work.model, band, seen, targets, masked, rows, layers)
 
     def rows(self, band: Band | None, cells: np.ndarray | None) -> Rows:
         """The rows of the output that are written by a frame, or by some tiles of it, as far as
@@ -294,17 +290,17 @@ class Frames:
         window = self._bands[0].tiles[0].window
         return window.rows, window.columns
 
-    def _encode_tiles(self, commands: CommandBuffer, band: Band, seen: Mapping[str, Tensor],
-                      targets: Targets, masked: bool, kept: Rows,
+    def _encode_tiles(self, commands: CommandBuffer, model: str, band: Band,
+                      seen: Mapping[str, Tensor], targets: Targets, masked: bool, kept: Rows,
                       layers: Sequence[Layer]) -> None:
         window = band.tiles[0].window
         graph, direct = (self._graphs[window.rows, window.columns],
                          self._assembly.direct(band, targets, kept))
         if direct:
-            graph.encode(commands, window, self.model, seen, direct, True, masked, layers)
+            graph.encode(commands, window, model, seen, direct, True, masked, layers)
             return
         for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles, targets), strict=True):
-            graph.encode(commands, tile.window, self.model, seen, slot, True, masked, layers)
+            graph.encode(commands, tile.window, model, seen, slot, True, masked, layers)
         self._assembly.encode(commands, band, targets, kept)
 
     def _make(self, shape: Shape) -> Shape:

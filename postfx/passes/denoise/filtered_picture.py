@@ -59,7 +59,6 @@ class FilteredPicture:
         own = work._replace(model=self._model, keep=keep, still=work.still and keep, band=band)
         seen = {**planes, **(hazy.stand_ins(frame) if self._blanks else {})}
         layers, targets = self._layers.begin(commands, frame, seen, own)
-        self._frames.use(self._model)
         picture = self._frames.encode(commands, seen, own, layers, targets)
         encode_own(commands, self._own, self._layers.own_runs(frame, seen, own), own)
         self._history.ran += (FILTERED_PICTURE,)
@@ -77,7 +76,6 @@ def encode_own(commands: CommandBuffer, frames: Mapping[str, Frames], runs: Iter
     """Record the network's work on parts that have filters of their own."""
     for run in runs:
         still = run.params[GAIN] == work.params[GAIN]
-        frames[run.name].use(work.model)
         own = work._replace(params=run.params, still=work.still and bool(still))
         frames[run.name].encode(commands, run.planes, own, (),
                                 {THE_PICTURE: {"output": run.output}})

@@ -185,7 +185,6 @@ class ReadyNetwork(Ready):
             self.wider.widen(commands, frame)
             self.wider.widen_planes(commands, "filtered", given)
         undone = {role: frame[role] for role in given}
-        self.frames.use(work.model)
         planes = self._planes.encode(commands, frame, work.model in self._blanking)
         if self._planes.hazy:
             reasons.append(HAZY_DEPTH)

@@ -97,7 +97,6 @@ from postfx.kernels.denoise.network_io import (
     OPEN_FINE,
     OPEN_FINE_CODES,
     OPEN_FINE_PRODUCTS,
-    OPEN_LOGITS,
     OPEN_PHASED,
     OPEN_PRODUCTS,
     OPEN_SOME_PRODUCTS,
@@ -249,7 +248,6 @@ PACK_STEPS: Steps = (
     step(STORE_RINGED, "codes ringed", over="inputs", stored="closed"))
 OPEN_STEPS: Steps = (
     step(OPEN_PHASED, "phased", over="outputs", phased_fine="closed", fine="head"),
-    step(OPEN_LOGITS, "logits", over="outputs", fine_logits="closed", fine="head"),
     step(OPEN_FINE, "raw fine", over="outputs", raw_fine="closed", fine="head"),
     step(OPEN, "raw", unless="fine", over="outputs", raw="closed", heads="head"),
     step(OPEN_SOME_PRODUCTS, "sums behind", over="outputs", products="closed", fine="head"),

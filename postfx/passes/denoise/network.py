@@ -21,9 +21,8 @@ RAW = "raw_"
 PHASED_FINE = "phased_fine"
 """The fine head in float32 before its activations, with the four phases of each channel in a
 row."""
-FINE_LOGITS = "fine_logits"
-"""The fine head in float32 before its activations, of a network whose last level has the render
-size."""
+FINE_HEAD = "fine"
+"""The fine head as filters read it, of a network whose last level has the render size."""
 ERROR = "error"
 """The logarithm of each pixel's expected squared error."""
 PICTURE = "picture"
@@ -43,9 +42,9 @@ CODES_NAME = "codes_"
 RING = 1
 """Border in pixels around 8-bit inputs, for networks whose first convolution reads beyond the
 picture."""
-OUTPUT_WORDS = {PHASED_FINE: "phased", FINE_LOGITS: "logits", RAW: "raw", PRODUCTS: "sums"}
+OUTPUT_WORDS = {PHASED_FINE: "phased", RAW: "raw", PRODUCTS: "sums"}
 """Words for outputs that kernels open, by how their names begin: see `graph`."""
-MADE = (PACKED, RAW, PHASED_FINE, FINE_LOGITS, STORED, PRODUCTS, CODES_NAME)
+MADE = (PACKED, RAW, PHASED_FINE, STORED, PRODUCTS, CODES_NAME)
 CHANNELS = {"features": FEATURES, "guides": GUIDES, "mirrored": MIRRORED}
 FEATURE_PARTS = {"first_features": 32, "last_features": FEATURES - 32}
 """Feature channels that float32 networks read as inputs of their own: a CPU is fastest with few, or
@@ -102,8 +101,6 @@ def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
         name, size = binding.name.removeprefix(RAW), state.shapes[binding.name]
         if binding.name == PHASED_FINE:
             heads["fine"] = opened_shape("fine", *size[2:])
-        elif binding.name == FINE_LOGITS:
-            heads["fine"] = size
         elif binding.access == "write" and not binding.name.startswith((PRODUCTS, CODES_NAME)):
             heads[name] = size if name == binding.name else opened_shape(name, *size[1:3])
     return heads
@@ -118,7 +115,7 @@ def check_bindings(state: PipelineState) -> None:
     strange = [name for name in reads if plain[name] not in (*CHANNELS, *FEATURE_PARTS)]
     gives = {plain[b.name] for b in state.bindings if b.access == "write"} | set(state.constants)
     if (strange or "features" not in seen_by(state)
-        or not {"fine", PHASED_FINE, FINE_LOGITS, PICTURE} & gives):
+        or not {FINE_HEAD, PHASED_FINE, PICTURE} & gives):
         raise ModelError(f"model '{state.name}' is not a denoiser: it reads "
                          f"{', '.join(sorted(reads)) or 'nothing'} and gives "
                          f"{', '.join(sorted(gives)) or 'nothing'}; training.denoise.export makes "

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.kernels.denoise.network_io import OPEN_LOGITS, OPEN_PHASED
-from postfx.passes.denoise.network import FINE_LOGITS, PHASED_FINE
+from postfx.kernels.denoise.network_io import OPEN_PHASED
+from postfx.passes.denoise.network import FINE_HEAD, PHASED_FINE
 from postfx.runtime import Device, Library, ModelError
 from postfx.system import models_dir
 
@@ -93,10 +93,11 @@ def test_the_fine_head_is_opened_as_the_network_does(checkpoint: dict, folder: P
                                            providers=["CPUExecutionProvider"])
     reads = {value.name: example.numpy()
              for value, example in zip(session.get_inputs(), examples, strict=True)}
-    fine = np.empty((1, FINE, 48, 32), np.float32)
-    kernel, output = ((OPEN_LOGITS, FINE_LOGITS) if name.endswith("residual")
-                      else (OPEN_PHASED, PHASED_FINE))
-    kernel.rows(0, 48, session.run([output], reads)[0], fine)
+    if name.endswith("residual"):
+        fine = session.run([FINE_HEAD], reads)[0]
+    else:
+        fine = np.empty((1, FINE, 48, 32), np.float32)
+        OPEN_PHASED.rows(0, 48, session.run([PHASED_FINE], reads)[0], fine)
     with torch.no_grad():
         assert relative_error(fine,
                               trunk(torch.cat(examples[:2], 1), *examples[2:])[0].numpy()) <= PARITY

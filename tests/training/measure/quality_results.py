@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from postfx.bench import report
+from postfx.tools.bench import report
 
 
 def method(name: str, ms: float, psnr: float, flicker: float, family: str, first: float,

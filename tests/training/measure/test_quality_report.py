@@ -11,7 +11,7 @@ import pytest
 
 Image = pytest.importorskip("PIL.Image", reason="needs the extra 'train'")
 
-from postfx.bench import report  # noqa: E402
+from postfx.tools.bench import report  # noqa: E402
 from tests.conftest import REPOSITORY  # noqa: E402
 from tests.training.measure.quality_results import bench, comparison, method  # noqa: E402
 from training.measure.quality_report import document  # noqa: E402

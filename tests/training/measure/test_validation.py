@@ -162,7 +162,7 @@ def test_clips_are_drawn_and_compared(
 ) -> None:
     """Without the pictures of each measurement, which tests of the bench look at."""
     for drawing in ("pareto", "draw_crops", "draw_worst"):
-        monkeypatch.setattr(f"postfx.bench.pictures.{drawing}", lambda *_: None)
+        monkeypatch.setattr(f"postfx.tools.bench.pictures.{drawing}", lambda *_: None)
     for module in ("flip_evaluator", "skimage", "matplotlib"):
         pytest.importorskip(module, reason="needs the extra 'bench'")
     __main__.main(["sheet", str(rendered), str(tmp_path / "sheet.png")])

@@ -14,7 +14,7 @@ from typing import Any
 
 from PIL import Image
 
-from postfx.bench.methods import OTHERS, PRECISIONS
+from postfx.tools.bench.methods import OTHERS, PRECISIONS
 
 # Errors -------------------------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from postfx.bench.report import choices, is_better
+from postfx.tools.bench.report import choices, is_better
 from training.measure.quality_report.document import (
     FORMS,
     NAMES,

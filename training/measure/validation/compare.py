@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from postfx.bench.job import Bench, Request
-from postfx.bench.measure import Sources
+from postfx.tools.bench.job import Bench, Request
+from postfx.tools.bench.measure import Sources
 from training.datagen.clip_file import GUIDES, frame_header, write_exr
 from training.measure.validation.clips import FULL, HALF, load
 

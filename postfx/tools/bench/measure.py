@@ -2,7 +2,7 @@
 scores of its output.
 
 Each method runs in its own process, so that peak memory counts this method only. `run_task` starts
-the process, python -m postfx.bench.measure, which reads a task as JSON from standard input and
+the process, python -m postfx.tools.bench.measure. It reads a task as JSON from standard input and
 writes progress, and at the end the times, as lines of JSON to standard output.
 """
 
@@ -21,13 +21,13 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import postfx
-from postfx.bench.methods import Chain, Method, Network, make
 from postfx.compiled.library import CompileWatch
 from postfx.errors import BenchError, MissingFrameError, PostfxError
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import write_frame
 from postfx.runtime import Device
+from postfx.tools.bench.methods import Chain, Method, Network, make
 
 LEAST_RUN_SECONDS = 1.0
 MOST_RUN_SECONDS = 3.0
@@ -145,7 +145,7 @@ def output_pattern(folder: Path, method: str) -> str:
 
 
 if TYPE_CHECKING:
-    from postfx.bench.metrics import SequenceScore
+    from postfx.tools.bench.metrics import SequenceScore
 
 ATTEMPTS = 4
 """The first process may have to compile kernels, and so may other processes on the machine at the
@@ -172,7 +172,7 @@ def _run_process(task: Task, tell: Callable[[int], None]) -> dict[str, Any]:
     """The last message of the worker process; an error if it failed."""
     package = str(Path(postfx.__file__).resolve().parent.parent)
     path = os.pathsep.join(filter(None, [package, os.environ.get("PYTHONPATH")]))
-    command = [sys.executable, "-m", "postfx.bench.measure"]
+    command = [sys.executable, "-m", "postfx.tools.bench.measure"]
     last: dict[str, Any] = {}
     with tempfile.TemporaryFile("w+") as words, tempfile.TemporaryFile("w+") as complaints:
         words.write(task.to_json() + "\n")
@@ -213,7 +213,7 @@ def timing(times: dict[str, Any], device: str) -> dict[str, Any]:
 
 def score(material: Material, pattern: str) -> SequenceScore:
     """Score the results that a method wrote."""
-    from postfx.bench.metrics import (
+    from postfx.tools.bench.metrics import (
         SequenceScore,  # imported here: its libraries must not count as a method's memory
     )
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.bench import require
 from postfx.compiled.library import Rows
 from postfx.errors import BenchError, DeviceError
 from postfx.exposure import measure
@@ -18,6 +17,7 @@ from postfx.kernels import Kernel
 from postfx.kernels.image import RESAMPLE, positions
 from postfx.oidn import OpenImageDenoise, total_albedo
 from postfx.runtime import ArgumentTable, Device
+from postfx.tools.bench import require
 
 
 class Oidn:

@@ -6,17 +6,10 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from postfx.canvas import PLOT_LEFT_PX, PLOT_RIGHT_PX, Canvas
 from postfx.errors import WriteError
-from postfx.exposure.debugger import Reading, Report, Shot
-from postfx.report.charts import (
-    NEEDED_RGB,
-    PLOT_LEFT_PX,
-    PLOT_RIGHT_PX,
-    STRIP_ROWS_PX,
-    USED_RGB,
-    Canvas,
-    draw_exposure,
-)
+from postfx.tools.exposure.debugger import Reading, Report, Shot
+from postfx.tools.exposure.plot import NEEDED_RGB, STRIP_ROWS_PX, USED_RGB, draw_exposure
 
 
 def report(used: list[float], needed: list[float], cuts: tuple[int, ...] = ()) -> Report:

@@ -32,13 +32,13 @@ from pathlib import Path
 
 import numpy as np
 
-from postfx.adaptive.plan import tile_means
 from postfx.colour.views import to_codes
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
 from postfx.io.channels import ChannelIndex, read_channels
 from postfx.io.image_file import ImageFile
 from postfx.sampling import local_mean
+from postfx.tools.adaptive.plan import tile_means
 
 ERROR_LAYER = "error"
 """Layer of the predicted error in files."""

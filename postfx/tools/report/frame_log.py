@@ -18,9 +18,9 @@ from postfx.colour.views import to_codes
 from postfx.errors import ReportError
 from postfx.frame import Role
 from postfx.io.sequence import Sequence as FrameSequence
-from postfx.report.pictures import encode_light, pack_codes
 from postfx.sampling import Curve, bilinear, is_inside, motion_at
 from postfx.thumbnails import png_uri, shrink
+from postfx.tools.report.pictures import encode_light, pack_codes
 from postfx.version import pip_install
 
 LONGEST_SIDE_PX = 800
@@ -207,7 +207,7 @@ def measure_errors(codes: Mapping[str, np.ndarray]) -> Comparison:
 
     PSNR for both, FLIP for 'after' only.
     """
-    from postfx.bench.metrics import flip_map, psnr  # libraries of the extra 'bench'
+    from postfx.tools.bench.metrics import flip_map, psnr  # libraries of the extra 'bench'
 
     flip, colours = flip_map(codes["after"], codes["reference"])
     figures = {f"psnr {name}": psnr(codes[name], codes["reference"])

@@ -20,7 +20,10 @@ from postfx.exposure import (
     shots,
     smooth_ev,
 )
-from postfx.exposure.response import (
+from postfx.frame import Frame, Role
+from postfx.passes import Pass
+from postfx.runtime import Device
+from postfx.tools.exposure.response import (
     VIEW_CURVE,
     Board,
     Calibration,
@@ -28,9 +31,6 @@ from postfx.exposure.response import (
     calibrate,
     is_built_in,
 )
-from postfx.frame import Frame, Role
-from postfx.passes import Pass
-from postfx.runtime import Device
 
 TOLERANCE_EV = 0.2
 """Largest mean mismatch that counts as right: below a quarter of a stop, above the meter's
@@ -182,9 +182,9 @@ def debug_graded(
     Args:
         frames: the render's frames, as for `debug`.
         level: frame number -> level of mid grey on its graded board, such as
-            `postfx.exposure.response.GradedBoards.level`.
-        judged: the response that levels are compared with: `postfx.exposure.response.read_response`
-            or `judge_view`.
+            `postfx.tools.exposure.response.GradedBoards.level`.
+        judged: the response that levels are compared with, by `read_response` or `judge_view` of
+            `postfx.tools.exposure.response`.
         exposure: mode or stops of the run that wrote the boards, by which it divided them.
 
     Raises ExposureError as `debug` does, and if a frame has no board.

@@ -15,13 +15,13 @@ from matplotlib.ticker import FuncFormatter, LogLocator
 from matplotlib.transforms import Bbox
 from scipy.ndimage import uniform_filter
 
-from postfx.bench.measure import Material
-from postfx.bench.methods import FAMILIES
-from postfx.bench.metrics import grey_factor, psnr
-from postfx.bench.report import choices
 from postfx.colour.views import to_codes
 from postfx.files import atomic_file
 from postfx.frame import Role
+from postfx.tools.bench.measure import Material
+from postfx.tools.bench.methods import FAMILIES
+from postfx.tools.bench.metrics import grey_factor, psnr
+from postfx.tools.bench.report import choices
 
 CROP_COUNT = 3
 CROP_SIDE_PX = 96

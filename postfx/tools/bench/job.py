@@ -15,16 +15,24 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from postfx.bench import require
-from postfx.bench.measure import Material, Sources, Task, output_pattern, run_task, score, timing
-from postfx.bench.methods import Method, Omission, catalogue, select
-from postfx.bench.report import ablations, choices, compare, front, write_csv
 from postfx.errors import BenchError, WriteError
 from postfx.files import write_text
 from postfx.frame import Role
 from postfx.passes.denoise.planes import ABSENT
 from postfx.runtime import Device, Library
 from postfx.streams import make_printable, styled
+from postfx.tools.bench import require
+from postfx.tools.bench.measure import (
+    Material,
+    Sources,
+    Task,
+    output_pattern,
+    run_task,
+    score,
+    timing,
+)
+from postfx.tools.bench.methods import Method, Omission, catalogue, select
+from postfx.tools.bench.report import ablations, choices, compare, front, write_csv
 from postfx.version import __version__
 
 MEASURING_LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"),
@@ -88,7 +96,7 @@ class Bench:
         return facts
 
     def _write(self, facts: dict[str, Any]) -> None:
-        from postfx.bench.pictures import (  # loads the libraries required above
+        from postfx.tools.bench.pictures import (  # loads the libraries required above
             draw_crops,
             draw_worst,
             pareto,

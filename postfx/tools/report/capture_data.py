@@ -140,7 +140,7 @@ def edges(commands: list[dict[str, Any]]) -> list[dict[str, Any]]:
     reads.
 
     Args:
-        commands: in the order of commit, as in `postfx.report.capture_data`.
+        commands: in the order of commit, as in `postfx.tools.report.capture_data`.
 
     `from` is None if no earlier command wrote the data: an input, or history.
     """

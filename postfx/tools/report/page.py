@@ -16,13 +16,13 @@ from typing import Any
 from postfx.errors import CommandError, SequenceError, WriteError
 from postfx.files import write_text, write_texts
 from postfx.io.writer import check_folder
-from postfx.report.capture_data import CAPTURE_FILE, as_dict
-from postfx.report.charts import charts
-from postfx.report.frame_log import LONGEST_SIDE_PX, FrameLog
-from postfx.report.networks import describe
-from postfx.report.pictures import picture, sheet
 from postfx.runtime import Capture, Device
 from postfx.runtime.snapshot import CapturedDispatch, CapturedValue, Snapshot
+from postfx.tools.report.capture_data import CAPTURE_FILE, as_dict
+from postfx.tools.report.charts import charts
+from postfx.tools.report.frame_log import LONGEST_SIDE_PX, FrameLog
+from postfx.tools.report.networks import describe
+from postfx.tools.report.pictures import picture, sheet
 from postfx.version import __version__
 
 _ASSETS = Path(__file__).parent / "assets"

@@ -1,4 +1,4 @@
-// Light as postfx/report/pictures.py packs it: codes that any exposure can be made of.
+// Light as postfx/tools/report/pictures.py packs it: codes that any exposure can be made of.
 const LARGEST = 511;
 
 // Red, green and blue codes of each pixel in turn.

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.bench.baselines import Accumulator, HostKernels, Oidn
 from postfx.errors import BenchError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
@@ -18,6 +17,7 @@ from postfx.passes.denoise.models import PASS, UNSCALED, exact
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from postfx.temporal.reverse_order import Backwards, RunUp
+from postfx.tools.bench.baselines import Accumulator, HostKernels, Oidn
 
 GUIDES_METHOD = "guides"
 PRECISIONS = {"fp32": ("cpu", "cuda"), "int8": ("cpu",), "fp16": ("cuda",)}

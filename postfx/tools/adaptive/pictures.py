@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from postfx.adaptive.plan import Quality, Tiles, spread
 from postfx.files import write_atomically
 from postfx.thumbnails import png
+from postfx.tools.adaptive.plan import Quality, Tiles, spread
 
 WIDEST = 480
 """Pixels of the picture's width that are kept."""

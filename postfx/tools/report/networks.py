@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from postfx.errors import CaptureError, ModelError
-from postfx.report.capture_data import finite_or_text
 from postfx.runtime.capture import constant_nodes, load_graph, names_read
 from postfx.runtime.snapshot import statistics
+from postfx.tools.report.capture_data import finite_or_text
 
 if TYPE_CHECKING:
     from onnx import AttributeProto, ModelProto, NodeProto, TensorProto

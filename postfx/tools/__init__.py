@@ -1,0 +1,1 @@
+"""What looks at frames from outside: only the command line takes it."""
