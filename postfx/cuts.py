@@ -312,8 +312,8 @@ def _is_telling(window: np.ndarray) -> bool:
     spread = float(np.square(apart).mean())
     if spread < LEAST_BAND_SPREAD["light"]**2:
         return False
-    beside, below = (float((apart[:, 1:] * apart[:, :-1]).mean()),
-                     float((apart[1:] * apart[:-1]).mean()))
+    beside = float((apart[:, 1:] * apart[:, :-1]).mean())
+    below = float((apart[1:] * apart[:-1]).mean())
     return min(beside, below) >= LEAST_SMOOTH * spread
 
 

@@ -195,9 +195,11 @@ class Pipeline:
         if self._checks and before and before is not plan:
             self._tell_changed_planes(frame.number, before, plan)
         if not plan.steps:
-            self.timings, self.exposure_factor, self.cut, self.bad_pixels, self.noticed = (
-                {}, None, False, {}, ()
-            )
+            self.timings = {}
+            self.exposure_factor = None
+            self.cut = False
+            self.bad_pixels = {}
+            self.noticed = ()
             return frame
         frame, self.bad_pixels = repair_nonfinite(frame, plan.planes, self.device.scratch)
         self.cut = (self._detector is not None and frame.encoding == "scene-linear"
@@ -336,8 +338,8 @@ class Pipeline:
             if reset:
                 self._reset_passes()
             self.exposure_factor = self._exposure_of(exposure, tensors, number, reset)
-            used, seen = {role: tensors[role] for role in plan.planes}, {role: sharp[role]
-                                                                         for role in plan.guides}
+            used = {role: tensors[role] for role in plan.planes}
+            seen = {role: sharp[role] for role in plan.guides}
             resident = ResidentFrame(
                 plan.input, dict(used), number, jitter, self.exposure_factor, reset,
                 samples=samples, fov_x=fov_x, world_to_camera=world_to_camera, guides=seen,

@@ -123,8 +123,8 @@ class RepeatDetector:
 def squares(plane: np.ndarray) -> np.ndarray:
     """(rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX, channels) of a plane (height, width,
     channels)."""
-    (rows, down), (columns, right) = (_places(plane.shape[0], MOST_SQUARE_ROWS),
-                                      _places(plane.shape[1], MOST_SQUARE_COLUMNS))
+    rows, down = _places(plane.shape[0], MOST_SQUARE_ROWS)
+    columns, right = _places(plane.shape[1], MOST_SQUARE_COLUMNS)
     some: np.ndarray = plane[down][:, right].reshape(rows, REPEAT_SIDE_PX, columns, REPEAT_SIDE_PX,
                                                      -1).swapaxes(1, 2)
     return some

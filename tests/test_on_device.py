@@ -161,8 +161,8 @@ def test_tensors_of_pytorch_are_looked_at(far, monkeypatch):
     monkeypatch.setattr(torch.cuda, "current_stream",
                         lambda index: type("Stream", (), {"cuda_stream": 40 + index}))
     plane = torch.rand(4, 5, 3)
-    planes, last = {role: torch.rand(4, 5, 3).as_subclass(Far)
-                    for role in (Role.COLOUR, Role.NORMAL)}, {}
+    planes = {role: torch.rand(4, 5, 3).as_subclass(Far) for role in (Role.COLOUR, Role.NORMAL)}
+    last = {}
     for calls in (2, 1, 1):  # for the same tensors once
         del far.memory.followed[:]
         last, before = share_planes(far, "plane", planes, last), last
@@ -353,8 +353,8 @@ def test_on_a_gpu(how):
     """The same pictures as from frames; sharing a frame's planes and its result adds at most 0.1
     ms."""
     device = Device("cuda")
-    pipeline, memory_of = (Pipeline([DenoiseUpscale(model="s", scale=2)], device, cuts="none"),
-                           Lent.by(how))
+    pipeline = Pipeline([DenoiseUpscale(model="s", scale=2)], device, cuts="none")
+    memory_of = Lent.by(how)
     held = {role: device.heap.tensor(str(role), plane.shape) for role, plane in PLANES.items()}
     for number, (planes, right) in enumerate(zip(frames(), expected(device), strict=True), 1):
         for role, plane in planes.items():

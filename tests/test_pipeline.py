@@ -254,8 +254,8 @@ class Misbehaving(toys.Sum):
     def _read_nothing(self, commands, frame):
         from postfx.runtime import ArgumentTable
 
-        total, nothing = frame[Role.COLOUR], commands.device.heap.tensor("nothing",
-                                                                         frame[Role.COLOUR].shape)
+        total = frame[Role.COLOUR]
+        nothing = commands.device.heap.tensor("nothing", frame[Role.COLOUR].shape)
         with commands.compute_encoder("unwritten") as encoder:
             encoder.dispatch(self._state,
                              ArgumentTable(self._state,

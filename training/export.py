@@ -135,8 +135,8 @@ def lift_constants(model: onnx.ModelProto) -> None:
     """Move outputs that no node makes into the metadata, from which `postfx.runtime.session` reads
     them: some execution providers do not support such outputs."""
     graph = model.graph
-    weights, used = {one.name: one for one in graph.initializer}, {name for node in graph.node
-                                                                   for name in node.input}
+    weights = {one.name: one for one in graph.initializer}
+    used = {name for node in graph.node for name in node.input}
     lifted = {one.name: onnx.numpy_helper.to_array(weights[one.name])
               for one in graph.output if one.name in weights}
     if not lifted:

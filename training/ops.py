@@ -404,8 +404,8 @@ def _differences(own: Tensor, guides: Tensor, rows: tuple[Tensor, Tensor],
             found = pick(guides, (rows[0] + k).clamp(max=height - 1),
                          (columns[0] + i).clamp(max=width - 1))
             apart = found / own - 1
-            mean, spread = (mean + share * apart,
-                            spread + share * apart.square().sum(1, keepdim=True))
+            mean = mean + share * apart
+            spread = spread + share * apart.square().sum(1, keepdim=True)
     return mean, spread
 
 

@@ -153,8 +153,8 @@ class Accumulator:
             history, past = np.zeros((height, width, 4), np.float32), now
         reads = {"current": current, "history": history, "motion": frame[Role.MOTION], **now,
                  **{f"past_{name}": plane for name, plane in past.items()}}
-        self._history, self._past = self._kernels.run(ACCUMULATE_FRAMES, reads,
-                                                      (height, width, 4)), now
+        self._history = self._kernels.run(ACCUMULATE_FRAMES, reads, (height, width, 4))
+        self._past = now
         return np.ascontiguousarray(self._history[..., :3])
 
 

@@ -169,8 +169,8 @@ class Job:
         if (not arguments.explain and arguments.model != "classic" and device.memory.host_visible
             and not device.scratch):
             check_memory(self.plan, self.sequence)
-        self._noticed, self._has_compared = (self._planes_of_later_frames(self._later_frames()),
-                                             False)
+        self._noticed = self._planes_of_later_frames(self._later_frames())
+        self._has_compared = False
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
         self._capture = self._make_capture(device) if arguments.capture else None
         self._viewer = self._find_viewer()

@@ -174,8 +174,8 @@ class FrameProgress:
 
     def note_compilation(self, count: int) -> None:
         """Say that kernels are compiled, and how many files of them were begun before."""
-        text, now = ("compiling kernels for this processor, on the first run only",
-                     time.perf_counter())
+        text = "compiling kernels for this processor, on the first run only"
+        now = time.perf_counter()
         self._bar.update(self._task, description=f"compiling kernels, file {count + 1}")
         if self._told is None or (now - self._told > LOG_SECONDS and not self._console.is_terminal):
             self.note(f"{text}: file {count + 1}" if count else text)
@@ -193,8 +193,8 @@ class FrameProgress:
         as of compiling."""
         self._done, self._fresh = self._done + 1, self._fresh + 1
         speed = self._fresh / (time.perf_counter() - self._begin - apart)
-        rate, left = (f"{speed:.2f} frames/s",
-                      timedelta(seconds=round((self._total - self._done) / speed)))
+        rate = f"{speed:.2f} frames/s"
+        left = timedelta(seconds=round((self._total - self._done) / speed))
         self._bar.update(self._task, advance=1, rate=f"{rate}, {left} left")
         if not self._console.is_terminal:
             self.note(f"{self._done}/{self._total} {path} ({rate})")

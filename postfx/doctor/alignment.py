@@ -100,8 +100,8 @@ def find_movers(before: Frame, now: Frame) -> list[Mover]:
     found = []
     for row, column in _bad_blocks(old, new, motion):
         errors = _step_errors(old, new, motion, row, column, steps.astype(np.float32))
-        fitting, best = (steps[errors < FITTING_ERROR_SHARE * errors[len(steps) // 2]],
-                         steps[errors.argmin()])
+        fitting = steps[errors < FITTING_ERROR_SHARE * errors[len(steps) // 2]]
+        best = steps[errors.argmin()]
         # else any step along an edge would do
         if (len(fitting) and np.abs(fitting - best).max() <= CERTAIN_STEPS_PX):
             found.append((column * ALIGNED_BLOCK_PX, row * ALIGNED_BLOCK_PX, int(best[0]),

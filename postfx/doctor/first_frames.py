@@ -69,8 +69,10 @@ class FirstFrames:
     def __init__(self, channels: Mapping[Role, str] | None = None,
                  enable: Mapping[Role, str] | None = None,
                  on_gpu: bool = False, copies: bool = False) -> None:
-        self._channels, self._enable, self._on_gpu, self._copies = (channels or {}, enable or {},
-                                                                    on_gpu, copies)
+        self._channels = channels or {}
+        self._enable = enable or {}
+        self._on_gpu = on_gpu
+        self._copies = copies
         self._seen, self._kept, self._size = 0, list[Frame](), (0, 0)
         self.is_done = False
 

@@ -105,10 +105,10 @@ def smooth_points(depth: np.ndarray) -> Points:
     if min(z.shape) < 2 * NEIGHBOUR_STEP_PX + 1:
         return Points(np.zeros(0, int), np.zeros(0, int))
     middle = z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX]
-    left, right = (z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, : -2 * NEIGHBOUR_STEP_PX],
-                   z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, 2 * NEIGHBOUR_STEP_PX :])
-    up, down = (z[: -2 * NEIGHBOUR_STEP_PX, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX],
-                z[2 * NEIGHBOUR_STEP_PX :, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX])
+    left = z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, : -2 * NEIGHBOUR_STEP_PX]
+    right = z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, 2 * NEIGHBOUR_STEP_PX :]
+    up = z[: -2 * NEIGHBOUR_STEP_PX, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX]
+    down = z[2 * NEIGHBOUR_STEP_PX :, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX]
     with np.errstate(invalid="ignore"):
         # a step to one side only is an edge
         smooth = np.abs(left + right - 2 * middle) < LARGEST_DEPTH_BEND * middle

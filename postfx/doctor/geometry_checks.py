@@ -234,8 +234,8 @@ def check_normal_mixed(material: Material) -> Iterator[Finding]:
     if (frame.world_to_camera is None or Role.NORMAL not in frame or Role.DEPTH not in frame
         or is_unsigned(frame)):
         return
-    points, fov = (smooth_points(frame[Role.DEPTH]),
-                   frame.fov_x or (material.fit.fov_x if material.fit else None))
+    points = smooth_points(frame[Role.DEPTH])
+    fov = frame.fov_x or (material.fit.fov_x if material.fit else None)
     if fov is None or points.rows.size < FEW_POINTS:
         return
     if material.fit and material.fit.angle < DEPTH_EXPLAINS and material.picture_to_world is None:

@@ -383,8 +383,8 @@ def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray,
 def _errors(feature: Feature, shifts: np.ndarray) -> np.ndarray:
     """Scores (count,) of shifts (count, points, 2); infinite if most points come from outside the
     picture."""
-    x, y = ((feature.columns + shifts[..., 0]).astype(np.float32),
-            (feature.rows + shifts[..., 1]).astype(np.float32))
+    x = (feature.columns + shifts[..., 0]).astype(np.float32)
+    y = (feature.rows + shifts[..., 1]).astype(np.float32)
     inside, apart = np.empty(x.shape, bool), np.empty(x.shape, np.float32)
     compare_places(feature.before, feature.now, x, y, apart, inside)
     own = is_inside(feature.before, feature.columns + feature.motion[:, 0],

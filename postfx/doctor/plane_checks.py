@@ -478,8 +478,8 @@ def check_opaque_samples(material: Material) -> Iterator[Finding]:
     change = frame[Role.COLOUR].sum(axis=2) - before
     sign = np.where(np.abs(change) > 0.1 * np.abs(before), np.sign(change), 0)
     both = (sign[:, 1:] != 0) & (sign[:, :-1] != 0)
-    share, alike = (percent(sign != 0),
-                    percent((sign[:, 1:] == sign[:, :-1])[both]) if both.any() else 100.0)
+    share = percent(sign != 0)
+    alike = percent((sign[:, 1:] == sign[:, :-1])[both]) if both.any() else 100.0
     if share > DIFFERENT and alike < ALIKE_NEIGHBOURS:
         evidence = (f"{share:.3g} % of the pixels differ from the colour by more than a tenth, and "
                     f"{alike:.3g} % of neighbours in the same direction")
@@ -503,8 +503,8 @@ def _jumps(frames: list[Frame], metered: dict[int, float]) -> Iterator[Finding]:
     for before, now in zip(frames, frames[1:], strict=False):
         if now.reset or before.number not in metered or now.number not in metered:
             continue
-        header, colour = (bright[now.number] - bright[before.number],
-                          metered[before.number] - metered[now.number])
+        header = bright[now.number] - bright[before.number]
+        colour = metered[before.number] - metered[now.number]
         if abs(header + colour) > JUMP_EV:
             role = "sequence" if abs(header) > abs(colour) else Role.COLOUR
             yield warning(role, "exposure-jump",

@@ -159,8 +159,8 @@ def unfolded_positions(eye: np.ndarray, mirror: np.ndarray, positions: np.ndarra
 def mirrored_normals(normals: np.ndarray, mirror_normals: np.ndarray) -> np.ndarray:
     """Normals (..., 3) of reflected surfaces as the virtual scene behind a mirror has them: n - 2
     (n . m) m."""
-    normals, mirror_normals = np.asarray(normals, np.float64), np.asarray(mirror_normals,
-                                                                          np.float64)
+    normals = np.asarray(normals, np.float64)
+    mirror_normals = np.asarray(mirror_normals, np.float64)
     result: np.ndarray = normals - 2 * _dot(normals, mirror_normals) * mirror_normals
     return result
 

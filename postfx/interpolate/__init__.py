@@ -166,8 +166,9 @@ class Between:
         self._known_sets = None if last is None else last._found_sets
         self._found_sets: Sets | None = self._known_sets
         self._options: dict[str, Any] = {"flow": flow, "overlay": overlay, "composited": composited}
-        self._flow, self._overlay, self._composited = (flow, overlay,
-                                                       composited and self._both_have(Role.OVERLAY))
+        self._flow = flow
+        self._overlay = overlay
+        self._composited = composited and self._both_have(Role.OVERLAY)
         self.reason = self._find_reason(is_cut)
 
     def frame(self, t: float, number: int | None = None, previous: float = 0.0) -> Frame:

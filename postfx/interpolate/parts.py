@@ -69,8 +69,8 @@ def follow_picture(parts: MutableMapping[str, np.ndarray], sets: Iterable[Sequen
     by their light, and all the same of it where they have none."""
     for names in sets:
         sizes = [np.abs(parts[name]) for name in names]
-        size, total = sum(sizes[1:], sizes[0]), sum((parts[name] for name in names[1:]),
-                                                    parts[names[0]])
+        size = sum(sizes[1:], sizes[0])
+        total = sum((parts[name] for name in names[1:]), parts[names[0]])
         missing, is_dark = picture - total, size == 0
         even = np.float32(1 / len(names))
         for name, own in zip(names, sizes, strict=True):

@@ -147,8 +147,8 @@ def _band_sums(band: Mapping[Role, np.ndarray], missed: np.ndarray, first: int,
     light = luminance(band[Role.COLOUR])
     broken = missed & ~np.isfinite(light)
     light = np.where(missed & ~broken, light, np.float32(0))
-    power, count = (np.where(broken, np.float32(np.inf), np.float32(0)),
-                    np.zeros(light.shape, np.float32))
+    power = np.where(broken, np.float32(np.inf), np.float32(0))
+    count = np.zeros(light.shape, np.float32)
     for span in SPANS:
         inside = (slice(span, -span), slice(span, -span))
         if min(light.shape) <= 2 * span:

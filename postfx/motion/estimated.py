@@ -212,8 +212,9 @@ def _align(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.ndarr
 def _misfit(one: np.ndarray, other: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """(h, w) mean difference of the pictures around each pixel under a motion; points out of the
     picture count as 0."""
-    apart, around, across = (np.empty_like(one), np.empty_like(one),
-                             np.empty(one.shape[::-1], np.float32))
+    apart = np.empty_like(one)
+    around = np.empty_like(one)
+    across = np.empty(one.shape[::-1], np.float32)
     _differ(0, len(one), one, other, whole(motion, np.float32), apart)
     _average(0, len(apart), apart, across)
     _average(0, len(across), across, around)

@@ -204,8 +204,8 @@ def insert_passes(chain: Sequence[Pass], asked: Sequence[PassRequest], default: 
     while waiting:
         placed = next((pair for pair in waiting if _at(result, pair[0]) is not None), None)
         if placed is None:
-            anchor, there = (waiting[0][0].before or waiting[0][0].after,
-                             [instance.name for instance in result])
+            anchor = waiting[0][0].before or waiting[0][0].after
+            there = [instance.name for instance in result]
             raise OptionError(f"--pass {waiting[0][0].name}: no pass '{anchor}' runs "
                               f"here{suggest(str(anchor), there) or ':'} there are "
                               f"{', '.join(there) or 'none'}")

@@ -339,8 +339,8 @@ class Irradiance(_Linear):
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         self._directions["normal"] = self._lights["normal"] = frame[Role.NORMAL]
-        self._lights["colour"], self._lights["albedo"] = (frame[Role.COLOUR],
-                                                          frame[Role.DIFFUSE_ALBEDO])
+        self._lights["colour"] = frame[Role.COLOUR]
+        self._lights["albedo"] = frame[Role.DIFFUSE_ALBEDO]
         for table in (self._directions, self._network, self._lights):
             self._dispatch(commands, "irradiance", table)
         frame.set(Role.COLOUR, self._lights["output"])

@@ -164,12 +164,12 @@ class ToneMap(Pass):
         self._shaper, given = shaper(library, model), self.options["keep"]
         keep = keep_of(library, model) if given is None else float(given)
         self._following = keep, follow_of(library, model)
-        self._params, matrix = (device.heap.tensor("tonemap params", (3,)),
-                                device.heap.tensor("tonemap matrix", (9,)))
+        self._params = device.heap.tensor("tonemap params", (3,))
+        matrix = device.heap.tensor("tonemap matrix", (9,))
         matrix.upload(self._shaper.matrix)
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
-        self._show, constants = (self._kind.show if self._kind else APPLY_CUBE,
-                                 dict(network.constants))
+        self._show = self._kind.show if self._kind else APPLY_CUBE
+        constants = dict(network.constants)
         if self._show is APPLY_CUBE:
             self._show, constants["cube"] = form_of(constants["cube"], device.gpu is not None)
         self._shaping = {"params": self._params, "matrix": matrix}

@@ -227,8 +227,10 @@ class Run:
         self.works: list[Work] = []
         self.skips: list[Skip] = []
         self.warnings: list[str] = []
-        self._outputs, self._sequence, self._pipeline, self._plan = (outputs, sequence, pipeline,
-                                                                     plan)
+        self._outputs = outputs
+        self._sequence = sequence
+        self._pipeline = pipeline
+        self._plan = plan
         self.provenance, self._options = provenance, options
         self._id = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{os.urandom(4).hex()}"
         self._log = Log(options.log, self._id)

@@ -325,8 +325,8 @@ def _join(layers: list[Layer]) -> list[Layer]:
         other = (heads.get(layer.source) if layer.output in coarse and layer.output in alike
                  else None)
         if other is not None:
-            weight, bias = (np.concatenate((other.weight, layer.weight)),
-                            np.concatenate((other.bias, layer.bias)))
+            weight = np.concatenate((other.weight, layer.weight))
+            bias = np.concatenate((other.bias, layer.bias))
             layer = Layer(layer.source, weight, bias, other.output, others=layer.output,
                           split=other.channels)
         joined.append(layer)
@@ -488,8 +488,8 @@ def _cycles(launch: Launch, gpu: Gpu) -> float:
 def multiply_source(tile: int) -> str:
     """Products of a warpgroup for so many channels, for postfx/kernels/convolution.cuh."""
     count = tile // 2
-    sums, left = (", ".join(f'"+f"(sums[{i}])' for i in range(count)),
-                  ", ".join(f'"r"(left[{i}])' for i in range(4)))
+    sums = ", ".join(f'"+f"(sums[{i}])' for i in range(count))
+    left = ", ".join(f'"r"(left[{i}])' for i in range(4))
     places = [f"%{i}" for i in range(count + 5)]
     given = (f'{{{", ".join(places[:count])}}}, {{{", ".join(places[count:-1])}}}, {places[-1]}, '
              '1, 1, 1, 0;')

@@ -417,8 +417,9 @@ def _name(place: tuple[int, int]) -> str:
 def _from_interface(array: Any, told: Any, memory: Memory) -> BorrowedArray:
     try:
         (pointer, is_read_only), shape = told["data"], tuple(map(int, told["shape"]))
-        (dtype, size), strides, stream = (_native_type(told["typestr"]), told.get("strides"),
-                                          told.get("stream"))
+        dtype, size = _native_type(told["typestr"])
+        strides = told.get("strides")
+        stream = told.get("stream")
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"its __cuda_array_interface__ cannot be read ({error!r})") from error
     if not dtype:

@@ -255,8 +255,10 @@ class CudaComputeState(ComputeState):
     def __init__(self, device: StateDevice, kernel: Kernel, memory: CudaMemory,
                  source: Path) -> None:
         super().__init__(device, kernel)
-        self._memory, self._source, self._blocks, self._pixels = (memory, source, kernel.blocks,
-                                                                  kernel.pixels)
+        self._memory = memory
+        self._source = source
+        self._blocks = kernel.blocks
+        self._pixels = kernel.pixels
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that puts the kernel on the GPU's stream."""

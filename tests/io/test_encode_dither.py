@@ -24,8 +24,8 @@ def test_each_threshold_is_there_once_and_low_frequencies_are_not() -> None:
     noise = blue_noise()
     assert (sorted((noise * NOISE_SIDE_PX**2 - 0.5).round().astype(int).ravel())
             == list(range(NOISE_SIDE_PX**2)))
-    spectrum, radius = (np.abs(np.fft.fft2(noise - 0.5)),
-                        np.hypot(*np.meshgrid(*[np.fft.fftfreq(NOISE_SIDE_PX)] * 2)))
+    spectrum = np.abs(np.fft.fft2(noise - 0.5))
+    radius = np.hypot(*np.meshgrid(*[np.fft.fftfreq(NOISE_SIDE_PX)] * 2))
     assert spectrum[(radius > 0) & (radius < 0.15)].mean() < 0.1 * spectrum[radius > 0.35].mean()
 
 

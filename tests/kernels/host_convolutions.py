@@ -140,8 +140,8 @@ class HostGpu:
         views = [View()
                  if tensor is None else View(tensor.start, (ctypes.c_int * 4)(*tensor.shape[:4]))
                  for tensor in tensors]
-        function, given = (getattr(_library(kernels, self.warpgroups), f"run_{launch.name}"),
-                           (View * len(views))(*views))
+        function = getattr(_library(kernels, self.warpgroups), f"run_{launch.name}")
+        given = (View * len(views))(*views)
         blocks = min(-(-launch.squares // launch.groups),
                      -(-self.processors // launch.tiles)) * launch.tiles
         return lambda: function(blocks, launch.groups * GROUP, given, ctypes.byref(options))

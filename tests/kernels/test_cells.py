@@ -185,8 +185,8 @@ def test_many_threads_find_what_one_finds() -> None:
             rows(i, i + 1)
 
     def look():
-        detector, frames = CutDetector(), [Frame({Role.COLOUR: plane})
-                                           for plane in (colour, colour[::-1].copy())]
+        detector = CutDetector()
+        frames = [Frame({Role.COLOUR: plane}) for plane in (colour, colour[::-1].copy())]
         cuts = [detector(frame) for frame in frames]
         repaired, counts = repair_nonfinite(frames[0], (Role.COLOUR,))
         return cuts, detector.relation, measure(colour), counts, repaired[Role.COLOUR].tobytes()

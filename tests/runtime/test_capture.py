@@ -181,8 +181,8 @@ def test_planes(shape, planes):
 
 
 def test_pictures_are_small(device):
-    a, b = (device.wrap("a", np.ones((30, 1000, 5), np.float32)),
-            device.heap.tensor("b", (30, 1000, 5)))
+    a = device.wrap("a", np.ones((30, 1000, 5), np.float32))
+    b = device.heap.tensor("b", (30, 1000, 5))
     state = device.compute_state(toys.ADD)
     commands = device.command_buffer("frame")
     with commands.compute_encoder("add") as encoder:

@@ -189,8 +189,8 @@ def inverse_motion(data: Mapping[str, np.ndarray], variant: str) -> np.ndarray:
     frame."""
     from postfx.temporal.reverse_motion import invert_motion
 
-    motion, depth = (data[f"{variant}_motion"].astype(np.float32),
-                     data[f"{variant}_depth"][..., None].astype(np.float32))
+    motion = data[f"{variant}_motion"].astype(np.float32)
+    depth = data[f"{variant}_depth"][..., None].astype(np.float32)
     frames = pairwise(zip(motion, depth, strict=True))
     return np.stack([*(invert_motion(*after, shown) for (_, shown), after in frames),
                      np.zeros_like(motion[-1])])
@@ -203,8 +203,8 @@ def static_motion(data: Mapping[str, np.ndarray], variant: str) -> np.ndarray:
     It follows from depth and the camera's poses (x left, y up, z forward), which only the Mitsuba
     clips hold. The first frame, cuts and clips without poses keep the motion of the file.
     """
-    motion, depth = (data[f"{variant}_motion"].astype(np.float32),
-                     data[f"{variant}_depth"].astype(np.float64))
+    motion = data[f"{variant}_motion"].astype(np.float32)
+    depth = data[f"{variant}_depth"].astype(np.float64)
     meta = json.loads(str(data["meta"])) if "meta" in data else {}
     if "to_world" not in meta:
         return motion
@@ -634,8 +634,8 @@ def ellipse(centre: Tensor, radius: Tensor, h: int, w: int) -> Tensor:
     width and height."""
     x = (torch.arange(w, device=centre.device) + 0.5) / w
     y = (torch.arange(h, device=centre.device) + 0.5) / h
-    across, down = (((x - centre[:, :1]) / radius[:, :1]) ** 2,
-                    ((y - centre[:, 1:]) / radius[:, 1:]) ** 2)
+    across = ((x - centre[:, :1]) / radius[:, :1]) ** 2
+    down = ((y - centre[:, 1:]) / radius[:, 1:]) ** 2
     return (across[:, None, None] + down[:, None, :, None]) < 1
 
 
@@ -655,8 +655,10 @@ def _stand_ins(planes: Inputs | Guides, lost: dict[str, Tensor]) -> dict[str, An
 
 def _flip(stack: Stack) -> Stack:
     """Mirror and transpose the picture; motion and jitter follow."""
-    planes, jitter, reference, guides = (stack.planes, stack.jitter.clone(), stack.reference,
-                                         stack.guides)
+    planes = stack.planes
+    jitter = stack.jitter.clone()
+    reference = stack.reference
+    guides = stack.guides
     surfaces = stack.surfaces
     signs = torch.ones(planes.shape[2], device=planes.device)
     for axis in (0, 1):

@@ -277,8 +277,11 @@ class ClipLoss(nn.Module):
     def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0,
                  light: tuple[float, float] = LIGHT, reflectance: float = 0.0, guides: float = 0.0):
         super().__init__()
-        self.model, self.flicker, self.reset, self.even, self.light = (model, flicker, reset, even,
-                                                                       light)
+        self.model = model
+        self.flicker = flicker
+        self.reset = reset
+        self.even = even
+        self.light = light
         self.reflectance, self.guides = reflectance, guides
 
     def forward(self, batch: Batch) -> Results:

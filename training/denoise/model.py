@@ -415,8 +415,8 @@ def guide_features(guides: Guides, h: int, w: int, scale: Tensor) -> Tensor:
     """The guides at the four quarter-pixel corners of each render pixel, nearest sample: (N, 44, h,
     w)."""
     at = seen_guides(guides, scale)
-    rows, columns = (ops.corner_index(h, at.shape[-2], at.device),
-                     ops.corner_index(w, at.shape[-1], at.device))
+    rows = ops.corner_index(h, at.shape[-2], at.device)
+    columns = ops.corner_index(w, at.shape[-1], at.device)
     return torch.cat([ops.pick(at, rows[i], columns[j]) for i in range(2) for j in range(2)], 1)
 
 

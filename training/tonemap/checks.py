@@ -95,8 +95,8 @@ def _swing(render: Render, height: int = 256, width: int = 512) -> float:
     edge[:, width // 2 :] *= np.float32(2.0**EDGE_STOPS)
     row = (render(edge) @ LUMINANCE_WEIGHTS)[height // 2] * STEPS
     reach, half = int(EDGE_REACH * width), width // 2
-    dark, bright = (row[half - reach : half - 1] - row[half // 4],
-                    row[half + 1 : half + reach] - row[-half // 4])
+    dark = row[half - reach : half - 1] - row[half // 4]
+    bright = row[half + 1 : half + reach] - row[-half // 4]
     return float(max(np.abs(dark).max(), np.abs(bright).max()))
 
 

@@ -306,8 +306,8 @@ class DenoiseUpscale(Pass):
             self._savings.note_resize(spec in self._sizes)
             if self._ladder:
                 self._ladder.note_resize(spec.width * spec.height / (before.width * before.height))
-        self._ready, self._spec = (self._sizes.get_or_make(spec, partial(self._made_ready, spec)),
-                                   spec)
+        self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
+        self._spec = spec
         if isinstance(self._ready, ReadyNetwork) and self._ready.first:
             self._ready.first.reset()
         return True
@@ -422,8 +422,8 @@ class DenoiseUpscale(Pass):
         self._fresh = bool(history)
         self._memory.forget()
         if self._fresh:
-            self._exposure, self._wider = (float(history["exposure"]),
-                                           bool(history.get(WIDER, False)))
+            self._exposure = float(history["exposure"])
+            self._wider = bool(history.get(WIDER, False))
             if not isinstance(self._ready, ReadyNetwork):
                 raise KeyError(f"pass '{self.name}' has no history at strength 0")
             self._used = next(iter(key.removeprefix(NETWORK_PREFIX)

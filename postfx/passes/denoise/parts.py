@@ -112,8 +112,9 @@ class Layers:
         self._groups = _groups_of(parts)
         self._places = places_of(parts)
         new = device.heap.tensor
-        self._params, self._exposed, self._exposure = (new("part params", (4,)),
-                                                       new("whole params", (4,)), 1.0)
+        self._params = new("part params", (4,))
+        self._exposed = new("whole params", (4,))
+        self._exposure = 1.0
         self._nothing = make_zeros(device, "no reflectance",
                                    (*self._render, 3) if self._parts else (1,))
         self._made: dict[str, Tensor] = {}
@@ -239,8 +240,10 @@ class Layers:
                       pictures: Pictures, rows: Rows, restore: Restore | None,
                       strength: Strength | None) -> Tensor:
         """Record what becomes of one layer behind the windows, as of the picture; returns it."""
-        kind, value, raw, plain = (self._kind(name), self._history.layer(name).output,
-                                   self._raw.get(name), self._plain)
+        kind = self._kind(name)
+        value = self._history.layer(name).output
+        raw = self._raw.get(name)
+        plain = self._plain
         if name == ALPHA_LAYER and self._alpha:
             raw, plain = frame[Role.ALPHA], self._plain_alpha
             value = self._alpha.correct(commands, pictures.filtered)
@@ -565,6 +568,6 @@ def is_speckled(covered: np.ndarray) -> bool:
     lone empty ones."""
     around = three_by_three(covered.astype(np.float32), 1, np.add)
     edges = np.count_nonzero((around > 0) & (around < 9))
-    specks, holes = (np.count_nonzero(covered & (around <= 3)),
-                     np.count_nonzero(~covered & (around >= 6)))
+    specks = np.count_nonzero(covered & (around <= 3))
+    holes = np.count_nonzero(~covered & (around >= 6))
     return bool(edges > 0 and min(specks, holes) > SPECKLED * edges)

@@ -102,8 +102,8 @@ class Planes:
     def __init__(self, device: Device, spec: FrameSpec, output: Size, guided: bool,
                  mirrored: bool = False) -> None:
         """`mirrored`: also the planes that follow mirrors and glass."""
-        render, read = Size(spec.height, spec.width), (*ABSENT,
-                                                       *(MIRRORED_ROLES if mirrored else ()))
+        render = Size(spec.height, spec.width)
+        read = (*ABSENT, *(MIRRORED_ROLES if mirrored else ()))
         self._device, self._spec, self.hazy, self._looked = device, spec, False, False
         self._haze: dict[str, Tensor] = {}
         self._held = {role: str(role) for role in read if spec.has(role)}

@@ -59,8 +59,9 @@ def written(tmp_path: Path, results: Path, *blocks: str, options: tuple[str, ...
     """Blocks of a document after the tool has run over it; what is around them has to be as it
     was."""
     doc = tmp_path / "doc.md"
-    head, between, foot = ("# Title\n\nBy hand.\n\n", "\nMore by hand, without a newline",
-                           "\nThe end")
+    head = "# Title\n\nBy hand.\n\n"
+    between = "\nMore by hand, without a newline"
+    foot = "\nThe end"
     inner = "\nold\n<!-- end -->\n" + between.rstrip() + "\n\n"
     doc.write_text(head + "".join(f"<!-- table: {block} -->{inner}" for block in blocks) + foot)
     arguments = [str(results), "--doc", str(doc), "--images", str(tmp_path / "images"), "--models",

@@ -177,8 +177,8 @@ def _pictures(house: House, side: Side, a: float, b: float) -> None:
     count = int(rng.integers(1, 4)) if b - a > 1.5 else 1
     size = np.minimum(rng.uniform(0.25, 0.8, 2), [(b - a) / count - 0.1, 0.85])
     for x in a + (np.arange(count) + 0.5) * (b - a) / count:
-        picture, spot = (clutter.picture_frame(rng, size[0], size[1], "art"),
-                         side.matrix @ translation(x, y, 0.02))
+        picture = clutter.picture_frame(rng, size[0], size[1], "art")
+        spot = side.matrix @ translation(x, y, 0.02)
         if _clear(house, spot[:3, 3], 0.5 * size[0], y - 0.5 * size[1]):
             house.put(picture, spot)
     house.sights.append((side.matrix @ np.array([(a + b) / 2, y, 0, 1]))[:3])

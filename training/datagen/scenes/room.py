@@ -213,8 +213,9 @@ def sample_room() -> Description:
             d.add(part, material)
         for bar in bars(low, edge, window, 3) if side in (1, 3) else []:
             d.add(bar, white)
-    d.environment, d.environment_turn, d.environment_gain = (sky(np.random.default_rng(5)), 200.0,
-                                                             12.0)
+    d.environment = sky(np.random.default_rng(5))
+    d.environment_turn = 200.0
+    d.environment_gain = 12.0
     _furnish_sample(d, rng, white, blue)
     return d
 
