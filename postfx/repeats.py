@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from postfx.colour import luminance
-from postfx.frame import Role
+from postfx.frame import ALBEDOS, Role
 from postfx.planes import sampled
 
 REPEAT_SIDE_PX = 12  # pixels of a square
@@ -109,8 +109,7 @@ class RepeatDetector:
     def _light(self, planes: Mapping[Role, np.ndarray]) -> np.ndarray:
         """White light of the squares (rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX), 0 to 1, about
         1/2 in the middle of each square."""
-        albedos = [squares(planes[role])
-                   for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in planes]
+        albedos = [squares(planes[role]) for role in ALBEDOS if role in planes]
         colour = squares(planes[Role.COLOUR])
         light = np.maximum(luminance(colour / np.maximum(sum(albedos), BLACK_ALBEDO) if albedos
                                      else colour), 0)

@@ -13,7 +13,7 @@ from postfx.bench import require
 from postfx.compiled.library import Rows
 from postfx.errors import BenchError, DeviceError
 from postfx.exposure import measure
-from postfx.frame import Frame, Role
+from postfx.frame import ALBEDOS, Frame, Role
 from postfx.kernels import Kernel
 from postfx.kernels.image import RESAMPLE, positions
 from postfx.oidn import OpenImageDenoise, total_albedo
@@ -58,7 +58,7 @@ class Oidn:
 
 def _aids(frame: Frame) -> dict[str, np.ndarray]:
     """Albedo and normal by OIDN's names."""
-    albedos = [frame[role] for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in frame]
+    albedos = [frame[role] for role in ALBEDOS if role in frame]
     if Role.DENOISING_ALBEDO in frame:
         albedos = [frame[Role.DENOISING_ALBEDO]]
     aids = {"albedo": total_albedo(*albedos)} if albedos else {}

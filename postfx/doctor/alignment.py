@@ -15,12 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.doctor import blocks, finite, largest
-from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.frame import ALBEDOS, DEPTH_MISS, Frame, Role
 from postfx.sampling import bilinear, is_inside, local_mean
 
-ALIGNED_PLANES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS,
-                  Role.DEPTH, Role.MOTION)
-ALIGNING_GUIDES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL)
+ALIGNED_PLANES = (*ALBEDOS, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION)
+ALIGNING_GUIDES = (*ALBEDOS, Role.NORMAL)
 WINDOW_SIDE_PX = 512
 """Of a larger picture only the middle is examined: this many pixels wide and high at most."""
 STRONGEST = 0.98

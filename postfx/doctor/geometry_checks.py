@@ -44,7 +44,7 @@ from postfx.doctor.geometry import (
     world_axes,
 )
 from postfx.doctor.material import Material
-from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.frame import ALBEDOS, DEPTH_MISS, Frame, Role
 from postfx.sampling import local_mean
 
 # Degrees between the normals of depth and the stored ones
@@ -307,7 +307,6 @@ def _turn(one: np.ndarray, other: np.ndarray) -> float:
     return 2 * float(np.degrees(np.arcsin(min(sine, 1.0))))
 
 
-SURFACE_ALBEDOS = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 NOISY_ALBEDO = 0.012
 MOST_ABOVE = 5.0  # percent of the pixels
 BRIGHT_ALBEDO = 0.5
@@ -323,7 +322,7 @@ MUCH_TOO_BRIGHT = 0.3  # percent
 
 def check_albedo_above_one(material: Material) -> Iterator[Finding]:
     """Reflectance above 1: more light leaves than arrives."""
-    for role in SURFACE_ALBEDOS:
+    for role in ALBEDOS:
         if role not in material.middle:
             continue
         plane = finite(material.middle[role]).max(2)
@@ -339,7 +338,7 @@ def check_albedo_above_one(material: Material) -> Iterator[Finding]:
 
 def check_albedo_noisy(material: Material) -> Iterator[Finding]:
     """Noise in flat areas of an albedo."""
-    for role in SURFACE_ALBEDOS:
+    for role in ALBEDOS:
         if role not in material.middle:
             continue
         plane = _reflectance(material.middle[role])
@@ -430,9 +429,9 @@ def _shared_noise(frame: Frame, albedo: np.ndarray) -> float:
 def check_bright_metal(material: Material) -> Iterator[Finding]:
     """Diffuse and specular albedo bright in the same pixels: together they reflect more light than
     arrives."""
-    if not all(role in material.middle for role in SURFACE_ALBEDOS):
+    if not all(role in material.middle for role in ALBEDOS):
         return
-    diffuse, specular = (finite(material.middle[role]) for role in SURFACE_ALBEDOS)
+    diffuse, specular = (finite(material.middle[role]) for role in ALBEDOS)
     metal = specular.max(2) > BRIGHT_ALBEDO
     bright = metal & ((diffuse + specular).max(2) > 1.05)
     share, of_metal = percent(bright), 100 * bright.sum() / max(metal.sum(), 1)

@@ -15,7 +15,7 @@ from postfx.doctor.alignment import ALIGNED_PLANES, compare_edges
 from postfx.doctor.geometry import is_hit
 from postfx.doctor.material import Material
 from postfx.exposure import measure
-from postfx.frame import Frame, Role
+from postfx.frame import ALBEDOS, Frame, Role
 from postfx.kernels.statistics import OUTSIDE, light_outside
 from postfx.sampling import local_mean
 
@@ -88,10 +88,9 @@ def check_missing_planes(material: Material) -> Iterator[Finding]:
 
 
 MANY_PERCENT = 50.0  # percent
-NEVER_NEGATIVE = (Role.COLOUR, Role.ALPHA, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO,
-                  Role.ROUGHNESS,
-                  Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR)
-UNIFORM = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.DEPTH, Role.ROUGHNESS)
+NEVER_NEGATIVE = (Role.COLOUR, Role.ALPHA, *ALBEDOS, Role.ROUGHNESS, Role.SPECULAR_HIT_DISTANCE,
+                  Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR)
+UNIFORM = (*ALBEDOS, Role.NORMAL, Role.DEPTH, Role.ROUGHNESS)
 BLACK_VALUE = 1e-4
 MOST_LISTED = 8
 ENLARGING_FILTERS = {"repetition": (1, -1), "linear interpolation": (-0.5, 1.5, -1.5, 0.5)}

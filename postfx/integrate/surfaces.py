@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from postfx.frame import Role
+from postfx.frame import ALBEDOS, Role
 from postfx.spelling import takes_both_spellings
 
 # Numerators and denominators of the rational fit, rows: powers of alpha, columns: powers of the
@@ -126,10 +126,6 @@ def _channel(values: np.ndarray) -> np.ndarray:
     return values if values.ndim == 3 else values[..., None]
 
 
-MIXED = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
-"""Planes that mix both surfaces of glass; all others take the stronger surface's value."""
-
-
 def mirrored_positions(positions: np.ndarray, mirror: np.ndarray,
                        mirror_normals: np.ndarray) -> np.ndarray:
     """Virtual positions (..., 3): where points at `positions` seem to be, seen in a flat mirror.
@@ -219,7 +215,7 @@ def blend_surfaces(
     weight = np.asarray(weight, np.float64).reshape(*np.shape(weight)[:2], 1)
     blended = {}
     for role in (role for role in Role if role in reflected and role in transmitted):
-        share = weight if role in MIXED else weight > 0.5
+        share = weight if role in ALBEDOS else weight > 0.5
         blended[role] = np.where(share > 0, reflected[role], 0) * share + np.where(
             share < 1, transmitted[role], 0) * (1 - share)
     return blended

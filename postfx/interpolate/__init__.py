@@ -19,7 +19,7 @@ import numpy as np
 from postfx.caching import reuse_memory
 from postfx.cuts import CutDetector
 from postfx.errors import FrameError
-from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.frame import ALBEDOS, DEPTH_MISS, Frame, Role
 from postfx.interpolate import paths
 from postfx.interpolate.blend import (
     DARK,
@@ -93,7 +93,7 @@ from postfx.sampling import bilinear
 from postfx.system import at_once, begin
 from postfx.temporal.reverse_motion import LOST, invert_motion
 
-MIXED_PLANES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
+MIXED_PLANES = (*ALBEDOS, Role.ROUGHNESS, Role.ALPHA)
 """Planes that are mixed from both frames, as the colour is."""
 DATA = (Role.DEPTH, Role.NORMAL, Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE)
 """Planes that are taken from one frame's nearest pixel."""

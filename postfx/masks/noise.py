@@ -22,7 +22,7 @@ import numpy as np
 
 from postfx.colour import luminance
 from postfx.errors import StrengthError
-from postfx.frame import DEPTH_MISS, ERROR_ROLES, VARIANCES, Role
+from postfx.frame import ALBEDOS, DEPTH_MISS, ERROR_ROLES, VARIANCES, Role
 from postfx.masks.cryptomatte import Entry, snap
 from postfx.sampling import BAND_ROWS, bands, local_maximum, local_mean, local_sum
 
@@ -106,7 +106,7 @@ def _is_transparent(planes: Mapping[Role, np.ndarray]) -> bool:
 def _misses(planes: Mapping[Role, np.ndarray], see_through: bool) -> np.ndarray:
     zero = [Role.NORMAL] if Role.NORMAL in planes else []
     if zero and Role.DEPTH not in planes:
-        zero += [role for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in planes]
+        zero += [role for role in ALBEDOS if role in planes]
     signs = [~planes[role].any(2) for role in zero]
     signs += [planes[Role.DEPTH][:, :, 0] >= DEPTH_MISS] if Role.DEPTH in planes else []
     signs += [planes[Role.ALPHA][:, :, 0] == 0] if see_through else []

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.errors import FrameError
-from postfx.frame import FrameSpec, Part, Role
+from postfx.frame import ALBEDOS, FrameSpec, Part, Role
 from postfx.kernels.denoise import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.alpha import Alpha
@@ -25,7 +25,7 @@ from postfx.passes.denoise.history import (
     places_of,
     some_of,
 )
-from postfx.passes.denoise.kinds import KINDS, LIGHT_KIND, REFLECTANCE_ROLES, Kind
+from postfx.passes.denoise.kinds import KINDS, LIGHT_KIND, Kind
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.output import Restore, Strength
 from postfx.passes.denoise.planes import ABSENT, Resampler, absent_plane
@@ -354,14 +354,14 @@ class Layers:
         if kind.is_like_picture:
             return found
         return found | {str(role): planes[str(role)] if role in kind.divided else self._nothing
-                        for role in REFLECTANCE_ROLES}
+                        for role in ALBEDOS}
 
     def _own_reflectance(self, name: str, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Planes, at both sizes, in place of those that a part has nothing to do with: reflectance
         that it is not divided by, and for fog, which has no surface, all of them. Light through
         glass, which files divide by a colour, has one."""
         kind = self._kind(name)
-        lost = [role for role in REFLECTANCE_ROLES if role not in kind.divided]
+        lost = [role for role in ALBEDOS if role not in kind.divided]
         if not (kind.on_surface or self._parts[name].factor):
             lost = [*SURFACE]
         found = {str(role): self._absent(role, self._render) for role in lost}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
+from postfx.frame import ALBEDOS, GUIDE_ROLES, ROLES, FrameSpec, Role
 from postfx.kernels.denoise import FARTHEST
 from postfx.kernels.image import positions
 from postfx.kernels.statistics import coverage_noise
@@ -28,7 +28,7 @@ ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0,
           Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0, Role.MOTION: 0.0}
 MIRRORED_ROLES = {Role.DENOISING_ALBEDO: 0.0, Role.DENOISING_NORMAL: 0.0}
 """The same of planes that follow mirrors and glass, which only some networks read."""
-HAZY = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.DEPTH)
+HAZY = (*ALBEDOS, Role.DEPTH)
 """Planes that are left out in a volume: they show the surface behind it for the samples that came
 so far."""
 FOUND_VOLUME_SHARE = 0.12
