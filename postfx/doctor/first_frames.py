@@ -103,9 +103,9 @@ class FirstFrames:
         found = [finding for check in OF_ONE_FRAME for finding in check(Material([frame]))]
         held = {role: plane for role, plane in frame.planes.items()
                 if not self._channels or role in self._channels}
-        # motion may be estimated
-        material = Material([replace(frame, planes=held)], enable=dict(self._enable))
-        material.frames *= 1 if is_alone else 2  # a single frame needs no motion
+        read = replace(frame, planes=held)  # without motion that was estimated
+        frames = [read] if is_alone else [read, read]  # a single one needs no motion
+        material = Material(frames, enable=dict(self._enable))
         return found + [one for one in plane_checks.check_missing_planes(material)
                         if Role(one.role) in self._enable]
 
