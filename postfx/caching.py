@@ -159,7 +159,8 @@ def new_array(shape: tuple[int, ...], dtype: np.typing.DTypeLike = "float32") ->
 
 
 def filled_array(shape: tuple[int, ...], value: float | np.float32) -> np.ndarray:
-    """The same (float32), of one value."""
+    """An array of float32 that holds one value, in memory of one that is gone where that is
+    kept."""
     found = new_array(shape)
     found.fill(value)
     return found

@@ -250,7 +250,7 @@ def _noisy_cells(light: np.ndarray, sharpest: np.ndarray,
 
 
 def _texture(planes: Mapping[Role, np.ndarray]) -> np.ndarray | None:
-    """By how much albedo and normal change from pixel to pixel in each cell, squared, the albedo
+    """Mean square of the change of albedo and normal from pixel to pixel in each cell, the albedo
     relative to its mean; None without both."""
     found = []
     albedos = [planes[role] for role in ALBEDOS if role in planes]

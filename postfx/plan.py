@@ -167,8 +167,7 @@ def make_plan(passes: Sequence[Pass], spec: FrameSpec) -> Plan:
 
 
 def _narrow(plan: Plan) -> Plan:
-    """The same plan with specs that hold only the planes that are read, as the passes will see
-    them."""
+    """The plan with specs that hold only the planes that are read, as the passes will see them."""
     current = plan.input
     steps = []
     for step in plan.steps:

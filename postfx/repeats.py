@@ -138,14 +138,16 @@ def _places(side: int, most: int) -> tuple[int, np.ndarray]:
 
 
 def laplacian(light: np.ndarray) -> np.ndarray:
-    """Of (..., height, width), scaled so that white noise keeps its standard deviation."""
+    """Laplacian of light (..., height, width), two rows and columns smaller, scaled so that white
+    noise keeps its standard deviation."""
     rows = light[..., :-2, :] - 2 * light[..., 1:-1, :] + light[..., 2:, :]
     result: np.ndarray = (rows[..., :-2] - 2 * rows[..., 1:-1] + rows[..., 2:]) / np.float32(6)
     return result
 
 
 def whiteness(light: np.ndarray) -> np.ndarray:
-    """(...) of (..., height, width): about 1 for white noise, 0 where neighbours are alike."""
+    """How white the noise of light (..., height, width) is, (...): about 1 for white noise, 0 where
+    neighbours are alike."""
     a, b = light[..., :-1, :-1], light[..., :-1, 1:]
     c, d = light[..., 1:, :-1], light[..., 1:, 1:]
     across, down, diagonal = (np.square(one).mean((-2, -1))

@@ -46,7 +46,7 @@ def is_panorama(attributes: Mapping[str, Any]) -> bool:
 
 
 def widened_plan(passes: Sequence[Pass], plan: Plan) -> tuple[Plan, int]:
-    """The same plan for frames with a margin, and the margin in render pixels.
+    """The plan for frames with a margin, and the margin in render pixels.
 
     Raises PassOptionError for an output of a size of its own.
     """

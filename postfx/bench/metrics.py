@@ -59,8 +59,8 @@ def flip(picture: np.ndarray, reference: np.ndarray) -> float:
 
 
 def flip_map(picture: np.ndarray, reference: np.ndarray) -> tuple[float, np.ndarray]:
-    """The same, and each pixel's error as a colour (height, width, 3) 0..1, from black (none)
-    through red to white."""
+    """Mean LDR-FLIP error, 0..1, and each pixel's error as a colour (height, width, 3) 0..1, from
+    black (none) through red to white."""
     colours, mean, _ = flip_evaluator.evaluate(reference, picture, "LDR")
     return float(mean), colours
 

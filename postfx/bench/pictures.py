@@ -50,8 +50,7 @@ def draw_crops(material: Material, rows: list[dict[str, Any]], path: Path) -> No
 
 
 def draw_worst(material: Material, rows: list[dict[str, Any]], path: Path) -> None:
-    """The same for our failures: the places of one frame where we are furthest behind OIDN's
-    methods; a PNG.
+    """Crops where we are furthest behind OIDN's methods, in one frame; a PNG.
 
     Ours is the largest network without guides, which has the same input as OIDN. The frame is the
     one whose PSNR leads the best OIDN method's least, or lags furthest. Removes the picture if

@@ -98,7 +98,7 @@ class Default(NamedTuple):
 
     @property
     def words(self) -> list[str]:
-        """The same on a command line."""
+        """The option and its value as words of a command line."""
         if self.option.is_switch:
             return [self.option.flag] if self.value else []
         texts = (self.text if isinstance(self.text, list)
@@ -192,7 +192,8 @@ def _default(path: Path, options: Options, key: str, value: Any) -> Default:
 
 
 def _parse(option: Option, value: Any) -> Any:
-    """As arguments hold a value of a file; ValueError if the option has no such value."""
+    """A value of a file in the form that arguments hold; ValueError if the option has no such
+    value."""
     if option.is_switch or (value is True and option.bare is not None):
         if not isinstance(value, bool):
             raise ValueError(f"'{value}' is neither true nor false")

@@ -162,7 +162,7 @@ class ExposureCheck:
         }
 
     def text(self) -> str:
-        """The same for people."""
+        """The report as lines for people."""
         report = self._report
         lines = [
             f"{self._sequence.pattern}: {len(report.readings)} frames, exposure "

@@ -299,7 +299,7 @@ class Parser(argparse.ArgumentParser):
         lambda parser, words: "")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As in the base class; also records which options are given."""
+        """Parse as the base class does, and record which options are given."""
         if self.declared is None or self.complete is None:
             return super().parse_known_args(args, namespace)
         options = [option for option in self.declared if not option.shows]

@@ -442,7 +442,7 @@ class Report:
         return "\n".join(lines)
 
     def problems(self) -> str:
-        """Those lines of the summary that nobody must miss: frames that failed, and warnings."""
+        """Lines of the summary that nobody must miss: frames that failed, and warnings."""
         return "\n".join([*self._fault_lines(),
                           *(f"warning  {warning}" for warning in self.warnings)])
 
@@ -495,7 +495,7 @@ def warn_of_budget(
 
 
 def _round_up(milliseconds: float) -> float:
-    """To two digits."""
+    """The number rounded up to two digits."""
     step = 10.0 ** max(0, len(str(int(milliseconds))) - 2)
     return ceil(milliseconds / step) * step
 

@@ -156,7 +156,8 @@ def our_parts() -> dict[str, Part]:
 
 
 def digest_of(units: Sequence[Path], target: str, flags: Sequence[str] = ()) -> str:
-    """Of all that a library is made of: these files, their headers, and how they are compiled."""
+    """Digest of all that a library is made of: these files, their headers, and how they are
+    compiled."""
     found = hashlib.sha256(repr((ZIG, FLAGS, LINKED, TARGETS[target], *flags)).encode())
     for path in dict.fromkeys(path for unit in units for path in sources_of(unit)):
         found.update(f"\0{path.name}\0".encode() + path.read_bytes())

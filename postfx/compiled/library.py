@@ -51,7 +51,7 @@ class Rows:
             raise failure_of(self.name)
 
     def bind(self, arrays: Sequence[np.ndarray]) -> BoundRows:
-        """The same with all arrays given, for threads."""
+        """The call of these rows on arrays that are given now, for threads."""
         return BoundRows(self.name, self.form(kinds_of(arrays)).entry, arrays)
 
     def form(self, kinds: Kinds) -> Form:
@@ -128,7 +128,7 @@ _watches: list[CompileWatch] = []
 
 @contextmanager
 def _told() -> Iterator[None]:
-    """Those that watch are told of what is compiled meanwhile."""
+    """Tell those that watch that something is compiled meanwhile."""
     told = tuple(_watches)
     for watch in told:
         watch.start()

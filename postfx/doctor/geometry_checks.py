@@ -317,8 +317,8 @@ def _other_axes(frame: Frame, fit: Fit) -> tuple[str, float] | None:
 
 
 def _without_matrix(camera: float) -> Iterator[Finding]:
-    """Of a frame without worldToCamera. camera: degrees between its normals and the camera's
-    axes."""
+    """The finding for a frame without worldToCamera. camera: degrees between its normals and the
+    camera's axes."""
     if camera < SAME_AXES_DEGREES:
         evidence = (f"normals are within {camera:.2g} degrees of the camera's axes; certain only "
                     "with worldToCamera")

@@ -440,7 +440,7 @@ class Between:
 
     @cached_property
     def _without_vectors(self) -> Between:
-        """The same time by estimated motion alone."""
+        """The time between both frames by estimated motion alone."""
         frames = [replace(frame, views={}, planes={
             role: plane for role, plane in frame.planes.items()
             if role not in (Role.MOTION, Role.DEPTH)}) for frame in (self.before, self.after)]
@@ -552,8 +552,9 @@ class Between:
 
     @cached_property
     def _flows(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same for cells (rows, columns, 2) in pixels, NaN where the way there and back does
-        not end where it began; empty if not asked for."""
+        """Estimated motion of both frames to the other one, for cells (rows, columns, 2), in
+        pixels: NaN where the way there and back does not end where it began; empty if not asked
+        for."""
         if not self._flow or not self._has_vectors:
             return np.empty((0, 0, 2), np.float32), np.empty((0, 0, 2), np.float32)
         found = consistent_motion(*self._estimated, self._scale)
@@ -868,7 +869,8 @@ class Interpolator:
         return self.between.frame(t, number)
 
     def at(self, time: float, number: int | None = None) -> Frame:
-        """Likewise, at a time in the unit of `push`, counted from the first frame's delta on."""
+        """What is seen at a time in the unit of `push`, counted from the first frame's delta on.
+        FrameError before there are two frames."""
         first, last = self._times
         return self.frame((time - first) / (last - first), number)
 

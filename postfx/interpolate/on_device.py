@@ -337,7 +337,7 @@ class DeviceInterpolator:
         return commands
 
     def _known(self, label: str, steps: Steps, *sets: int) -> CommandBuffer:
-        """The same, recorded once for each set of buffers."""
+        """`_record`, once for each set of buffers."""
         if (label, *sets) not in self._commands:
             self._commands[label, *sets] = self._record(label, steps)
         return self._commands[label, *sets]

@@ -117,7 +117,8 @@ class Times:
 
 
 def parse_times(times: str | None, rates: str | None = None) -> Times:
-    """Of --times ('2', or '0.25,0.5') and --fps ('24:60', or '24' for the old rate alone).
+    """Times that --times ('2', or '0.25,0.5') and --fps ('24:60', or '24' for the old rate alone)
+    ask for.
 
     Raises OptionError for anything else.
     """

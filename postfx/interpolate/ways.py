@@ -170,7 +170,7 @@ class Ways:
 
     @property
     def is_thin_along_flow(self) -> bool:
-        """The same of estimated motion."""
+        """Whether only a thin thing is not where estimated motion leads."""
         return self.flow_spread < LEAST_SPREAD_OF_FLOW
 
     def shares_of_thin(self, frames: int) -> tuple[float, float]:

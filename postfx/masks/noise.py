@@ -139,8 +139,8 @@ def _noise_strength(
 
 def _band_sums(band: Mapping[Role, np.ndarray], missed: np.ndarray, first: int,
                last: int) -> np.ndarray:
-    """Of each square: sums of noise power, of the pixels it was measured at, of the misses' light
-    and their number.
+    """Sums in each square: of noise power, of the pixels it was measured at, of the misses' light
+    and of their number.
 
     Values that are not finite count as infinite noise.
     """

@@ -123,7 +123,7 @@ def board_area(height: int, width: int, part: bool) -> tuple[slice, slice]:
 
 
 def cells(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of each row and of each column 0 or 1; the darker grey is where both are the same."""
+    """0 or 1 for each row and for each column; the darker grey is where both are the same."""
     side = max(height / CELLS, 1.0)
     return turns(height, side), turns(width, side)
 

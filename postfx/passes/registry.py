@@ -137,8 +137,8 @@ class PassRequest(NamedTuple):
 
 
 def parse_pass(text: str, flag: str = "--pass") -> PassRequest:
-    """Of 'NAME[,option=value]...[,before=PASS|after=PASS]'. Raises OptionError, which
-    names the flag, for anything else."""
+    """The pass that 'NAME[,option=value]...[,before=PASS|after=PASS]' asks for. Raises OptionError,
+    which names the flag, for anything else."""
     name, *words = _COMMA.split(text.strip())
     if not re.fullmatch(r"[\w.-]+", name):
         raise OptionError(f"{flag} {text}: give a name and options, e.g. "

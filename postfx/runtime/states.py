@@ -430,7 +430,7 @@ class Arguments:
         self._placed = None
 
     def with_memory(self) -> Arguments:
-        """The same arguments on the memory that transient tensors have now; cached until that
+        """These arguments on the memory that transient tensors have now; cached until that
         changes."""
         places = tuple([transient.place for transient in self.transients])
         if self._placed is None or self._placed[0] != places:

@@ -135,7 +135,8 @@ class Band(NamedTuple):
 
 
 class Functions:
-    """Those of threads.cpp, which explains them. A helper is given by the address of its row."""
+    """The functions of threads.cpp, which explains them. A helper is given by the address of its
+    row."""
 
     def __init__(self) -> None:
         self.make_pauses = find_function("make_pauses", 1)

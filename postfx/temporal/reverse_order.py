@@ -81,7 +81,7 @@ class RunUp:
                       else dict(zip(sequence.numbers, (*sequence.numbers[1:], None), strict=True)))
 
     def of_view(self, view: str) -> RunUp:
-        """The same for another view of the sequence."""
+        """This run-up for another view of the sequence."""
         found = copy.copy(self)
         found._view = view
         found.on_frame = lambda first, number: self.on_frame(first, number)

@@ -190,7 +190,7 @@ def make_view(tracer: Tracer, built: BuiltScene, size: tuple[int, int], seed: in
                                        film))
 
     def planes(k: int) -> dict[str, np.ndarray]:
-        """Those of the last moment, through jitter `k`."""
+        """Planes of the last moment, through jitter `k`."""
         film = film_of(size, style.offsets(k, pixels, rng))
         found = plane_images(tracer, built, (cameras[-1], cameras[-2]), size, style, film)
         found = {name: image.reshape(height, width, -1) for name, image in found.items()}

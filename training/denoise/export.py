@@ -238,8 +238,8 @@ def outputs(config: Layout) -> tuple[str, ...]:
 
 
 class ExportedTrunk(Trunk):
-    """The same network, except that it reads the features in two parts, and its fine head ends with
-    the convolution: `postfx.kernels.denoise.network_io` does the rest."""
+    """A `Trunk` that reads the features in two parts, and whose fine head ends with the
+    convolution: `postfx.kernels.denoise.network_io` does the rest."""
 
     def __init__(self, trunk: Trunk):
         super().__init__(trunk.config)
@@ -262,7 +262,7 @@ class ExportedTrunk(Trunk):
 
 
 class ExportedResidual(ResidualTrunk):
-    """The same network, except that it reads its inputs in parts, and its fine head ends with the
+    """A `ResidualTrunk` that reads its inputs in parts, and whose fine head ends with the
     convolution."""
 
     def __init__(self, trunk: ResidualTrunk):
@@ -292,8 +292,8 @@ class ExportedResidual(ResidualTrunk):
 
 
 class ExportedPicture(PictureNetwork):
-    """The same network, except that it reads the features in parts, and adds up convolutions over
-    several tensors instead of joining those.
+    """A `PictureNetwork` that reads the features in parts, and adds up convolutions over several
+    tensors instead of joining those.
 
     ONNX Runtime lays channels out in blocks, and leaves that layout where tensors are joined to an
     odd number of channels.

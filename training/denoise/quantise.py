@@ -170,7 +170,8 @@ def find_groups(graph: onnx.GraphProto) -> dict[str, str]:
 
 
 def equalise(model: onnx.ModelProto, shares: Mapping[str, np.ndarray]) -> onnx.ModelProto:
-    """The same float32 network, whose channels use their tensors' ranges alike.
+    """A float32 network that gives the same result, and whose channels use their tensors' ranges
+    alike.
 
     Args:
         shares: tensor -> the part of its range that each channel needs, (C,).

@@ -280,6 +280,6 @@ class Decode(nn.Module):
 
 
 class DecodeOne(Decode):
-    """The same -> plane (H, W, 1)."""
+    """`Decode` of one channel -> plane (H, W, 1)."""
 
     channels = 1

@@ -278,7 +278,7 @@ class Interface:
 
 
 class Capsule:
-    """The same for DLPack alone."""
+    """A tensor of ours as an array of a library that knows DLPack alone."""
 
     def __init__(self, tensor: Any) -> None:
         self._tensor = tensor

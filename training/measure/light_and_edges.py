@@ -74,7 +74,7 @@ def silhouettes(depth: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Sums:
-    """Of one shot, by way: differences of cells, and squared errors along silhouettes."""
+    """Figures of one shot by way: differences of cells, and squared errors along silhouettes."""
 
     cells: dict[str, list[np.ndarray]]
     edges: dict[str, list[float]]

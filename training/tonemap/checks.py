@@ -48,8 +48,8 @@ def hue(codes: np.ndarray) -> np.ndarray:
 
 
 def greys(render: Render, reference: Render) -> dict[str, float]:
-    """Of a grey ramp: largest chroma, largest fall and largest step between neighbours in steps of
-    8 bits.
+    """What becomes of a grey ramp: largest chroma, largest fall and largest step between neighbours
+    in steps of 8 bits.
 
     `rough` is how much the largest step is larger than the reference's: a band that eight bits
     alone do not make.

@@ -208,7 +208,7 @@ class Frames:
             self._history.use(model)
 
     def beside(self, history: History) -> Frames:
-        """The same networks for other frames of the same size, which have this history."""
+        """These networks for other frames of this size, which have this history."""
         other, new = copy(self), self._device.heap.tensor
         other._history, other._kept = history, None
         other._common = {**self._common, "params": new("params", (4,)),

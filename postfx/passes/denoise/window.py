@@ -365,7 +365,7 @@ def _share(layer: Layer, i: int, stacks: Mapping[str, Tensor], next_part: Tensor
 
 
 def _shaded(radiance: Tensor) -> Tensor:
-    """Of the picture's radiance, the planes with the reflectance of the render size, the last
+    """The planes of the picture's radiance that have the reflectance of the render size: the last
     ones."""
     channels, *size = radiance.shape
     return radiance.view("radiance", (3, *size), (channels - 3) * math.prod(size))

@@ -49,7 +49,7 @@ def brick_wall(house: House) -> None:
 
 
 def tile_walls(house: House) -> None:
-    """The same tiles on all walls, up to some height."""
+    """All walls tiled alike, up to some height."""
     high, seed = house.rng.uniform(1.2, house.size[1]), int(house.rng.integers(1 << 30))
     for side in house.sides:
         for a, b in between(side.width, side.holes, 0.15, high, 0.12):

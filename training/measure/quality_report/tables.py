@@ -263,7 +263,8 @@ def scales(results: Results) -> str:
 
 
 def equal_rays(results: Results) -> str:
-    """As many light paths spent at half and at full size, against the best of OIDN at full size."""
+    """Table of as many light paths spent at half and at full size, against the best of OIDN at full
+    size."""
     facts = results.validation()
     if not facts["equal_rays"]:
         raise Missing("the validation set was not measured both ways with OIDN")
