@@ -146,7 +146,7 @@ _spare: weakref.WeakSet[SpareMemory] = weakref.WeakSet()
 
 
 def reuse_memory() -> SpareMemory:
-    """What `new_array` takes memory from, as long as somebody holds it."""
+    """The memory that `new_array` takes arrays from, for as long as somebody holds it."""
     found = next(iter(_spare), None) or SpareMemory()
     _spare.add(found)
     return found

@@ -145,7 +145,7 @@ class CutDetector:
         self._before = self.relation = None
 
     def history(self) -> dict[str, np.ndarray]:
-        """What the next answer depends on beside its frame."""
+        """The state that the next answer depends on, beside its frame."""
         if self._before is None:
             return {}
         before = self._before

@@ -272,7 +272,7 @@ class _GridOnDevice:
         self._moments.fill(0)
 
     def rows(self, points: int, inputs: int) -> tuple[Tensor, Tensor]:
-        """What the network reads of so many points, and the derivatives by that."""
+        """Rows that hold the network's inputs of so many points, and the derivatives by them."""
         if points not in self._rows:
             one, other = (self._device.heap.tensor(f"neural {name}", (points, inputs))
                           for name in ("rows", "pulls"))

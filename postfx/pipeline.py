@@ -49,7 +49,7 @@ that one is run."""
 
 
 def _kind(thing: object) -> str:
-    """What something is, for a message."""
+    """The type of something, in words for a message."""
     return f"{type(thing).__module__}.{type(thing).__name__}".removeprefix("builtins.")
 
 
@@ -472,8 +472,8 @@ class Pipeline:
             step.instance.compile(self.device, step.input)
 
     def _run_up_to(self, frame: Frame, plan: Plan) -> Frame:
-        """What is run for a frame that begins a shot: where a pass profits, what the frames after
-        it lead to."""
+        """The frame to run for one that begins a shot: where a pass profits, with the history that
+        the frames after it lead to."""
         if self._run_up is None:
             return frame
         plan = self._wide[0] if self._wide else plan

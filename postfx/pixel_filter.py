@@ -108,7 +108,7 @@ class PixelFilter:
         self._divide = divide
 
     def spread(self, plane: np.ndarray, output: np.ndarray) -> None:
-        """What the filter makes of a plane whose pixels are independent; its mean stays."""
+        """Apply the filter to a plane of independent pixels; its mean stays."""
         self._run(_spread_plane, plane, self._spreading, output)
 
     def undo(self, plane: np.ndarray, output: np.ndarray) -> None:
@@ -207,7 +207,8 @@ def find_stddev(colour: np.ndarray, planes: Mapping[Role, np.ndarray] | None = N
 
 
 def _measure(colour: np.ndarray, planes: Mapping[Role, np.ndarray]) -> float | None:
-    """What the noise of a picture tells of the filter's standard deviation; None for nothing."""
+    """The filter's standard deviation, in pixels, by the noise of a picture; None if the noise does
+    not tell."""
     light = _window_of(colour).clip(0.0, MOST_LIGHT).mean(axis=2)
     if min(light.shape) < NOISE_CELL_PX + len(SHARPEST):
         return None

@@ -181,7 +181,7 @@ def _run(bad: np.ndarray, rows: np.ndarray, columns: np.ndarray, down: int,
 
 @dataclasses.dataclass
 class Fireflies:
-    """What was clamped in a number of frames.
+    """Light that was clamped in a number of frames.
 
     Attributes:
         pixels, frames: how many had too much light.

@@ -74,7 +74,7 @@ class RepeatDetector:
         self._before = None
 
     def history(self) -> dict[str, np.ndarray]:
-        """What the next answer depends on beside its frame."""
+        """The state that the next answer depends on, beside its frame."""
         known = {"size": np.array(self._size, np.int64)}
         return {} if self._before is None else known | {"noise": self._before}
 
@@ -157,8 +157,8 @@ def whiteness(light: np.ndarray) -> np.ndarray:
 
 
 class Alike(Enum):
-    """What a frame is beside the one before: another, one that few pixels do not tell from it, or
-    the same."""
+    """How alike a frame is to the one before: another one, one that agrees in the few pixels that
+    are compared, or the same in all."""
 
     OTHER = 0
     LIKELY = 1
@@ -186,8 +186,8 @@ class FrameMemory:
         self._some = self._planes = None
 
     def look(self, facts: tuple[Hashable, ...], planes: Mapping[Hashable, np.ndarray]) -> Alike:
-        """What a frame of these `planes` (height, width, channels) is, with `facts` that count,
-        too.
+        """How alike a frame of these `planes` (height, width, channels) is to the one before;
+        `facts` must be equal, too.
 
         The first plane is the one whose pixels are looked at.
         """

@@ -91,8 +91,7 @@ def widen(frame: Frame, margin: int) -> Frame:
 
 
 def crop(result: Frame, given: Frame, plan: Plan) -> Frame:
-    """What comes out of a widened frame, without its margin. Guides are those of the given
-    frame."""
+    """The result of a widened frame without its margin. Guides are those of the given frame."""
     width = plan.output.width
 
     def own(array: np.ndarray) -> np.ndarray:

@@ -77,7 +77,8 @@ def rays(camera: torch.Tensor, height: int, width: int) -> torch.Tensor:
 
 
 def reflectance(diffuse: torch.Tensor, specular: torch.Tensor) -> torch.Tensor:
-    """What light is divided by: both albedos with a floor, 1 for lamps and misses."""
+    """The reflectance that light is divided by: both albedos with a floor, 1 for lamps and
+    misses."""
     total = diffuse + specular
     peak = total.amax(1, keepdim=True)
     return torch.where(is_emitter(diffuse, specular), torch.ones_like(total),
@@ -139,7 +140,7 @@ class SceneNetwork(nn.Module):
 
     def features(self, x: dict[str, torch.Tensor],
                  ray: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """What the stem reads of planes (N, C, H, W) and rays, and the places in the box, -1..1."""
+        """The stem's inputs, of planes (N, C, H, W) and rays, and the places in the box, -1..1."""
         middle = (self.low + self.high)[None, :, None, None] / 2
         half = (self.high - self.low)[None, :, None, None] / 2
         hit = (x["depth"] < 1e6).float()

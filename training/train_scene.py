@@ -82,7 +82,7 @@ class Shown(NamedTuple):
 
     @classmethod
     def read(cls, frames: str, reference: str) -> tuple[Shown, Shown]:
-        """What is learnt, and what is held out.
+        """The frames to learn from, and those that are held out.
 
         Raises SequenceError if there is no such sequence, MissingFrameError if a frame has no
         reference.

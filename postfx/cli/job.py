@@ -523,8 +523,8 @@ class Job:
 
     @cached_property
     def _looker(self) -> FirstFrames | None:
-        """What tells what is plainly wrong with the first frames; None where AOVs are not read, so
-        that none is missing."""
+        """Looks for plain mistakes in the first frames; None where AOVs are not read, so that none
+        is missing."""
         if (self._arguments.no_denoise or self._arguments.strength == 0
             or self.pipeline.device.scratch):
             return None
@@ -712,8 +712,8 @@ class Job:
 
 def announce_run_up(check: Callable[[], None],
                     tell: Callable[[str], None]) -> Callable[[int, int], None]:
-    """What is called before each frame of a run-up, with the number of the frame that it leads to
-    and its own.
+    """A function to call before each frame of a run-up, with the number of the frame that it leads
+    to and its own.
 
     `check` may raise to end the run; `tell` gets a line before the first frame, as a run-up may
     take long.

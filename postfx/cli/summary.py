@@ -208,7 +208,7 @@ NIGHT_EV = 3.0
 
 @dataclass(frozen=True)
 class ExposureUsed:
-    """By how much frames were exposed, and by whose word.
+    """How much frames were exposed, and who said so.
 
     Attributes:
         mode: as --exposure says it.

@@ -137,7 +137,7 @@ class Part(NamedTuple):
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """What tells the compiler."""
+        """The compiler's flags."""
         chosen = (("-DALONE", f"-DALONE_{self.alone}=~,EXPORT_ONE") if self.alone
                   else ("-DTOGETHER",))
         return *chosen, "-Wno-unused-function", "-Wno-unneeded-internal-declaration"

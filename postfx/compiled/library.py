@@ -95,7 +95,7 @@ class CompileWatch:
 
     @property
     def seconds(self) -> float:
-        """By the clock, in which anything was compiled."""
+        """Seconds by the clock in which anything was compiled."""
         with self._lock:
             return self._past + (time.perf_counter() - self._begin if self._depth else 0.0)
 

@@ -355,7 +355,7 @@ class Between:
 
     @cached_property
     def _compared(self) -> Toned:
-        """What paths are compared by."""
+        """Grey pictures of both frames, by which paths are compared."""
         return Toned(*self._toned, *self._known, self._scale)
 
     @cached_property
@@ -642,7 +642,7 @@ class Between:
         return first, last
 
     def _rank(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What stands for depth where there is none."""
+        """Order of surfaces by the misfit of their paths, in place of depth, of both frames."""
         first, last = self._small
         even = np.ones((*self._grid, 1), np.float32)
         ahead = invert_motion(motion, even, even)

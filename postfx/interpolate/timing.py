@@ -300,7 +300,7 @@ class Sparks:
     dim: float
 
     def arrays(self, t: float) -> tuple[np.ndarray, ...]:
-        """What kernels take, at a time."""
+        """The arguments of kernels that they share, at a time."""
         return *self.pictures, *self.marks, np.array((self.scale, self.dim, t), np.float32)
 
 

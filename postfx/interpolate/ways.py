@@ -285,7 +285,7 @@ def straight_course(row: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rest_of(row: Sequence[np.ndarray], number: int) -> np.ndarray:
-    """What one of four arrays is beside `straight_course`."""
+    """One of four arrays less its `straight_course`."""
     mean, growth = straight_course(row)
     rest: np.ndarray = row[number] - mean - np.float32(number - 1.5) * growth
     return rest

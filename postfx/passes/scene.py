@@ -100,7 +100,7 @@ def _find_model(pass_name: str, model: str) -> _Model:
 
 
 def _described(found: _Model) -> str:
-    """What a model reads, in words."""
+    """A model's inputs in words."""
     return f"points of {found.point} numbers" if found.point else ", ".join(found.inputs)
 
 
@@ -206,8 +206,8 @@ class Occlusion(_Linear):
         frame.set(Role.COLOUR, self._darkens["output"])
 
     def _look(self, turn: np.ndarray, depth: np.ndarray, *others: np.ndarray) -> None:
-        """What the network reads: planes with sides that it takes, the camera, and GTAO's
-        visibility, raw and smooth."""
+        """The network's inputs: planes with sides that it takes, the camera, and GTAO's visibility,
+        raw and smooth."""
         *normals, normal, far, camera, raw, smooth = others
         middle = _middle(depth.shape, raw.shape)
         normal[...], far[...] = 0, DEPTH_MISS

@@ -28,7 +28,7 @@ _SHAPER = "toe and scale above 0, and a matrix of 9 numbers"
 
 
 class Shaper(NamedTuple):
-    """What a look's model was trained behind; see ``postfx.kernels.colour``."""
+    """The curve that a look's model was trained behind; see ``postfx.kernels.colour``."""
 
     toe: float
     scale: float
@@ -99,8 +99,8 @@ def check_constants(model: str, constants: Mapping[str, np.ndarray], has_grid: b
 
 
 class _History(NamedTuple):
-    """What a frame leaves to the next: the smoothed grid or exposure, and the light that it is made
-    for."""
+    """The tensors that a frame leaves to the next: the smoothed grid or exposure, and the light
+    that it is made for."""
 
     held: Tensor
     light: Tensor

@@ -124,7 +124,7 @@ class LiveViewer:
 
 
 def packets(name: str, frame: Frame) -> Iterator[bytes]:
-    """What tells a viewer of a picture: light, or what a display shows as linear light."""
+    """Messages that give a viewer a picture: light, or what a display shows as linear light."""
     colour = frame[Role.COLOUR]
     light = colour if frame.encoding in LINEAR else srgb_decode(colour)
     height, width, count = light.shape

@@ -76,7 +76,7 @@ class Head(NamedTuple):
 
 
 class Options(ctypes.Structure):
-    """What else a kernel is told: see postfx/kernels/convolution.cuh."""
+    """Further arguments of a kernel: see postfx/kernels/convolution.cuh."""
 
     _fields_ = tuple((name, ctypes.c_int)
                      for name in ("height", "width", "tiles", "split", "positive"))
@@ -419,7 +419,7 @@ class Launch:
 
 
 class Gpu(Protocol):
-    """What runs the kernels.
+    """The GPU that runs the kernels.
 
     Attributes:
         most_shared: bytes of shared memory that a block of threads may have.

@@ -229,7 +229,7 @@ def check_model(path: Path, content: bytes, card: Mapping[str, Any], trust: bool
 
 
 def _unknown_work(model: ModelFile) -> Iterator[str]:
-    """What a model does beyond computing with tensors. Domains that it only declares, as optimised
+    """Work of a model beyond computing with tensors. Domains that it only declares, as optimised
     ones do, are no harm."""
     yield from (f"it holds {extra}" for extra in sorted(model.extras))
     for node in model.nodes:

@@ -329,8 +329,8 @@ def _prepare_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
 
 
 def _session_bindings(network: LoadedNetwork, in_place: Mapping[str, str]) -> tuple[Binding, ...]:
-    """What a network reads and writes. Raises ModelError where two that are to be one are not
-    alike."""
+    """The bindings of a network's inputs and outputs. Raises ModelError where two that are to be
+    one are not alike."""
     name, session = network.name, network.session
     reads = {value.name: Binding(value.name, "read", value.fixed, value.dtype)
              for value in session.inputs}

@@ -236,7 +236,7 @@ def _time_pauses(count: int) -> float:
 
 
 class HasLabel(Protocol):
-    """What messages name."""
+    """Something that messages name by its label."""
 
     label: str
 

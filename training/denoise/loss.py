@@ -326,7 +326,8 @@ class ClipLoss(nn.Module):
 
     def _run(self, frames: list[Inputs], keep: list[Tensor],
              state: State) -> tuple[list[Step], list[Tensor]]:
-        """What each frame gives, and how many frames it has seen, itself included, (N, 1, 1, 1)."""
+        """The `Step` of each frame, and how many frames it has seen, itself included, (N, 1, 1,
+        1)."""
         steps, counts = [], [torch.zeros_like(keep[0])]
         for inputs, kept in zip(frames, keep, strict=True):
             kept = (torch.rand_like(kept) >= self.reset) * kept

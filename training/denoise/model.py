@@ -499,7 +499,7 @@ def trust_reflectance(factor: Tensor, share: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Step:
-    """What a frame gives: exposed linear ``output`` (N, 3, H, W), the next ``state``, the last
+    """The results of a frame: exposed linear ``output`` (N, 3, H, W), the next ``state``, the last
     output reprojected (log-encoded), and the logarithm of the expected squared error of each pixel
     (N, 1, h, w), in code values of the display, or None from a network that does not predict it;
     ``planes`` are albedo and normal without their noise (N, 6, h, w), as codes, or None from a

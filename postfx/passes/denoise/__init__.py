@@ -95,8 +95,8 @@ REPEATS = "repeats "
 
 @lru_cache  # a run asks with every frame
 def network_name(tag: str, model: str) -> str:
-    """What users call the network of a model that runs for their short tag: the tag, or its size
-    replaced by that of a stand-in."""
+    """The users' name for the network that runs for their short tag: the tag, with its size
+    replaced where a model of another size stands in."""
     asked, dot, precision = tag.partition(".")
     size = short_tag(model).partition(".")[0]
     return tag if size == asked else f"{size}{dot}{precision}"
@@ -330,9 +330,9 @@ class DenoiseUpscale(Pass):
                             self._part_history)
 
     def _first_stage(self, models: Iterable[str]) -> DenoiseUpscale:
-        """What denoises frames before they are enlarged by these networks, and mixes them with the
-        noisy ones. Its strength is 1 in the halo of these, too, where little of what it does comes
-        to the result: so both halos are one."""
+        """The denoiser that runs before these networks enlarge frames, and mixes its result with
+        the noisy frame. Its strength is 1 in the halo of these networks, too, as little of it comes
+        to the result there: so both share one halo."""
         stage = DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False, pixel_filter="none",
                                **{name: self.options[name]
                                   for name in ("model", "reactive", "library")})
@@ -542,8 +542,8 @@ class DenoiseUpscale(Pass):
         return self._found_stddev
 
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
-        """What a frame is beside the one before. Only what is denoised alone, from planes of the
-        host, depends on nothing but the frame."""
+        """Whether a frame is a copy of the one before. Only a frame that is denoised alone, from
+        planes in the host's memory, has a result that depends on nothing else."""
         alone = not (keep or self.budget or frame.is_away or frame.unusable or ready.layers
                      or ready.error)
         if not alone or not frame.tensors.keys() == frame.host_planes.keys() or ready.reflections:
@@ -588,8 +588,8 @@ class DenoiseUpscale(Pass):
         return repeats
 
     def _check_error(self, spec: FrameSpec) -> None:
-        """PassOptionError where the error is asked for and a network of frames of this spec does
-        not predict it."""
+        """Raise PassOptionError where the error is asked for, and a network for frames of this spec
+        does not predict it."""
         if not self._error:
             return
         if not self.strength:
@@ -602,8 +602,8 @@ class DenoiseUpscale(Pass):
                                   f"size: {self._error_remedy()}")
 
     def _check_enlargement(self, spec: FrameSpec) -> None:
-        """PassOptionError where frames of this spec are enlarged and a network gives the picture
-        itself."""
+        """Raise PassOptionError where frames of this spec are to be enlarged by a network that
+        gives the picture itself."""
         if not self.strength or self._is_render_size(spec):
             return
         for tag in self._tags_for(spec):
@@ -612,8 +612,8 @@ class DenoiseUpscale(Pass):
                                       "does not enlarge: give scale 1, or another model")
 
     def _error_remedy(self) -> str:
-        """What to do about it: a network that predicts it at the render size, where one comes with
-        postfx."""
+        """The remedy where no network predicts the error: one that does at the render size, if one
+        comes with postfx."""
         able = [tag for tag in family(LARGEST_TAG) if predicts_error(model_of(tag, UNSCALED))]
         return (f"give model '{able[-1]}' and scale 1, or leave the error out" if able
                 else "leave the error out")
@@ -627,7 +627,7 @@ class DenoiseUpscale(Pass):
                    for ending in endings)
 
     def _read_parts(self, spec: FrameSpec) -> tuple[str, ...]:
-        """Names of the parts; FrameError for a part that the frame lacks."""
+        """Names of the parts that are denoised; FrameError for one that the frame lacks."""
         names = tuple(part.name for part in self._parts)
         for name in names:
             if name not in spec.part_names:
@@ -653,7 +653,7 @@ class DenoiseUpscale(Pass):
         return self._given_stddev or 0.0 if sees and self.strength else 0.0
 
     def _pixel_filter_notes(self, spec: FrameSpec) -> list[str]:
-        """What becomes of a pixel filter whose width is known."""
+        """A note that a pixel filter of known width is undone; none if it is not."""
         stddev = self.undone_stddev(spec)
         return ([f"a pixel filter of {stddev:.2f} px is undone before it and applied again"]
                 if stddev else [])

@@ -48,7 +48,7 @@ class Room:
 
 
 class Turn(NamedTuple):
-    """What a frame finds, and what it leaves.
+    """The tensors that a frame finds, and those that it leaves.
 
     Attributes:
         last: the tensors that the frame before left, by the kernels' names.

@@ -73,7 +73,8 @@ class Group:
 
 
 class OwnRun(NamedTuple):
-    """What the network itself runs on: a part's planes and params, and where the output goes."""
+    """One run of the network on a part: the part's planes and params, and the tensor for its
+    output."""
 
     name: str
     planes: dict[str, Tensor]
@@ -82,7 +83,7 @@ class OwnRun(NamedTuple):
 
 
 class Pictures(NamedTuple):
-    """What becomes of a frame's picture.
+    """A frame's picture on its way through the filters.
 
     Attributes:
         filtered: what was filtered with its parts.
@@ -200,7 +201,7 @@ class Layers:
 
     def own_runs(self, frame: ResidentFrame, planes: Mapping[str, Tensor],
                  work: Work) -> Iterator[OwnRun]:
-        """What the network itself runs on in this frame."""
+        """The runs of the network on parts, in this frame."""
         self._history.ran = tuple(name for name in self._history.own if name in self._runs)
         for name in self._history.ran:
             part = self._raw[name] = self._input(name, frame)
@@ -303,7 +304,7 @@ class Layers:
         return found
 
     def _under(self, group: Group, values: Mapping[str, Tensor]) -> list[Tensor]:
-        """What the parts of a group have below 0, of layers by name."""
+        """Light below 0 of the parts of a group, by the names of their layers."""
         return [values[below(name)] for name in group.names if below(name) in values]
 
     def _needed(self, frame: ResidentFrame) -> list[str]:
@@ -375,7 +376,7 @@ class Layers:
         return self._made[name]
 
     def _input(self, name: str, frame: ResidentFrame) -> Tensor:
-        """What a layer is filtered from: a part, or its light of one sign."""
+        """The tensor that a layer is filtered from: a part, or its light of one sign."""
         return self._by_sign.get(name) or self._three(name, frame)
 
     def _three(self, name: str, frame: ResidentFrame) -> Tensor:

@@ -141,7 +141,7 @@ class Planes:
         return planes | self._constants | (self.stand_ins(frame) if blank else {})
 
     def stand_ins(self, frame: ResidentFrame) -> dict[str, Tensor]:
-        """What stands in for the planes that a volume hides, if it does. Planes on the device are
+        """Planes that stand in for those that a volume hides, if one does. Planes on the device are
         looked at where a sequence begins."""
         if Role.DEPTH not in self._held:
             return {}
@@ -163,7 +163,7 @@ def shows_volume(depth: np.ndarray, before: bool = False) -> bool:
 
 
 def absent_plane(device: Device, role: Role, size: Size) -> Tensor:
-    """What stands for a plane that a frame lacks."""
+    """The tensor that stands for a plane that a frame lacks."""
     shape, value = (*size, ROLES[role].channels), (ABSENT | MIRRORED_ROLES)[role]
     if device.scratch is None:
         return device.wrap(f"absent {role}", np.full(shape, value, np.float32))
