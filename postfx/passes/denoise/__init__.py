@@ -61,9 +61,10 @@ from postfx.passes.denoise.savings import (
     REPEATED_NOISE,
     UNFOLLOWED_REFLECTIONS,
     Amount,
+    Reason,
     Savings,
 )
-from postfx.passes.denoise.tiling import CELL, Sizes, active_cells, grown, whole_tiles
+from postfx.passes.denoise.tiling import CELL, Band, Sizes, active_cells, grown, whole_tiles
 from postfx.passes.denoise.unfiltered import SPREAD_MARGIN_PX
 from postfx.passes.denoise.window import Work
 from postfx.pixel_filter import find_stddev, parse_stddev
@@ -218,26 +219,37 @@ class DenoiseUpscale(Pass):
         return not has_networks() and "/" not in tag and CLASSIC in family(tag) and not self._parts
 
     def reflect(self, spec: FrameSpec) -> Reflection:
-        carried = passthrough_roles(spec)
-        size = self._output_size(spec)
         self._check_error(spec)
         self._check_enlargement(spec)
+        carried = passthrough_roles(spec)
         written = (Role.COLOUR, *carried, *(Role.ERROR,) * self._error)
-        output = FrameSpec(size.width, size.height, written)
-        lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
-        guides = GUIDE_ROLES if self._reads_guides(spec) else lost
-        planes = ((*READ_PLANES, Role.STRENGTH, *self._reactive_planes(spec)) if self.strength
-                  else ())
-        planes += tuple(MIRRORED_ROLES) if planes and self._reads_mirrored(spec) else ()
-        planes += (Role.SPECULAR_HIT_DISTANCE,) if planes and can_follow(spec) else ()
-        demanded = self._mask.demands() if self.strength else ()
-        kept = [role for role in carried if role not in spec.guide_roles]
-        guides = (*(guides if self.strength else ()),
-                  *(role for role in carried if role in spec.guide_roles))
-        optional = tuple(dict.fromkeys((*planes, *kept)))
-        return Reflection(reads=(Role.COLOUR, *demanded), may_read=optional, writes=written,
-                          output=output, may_read_guides=guides, notes=self._notes(spec),
+        size = self._output_size(spec)
+        planes = [role for role in carried if role not in spec.guide_roles]
+        guides = [role for role in carried if role in spec.guide_roles]
+        demanded: tuple[Role, ...] = ()
+        if self.strength:
+            demanded = self._mask.demands()
+            planes = [*self._seen_planes(spec), *planes]
+            guides = [*self._seen_guides(spec), *guides]
+        return Reflection(reads=(Role.COLOUR, *demanded), may_read=tuple(dict.fromkeys(planes)),
+                          writes=written, output=FrameSpec(size.width, size.height, written),
+                          may_read_guides=tuple(guides), notes=self._notes(spec),
                           parts=self._read_parts(spec))
+
+    def _seen_planes(self, spec: FrameSpec) -> tuple[Role, ...]:
+        """Planes that the network, and what follows reflections, may read of frames of a spec."""
+        planes = (*READ_PLANES, Role.STRENGTH, *self._reactive_planes(spec))
+        if self._reads_mirrored(spec):
+            planes += tuple(MIRRORED_ROLES)
+        if can_follow(spec):
+            planes += (Role.SPECULAR_HIT_DISTANCE,)
+        return planes
+
+    def _seen_guides(self, spec: FrameSpec) -> tuple[Role, ...]:
+        """Guides that a network reads, or else those that stand in for planes that are missing."""
+        if self._reads_guides(spec):
+            return GUIDE_ROLES
+        return tuple(role for role in GUIDE_ROLES if not spec.has(role))
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         if not self.strength:
@@ -461,11 +473,11 @@ class DenoiseUpscale(Pass):
     def _denoise(self, commands: CommandBuffer, frame: ResidentFrame,
                  ready: ReadyNetwork) -> Tensor:
         """The denoised colour, by as much work as the frame needs."""
+        savings = Savings() if frame.history_only else self._savings
         strength = frame.host_planes.get(Role.STRENGTH)
         cells = None if strength is None else active_cells(strength)
         if ready.error and cells is not None:
             ready.error.forget()
-        savings = Savings() if frame.history_only else self._savings
         if cells is not None and not cells.any():
             savings.note_frame(Amount.NOTHING, 0.0)
             self._fresh = False
@@ -482,40 +494,60 @@ class DenoiseUpscale(Pass):
             savings.note_frame(Amount.SAME, 0.0, [REPEATED_NOISE] if repeats else [])
             return self._result
 
+        work, amount, more_reasons = self._plan_work(frame, ready, keep, cells)
+        reasons += more_reasons
+        colour = ready.encode(commands, frame, work, reasons)
+        self._fresh, self._exposure = not frame.unusable, frame.exposure_factor
+        if alike is not Alike.OTHER:
+            self._keep_result(commands, colour)
+        if work.still and amount is Amount.WHOLE:
+            reasons.append(NOTHING_MOVES)
+        savings.note_frame(amount, 1.0 if work.band is None else work.band.share, reasons)
+        return colour
+
+    def _plan_work(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool,
+                   cells: np.ndarray | None) -> tuple[Work, Amount, list[Reason]]:
+        """The work on a frame, how much of the frame it is, and why it saves less.
+
+        keep: whether the history goes on. cells: those that are denoised at all, None for all.
+        """
         self._used = self._choose(frame, ready)
         stddev = self._stddev(frame) if ready.sees_noise_alone(self._used) else 0.0
         if stddev and cells is not None:
             cells = grown(cells, SPREAD_MARGIN_PX)
         lit = ready.lit_cells(frame) if cells is None and Role.MOTION not in frame else None
-        active = cells if lit is None else lit
-        judged = cells is not None and ready.may_restore(frame)
-        band = None if active is None else ready.frames.layout(active, judged)
-        if cells is not None and judged:
-            cells = whole_tiles(cells)
-        if band and lit is not None:
-            band = band.over(frame.spec.height)  # what is not lit is written, too
+        band, cells = self._band(frame, ready, cells, lit)
         gain = frame.exposure_factor / self._exposure if keep else 1.0
         if not self._wider and ready.is_outside(frame):
             self._widen(keep)
         still = keep and gain == 1 and frame.is_blank(Role.MOTION)
-        camera = None
+        camera, reasons = None, list[Reason]()
         if ready.reflections:
             camera, why = self._cameras.step(frame, keep and not still)
             reasons += [(UNFOLLOWED_REFLECTIONS, why)] if why else []
         params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
         work = Work(ready.models[self._used], params, keep, still, cells, band, self._wider, camera,
                     stddev)
-        colour = ready.encode(commands, frame, work, reasons)
-        self._fresh, self._exposure = not frame.unusable, frame.exposure_factor
-        if alike is not Alike.OTHER:
-            self._keep_result(commands, colour)
+        amount = Amount.WHOLE
+        if band is not None and band.share != 1:
+            amount = Amount.TILES if lit is None else Amount.LIT
+        return work, amount, reasons
 
-        share = 1.0 if band is None else band.share
-        some = Amount.TILES if lit is None else Amount.LIT
-        if still and share == 1:
-            reasons.append(NOTHING_MOVES)
-        savings.note_frame(Amount.WHOLE if share == 1 else some, share, reasons)
-        return colour
+    def _band(self, frame: ResidentFrame, ready: ReadyNetwork, cells: np.ndarray | None,
+              lit: np.ndarray | None) -> tuple[Band | None, np.ndarray | None]:
+        """The tiles that the network runs on, None for all of the frame; and the active cells,
+        grown to whole tiles where these are judged as a whole.
+
+        cells: those that are denoised, lit: those that show light, None where that is not known.
+        """
+        judged = cells is not None and ready.may_restore(frame)
+        active = cells if lit is None else lit
+        band = None if active is None else ready.frames.layout(active, judged)
+        if band and lit is not None:
+            band = band.over(frame.spec.height)  # cells without light are written, too
+        if cells is not None and judged:
+            cells = whole_tiles(cells)
+        return band, cells
 
     def _choose(self, frame: ResidentFrame, ready: ReadyNetwork) -> str:
         """The tag of a frame's network: by the budget; another one for what is enlarged as it
