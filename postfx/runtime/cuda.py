@@ -25,7 +25,7 @@ from postfx.caching import LRUCache
 from postfx.errors import DeviceError, ModelError
 from postfx.frame import LOG
 from postfx.kernels import Blocks, convolution_source, read_source
-from postfx.runtime.convolutions import GROUP, Launch, Options
+from postfx.runtime.convolutions import GROUP_THREADS, Launch, Options
 from postfx.runtime.memory import CUDA, address
 from postfx.version import pip_install
 
@@ -232,7 +232,7 @@ class CudaMemory:
         kernel = _compile(launch.name, convolution_source(self.warpgroups) + kernels, arch,
                           "convolution.cuh")
         handle, shared = _allow_shared(kernel.handle, launch.shared, self.place[1])
-        threads, tiles = launch.groups * GROUP, launch.tiles
+        threads, tiles = launch.groups * GROUP_THREADS, launch.tiles
         held = driver().cuOccupancyMaxActiveBlocksPerMultiprocessor(handle, threads, shared)
         # they go on to other pixels
         at_once = max(1, int(check_result(held)) * self.processors // tiles)
