@@ -199,7 +199,7 @@ def test_exposure_by_the_meter_and_planes_that_no_pass_reads():
     assert pipeline.exposure == whole.exposure != 0.0
 
 
-def test_guides():
+def test_guides_of_torch_give_the_picture_of_a_frames_guides():
     torch = pytest.importorskip("torch")
     sharp = {Role.DIFFUSE_ALBEDO: RNG.random((72, 96, 3), np.float32),
              Role.NORMAL: RNG.random((72, 96, 3), np.float32)}
@@ -349,7 +349,7 @@ class Lent:
 @pytest.mark.gpu
 @gpu
 @pytest.mark.parametrize("how", ["cuda", "dlpack"])
-def test_on_a_gpu(how):
+def test_planes_on_a_gpu_give_the_picture_of_frames(how):
     """The same pictures as from frames; sharing a frame's planes and its result adds at most 0.1
     ms."""
     device = Device("cuda")

@@ -208,9 +208,11 @@ class Options:
         for option in self:
             for sets, convert in {option.sets: option.convert, **option.also}.items():
                 owner, _, parameter = sets.partition(".")
-                value = option.value(arguments) if owner == part else None
-                if (owner == part and value is not False
-                    and not (value is None and option.default is None)):
+                if owner != part:
+                    continue
+                value = option.value(arguments)
+                is_left_out = value is False or (value is None and option.default is None)
+                if not is_left_out:
                     found[parameter] = convert(value) if convert else value
         return found
 
@@ -235,14 +237,19 @@ class Options:
 
     def _fits(self, option: Option, arguments: argparse.Namespace) -> bool:
         """Whether an option goes with the others that are given."""
-        rivals = [other for section in self.sections if option in section.options
-                  for other in section.options
-                  if option.either and other.either == option.either and other is not option]
-        others = [other for other in self if other.is_given(arguments) and
-                  any(self._is_asked(key, arguments)
-                      for key in other.excludes if key.partition("=")[0] == option.flag)]
-        return not (any(rival.is_given(arguments) for rival in rivals) or others
-                    or self.exclusions(option, arguments))
+        if self.exclusions(option, arguments):
+            return False
+        for section in self.sections:
+            rivals = section.options if option in section.options and option.either else ()
+            for rival in rivals:
+                is_rival = rival.either == option.either and rival is not option
+                if is_rival and rival.is_given(arguments):
+                    return False
+        for other in self:
+            keys = [key for key in other.excludes if key.partition("=")[0] == option.flag]
+            if other.is_given(arguments) and any(self._is_asked(key, arguments) for key in keys):
+                return False
+        return True
 
     def exclusions(self, option: Option, arguments: argparse.Namespace) -> list[str]:
         """Messages of the given options that this one does not go with."""

@@ -113,7 +113,7 @@ def test_resume_keeps_complete_files_and_mends_broken_ones(postfx, shot, tmp_pat
     assert len(broken.read_bytes()) == len(whole)
 
 
-def test_overwrite(postfx, shot, tmp_path):
+def test_overwrite_replaces_an_older_file(postfx, shot, tmp_path):
     shot(1)
     (tmp_path / "out").mkdir()
     (tmp_path / "out/shot.0001.exr").write_text("old")

@@ -56,7 +56,7 @@ def test_whole_numbers_stay_and_everything_else_is_in_range(dither: Dither, bits
                     dither).tolist() == [[[0, 0, top]]]
 
 
-def test_no_bands() -> None:
+def test_dither_leaves_no_bands_in_a_ramp() -> None:
     """A ramp over four code values: averaged over 32x32 pixels it is the ramp; undithered it is a
     staircase."""
     codes = ramp(60, 64)

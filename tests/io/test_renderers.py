@@ -400,7 +400,7 @@ def open_layout(write_exr, write_parts, tmp_path):
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_layout(open_layout, tmp_path, name):
+def test_planes_of_each_renderers_layout_are_right(open_layout, tmp_path, name):
     layout = LAYOUTS[name]
     with open_layout(layout) as files:
         assert files.layout.profile.name == layout.profile

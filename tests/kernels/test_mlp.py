@@ -201,7 +201,7 @@ def test_warps_use_the_matrix_units(case: Case) -> None:
 
 @pytest.mark.gpu
 @pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
-def test_on_a_gpu(case: Case) -> None:
+def test_an_mlp_on_a_gpu_gives_the_cpus_values(case: Case) -> None:
     device = Device("cuda")
     points = np.stack([case.inputs["points"]] * HEIGHT)
     wanted = np.stack([case.wanted] * HEIGHT)

@@ -171,7 +171,7 @@ def test_statistics():
         ((2, 2, 8, 9), (4, 8, 9)),
     ],
 )
-def test_planes(shape, planes):
+def test_arrays_of_any_layout_become_planes(shape, planes):
     array = np.arange(np.prod(shape)).reshape(shape)
     found = as_planes(array)
     assert found.shape == planes

@@ -122,7 +122,7 @@ def test_dimensions_that_cannot_be(unnamed, device, dims, reason):
         device.pipeline_state(unnamed, "unnamed", dims)
 
 
-def test_bfloat16(device, tmp_path):
+def test_a_network_may_read_and_write_bfloat16(device, tmp_path):
     x, y = toys.value("x", (4,), TensorProto.BFLOAT16), toys.value("y", (4,), TensorProto.BFLOAT16)
     nodes = [helper.make_node("Cast", ["x"], ["f"], to=TensorProto.FLOAT),
              helper.make_node("Neg", ["f"], ["g"]),

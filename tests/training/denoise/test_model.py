@@ -58,7 +58,7 @@ def test_what_lies_beyond_the_edge_is_the_mirrored_picture() -> None:
 
 
 @pytest.mark.parametrize("scale", SIZES)
-def test_any_scale(scale: float) -> None:
+def test_the_network_gives_every_output_size(scale: float) -> None:
     inputs = frame(1)
     with torch.no_grad():
         output, state, reprojected = small_model()(inputs, empty_state(inputs, *SIZES[scale]))

@@ -292,12 +292,12 @@ def test_the_document_has_known_markers_and_its_pictures():
 @pytest.mark.parametrize(("value", "form", "text"),
                          [(-0.001, "+.2f", "+0.00"), (-1.236, "+.2f", "-1.24"),
                           (None, ".2f", "-"), (-0.04, ".1f", "0.0")])
-def test_numbers(value, form, text):
+def test_numbers_are_written_in_their_form(value, form, text):
     assert document.number(value, form) == text
 
 
 @pytest.mark.parametrize(("name", "text"),
                          [("m-int8-guides-alone", "postfx m int8 with guides, no history"),
                           ("oidn-high-accumulated", "OIDN high + accumulation"), ("l", "postfx l")])
-def test_names(name, text):
+def test_methods_are_named_in_words(name, text):
     assert document.method_title(name) == text
