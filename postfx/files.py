@@ -34,6 +34,7 @@ from postfx.workers import Workers
 MAX_BYTES = 1 << 30
 """Largest file that `read_text` reads unless told otherwise."""
 _MOST_DOTS = 200
+"""Dots in a line of TOML: time grows with the square of their number."""
 DEVICES = "/dev"
 """Folder of devices where there is one."""
 PARTIAL = ".part"

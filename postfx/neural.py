@@ -38,8 +38,10 @@ OPSET = 20
 CPU_GROUPS = (256, 64)
 GPU_GROUPS = (64, 132)
 
+# Adam's usual constants (Kingma and Ba 2014): decays of both means, and what keeps steps finite.
 DECAYS = (0.9, 0.999)
 EPSILON = 1e-8
+
 LEAST_RATE = 1e-6
 """What `Learner.fit` ends with."""
 

@@ -186,6 +186,7 @@ SPOTS = [(8, 5), (8, -13), (-8, 5), (-8, -13), (0, 10), (0, -18), (14, -4), (-14
 """Places for a label, in points from its dot; the first free one is used, with a line to the dot
 unless it is one of the first `NEAR_SPOTS`."""
 NEAR_SPOTS = 8
+"""Places so near to the dot that the label needs no line to it."""
 Point = tuple[float, float, dict[str, Any]]
 """Position of a method's dot, and its row."""
 

@@ -26,7 +26,9 @@ from postfx.streams import make_printable, styled
 from postfx.temporal.reverse_order import RunUp
 
 SHOWN_FRAMES = 3
+"""Failed frames that are listed, a line each."""
 SHOWN_CUTS = 12
+"""Numbers of cuts that are listed."""
 SEEN_FRAMES = 10
 """Frames whose lines leave a warning above them in sight: after more it is repeated at the end."""
 LOG_SECONDS = 5

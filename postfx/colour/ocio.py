@@ -33,6 +33,7 @@ DISPLAYS = {
 """Names that configs give to our displays: first those of the ACES configs, then older ones."""
 _NOTE = re.compile(r"^#\s*postfx: input=(.+), output=(\S+)$", re.MULTILINE)
 _HEAD = 4096
+"""Bytes at the beginning of a file in which a note of ours stands."""
 
 
 class Transform(NamedTuple):

@@ -39,6 +39,7 @@ AROUND_PX = 8
 # there.
 CARRIED_BLOCKS = 2
 WHOLE_PICTURE_WEIGHT = 1e-3
+"""Weight of the whole picture's change, which counts where no block near shows any."""
 
 
 def change_of_light(before: np.ndarray, after: np.ndarray, motion: np.ndarray | None, longest: float

@@ -189,7 +189,9 @@ def _percent(share: float) -> str:
 ROUNDED_STRENGTH = 1e-3
 """Strengths this close to 0 or 1 become 0 or 1, because shares do not add up to exactly 1."""
 MOST_SUGGESTED_NAMES = 5
+"""Names that an error suggests in place of one that is not there."""
 _HASH_MASK = 0xFFFFFFFF
+"""Names have hashes of 32 bits."""
 Key = TypeVar("Key")
 
 

@@ -28,10 +28,13 @@ from postfx.workers import Workers
 MOST_SIDE_PX = 640
 """Pixels of a picture's longer side; larger frames are halved, or taken in thirds, and so on."""
 
+# Pixels that a motion is fitted to, about this many and no fewer than that; those that it is then
+# aligned by, and how often.
 _FITTED_POINTS = 2000
 _FEWEST_FITTED_POINTS = 64
 _ALIGNED_POINTS = 4000
 _ALIGNING_ROUNDS = 5
+
 # Least share of points that the fit must explain, and the most of the picture's own contrast that
 # it may leave.
 _FITTING = 0.4

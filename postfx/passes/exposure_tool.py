@@ -20,6 +20,7 @@ TOOL_VARIABLE = "POSTFX_EXPOSURE_TOOL"
 CELLS = 9
 """Cells from top to bottom."""
 STOPS = 0.25
+"""Stops by which the greys of the board are darker and brighter than mid grey."""
 GREYS = (KEY * 2**-STOPS, KEY * 2**STOPS)
 """The two greys, as exposed: mid grey is half way between them in stops."""
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from onnx import AttributeProto, ModelProto, NodeProto, TensorProto
 
 LONGEST_TEXT = 200
+"""Characters of an attribute that are shown."""
 MOST_SHOWN_VALUES = 16
 """Weights of at most so many elements are shown in full."""
 

@@ -153,6 +153,7 @@ MOST_MODEL_BYTES = 1 << 30
 MOST_ELEMENTS = 1 << 31
 """Of a value whose shape the file fixes."""
 MOST_DIMENSIONS = 16
+"""Axes of a value."""
 MOST_SHOWN = 300
 """Characters of a reason that are shown, for it may quote the file."""
 

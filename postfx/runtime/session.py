@@ -68,6 +68,7 @@ CONSTANTS = "postfx.constants"
 some execution providers cannot have: {name: {"shape": [...], "float32": "base64"}}."""
 _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
 _BFLOAT16 = 16
+"""ONNX's number of the type, which NumPy does not have."""
 OPTIMISED_FOLDER = "networks"
 MOST_CACHE_BYTES = 256 << 20
 """Total bytes of cached files; the least recently used are removed first."""

@@ -128,11 +128,14 @@ class CapturedBuffer:
         return [record for record in self.records if isinstance(record, CapturedDispatch)]
 
 
+# Pixels of a tensor's pictures, at most; slices that are shown of it, and of a node's output; and
+# elements up to which all values are kept.
 PICTURE_WIDTH = 192
 PICTURE_HEIGHT = 384
 MOST_SLICES = 64
-MOST_KEPT_VALUES = 64
 NODE_SLICES = 8
+MOST_KEPT_VALUES = 64
+
 _BLOCK_VALUES = 1 << 20
 
 

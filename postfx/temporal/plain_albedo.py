@@ -21,6 +21,7 @@ LARGEST_PRODUCT = 4.0
 MOST_LINES = 500
 """Rows, and columns, of a frame that are looked at."""
 DARKEST = 1e-12
+"""Level that a darker pixel counts as, so that parts of it are finite."""
 
 
 def is_plain(albedo: np.ndarray, colour: np.ndarray) -> bool:

@@ -12,9 +12,11 @@ from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import FrameSpec, GuideSpec, Role
 from postfx.passes.denoise.models import Ladder
 
+# Output size over render size: what networks can do, and what is done unless a size is given.
 LEAST_SCALE = 1.0
 MOST_SCALE = 3.0
 USUAL_SCALE = 1.0
+
 ASPECT = 0.01
 """Share of a side by which frames may be off the output's aspect, if that is more than a pixel:
 sizes are often multiples of 8."""
