@@ -44,7 +44,7 @@ ERROR_LAYER = "error"
 """Layer of the predicted error in files."""
 AVERAGED_RADIUS_PX = 8
 """Of the squares that differences are averaged over, in pixels."""
-# The error of a tile by the errors before and after: its formula is above.
+# Of the formula for one render alone.
 ERROR_SHARE = 0.66
 BEFORE_POWER = 0.714
 AFTER_POWER = 0.287
@@ -55,7 +55,7 @@ SLOPE_STEP = 1e-3
 MOST_NOISE_CODES = 0.5
 """Code values that noise counts for at most: a single firefly would say more than all other pixels
 of a tile."""
-# The error by half the samples' and by the change: its formula is above.
+# Of the formula for two halves.
 CHANGE_SHARE = 1.6
 CHANGE_POWER = 0.3
 LEAST_ERROR_RATIO = 0.5

@@ -299,9 +299,9 @@ class Device:
             try:
                 layers = read_layers(content, library.path(name).parent)
                 host = Placement(CPU, "cpu", 0, taken)
-                # tells sizes and constants
-                session = self._session(content, library, name, host, fixed)
-                state = PipelineState(self, LoadedNetwork(name, library.path(name), named, session,
+                # runs nothing: it tells sizes and constants
+                known = self._session(content, library, name, host, fixed)
+                state = PipelineState(self, LoadedNetwork(name, library.path(name), named, known,
                                                           library.constants(name)))
                 state.convolve(layers, self.gpu, heads or {})
                 self.name_model(library, name)
