@@ -31,7 +31,7 @@ LEAST_NOISE = 0.002
 """Square of what `SHARPEST` leaves in a cell, in squares of the cell's mean light, from which on
 noise is looked at: 0.7 % of noise that is not spread."""
 LEAST_NOISE_ALONE = 0.05
-"""The same without planes that tell detail from noise: 4 %."""
+"""`LEAST_NOISE` without planes that tell detail from noise: 4 %."""
 LEAST_LIT = 1e-4
 """Darker cells are not looked at, in shares of the brightest one's light."""
 MOST_TEXTURE = 0.1

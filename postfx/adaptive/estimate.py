@@ -43,7 +43,7 @@ from postfx.sampling import local_mean
 ERROR_LAYER = "error"
 """Layer of the predicted error in files."""
 AVERAGED_RADIUS_PX = 8
-"""Of the squares that differences are averaged over, in pixels."""
+"""Half the side of the squares that differences are averaged over."""
 # Of the formula for one render alone.
 ERROR_SHARE = 0.66
 BEFORE_POWER = 0.714

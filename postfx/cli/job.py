@@ -94,7 +94,7 @@ if TYPE_CHECKING:
 
 NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
 BACKWARDS = "denoise_upscale backwards"
-"""Of the run in reverse order, in the summary."""
+"""Name of the run in reverse order, in the summary."""
 
 
 class Job:

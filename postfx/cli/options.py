@@ -40,7 +40,8 @@ MEANT_OPTIONS = {
     "--upscale": "--scale",
     "--view-transform": "--tonemap",
 }
-"""Likewise for options: the first word of the answer is told where the verb has it."""
+"""Options that users may mean by others: the first word of the answer is told where the verb has
+it."""
 
 
 # not a dataclass, whose module would take longer to load than all of --help

@@ -392,7 +392,7 @@ LEAST_COVERAGE = 0.02
 LEAST_CHANGE_STOPS = 0.02
 """Pairs of which the coverage changes by less are left out."""
 LEAST_NOISY_CHANGE_STOPS = 0.2
-"""The same where colour is noisy, which larger changes stand out from."""
+"""Pairs that are left out where colour is noisy: larger changes stand out from the noise."""
 FEWEST_CHANGED_PIXELS = 200
 STRAIGHT_SLOPE = 0.3
 """Colour is not multiplied by coverage where `_slope` is below this; it is 1 if it is."""

@@ -18,7 +18,7 @@ from postfx.sampling import local_mean
 SHORTER = 96
 """Rows or columns that are looked at of a picture's shorter side."""
 BLOCK_SIDE_CELLS = 8
-"""Of these along the side of a block."""
+"""Cells along the side of a block."""
 LEAST_KNOWN = 12
 """Pixels of a block from which its ratio is known."""
 CHANGED = 0.1

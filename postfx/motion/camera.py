@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 WEIGHTING_ROUNDS = 8
-"""Of weighting."""
+"""How often points are weighted by how well the fit before explains them."""
 LEAST_ERROR_PX = 0.02
 """The error that exact vectors have at least."""
 SURE_PX = 0.1

@@ -109,7 +109,8 @@ def _described(found: _Model) -> str:
 SIDE_MULTIPLE_PX = 16
 """Sides of what the network sees are multiples of this."""
 SETTINGS = np.array([0.9, 0.0], np.float32)
-"""Of GTAO: share of the radius from which on surfaces count less, and how thin they are."""
+"""Settings of GTAO: share of the radius from which on surfaces count less, and how thin they
+are."""
 USUAL_RADIUS = 0.125
 """Share of the median depth."""
 USUAL_FOV = 45.0

@@ -149,11 +149,11 @@ def _content(path: Path) -> bytes:
 
 
 MOST_MODEL_BYTES = 1 << 30
-"""Of a model's file."""
+"""Size of a model's file, at most."""
 MOST_ELEMENTS = 1 << 31
-"""Of a value whose shape the file fixes."""
+"""Elements of a value whose shape the file fixes, at most."""
 MOST_DIMENSIONS = 16
-"""Axes of a value."""
+"""Axes of a value, at most."""
 MOST_SHOWN = 300
 """Characters of a reason that are shown, for it may quote the file."""
 

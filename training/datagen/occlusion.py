@@ -37,7 +37,7 @@ from training.datagen.variant import use_variant
 
 HELD_OUT = ("bathroom", "flight-helmet", "hospital", "kaykit-dungeon", "small-house")
 RADII = 0.06, 0.125, 0.25
-"""Of the median depth."""
+"""Radii in parts of the median depth."""
 LEARNT, LEARNT_RADII = 5, (0.045, 0.33)
 """How many radii a view to learn from has, and the least and largest."""
 SMALL = 120_000

@@ -121,8 +121,8 @@ HALO = 80
 `l` the result then differs from the whole frame's by at most 3e-5, with 64 pixels by 2e-3
 (docs/lab/denoiser.md)."""
 FILTERED_HALO = 84
-"""The same where a filter for the albedo runs before: with `xl` by at most 1.0e-3, with 80 pixels
-by 1.3e-3."""
+"""Halo where a filter for the albedo runs before: with `xl` it changes results by at most 1.0e-3,
+80 pixels by 1.3e-3."""
 
 
 # Kernel -> its torch definition, and the sizes to trace with: 21x33 pixels of a picture of 25x45,

@@ -27,7 +27,8 @@ from postfx.runtime import CommandBuffer, Device, Tensor
 ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0,
           Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0, Role.MOTION: 0.0}
 MIRRORED_ROLES = {Role.DENOISING_ALBEDO: 0.0, Role.DENOISING_NORMAL: 0.0}
-"""The same of planes that follow mirrors and glass, which only some networks read."""
+"""Values that stand for planes that follow mirrors and glass, where they are missing; only some
+networks read them."""
 HAZY = (*ALBEDOS, Role.DEPTH)
 """Planes that are left out in a volume: they show the surface behind it for the samples that came
 so far."""

@@ -30,7 +30,7 @@ from training.datagen.scenes.materials import Material, random_material
 from training.datagen.scenes.meshes import Mesh, merge, quad
 
 Facts = dict[str, Any]
-"""Of a file or of a thing in it, by their names."""
+"""Facts of a file, or of a thing in it, by their names."""
 
 # glTF ---------------------------------------------------------------------------------------------
 # The part of glTF 2.0 that static scenes need: nodes, meshes, base colours and their textures.
