@@ -107,9 +107,9 @@ class Default(NamedTuple):
 
 
 def complete(options: Options, presets: Mapping[str, Mapping[str, Any]]) -> Any:
-    """A function that fills in arguments that are not given, for `Parser.complete`. The arguments
-    then have `filled`, the names of those that files set, `defaults`, the same as words of a
-    command line, and `default_files`."""
+    """What fills in arguments that are not given, for `Parser.complete`. The arguments then have
+    `filled`, the names of those that files set, `defaults`, the same as words of a command line,
+    and `default_files`."""
 
     def fill_in(arguments: argparse.Namespace, given: set[str]) -> None:
         found = read_defaults(options)

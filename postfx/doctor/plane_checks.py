@@ -557,6 +557,33 @@ JUMP_EV = 0.75
 UNUSUAL_EV = 8.0
 
 
+def _exposure_jumps(frames: list[Frame], metered: dict[int, float]) -> Iterator[Finding]:
+    """The first frame of a shot that is suddenly brighter or darker, by colour or by the header's
+    exposure. metered: frame number -> stops that metering wants."""
+    exposures = {frame.number: _header_exposure(frame) for frame in frames}
+    for before, now in zip(frames, frames[1:], strict=False):
+        if now.reset or before.number not in metered or now.number not in metered:
+            continue
+        header = exposures[now.number] - exposures[before.number]
+        colour = metered[before.number] - metered[now.number]
+        if abs(header + colour) > JUMP_EV:
+            role = "sequence" if abs(header) > abs(colour) else Role.COLOUR
+            yield warning(role, "exposure-jump",
+                          f"from frame {before.number} to {now.number} the picture becomes "
+                          f"{header + colour:+.2f} EV brighter ({colour:+.2f} by its colour, "
+                          f"{header:+.2f} by the header)",
+                          "a light was switched, the renderer exposes automatically, or the header "
+                          "does not follow the colour",
+                          "render with one exposure; mark a cut with postfx:reset = 1")
+            return
+
+
+def _header_exposure(frame: Frame) -> float:
+    """Stops of the header; 0 where there are none, or no number."""
+    exposure = frame.exposure
+    return exposure if exposure is not None and math.isfinite(exposure) else 0.0
+
+
 def check_exposure_mismatch(material: Material) -> Iterator[Finding]:
     """An exposure in the header that differs from metering, which brings the picture to mid
     grey."""
@@ -603,30 +630,3 @@ def _unusual_exposure(ev: float) -> Iterator[Finding]:
         yield info("sequence", "exposure-unusual", f"metering wants {ev:+.2f} EV",
                    "physical light units without a camera's exposure",
                    "nothing to do with --exposure auto; else write postfx:exposureEV")
-
-
-def _exposure_jumps(frames: list[Frame], metered: dict[int, float]) -> Iterator[Finding]:
-    """The first frame of a shot that is suddenly brighter or darker, by colour or by the header's
-    exposure. metered: frame number -> stops that metering wants."""
-    exposures = {frame.number: _header_exposure(frame) for frame in frames}
-    for before, now in zip(frames, frames[1:], strict=False):
-        if now.reset or before.number not in metered or now.number not in metered:
-            continue
-        header = exposures[now.number] - exposures[before.number]
-        colour = metered[before.number] - metered[now.number]
-        if abs(header + colour) > JUMP_EV:
-            role = "sequence" if abs(header) > abs(colour) else Role.COLOUR
-            yield warning(role, "exposure-jump",
-                          f"from frame {before.number} to {now.number} the picture becomes "
-                          f"{header + colour:+.2f} EV brighter ({colour:+.2f} by its colour, "
-                          f"{header:+.2f} by the header)",
-                          "a light was switched, the renderer exposes automatically, or the header "
-                          "does not follow the colour",
-                          "render with one exposure; mark a cut with postfx:reset = 1")
-            return
-
-
-def _header_exposure(frame: Frame) -> float:
-    """Stops of the header; 0 where there are none, or no number."""
-    exposure = frame.exposure
-    return exposure if exposure is not None and math.isfinite(exposure) else 0.0

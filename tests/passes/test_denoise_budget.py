@@ -148,9 +148,8 @@ def test_a_budget_of_nothing_is_an_error(budget: float) -> None:
 
 def test_the_history_goes_on_with_the_other_network(monkeypatch: pytest.MonkeyPatch) -> None:
     """All but the hidden state, which it could not read."""
-    upscaler = DenoiseUpscale(budget=1000)
-    chain = Pipeline([upscaler], Device("cpu", threads=2), exposure=0.0)
-    kept = []
+    chain, kept = Pipeline([upscaler := DenoiseUpscale(budget=1000)], Device("cpu", threads=2),
+                           exposure=0.0), []
     use = Frames.use
 
     def watched(frames: Frames, model: str) -> None:

@@ -262,7 +262,7 @@ class ExportedTrunk(Trunk):
 
 
 class ExportedResidual(ResidualTrunk):
-    """A `ResidualTrunk` that reads its inputs in parts, and whose fine head ends with the
+    """The same network, except that it reads its inputs in parts, and its fine head ends with the
     convolution."""
 
     def __init__(self, trunk: ResidualTrunk):

@@ -298,8 +298,8 @@ class Frames:
                       targets: Targets, masked: bool, kept: Rows,
                       layers: Sequence[Layer]) -> None:
         window = band.tiles[0].window
-        graph = self._graphs[window.rows, window.columns]
-        direct = self._assembly.direct(band, targets, kept)
+        graph, direct = (self._graphs[window.rows, window.columns],
+                         self._assembly.direct(band, targets, kept))
         if direct:
             graph.encode(commands, window, self.model, seen, direct, True, masked, layers)
             return
