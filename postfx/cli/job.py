@@ -142,7 +142,7 @@ class Job:
         partner = None if is_covered else self._find_partner(denoising)
         passes, skips = self._passes(denoising, self._backwards is not None, partner)
         self.skips += skips
-        # it looks for mistakes by a looker of its own
+        # without checks, as `_looker` does them, which knows the files
         self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False,
                                  wrap=wrap)
         refuse_views(self.sequence, self.outputs)
@@ -411,8 +411,8 @@ class Job:
         return self._page.write(report, str(self.explain())) if self._page else report
 
     def _open_run(self) -> Run:
-        # that exposure looks ahead
-        frames = (sorted(self.sequence.numbers) if self._smooth else None)
+        # smooth exposure depends on which frames there are
+        frames = sorted(self.sequence.numbers) if self._smooth else None
         settings = RUN.settings(self._arguments)
         if not isinstance(self._arguments.input, str):  # files one by one
             settings["input"] = str(self.sequence.pattern)

@@ -232,6 +232,6 @@ class Arrivals:
         state = status.st_size, status.st_mtime_ns
         known, since = self._seen.get(path, (None, now))
         self._seen[path] = state, (since if known == state else now)
-        # it was there before we looked
+        # a file that was there before we looked need not be watched as long
         old = time.time() - status.st_mtime >= self._arguments.settle
         return status.st_size > 0 and (old or now - self._seen[path][1] >= self._arguments.settle)

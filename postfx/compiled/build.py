@@ -187,7 +187,7 @@ def build(units: Sequence[Path], target: str, folder: Path, levels: Iterable[str
     meanwhile."""
     folder.mkdir(parents=True, exist_ok=True)
     digest, kind = digest_of(units, target, flags), TARGETS[target]
-    # of these sources: others are compiled at the same time
+    # a lock for these sources alone: others are compiled at the same time
     with _locked(folder / f"{digest}.lock"):
         index = _read_index(folder, digest)
         missing = [level for level in tuple(levels) or kind.levels if level not in index]

@@ -63,7 +63,7 @@ class Rows:
         """Have the kernel ready before the first frame. One of ours that is to be compiled is so
         beside others."""
         if self.header is None and not _is_compiled(self.name, self.level):
-            # what fails there fails in `form`
+            # an error is raised by `form`, not here
             _compilers().submit(open_library, self.name, None, self.level)
         else:
             self.form(kinds)

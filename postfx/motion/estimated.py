@@ -104,7 +104,7 @@ def motion_between(before: Picture | None, after: Picture, depth: np.ndarray | N
     if before is None or before.size != after.size or min(after.values.shape) < 2:
         return still
     one, other, step = after.values, before.values, after.step
-    # is in the pictures, but not in motion
+    # jitter moves the pictures, but is no part of motion
     jitter = np.subtract(after.jitter, before.jitter).astype(np.float32)
     rest = np.broadcast_to(jitter / step, (*one.shape, 2)).astype(np.float32)
     at_rest = _misfit(one, other, rest)

@@ -234,7 +234,7 @@ class CudaMemory:
         handle, shared = _allow_shared(kernel.handle, launch.shared, self.place[1])
         threads, tiles = launch.groups * GROUP_THREADS, launch.tiles
         held = driver().cuOccupancyMaxActiveBlocksPerMultiprocessor(handle, threads, shared)
-        # they go on to other pixels
+        # blocks that run at once go on to the other pixels
         at_once = max(1, int(check_result(held)) * self.processors // tiles)
         blocks = min(at_once, -(-launch.squares // launch.groups)) * tiles
         views = [View() if tensor is None else _view(tensor) for tensor in tensors]

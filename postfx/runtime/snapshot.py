@@ -197,7 +197,8 @@ def take(array: np.ndarray, wanted: Pictures, folder: Path | None = None,
         return None
     if folder is not None:
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
-        # by `write` alone NumPy does not take the error of a full disk for its own
+        # NumPy sees `write` alone: into a file it would write by itself, and hide a full disk's
+        # error
         write_atomically(folder / file,
                          lambda output: np.save(SimpleNamespace(write=output.write), array))
     planes = as_planes(array)

@@ -312,7 +312,7 @@ def test_nan_and_infinity_go_into_what_is_made_of_them_and_into_nothing_else(
             assert (~kept).sum() <= MOST_CHANGED, where
             for form, arrays in found.items():
                 # others may round a change that these do not see
-                bits = (0 if form in FUSED else 1e-6)
+                bits = 0 if form in FUSED else 1e-6
                 np.testing.assert_allclose(arrays[name][kept], clean[form][name][kept], bits, bits,
                                            err_msg=where)
                 np.testing.assert_array_equal(np.isfinite(arrays[name]), finite, f"{where} {form}")
