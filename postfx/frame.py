@@ -566,10 +566,9 @@ class Frame:
         try:
             return Role(role)
         except ValueError:
-            raise FrameError(f"{kind} '{role}' of frame {self._name()} has no meaning "
-                             f"here{suggest(str(role), Role)}"
-                             f"{'' if suggest(str(role), Role) else ':'} roles are "
-                             f"{', '.join(Role)}") from None
+            hint = suggest(str(role), Role) or ":"
+            raise FrameError(f"{kind} '{role}' of frame {self._name()} has no meaning here{hint} "
+                             f"roles are {', '.join(Role)}") from None
 
     def _check(self, role: Role, plane: np.ndarray, kind: str) -> np.ndarray:
         if kind == "guide" and role not in OUTPUT_SIZE_ROLES:

@@ -369,16 +369,20 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print a line, with what a mistyped verb may have meant, and end the process with 2."""
         choice = re.search(r"argument COMMAND: invalid choice: '([^']*)'", message)
-        verbs = [name for action in self._actions if isinstance(action, argparse._SubParsersAction)
-                 for name in action.choices] if choice else []
-        meant = suggest(choice[1], verbs) if choice else ""
-        if choice and re.search(r"[./]", choice[1]):
-            meant = f": did you mean postfx run {choice[1]}?"
-        if choice and choice[1] in MEANT_VERBS:
-            meant = f": did you mean postfx {MEANT_VERBS[choice[1]]}?"
-        message = f"there is no command '{choice[1]}'" if choice else message
+        if choice:
+            message = f"there is no command '{choice[1]}'{self._suggest_verb(choice[1])}"
         help = "--help-all" if any(option.basic for option in self.declared or ()) else "--help"
-        self.exit(2, f"error: {message}{meant} ('{self.prog} {help}' shows all)\n")
+        self.exit(2, f"error: {message} ('{self.prog} {help}' shows all)\n")
+
+    def _suggest_verb(self, word: str) -> str:
+        """Which verb somebody may have meant by a word, as the end of a message; '' for none."""
+        if word in MEANT_VERBS:
+            return f": did you mean postfx {MEANT_VERBS[word]}?"
+        if re.search(r"[./]", word):
+            return f": did you mean postfx run {word}?"
+        verbs = [name for action in self._actions if isinstance(action, argparse._SubParsersAction)
+                 for name in action.choices]
+        return suggest(word, verbs)
 
 
 def parse_path(text: str) -> str:

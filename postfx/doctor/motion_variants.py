@@ -122,13 +122,17 @@ def _pair(values: float | tuple[float, float]) -> np.ndarray:
 
 
 def _signed(signs: tuple[int, int]) -> Variant:
+    """The stored motion with other signs of its axes, or as it is."""
     code, name = _SIGNS[signs]
-    cause = {"": "",
-             "motion-sign": "current minus previous, or motion to the next frame, was written"}.get(
-        code, "the axis counts the other way, for example y up instead of down")
-    return Variant(code, name or "as it is", cause, _profile(_Unit("", ""), signs) if code else "",
-                   lambda motion, size, jitter: motion * _pair(signs), 1 if code else 0,
-                   change=(False, signs, "pixels"))
+    if not code:
+        name, cause, fix, priority = "as it is", "", "", 0
+    else:
+        cause = ("current minus previous, or motion to the next frame, was written"
+                 if code == "motion-sign"
+                 else "the axis counts the other way, for example y up instead of down")
+        fix, priority = _profile(_Unit("", ""), signs), 1
+    return Variant(code, name, cause, fix, lambda motion, size, jitter: motion * _pair(signs),
+                   priority, change=(False, signs, "pixels"))
 
 
 def _swapped(signs: tuple[int, int]) -> Variant:

@@ -576,9 +576,9 @@ class DenoiseUpscale(Pass):
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
         """Whether a frame is a copy of the one before. Only a frame that is denoised alone, from
         planes in the host's memory, has a result that depends on nothing else."""
-        alone = not (keep or self.budget or frame.is_away or frame.unusable or ready.layers
-                     or ready.error)
-        if not alone or not frame.tensors.keys() == frame.host_planes.keys() or ready.reflections:
+        depends_on_more = (keep or self.budget or frame.is_away or frame.unusable or ready.layers
+                           or ready.error or ready.reflections)
+        if depends_on_more or frame.tensors.keys() != frame.host_planes.keys():
             self._memory.forget()
             return Alike.OTHER
         planes: dict[Hashable, np.ndarray] = {Role.COLOUR: frame.host_planes[Role.COLOUR]}
