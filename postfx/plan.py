@@ -204,6 +204,8 @@ def _unread_guides(spec: FrameSpec, used: Sequence[Role]) -> list[Skip]:
 
 
 def _check(step: Step, spec: FrameSpec) -> None:
+    """Raise an error where a step lacks a plane, or declares an output that cannot be. spec: of the
+    frame that the plan is for."""
     missing = [role for role in step.reflection.reads if not step.input.has(role)]
     if missing:
         dropped = ("an earlier pass dropped it" if spec.has(missing[0])

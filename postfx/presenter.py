@@ -244,6 +244,7 @@ class Presenter:
         return Pacing(self.interval, tuple(self._shown))
 
     def _run(self) -> None:
+        """Present queued pictures, until the presenter is closed."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._queue or self._closed)

@@ -264,6 +264,7 @@ def _fill(row: dict[str, Any]) -> str:
 
 def _dress(axes: Axes, facts: dict[str, Any], rows: list[dict[str, Any]], figure: str,
            time: str) -> None:
+    """Title, axes, grid and legend of a plot. time: the words for its x axis."""
     sizes = ["x".join(map(str, facts[key])) for key in ("render_size", "output_size")]
     axes.set_title(f"{sizes[0]} to {sizes[1]}, second half of {len(facts['sequence']['frames'])} "
                    f"frames, {facts['device']}, {facts['threads']} CPU threads")

@@ -161,6 +161,8 @@ def read_defaults(options: Options) -> dict[str, Default]:
 
 
 def _read(path: Path, options: Options) -> list[Default]:
+    """Defaults that a file sets. OptionError where it is no TOML, or sets anything but options of
+    `postfx run`."""
     from postfx.files import parse_toml, read_text
 
     try:
@@ -177,6 +179,8 @@ def _read(path: Path, options: Options) -> list[Default]:
 
 
 def _default(path: Path, options: Options, key: str, value: Any) -> Default:
+    """The default that a key of a file sets; OptionError for one that is no option, or a value that
+    it cannot have."""
     known = {option.name.replace("_", "-"): option
              for option in options if not (option.once or option.shows)}
     option = known.get(key.replace("_", "-"))

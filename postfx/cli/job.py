@@ -639,6 +639,7 @@ class Job:
                 self._choices.setdefault(step.name, Counter())[step.instance.choice] += 1
 
     def _write(self, run: Run, done: FrameResult, progress: FrameProgress) -> None:
+        """Write a frame's files, and note what was written."""
         number, result, used = done.source.number, done.result, done.exposure_factor
         told = ({} if used is None
                 else {APPLIED if self._exposure.is_applied

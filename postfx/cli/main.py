@@ -58,6 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
+    """Run a command line; returns the exit code."""
     own = (words.index("--") if words[:1] and words[0] in FORWARDING and "--" in words
            else len(words))
     try:

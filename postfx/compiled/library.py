@@ -141,6 +141,7 @@ def _told() -> Iterator[None]:
 
 @cache
 def _form(name: str, header: Path | None, level: str | None, kinds: Kinds) -> Form:
+    """The entry of a kernel for arrays of these kinds; BindingError if it takes others."""
     library = open_library(name, header, level)
     try:
         takes = getattr(library, f"{name}_takes")
@@ -253,6 +254,8 @@ def _find(folders: Iterable[Path], digest: str, level: str) -> Path | None:
 
 
 def _find_or_build(units: list[Path], level: str, own: bool, flags: Sequence[str] = ()) -> Path:
+    """The library of some sources for a level: one that is kept, or else a new one. own: whether
+    they are ours, which may come compiled with the package."""
     target = _this_target()
     try:
         folders = _folders(own)

@@ -222,6 +222,7 @@ def _guides(frame: Frame, reading: Reading) -> dict[str, Any] | None:
 
 def _plane(pixels: np.ndarray, role: Role, match: Match, stored: Values,
            extent: Range) -> dict[str, Any]:
+    """Facts of a plane in plain types. extent: its range."""
     return {
         "role": str(role),
         "channels": match.names,

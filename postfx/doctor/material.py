@@ -279,6 +279,7 @@ def _names(match: Match) -> list[str]:
 
 
 def _why(layout: Layout, match: Match, prefix: str) -> str:
+    """Why a plane was read from its channels, and what its values went through, in words."""
     rule, role = match.rule, match.rule.role
     known = [name for other in layout.profile.rules(role) for name in other.names]
     preferred = (f"profile {layout.profile.name} knows {_list(known, layout.layer)} for {role}, "

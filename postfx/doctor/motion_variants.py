@@ -372,6 +372,7 @@ def score_offset(features: list[Feature], offset: np.ndarray) -> float:
 
 def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray,
              motion: np.ndarray) -> Feature | None:
+    """Pixels with contrast of a plane; None where there are too few."""
     if min(now.shape[:2]) < 8:
         return None
     across = largest(np.abs(np.diff(now, axis=1, append=now[:, -1:])))

@@ -125,6 +125,8 @@ class ExposureMeter:
         return factor_of(self.mode)
 
     def _follow(self, frame: Frame) -> float:
+        """Stops for a frame that follow its metering by and by, as an eye does; at once where a
+        shot begins."""
         wanted = measure(frame[Role.COLOUR])
         if frame.reset:
             self._ev = None

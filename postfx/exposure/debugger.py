@@ -281,6 +281,7 @@ class _Mode:
 
 
 def _judge(readings: Sequence[Reading]) -> Shot:
+    """What the readings of one shot say of it."""
     mismatch = np.array([reading.mismatch_ev for reading in readings])
     verdict = _verdict(mismatch, np.ptp([reading.reference_ev for reading in readings]))
     return Shot(

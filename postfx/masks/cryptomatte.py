@@ -76,6 +76,8 @@ def parse_leave(text: str) -> tuple[Entry, ...]:
 
 
 def _parse_entry(word: str, text: str) -> Entry:
+    """One word of --leave: a name, perhaps with the plane it is of and its strength. StrengthError
+    for a strength outside 0..1."""
     name, strength = word, 0.0
     head, equals, tail = word.rpartition("=")
     if equals:

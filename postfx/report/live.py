@@ -98,6 +98,7 @@ class LiveViewer:
         self._thread.join(LAST_SECONDS)
 
     def _work(self) -> None:
+        """Send queued pictures to the viewer, until None comes."""
         connection: socket.socket | None = None
         while (item := self._waiting.get()) is not None:
             if time.monotonic() > self._deadline:

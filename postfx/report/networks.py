@@ -50,6 +50,7 @@ def describe(path: Path, dims: Mapping[str, int]) -> dict[str, Any]:
 
 
 def _graph(model: ModelProto, dims: Mapping[str, int]) -> dict[str, Any]:
+    """The graph of a model in plain types, for a page. dims: sizes of its free dimensions."""
     graph = model.graph
     weights = {item.name: item for item in graph.initializer}
     inputs = [item.name for item in graph.input if item.name not in weights]

@@ -363,6 +363,8 @@ class Run:
         return wanted
 
     def _schedule(self, wanted: set[int]) -> list[Work]:
+        """The frames to run in order: those that are wanted, and those before them that they need
+        for their history."""
         numbers, options = self._sequence.numbers, self._options
         if not self._pipeline.remembers(self._plan):
             return [Work(number, True) for number in numbers if number in wanted]

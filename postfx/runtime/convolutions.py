@@ -209,6 +209,7 @@ class _Reader:
         self._sums: dict[str, tuple[str, str]] = {}
 
     def layers(self) -> list[Layer]:
+        """All layers of the model; Unfit where one of its nodes is no part of a layer."""
         steps: dict[str, Callable[[Node], None]] = {
             "Transpose": self._transpose, "Conv": self._convolve, "Relu": self._bound,
             "MaxPool": self._pool, "Resize": self._enlarge, "Add": self._add}
@@ -239,6 +240,7 @@ class _Reader:
             raise Unfit("it moves axes")
 
     def _convolve(self, node: Node) -> None:
+        """Begin a layer."""
         weight, ints = self._array(node.inputs[1]), node.integers
         if weight.ndim != 4:
             raise Unfit("it has convolutions along one axis, or three")
@@ -284,6 +286,7 @@ class _Reader:
         self._enlarged[node.outputs[0]] = node.inputs[0]
 
     def _add(self, node: Node) -> None:
+        """Add constants to a layer's result, or the enlarged result of a coarser one."""
         first, second = node.inputs
         if second in self._weights and first in self._layers and self._uses[first] == 1:
             layer = self._layers[first]

@@ -244,6 +244,7 @@ class CudaMemory:
     def _launcher(self, name: str, kept: Any, handle: Any, grid: tuple[int, int],
                   block: tuple[int, int], shared: int,
                   given: Sequence[ctypes.Structure]) -> Callable[[], None]:
+        """A function that launches a kernel. kept: what must live as long as it does."""
         arguments = (ctypes.c_void_p * len(given))(*map(ctypes.addressof, given))
         launch = partial(driver().cuLaunchKernel, handle, *grid, 1, *block, 1, shared, self.stream)
 
@@ -456,6 +457,7 @@ class CudaGraphs:
         return graph.result
 
     def _capture(self, enqueue: Callable[[], Any], kept: Any) -> Graph | None:
+        """The graph of the commands that are enqueued; None where they cannot be captured."""
         mode = driver().CUstreamCaptureMode.CU_STREAM_CAPTURE_MODE_RELAXED
         check_result(driver().cuStreamBeginCapture(self._stream, mode))
         self.capturing, self._captured_events, result = True, [], None

@@ -318,6 +318,7 @@ class Encoder:
                 "barrier() takes no stages")
 
     def _mask(self, stages: Stages, side: str) -> frozenset[str]:
+        """The stages of a barrier's side; EncodingError for none or unknown ones."""
         try:
             mask = frozenset((stages,) if isinstance(stages, str) else stages)
         except TypeError:  # not iterable: named below

@@ -386,6 +386,7 @@ class Footprint(Accesses):
 
 
 def _spans(dispatches: Iterable[Dispatch]) -> list[Span]:
+    """Bytes that dispatches use, with those that use and that write them as bits."""
     writers: dict[tuple[int, int], int] = {}
     users: dict[tuple[int, int], int] = {}
     for index, dispatch in enumerate(dispatches):

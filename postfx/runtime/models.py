@@ -254,6 +254,7 @@ def _reasons(model: ModelFile, path: Path, card: Mapping[str, Any]) -> Iterator[
 
 
 def _wrong_weights(weights: Weights, path: Path, card: Mapping[str, Any]) -> Iterator[str]:
+    """What is wrong with a model's weights, in words that follow the file's name."""
     name = f"tensor '{weights.name}'"
     if weights.kind not in _ELEMENT_BITS:
         yield f"{name} is of a type that is not known ({weights.kind})"
@@ -309,6 +310,7 @@ def _wrong_sizes(model: ModelFile) -> Iterator[str]:
 
 
 def _differences(kind: str, found: list[Declaration], card: Mapping[str, Any]) -> Iterator[str]:
+    """Where a model's inputs or outputs are not those of its card. kind: 'input' or 'output'."""
     declared = card.get(f"{kind}s")
     if declared is None:
         return

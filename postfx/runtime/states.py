@@ -586,6 +586,7 @@ class ArgumentTable:
         return self._bindings[name]
 
     def _check(self, binding: Binding, tensor: Tensor) -> None:
+        """Raise BindingError where a tensor does not fit a binding."""
         where = f"{self.state.command}, binding '{binding.name}'"
         if not isinstance(tensor, Tensor):
             kind = type(tensor).__name__

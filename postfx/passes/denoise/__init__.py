@@ -325,6 +325,7 @@ class DenoiseUpscale(Pass):
         return True
 
     def _made_ready(self, spec: FrameSpec) -> Ready:
+        """What frames of a spec need: networks, tensors and commands."""
         size = self._output_size(spec)
         if not self.strength:
             none = PartHistory(self._device, size, ())

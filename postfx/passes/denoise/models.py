@@ -235,6 +235,8 @@ def _stand_in(tag: str, stand_ins: Mapping[str, str]) -> str:
 
 
 def _named(tag: str, ending: str, device: Device | None) -> str:
+    """The full name of the network of a tag for an ending, in the device's fast precision where
+    there is one."""
     if tag == CLASSIC:
         return CLASSIC
     if tag.endswith(FILE):

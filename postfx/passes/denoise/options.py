@@ -84,6 +84,8 @@ def enlargement(spec: FrameSpec, options: Mapping[str, Any]) -> float:
 
 
 def _fixed(spec: FrameSpec, size: Size) -> Size:
+    """The output's size that was asked for; FrameError for a frame of other proportions, or one
+    that is too small or too large."""
     found = f"{spec.source or 'frame'}: {spec.width}x{spec.height}"
     wide, high = spec.height * size.width / size.height, spec.width * size.height / size.width
     if (abs(high - spec.height) > max(1, ASPECT * high)
@@ -106,6 +108,8 @@ def _fixed(spec: FrameSpec, size: Size) -> Size:
 
 
 def _guided(spec: FrameSpec, guides: GuideSpec, scale: float | None, scaled: Size) -> Size:
+    """The output's size by a frame's guides; GuideError where they do not fit the frame or the
+    scale."""
     sides = ((guides.width, spec.width), (guides.height, spec.height))
     if scale is None:
         low = max(LEAST_SCALE, *((outer - 0.5) / side for outer, side in sides))
