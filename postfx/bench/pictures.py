@@ -157,11 +157,12 @@ def _choose_methods(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """OIDN high, OIDN high with accumulation, and our largest model that uses no later frames,
     without and with guides; if these are missing, the first methods."""
     by_name = {row["name"]: row for row in rows}
-    ours = [row for row in rows if row["family"] == "ours"
-            and not (row["alone"] or row["run_up"] or row["both"]) and row["precision"] == "fp32"]
+    ours = [row for row in rows if row["family"] == "ours" and row["precision"] == "fp32"
+            and not (row["alone"] or row["run_up"] or row["both"])]
     chosen = [by_name.get("oidn-high"), by_name.get("oidn-high-accumulated")]
-    chosen += [next((row for row in reversed(ours) if row["guides"] is guides), None)
-               for guides in (False, True)]
+    for guides in (False, True):
+        largest_last = [row for row in ours if row["guides"] is guides]
+        chosen += largest_last[-1:]
     return [row for row in chosen if row] or rows[:4]
 
 

@@ -434,9 +434,10 @@ def is_as_lent(array: Any, pointer: int, shape: tuple[int, ...], dtype: str) -> 
     """Whether an array that was borrowed is a tensor of PyTorch, which can be changed in place, and
     still the same."""
     torch = sys.modules.get("torch")
-    return (torch is not None and isinstance(array, torch.Tensor) and bool(
-        array.data_ptr() == pointer and array.shape == shape and array.is_contiguous()
-        and not array.requires_grad and str(array.dtype) == f"torch.{dtype}"))
+    if torch is None or not isinstance(array, torch.Tensor):
+        return False
+    is_there = array.data_ptr() == pointer and array.shape == shape and array.is_contiguous()
+    return bool(is_there and not array.requires_grad and str(array.dtype) == f"torch.{dtype}")
 
 
 def follow_torch(memory: Memory) -> None:
