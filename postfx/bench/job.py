@@ -88,7 +88,6 @@ class Bench:
         return facts
 
     def _write(self, facts: dict[str, Any]) -> None:
-        """Write all files of a benchmark into its folder."""
         from postfx.bench.pictures import (  # loads the libraries required above
             draw_crops,
             draw_worst,
@@ -126,7 +125,6 @@ class Bench:
                     self._wish.runs, output_pattern(self._wish.output, method.name))
 
     def _facts(self, rows: list[dict[str, Any]]) -> dict[str, Any]:
-        """Everything that was measured, and of what, in plain types."""
         spec, size = self.material.spec, self.material.size
         time = "wall_ms" if self._device == "cpu" else "gpu_ms"
         return {

@@ -270,8 +270,7 @@ def fit_depth_scale(before: Frame, now: Frame) -> DepthScale | None:
     cameras or surfaces."""
     if now.fov_x is None or before.fov_x is None or Role.DEPTH not in now or Role.MOTION not in now:
         return None
-    points = smooth_points(now[Role.DEPTH])
-    width, height = now.spec.width, now.spec.height
+    points, (width, height) = smooth_points(now[Role.DEPTH]), (now.spec.width, now.spec.height)
     if (now.world_to_camera is None or before.world_to_camera is None
         or points.rows.size < FEWEST_FITTED_POINTS):
         return None

@@ -208,7 +208,6 @@ class _Plot:
         return place
 
     def axes(self) -> None:
-        """Draw lines at round stops, and numbers of frames below."""
         step = next(step
                     for step in (0.25, 0.5, 1, 2, 4, 8, 16) if (self.high - self.low) / step <= 8)
         for ev in np.arange(np.ceil(self.low / step), np.floor(self.high / step) + 1) * step:
@@ -226,7 +225,6 @@ class _Plot:
                          FAINT_RGB, 14, "center")
 
     def curves(self) -> None:
-        """Draw the stops that are needed and used, a line for each shot, and marks at cuts."""
         cuts = [index for index, item in enumerate(self.report.readings) if item.cut and index]
         for cut in cuts:
             for y in range(PLOT_TOP_PX, PLOT_BOTTOM_PX, 10):
