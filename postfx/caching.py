@@ -146,7 +146,7 @@ _spare: weakref.WeakSet[SpareMemory] = weakref.WeakSet()
 
 
 def reuse_memory() -> SpareMemory:
-    """What `new_array` takes memory from, as long as somebody holds it."""
+    """The memory that `new_array` takes arrays from, for as long as somebody holds it."""
     found = next(iter(_spare), None) or SpareMemory()
     _spare.add(found)
     return found
@@ -159,7 +159,8 @@ def new_array(shape: tuple[int, ...], dtype: np.typing.DTypeLike = "float32") ->
 
 
 def filled_array(shape: tuple[int, ...], value: float | np.float32) -> np.ndarray:
-    """The same (float32), of one value."""
+    """An array of float32 that holds one value, in memory of one that is gone where that is
+    kept."""
     found = new_array(shape)
     found.fill(value)
     return found

@@ -152,7 +152,7 @@ class CutDetector:
         self._before = self.relation = None
 
     def history(self) -> dict[str, np.ndarray]:
-        """What the next answer depends on beside its frame."""
+        """The state that the next answer depends on, beside its frame."""
         if self._before is None:
             return {}
         before = self._before
@@ -349,8 +349,8 @@ def _is_telling(window: np.ndarray) -> bool:
     spread = float(np.square(apart).mean())
     if spread < LEAST_BAND_SPREAD["light"]**2:
         return False
-    beside, below = (float((apart[:, 1:] * apart[:, :-1]).mean()),
-                     float((apart[1:] * apart[:-1]).mean()))
+    beside = float((apart[:, 1:] * apart[:, :-1]).mean())
+    below = float((apart[1:] * apart[:-1]).mean())
     return min(beside, below) >= LEAST_SMOOTH * spread
 
 

@@ -34,12 +34,14 @@ EMPTY_SHARE = 2.0**-24
 """Luminance of an empty block, such as borders and misses, in that of bright ones."""
 METERED_BLOCK_PX = 8
 MOST_METERED_BLOCKS = 160
+"""Blocks along a picture's longer side: in larger pictures blocks are larger."""
 
 # Eyes and cameras close faster than they open
 BRIGHTEN_SECONDS = 1.0
 DARKEN_SECONDS = 0.4
 
 FRAMES_PER_SECOND = 24.0
+"""Where a header does not say it."""
 MODES = ("auto", "lit", "metadata")
 USED_EXPOSURE_ATTRIBUTE = "postfx:exposureUsedEV"
 """Header attribute with the stops that a run used, for later programs; the author's own is
@@ -123,6 +125,8 @@ class ExposureMeter:
         return factor_of(self.mode)
 
     def _follow(self, frame: Frame) -> float:
+        """Stops for a frame that follow its metering by and by, as an eye does; at once where a
+        shot begins."""
         wanted = measure(frame[Role.COLOUR])
         if frame.reset:
             self._ev = None

@@ -34,6 +34,7 @@ from postfx.workers import Workers
 MAX_BYTES = 1 << 30
 """Largest file that `read_text` reads unless told otherwise."""
 _MOST_DOTS = 200
+"""Dots in a line of TOML: time grows with the square of their number."""
 DEVICES = "/dev"
 """Folder of devices where there is one."""
 PARTIAL = ".part"
@@ -125,8 +126,8 @@ Result = TypeVar("Result")
 
 
 def despite_readers(work: Callable[[], Result]) -> Result:
-    """What `work` gives, which removes or replaces a file: Windows refuses that for the moment in
-    which another process reads the file."""
+    """The result of `work`, which removes or replaces a file. On Windows it is tried again for a
+    moment, as it is refused while another process reads the file."""
     for pause in (0.01, 0.03, 0.1, 0.3, 1.0) if os.name == "nt" else ():
         try:
             return work()
@@ -330,7 +331,7 @@ PAUSES = (0.1, 0.4)
 
 def read_patiently(read: Callable[[], Result],
                    failed: Callable[[ReadError], None] = lambda error: None) -> Result:
-    """What `read` gives. A ReadError is told to `failed` and `read` called again, twice at most;
+    """The result of `read`. A ReadError is told to `failed` and `read` called again, twice at most;
     then it is raised."""
     for pause in PAUSES:
         try:
@@ -375,7 +376,7 @@ if hasattr(os, "register_at_fork"):
 
 def run_in_order(threads: Workers, tasks: Iterable[Callable[[], Result]],
                  most: int) -> Iterator[Result]:
-    """What tasks give, in their order; at most so many are begun before their turn."""
+    """The results of tasks, in their order; at most so many are begun before their turn."""
     begun: deque[Future[Result]] = deque()
     try:
         for task in tasks:

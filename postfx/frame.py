@@ -260,7 +260,7 @@ class FrameSpec:
             object.__setattr__(self, name, value)
 
     def of_files(self, source: str | None, guide_source: str | None) -> FrameSpec:
-        """The same spec of a frame that comes from these files."""
+        """This spec, for a frame that comes from these files."""
         found = object.__new__(FrameSpec)
         found.__dict__.update(self.__dict__, source=source)
         if self.guides:
@@ -540,7 +540,7 @@ class Frame:
         return notebook_picture(self[Role.COLOUR], self.encoding, self.exposure_factor or 1)
 
     def _rows(self) -> list[tuple[str, str, str, str]]:
-        """Of each plane and guide its name, size and channels, type, and range."""
+        """Name, size and channels, type, and range of each plane, guide and part."""
         planes = [(str(role), plane) for role, plane in self.planes.items()]
         planes += [(f"guide {role}", plane) for role, plane in self.guides.items()]
         planes += [(f"part {name}", part) for name, part in self.parts.items()]
@@ -566,10 +566,9 @@ class Frame:
         try:
             return Role(role)
         except ValueError:
-            raise FrameError(f"{kind} '{role}' of frame {self._name()} has no meaning "
-                             f"here{suggest(str(role), Role)}"
-                             f"{'' if suggest(str(role), Role) else ':'} roles are "
-                             f"{', '.join(Role)}") from None
+            hint = suggest(str(role), Role) or ":"
+            raise FrameError(f"{kind} '{role}' of frame {self._name()} has no meaning here{hint} "
+                             f"roles are {', '.join(Role)}") from None
 
     def _check(self, role: Role, plane: np.ndarray, kind: str) -> np.ndarray:
         if kind == "guide" and role not in OUTPUT_SIZE_ROLES:

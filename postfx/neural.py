@@ -38,8 +38,10 @@ OPSET = 20
 CPU_GROUPS = (256, 64)
 GPU_GROUPS = (64, 132)
 
+# Adam's usual constants (Kingma and Ba 2014): decays of both means, and what keeps steps finite.
 DECAYS = (0.9, 0.999)
 EPSILON = 1e-8
+
 LEAST_RATE = 1e-6
 """What `Learner.fit` ends with."""
 
@@ -272,7 +274,7 @@ class _GridOnDevice:
         self._moments.fill(0)
 
     def rows(self, points: int, inputs: int) -> tuple[Tensor, Tensor]:
-        """What the network reads of so many points, and the derivatives by that."""
+        """Rows that hold the network's inputs of so many points, and the derivatives by them."""
         if points not in self._rows:
             one, other = (self._device.heap.tensor(f"neural {name}", (points, inputs))
                           for name in ("rows", "pulls"))

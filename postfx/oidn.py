@@ -48,7 +48,7 @@ def require() -> None:
 
 
 class Kind(NamedTuple):
-    """What filters are made for.
+    """Pictures that one set of filters is made for.
 
     Attributes:
         height, width: of the picture.

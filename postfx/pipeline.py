@@ -49,7 +49,7 @@ that one is run."""
 
 
 def _kind(thing: object) -> str:
-    """What something is, for a message."""
+    """The type of something, in words for a message."""
     return f"{type(thing).__module__}.{type(thing).__name__}".removeprefix("builtins.")
 
 
@@ -190,14 +190,18 @@ class Pipeline:
             raise
 
     def _process(self, frame: Frame) -> Frame:
+        """One frame: its plan, repair, cut and exposure, then the passes, and its other views."""
         before = self.plan if not (self._begins or frame.reset) else None
-        plan, self.ahead = self._make_plan(frame.spec, self._goes_around(frame)), ()
+        plan = self._make_plan(frame.spec, self._goes_around(frame))
+        self.ahead = ()
         if self._checks and before and before is not plan:
             self._tell_changed_planes(frame.number, before, plan)
         if not plan.steps:
-            self.timings, self.exposure_factor, self.cut, self.bad_pixels, self.noticed = (
-                {}, None, False, {}, ()
-            )
+            self.timings = {}
+            self.exposure_factor = None
+            self.cut = False
+            self.bad_pixels = {}
+            self.noticed = ()
             return frame
         frame, self.bad_pixels = repair_nonfinite(frame, plan.planes, self.device.scratch)
         self.cut = (self._detector is not None and frame.encoding == "scene-linear"
@@ -212,7 +216,8 @@ class Pipeline:
             self._look(frame, plan)
         run = self._run_up_to(frame, plan) if self._begins else frame
         result = self._run(run, plan, is_unusable(frame, self.bad_pixels), frame)
-        self._begins, self.timings = False, dict(self._flow.timings)
+        self._begins = False
+        self.timings = dict(self._flow.timings)
         self.noticed = tuple([text for step in plan.steps for text in step.instance.notices])
         for step in plan.steps:
             step.instance.notices = ()
@@ -240,8 +245,9 @@ class Pipeline:
 
     def _goes_around(self, frame: Frame) -> bool:
         """Whether a frame's right edge goes on at the left one."""
-        return (self._wrap == WRAP_AROUND or (self._wrap == WRAP_AUTO and "textureformat"
-                                              in frame.metadata and is_panorama(frame.metadata)))
+        if self._wrap == WRAP_AUTO:
+            return "textureformat" in frame.metadata and is_panorama(frame.metadata)
+        return self._wrap == WRAP_AROUND
 
     def _look(self, frame: Frame, plan: Plan) -> None:
         """Tell the log what is plainly wrong with the first frames."""
@@ -259,10 +265,11 @@ class Pipeline:
     def _tell_changed_planes(self, number: int, before: Plan, plan: Plan) -> None:
         """Tell the log, once for each, of planes that a frame of a shot has and the one before had
         not, or lacks."""
-        if (before.available.width, before.available.height) != (plan.available.width,
-                                                                 plan.available.height):
+        last, now = before.available, plan.available
+        if (last.width, last.height) != (now.width, now.height):
             return
-        come, gone = {*plan.planes} - {*before.planes}, {*before.planes} - {*plan.planes}
+        come = {*plan.planes} - {*before.planes}
+        gone = {*before.planes} - {*plan.planes}
         for roles, text in ((come, "has {}, which the frame before had not"),
                             (gone, "lacks {}, which the frame before had")):
             new = sorted(map(str, roles - self._changed))
@@ -272,7 +279,8 @@ class Pipeline:
                             "or in none", number, text.format(" and ".join(new)))
 
     def _process_view(self, name: str, frame: Frame) -> Frame:
-        result = (own := self._of_view(name))(frame)
+        own = self._of_view(name)
+        result = own(frame)
         self.ahead += own.ahead
         self.timings = {step: self.timings.get(step, 0.0) + own.timings.get(step, 0.0)
                         for step in {**self.timings, **own.timings}}
@@ -332,12 +340,15 @@ class Pipeline:
             sharp = share_planes(self.device, "guide", guides or {}, lent_guides)
             self._lent = tensors, sharp
             spec = spec_of(tensors, sharp, encoding)
-            plan, self.ahead, self.cut, self.bad_pixels = self._make_plan(spec), (), reset, {}
+            plan = self._make_plan(spec)
+            self.ahead = ()
+            self.cut = reset
+            self.bad_pixels = {}
             if reset:
                 self._reset_passes()
             self.exposure_factor = self._exposure_of(exposure, tensors, number, reset)
-            used, seen = {role: tensors[role] for role in plan.planes}, {role: sharp[role]
-                                                                         for role in plan.guides}
+            used = {role: tensors[role] for role in plan.planes}
+            seen = {role: sharp[role] for role in plan.guides}
             resident = ResidentFrame(
                 plan.input, dict(used), number, jitter, self.exposure_factor, reset,
                 samples=samples, fov_x=fov_x, world_to_camera=world_to_camera, guides=seen,
@@ -445,18 +456,25 @@ class Pipeline:
         return found | {"meter": self._meter} | ({"cuts": self._detector} if self._detector else {})
 
     def _make_plan(self, spec: FrameSpec, around: bool = False) -> Plan:
-        if self.plan is None or self.plan.available != spec or around != (self._wide is not None):
-            plan, last = make_plan(self.passes, spec), self._wide[0] if self._wide else self.plan
-            self.plan, self._wide = None, widened_plan(self.passes, plan) if around else None
-            ready = {step.instance: step.input for step in last.steps} if last else {}
-            for step in self._wide[0].steps if self._wide else plan.steps:
-                self._make_ready(step, ready.get(step.instance))
-            self.plan = plan
-            LOG.info("ready for frames of %dx%d: %s", spec.width, spec.height,
-                     ", ".join(step.name for step in plan.steps) or "no pass has anything to do")
-            for remark in self._told_remarks(plan):
-                LOG.info("%s", remark)
-        return self.plan
+        """The plan for frames of a spec, whose passes are ready then. around: whether their right
+        edge goes on at the left one."""
+        if (self.plan is not None and self.plan.available == spec
+            and around == (self._wide is not None)):
+            return self.plan
+        plan = make_plan(self.passes, spec)
+        wide = widened_plan(self.passes, plan) if around else None
+        last = self._wide[0] if self._wide else self.plan
+        ready = {step.instance: step.input for step in last.steps} if last else {}
+        self.plan = None  # until all passes are ready
+        self._wide = wide
+        for step in wide[0].steps if wide else plan.steps:
+            self._make_ready(step, ready.get(step.instance))
+        self.plan = plan
+        LOG.info("ready for frames of %dx%d: %s", spec.width, spec.height,
+                 ", ".join(step.name for step in plan.steps) or "no pass has anything to do")
+        for remark in self._told_remarks(plan):
+            LOG.info("%s", remark)
+        return plan
 
     def _told_remarks(self, plan: Plan) -> list[str]:
         """Remarks on a plan that are worth a line in the log."""
@@ -470,8 +488,8 @@ class Pipeline:
             step.instance.compile(self.device, step.input)
 
     def _run_up_to(self, frame: Frame, plan: Plan) -> Frame:
-        """What is run for a frame that begins a shot: where a pass profits, what the frames after
-        it lead to."""
+        """The frame to run for one that begins a shot: where a pass profits, with the history that
+        the frames after it lead to."""
         if self._run_up is None:
             return frame
         plan = self._wide[0] if self._wide else plan
@@ -611,17 +629,19 @@ class Flow:
     def _input(self, name: str, array: np.ndarray) -> Tensor:
         """A plane as a tensor: on the last frame's memory, so that its commands are known again,
         where that is the plane's, or the plane is copied: to a GPU, or because it is small."""
-        last, away, copy = self._inputs.get(name), not self._device.memory.host_visible, None
-        if (last and not away and (last.start, last.shape) == (address(array), array.shape)
-            and not last.released):
-            return last  # it keeps its memory alive, so that nothing else can lie there
+        last = self._inputs.get(name)
+        is_away = not self._device.memory.host_visible
+        if last and not is_away and not last.released:
+            if (last.start, last.shape) == (address(array), array.shape):
+                return last  # it keeps its memory alive, so that nothing else can lie there
         if last and last.allocation.borrowed:
             last.release()
-        if away or (last and array.nbytes <= SMALL_COPY_BYTES):
+        copy = None
+        if is_away or (last and array.nbytes <= SMALL_COPY_BYTES):
             copy = self._copies.get_or_make((name, array.shape),
                                             partial(self._device.heap.tensor, name, array.shape))
-        found = self._inputs[name] = (copy if copy and not away
-                                      else self._device.wrap(name, array, copy))
+        found = copy if copy and not is_away else self._device.wrap(name, array, copy)
+        self._inputs[name] = found
         if found is copy:
             found.upload(array)
         return found

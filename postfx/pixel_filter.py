@@ -31,7 +31,7 @@ LEAST_NOISE = 0.002
 """Square of what `SHARPEST` leaves in a cell, in squares of the cell's mean light, from which on
 noise is looked at: 0.7 % of noise that is not spread."""
 LEAST_NOISE_ALONE = 0.05
-"""The same without planes that tell detail from noise: 4 %."""
+"""`LEAST_NOISE` without planes that tell detail from noise: 4 %."""
 LEAST_LIT = 1e-4
 """Darker cells are not looked at, in shares of the brightest one's light."""
 MOST_TEXTURE = 0.1
@@ -108,7 +108,7 @@ class PixelFilter:
         self._divide = divide
 
     def spread(self, plane: np.ndarray, output: np.ndarray) -> None:
-        """What the filter makes of a plane whose pixels are independent; its mean stays."""
+        """Apply the filter to a plane of independent pixels; its mean stays."""
         self._run(_spread_plane, plane, self._spreading, output)
 
     def undo(self, plane: np.ndarray, output: np.ndarray) -> None:
@@ -207,7 +207,8 @@ def find_stddev(colour: np.ndarray, planes: Mapping[Role, np.ndarray] | None = N
 
 
 def _measure(colour: np.ndarray, planes: Mapping[Role, np.ndarray]) -> float | None:
-    """What the noise of a picture tells of the filter's standard deviation; None for nothing."""
+    """The filter's standard deviation, in pixels, by the noise of a picture; None if the noise does
+    not tell."""
     light = _window_of(colour).clip(0.0, MOST_LIGHT).mean(axis=2)
     if min(light.shape) < NOISE_CELL_PX + len(SHARPEST):
         return None
@@ -250,7 +251,7 @@ def _noisy_cells(light: np.ndarray, sharpest: np.ndarray,
 
 
 def _texture(planes: Mapping[Role, np.ndarray]) -> np.ndarray | None:
-    """By how much albedo and normal change from pixel to pixel in each cell, squared, the albedo
+    """Mean square of the change of albedo and normal from pixel to pixel in each cell, the albedo
     relative to its mean; None without both."""
     found = []
     albedos = [planes[role] for role in ALBEDOS if role in planes]

@@ -167,8 +167,7 @@ def make_plan(passes: Sequence[Pass], spec: FrameSpec) -> Plan:
 
 
 def _narrow(plan: Plan) -> Plan:
-    """The same plan with specs that hold only the planes that are read, as the passes will see
-    them."""
+    """The plan with specs that hold only the planes that are read, as the passes will see them."""
     current = plan.input
     steps = []
     for step in plan.steps:
@@ -205,6 +204,8 @@ def _unread_guides(spec: FrameSpec, used: Sequence[Role]) -> list[Skip]:
 
 
 def _check(step: Step, spec: FrameSpec) -> None:
+    """Raise an error where a step lacks a plane, or declares an output that cannot be. spec: of the
+    frame that the plan is for."""
     missing = [role for role in step.reflection.reads if not step.input.has(role)]
     if missing:
         dropped = ("an earlier pass dropped it" if spec.has(missing[0])

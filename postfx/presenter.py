@@ -58,7 +58,7 @@ class SystemClock:
 
 
 class Shown(NamedTuple):
-    """What became of a picture.
+    """When a picture was due, and when it was shown.
 
     Attributes:
         turn: number of the interval that it was for, from the first picture on.
@@ -240,10 +240,11 @@ class Presenter:
         self.close()
 
     def pacing(self) -> Pacing:
-        """What was shown so far, and when."""
+        """The pictures that were shown so far, and when."""
         return Pacing(self.interval, tuple(self._shown))
 
     def _run(self) -> None:
+        """Present queued pictures, until the presenter is closed."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._queue or self._closed)

@@ -181,7 +181,7 @@ def _run(bad: np.ndarray, rows: np.ndarray, columns: np.ndarray, down: int,
 
 @dataclasses.dataclass
 class Fireflies:
-    """What was clamped in a number of frames.
+    """Light that was clamped in a number of frames.
 
     Attributes:
         pixels, frames: how many had too much light.
@@ -195,7 +195,7 @@ class Fireflies:
 
     @property
     def share(self) -> float:
-        """Of the light that was taken, 0 to 1."""
+        """Share of the light that was taken, 0 to 1."""
         return self.taken / self.light if self.light > 0 else 0.0
 
     def as_dict(self) -> dict[str, float]:
@@ -252,7 +252,7 @@ def clamp_fireflies(frame: Frame, limit: float, count: Fireflies,
 
 
 def _third_brightest(bright: np.ndarray) -> np.ndarray:
-    """Of the pixels around each one (height, width)."""
+    """The third brightest of the pixels around each one, (height, width)."""
     height, width = bright.shape
     wide = np.pad(bright, FIREFLY_REACH_PX, "reflect")
     brightest = [np.zeros_like(bright) for _ in range(FIREFLY_RANK)]

@@ -19,37 +19,42 @@ from functools import lru_cache
 import numpy as np
 
 from postfx.colour import luminance
-from postfx.frame import Role
+from postfx.frame import ALBEDOS, Role
 from postfx.planes import sampled
 
-REPEAT_SIDE_PX = 12  # pixels of a square
-
 # Squares, spread over the picture.
+REPEAT_SIDE_PX = 12
 MOST_SQUARE_ROWS = 9
 MOST_SQUARE_COLUMNS = 14
 
-SLOW = 0.75  # pixels: faster noise is met by other noise, and its mean is worth something
+SLOW_PX = 0.75
+"""Motion of a square between two frames, at most: where it is faster, noise meets other noise, and
+their mean is worth something."""
 
-# Least standard deviation, of 1/4 of the light, of noise that may repeat, and of noise that
-# speaks against it.
-NOISY = 0.002
-NEW = 0.0005
+# Least standard deviation of noise that may repeat, and of noise that speaks against it, where the
+# light of a square is about 1/2.
+REPEATING_STDDEV = 0.002
+NEW_STDDEV = 0.0005
 
 WHITE_NOISE_ENERGY = 0.5
 """Least energy of the diagonal differences of noise in parts of the others': 0.9 in the median for
 4 samples of Cycles, 0.1 to 0.2 for textures and edges."""
 
-# Energy of the change of noise, in parts of twice its own, up to which it is the same, from which
-# on it is new.
+# Energy of the change of noise over twice its own energy: below the first it is the same noise,
+# above the second it is new.
 SAME_NOISE_ENERGY = 0.3
 NEW_NOISE_ENERGY = 0.6
 
-# Of the squares, that must repeat.
+# Noise repeats where it does in at least this share of the squares, in so many of them, and in more
+# than this many times as many as show new noise.
 REPEATING_SQUARE_SHARE = 0.05
 FEWEST_REPEATING_SQUARES = 4
+REPEATING_TO_NEW_RATIO = 2
 
-BLACK_ALBEDO = np.float32(0.03)  # of albedo: what is darker is as good as black
+BLACK_ALBEDO = np.float32(0.03)
+"""Albedo that is darker counts as this, so that light over it stays finite."""
 DARK_LIGHT = np.float32(1e-6)
+"""Light that is added where it is divided by, which may be 0."""
 ONE_SEED = ("the same random seed in every frame",
             "change the seed with the frame number (Blender: the clock beside Seed; Mitsuba: "
             "seed of render)")
@@ -57,11 +62,10 @@ ONE_SEED = ("the same random seed in every frame",
 
 
 class RepeatDetector:
-    """Call it with each frame's planes in order: whether its noise is that of the frame before,
-    where things are slow.
+    """Tells of each frame whether it has the noise of the frame before, where things are slow.
 
     Attributes:
-        share: of the squares looked at, those that repeat.
+        share: of the last frame's squares, those that repeat, 0 to 1.
     """
 
     def __init__(self) -> None:
@@ -74,7 +78,7 @@ class RepeatDetector:
         self._before = None
 
     def history(self) -> dict[str, np.ndarray]:
-        """What the next answer depends on beside its frame."""
+        """The state that the next answer depends on, beside its frame."""
         known = {"size": np.array(self._size, np.int64)}
         return {} if self._before is None else known | {"noise": self._before}
 
@@ -84,36 +88,40 @@ class RepeatDetector:
         self._size = tuple(history["size"].tolist()) if history else (0, 0)
 
     def __call__(self, planes: Mapping[Role, np.ndarray]) -> bool:
-        """Of finite planes with scene-linear colour; without motion, nothing is known to be
-        slow."""
-        size, last, self.share = planes[Role.COLOUR].shape[:2], self._before, 0.0
+        """Whether the next frame has the noise of the frame before.
+
+        planes: (height, width, channels) each, finite, with scene-linear colour. Without motion,
+        nothing is known to be slow.
+        """
+        size = planes[Role.COLOUR].shape[:2]
+        self.share = 0.0
         if min(size) < REPEAT_SIDE_PX:
             return False
         light = self._light(planes)
-        self._before, known = laplacian(light), last is not None and self._size == size
-        self._size = size
-        if last is None or not known or Role.MOTION not in planes:
+        noise = laplacian(light)
+        last = self._before if self._size == size else None
+        self._before, self._size = noise, size
+        if last is None or Role.MOTION not in planes:
             return False
-        x, y = np.moveaxis(np.square(squares(planes[Role.MOTION])), -1, 0)
-        moves = np.sqrt(x + y).mean((-2, -1))
-        energy = (np.square(last).mean((-2, -1)) + np.square(self._before).mean((-2, -1))) / 2
-        change = np.square(self._before - last).mean((-2, -1)) / 2
-        slow = moves < SLOW
-        noisy = slow & (energy > NOISY**2) & (whiteness(light) > WHITE_NOISE_ENERGY)
+        energy = (np.square(last).mean((-2, -1)) + np.square(noise).mean((-2, -1))) / 2
+        change = np.square(noise - last).mean((-2, -1)) / 2
+        slow = _mean_lengths(squares(planes[Role.MOTION])) < SLOW_PX
+        is_white = whiteness(light) > WHITE_NOISE_ENERGY
+        noisy = slow & (energy > REPEATING_STDDEV**2) & is_white
         repeats = (noisy & (change < SAME_NOISE_ENERGY * energy)).sum()
-        new = (slow & (change > NEW_NOISE_ENERGY * energy) & (change > NEW**2)).sum()
+        new = (slow & (change > NEW_NOISE_ENERGY * energy) & (change > NEW_STDDEV**2)).sum()
         self.share = float(repeats / slow.size)
         return bool(repeats >= FEWEST_REPEATING_SQUARES and self.share >= REPEATING_SQUARE_SHARE
-                    and repeats > 2 * new)
+                    and repeats > REPEATING_TO_NEW_RATIO * new)
 
     def _light(self, planes: Mapping[Role, np.ndarray]) -> np.ndarray:
         """White light of the squares (rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX), 0 to 1, about
         1/2 in the middle of each square."""
-        albedos = [squares(planes[role])
-                   for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in planes]
+        albedos = [squares(planes[role]) for role in ALBEDOS if role in planes]
         colour = squares(planes[Role.COLOUR])
-        light = np.maximum(luminance(colour / np.maximum(sum(albedos), BLACK_ALBEDO) if albedos
-                                     else colour), 0)
+        if albedos:
+            colour = colour / np.maximum(sum(albedos), BLACK_ALBEDO)
+        light = np.maximum(luminance(colour), 0)
         usual = (np.median(light, axis=(-2, -1), keepdims=True)
                  + light.mean((-2, -1), keepdims=True) / 8)
         result: np.ndarray = light / (light + usual + DARK_LIGHT)
@@ -123,30 +131,40 @@ class RepeatDetector:
 def squares(plane: np.ndarray) -> np.ndarray:
     """(rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX, channels) of a plane (height, width,
     channels)."""
-    (rows, down), (columns, right) = (_places(plane.shape[0], MOST_SQUARE_ROWS),
-                                      _places(plane.shape[1], MOST_SQUARE_COLUMNS))
-    some: np.ndarray = plane[down][:, right].reshape(rows, REPEAT_SIDE_PX, columns, REPEAT_SIDE_PX,
-                                                     -1).swapaxes(1, 2)
-    return some
+    rows, down = _places(plane.shape[0], MOST_SQUARE_ROWS)
+    columns, right = _places(plane.shape[1], MOST_SQUARE_COLUMNS)
+    cut = plane[down][:, right].reshape(rows, REPEAT_SIDE_PX, columns, REPEAT_SIDE_PX, -1)
+    found: np.ndarray = cut.swapaxes(1, 2)
+    return found
+
+
+def _mean_lengths(motion: np.ndarray) -> np.ndarray:
+    """Mean length (rows, columns) of the vectors of squares (rows, columns, side, side, 2)."""
+    x, y = np.moveaxis(np.square(motion), -1, 0)
+    lengths: np.ndarray = np.sqrt(x + y).mean((-2, -1))
+    return lengths
 
 
 @lru_cache(8)
 def _places(side: int, most: int) -> tuple[int, np.ndarray]:
-    """How many squares there are along a side, and their pixels, which are not to be changed."""
+    """How many squares there are along a side, and the indices of their pixels, which are shared:
+    do not change them."""
     count = min(side // REPEAT_SIDE_PX, most)
     first = np.linspace(0, side - REPEAT_SIDE_PX, count).astype(int)
     return count, (first[:, None] + np.arange(REPEAT_SIDE_PX)).ravel()
 
 
 def laplacian(light: np.ndarray) -> np.ndarray:
-    """Of (..., height, width), scaled so that white noise keeps its standard deviation."""
+    """Laplacian of light (..., height, width), two rows and columns smaller, scaled so that white
+    noise keeps its standard deviation."""
     rows = light[..., :-2, :] - 2 * light[..., 1:-1, :] + light[..., 2:, :]
     result: np.ndarray = (rows[..., :-2] - 2 * rows[..., 1:-1] + rows[..., 2:]) / np.float32(6)
     return result
 
 
 def whiteness(light: np.ndarray) -> np.ndarray:
-    """(...) of (..., height, width): about 1 for white noise, 0 where neighbours are alike."""
+    """How white the noise of light (..., height, width) is, (...): about 1 for white noise, 0 where
+    neighbours are alike."""
     a, b = light[..., :-1, :-1], light[..., :-1, 1:]
     c, d = light[..., 1:, :-1], light[..., 1:, 1:]
     across, down, diagonal = (np.square(one).mean((-2, -1))
@@ -156,8 +174,8 @@ def whiteness(light: np.ndarray) -> np.ndarray:
 
 
 class Alike(Enum):
-    """What a frame is beside the one before: another, one that few pixels do not tell from it, or
-    the same."""
+    """How alike a frame is to the one before: another one, one that agrees in the few pixels that
+    are compared, or the same in all."""
 
     OTHER = 0
     LIKELY = 1
@@ -185,8 +203,8 @@ class FrameMemory:
         self._some = self._planes = None
 
     def look(self, facts: tuple[Hashable, ...], planes: Mapping[Hashable, np.ndarray]) -> Alike:
-        """What a frame of these `planes` (height, width, channels) is, with `facts` that count,
-        too.
+        """How alike a frame of these `planes` (height, width, channels) is to the one before;
+        `facts` must be equal, too.
 
         The first plane is the one whose pixels are looked at.
         """

@@ -104,8 +104,8 @@ def _choose_network(picture: Any, scale: float, place: str | None) -> str:
 
 @lru_cache(maxsize=64)
 def _network_at(size: tuple[int, int], scale: float, place: str | None) -> str:
-    """What was chosen for a size stays: a GPU has less free memory while earlier pipelines hold
-    theirs."""
+    """The network for a size, which stays once it is chosen: a GPU has less free memory while
+    earlier pipelines hold theirs."""
     return usual_network(size, scale, default_device() if place is None else Device(place))
 
 

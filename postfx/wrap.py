@@ -46,7 +46,7 @@ def is_panorama(attributes: Mapping[str, Any]) -> bool:
 
 
 def widened_plan(passes: Sequence[Pass], plan: Plan) -> tuple[Plan, int]:
-    """The same plan for frames with a margin, and the margin in render pixels.
+    """The plan for frames with a margin, and the margin in render pixels.
 
     Raises PassOptionError for an output of a size of its own.
     """
@@ -91,8 +91,7 @@ def widen(frame: Frame, margin: int) -> Frame:
 
 
 def crop(result: Frame, given: Frame, plan: Plan) -> Frame:
-    """What comes out of a widened frame, without its margin. Guides are those of the given
-    frame."""
+    """The result of a widened frame without its margin. Guides are those of the given frame."""
     width = plan.output.width
 
     def own(array: np.ndarray) -> np.ndarray:

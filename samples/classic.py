@@ -35,12 +35,15 @@ chosen = parser.parse_args()
 frames = list(postfx.read_sequence(chosen.noisy))
 wanted = [shown(np.maximum(frame[Role.COLOUR], 0))
           for frame in postfx.read_sequence(chosen.reference)]
-device, half, rows, pictures = (postfx.Device("cpu", threads=chosen.threads), len(frames) // 2, [],
-                                [])
+device = postfx.Device("cpu", threads=chosen.threads)
+half = len(frames) // 2
+rows = []
+pictures = []
 for model in chosen.models:
     options = {"strength": 0} if model == "plain" else {"model": model}
-    chain, found, times = (postfx.Pipeline([postfx.DenoiseUpscale(scale=2, **options)], device), [],
-                           [])
+    chain = postfx.Pipeline([postfx.DenoiseUpscale(scale=2, **options)], device)
+    found = []
+    times = []
     for frame in frames:
         began = time.process_time()
         colour = chain(frame)[Role.COLOUR]

@@ -81,8 +81,8 @@ points = np.concatenate([seen_in(frame) for frame in known])
 targets = np.concatenate([light_to_learn(wanted[frame.number], divisor_of(frame))
                           for frame in known])
 
-device, network = Device("cpu", threads=chosen.threads), Network(9, (64, 64, 64), 3, "gelu",
-                                                                 bands=4, encoded=3)
+device = Device("cpu", threads=chosen.threads)
+network = Network(9, (64, 64, 64), 3, "gelu", bands=4, encoded=3)
 learner, began = Learner(device, network, seed=0), time.process_time()
 learner.fit(points, targets, chosen.steps, 4e-3)
 print(f"{len(points)} pixels of {len(known)} frames, {network.count} parameters, learnt in "

@@ -92,8 +92,8 @@ class Torch:
         self._module = Module(network, network.initial()).to(device)
         self._adam = torch.optim.Adam(self._module.parameters(), 1e-3, fused=True)
         self._call = torch.compile(self._module, mode=mode) if mode else self._module
-        self._places, self._targets = (torch.from_numpy(points).to(device),
-                                       torch.from_numpy(targets).to(device))
+        self._places = torch.from_numpy(points).to(device)
+        self._targets = torch.from_numpy(targets).to(device)
         self._repeats, self._is_gpu = repeats, device == "cuda"
 
     def run(self) -> float:

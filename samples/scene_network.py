@@ -134,8 +134,10 @@ print(f"{len(frames)} frames of {size[1]}x{size[0]}: {chosen.noisy}" + ", refere
       "denoised" * chosen.clean)
 ways = [way for way in WAYS if way.split(",")[0] in library.names()]
 for way in [way for way in ways if way != "amplifier"]:
-    shader, errors, flickers, before = (Shader(device, library, way.split(",")[0], size), [], [],
-                                        None)
+    shader = Shader(device, library, way.split(",")[0], size)
+    errors = []
+    flickers = []
+    before = None
     for frame, truth in zip(frames, truths, strict=True):
         if "no history" in way or frame.reset:
             shader.forget()

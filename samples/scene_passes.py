@@ -44,8 +44,8 @@ frames = list(postfx.read_sequence(str(ROOM / "noisy.####.exr")))[:2]
 if chosen.size:
     width, height = map(int, chosen.size.split("x"))
     known_height, known_width = frames[0][Role.COLOUR].shape[:2]
-    rows, columns = (np.arange(height) * known_height // height,
-                     np.arange(width) * known_width // width)
+    rows = np.arange(height) * known_height // height
+    columns = np.arange(width) * known_width // width
     frames = [replace(frame, planes={role: np.ascontiguousarray(plane[rows][:, columns])
                                      for role, plane in frame.planes.items()}) for frame in frames]
 with tempfile.TemporaryDirectory() as folder:

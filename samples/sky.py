@@ -78,8 +78,8 @@ def scene(width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     colours = ((0.8, 0.2, 0.15), (0.8, 0.8, 0.8), (0.15, 0.35, 0.7), (0.2, 0.6, 0.25),
                (0.8, 0.6, 0.2))
     for k, colour in enumerate(colours):
-        ball, radius = (np.array([1.3 * (k - 2), 0.5 + 0.2 * (k % 2), 0.8 * (k % 2)]),
-                        0.5 + 0.2 * (k % 2))
+        ball = np.array([1.3 * (k - 2), 0.5 + 0.2 * (k % 2), 0.8 * (k % 2)])
+        radius = 0.5 + 0.2 * (k % 2)
         along = rays @ (ball - origin)
         inside = along**2 - ((ball - origin) ** 2).sum() + radius**2
         hit = along - np.sqrt(np.maximum(inside, 0))

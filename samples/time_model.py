@@ -252,8 +252,9 @@ def main() -> None:
     if args.one:
         run_alone(args.models, parse_size(args.one), args.budgets)
         return
-    sizes, full, what = ([parse_size(size) for size in args.sizes.split(",")],
-                         parse_size(args.full), args.what)
+    sizes = [parse_size(size) for size in args.sizes.split(",")]
+    full = parse_size(args.full)
+    what = args.what
     counts, drawn = list(map(int, args.threads.split(","))), {}
     for model in args.models.split(","):
         seconds = (args.frame or 0) / 1e3
@@ -280,8 +281,8 @@ def plot(drawn: dict[str, dict[str, float]], sizes: list[tuple[int, int]], full:
     FigureCanvasAgg(figure)
     over_pixels, over_share, over_parts = figure.subplots(1, 3)
     for model, found in drawn.items():
-        pixels, whole = ([width * height / 1e6 for width, height in sizes],
-                         found.get("{}x{}".format(*full)))
+        pixels = [width * height / 1e6 for width, height in sizes]
+        whole = found.get("{}x{}".format(*full))
         line = over_pixels.plot(pixels, [found["{}x{}".format(*size)] for size in sizes], "o",
                                 label=model)[0]
         ends = np.geomspace(min(pixels), max(pixels), 50)

@@ -348,8 +348,8 @@ def candidates(source: str) -> Iterator[Mutant]:
                              else at(node.func.lineno, node.func.col_offset))
                     yield _mutant(source, first, last, NAMES[name], "call")
             elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):
-                first, last = at(node.lineno, node.col_offset), at(node.operand.lineno,
-                                                                   node.operand.col_offset)
+                first = at(node.lineno, node.col_offset)
+                last = at(node.operand.lineno, node.operand.col_offset)
                 if text[first:last].strip() in ("not", "-"):
                     yield _mutant(source, first, last, "", "dropped")
             elif isinstance(node, ast.AugAssign | ast.Raise) or (

@@ -103,8 +103,8 @@ def test_flashes_exposure_and_black_frames_are_no_cuts(room):
 
 
 def test_other_light_on_the_same_surfaces_is_no_cut(room):
-    albedo, facing = (room[3][Role.DIFFUSE_ALBEDO],
-                      np.maximum(room[3][Role.NORMAL] @ np.float32([0.6, 0.8, 0]), 0.01))
+    albedo = room[3][Role.DIFFUSE_ALBEDO]
+    facing = np.maximum(room[3][Role.NORMAL] @ np.float32([0.6, 0.8, 0]), 0.01)
     relit = replace(room[3], planes={**room[3].planes, Role.COLOUR: albedo * facing[..., None]})
     assert cuts([room[2], relit, room[4]]) == []
     assert cuts([unmarked(frame, WITH_MOTION) for frame in (room[2], relit)]) == [1]

@@ -28,8 +28,8 @@ def test_spec_of_a_frame():
 
 
 def test_specs_compare_and_hash_by_meaning():
-    by_name, by_pairs = (FrameSpec(2, 1, ["depth", "colour"]),
-                         FrameSpec(2, 1, ((Role.COLOUR, 3), (Role.DEPTH, 1))))
+    by_name = FrameSpec(2, 1, ["depth", "colour"])
+    by_pairs = FrameSpec(2, 1, ((Role.COLOUR, 3), (Role.DEPTH, 1)))
     assert {by_name: "same"}[by_pairs] == "same"
     assert by_name != FrameSpec(2, 1, ["colour"])
 
@@ -152,8 +152,8 @@ def test_guides_are_planes_of_another_size():
 
 
 def test_specs_with_guides_compare_and_hash_by_meaning():
-    one, other = (GuideSpec(4, 2, ["normal", "depth"], "a.exr"),
-                  GuideSpec(4, 2, (Role.DEPTH, Role.NORMAL), "b.exr"))
+    one = GuideSpec(4, 2, ["normal", "depth"], "a.exr")
+    other = GuideSpec(4, 2, (Role.DEPTH, Role.NORMAL), "b.exr")
     specs = {FrameSpec(2, 1, ["colour"], guides=guides)
              for guides in (one, other, GuideSpec(4, 2, ["depth"]), None)}
     assert len(specs) == 3

@@ -161,8 +161,8 @@ def test_tensors_of_pytorch_are_looked_at(far, monkeypatch):
     monkeypatch.setattr(torch.cuda, "current_stream",
                         lambda index: type("Stream", (), {"cuda_stream": 40 + index}))
     plane = torch.rand(4, 5, 3)
-    planes, last = {role: torch.rand(4, 5, 3).as_subclass(Far)
-                    for role in (Role.COLOUR, Role.NORMAL)}, {}
+    planes = {role: torch.rand(4, 5, 3).as_subclass(Far) for role in (Role.COLOUR, Role.NORMAL)}
+    last = {}
     for calls in (2, 1, 1):  # for the same tensors once
         del far.memory.followed[:]
         last, before = share_planes(far, "plane", planes, last), last
@@ -199,7 +199,7 @@ def test_exposure_by_the_meter_and_planes_that_no_pass_reads():
     assert pipeline.exposure == whole.exposure != 0.0
 
 
-def test_guides():
+def test_guides_of_torch_give_the_picture_of_a_frames_guides():
     torch = pytest.importorskip("torch")
     sharp = {Role.DIFFUSE_ALBEDO: RNG.random((72, 96, 3), np.float32),
              Role.NORMAL: RNG.random((72, 96, 3), np.float32)}
@@ -349,12 +349,12 @@ class Lent:
 @pytest.mark.gpu
 @gpu
 @pytest.mark.parametrize("how", ["cuda", "dlpack"])
-def test_on_a_gpu(how):
+def test_planes_on_a_gpu_give_the_picture_of_frames(how):
     """The same pictures as from frames; sharing a frame's planes and its result adds at most 0.1
     ms."""
     device = Device("cuda")
-    pipeline, memory_of = (Pipeline([DenoiseUpscale(model="s", scale=2)], device, cuts="none"),
-                           Lent.by(how))
+    pipeline = Pipeline([DenoiseUpscale(model="s", scale=2)], device, cuts="none")
+    memory_of = Lent.by(how)
     held = {role: device.heap.tensor(str(role), plane.shape) for role, plane in PLANES.items()}
     for number, (planes, right) in enumerate(zip(frames(), expected(device), strict=True), 1):
         for role, plane in planes.items():

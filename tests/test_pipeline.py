@@ -208,7 +208,7 @@ def test_timings_of_each_pass(device, library):
     assert all(0 < elapsed < 10_000 for elapsed in pipeline.timings.values())
 
 
-def test_explain(device):
+def test_explain_needs_a_spec_until_a_frame_has_run(device):
     pipeline = Pipeline([toys.Enlarge()], device)
     with pytest.raises(FrameError, match="there is no plan yet"):
         pipeline.explain()
@@ -254,8 +254,8 @@ class Misbehaving(toys.Sum):
     def _read_nothing(self, commands, frame):
         from postfx.runtime import ArgumentTable
 
-        total, nothing = frame[Role.COLOUR], commands.device.heap.tensor("nothing",
-                                                                         frame[Role.COLOUR].shape)
+        total = frame[Role.COLOUR]
+        nothing = commands.device.heap.tensor("nothing", frame[Role.COLOUR].shape)
         with commands.compute_encoder("unwritten") as encoder:
             encoder.dispatch(self._state,
                              ArgumentTable(self._state,

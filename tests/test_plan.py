@@ -127,7 +127,7 @@ def test_no_passes_read_what_is_written_out():
     assert plan.planes == (Role.COLOUR, Role.ALPHA) and plan.output == plan.input
 
 
-def test_text():
+def test_a_plan_prints_what_runs_and_what_is_left_out():
     plan = make_plan([toys.Double(times=0), toys.Enlarge(), Encode()], SPEC)
     assert str(plan).splitlines() == [
         "frame   6x10, scene-linear: colour, alpha, depth, normal",
@@ -140,7 +140,7 @@ def test_text():
     ]
 
 
-def test_json():
+def test_a_plan_as_json_names_what_runs_and_what_is_left_out():
     plan = make_plan([toys.Double(times=0), toys.Enlarge()], SPEC)
     document = json.loads(plan.to_json())
     assert document == plan.as_dict()

@@ -283,8 +283,8 @@ def faults(value: Any, schema: dict[str, Any], where: str = "") -> Iterator[str]
 
 def test_json_is_what_the_schemas_say(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    room, schemas = (str(ROOT / "samples/room/noisy.####.exr"),
-                     json.loads((DOCS / "reference/schemas.json").read_text()))
+    room = str(ROOT / "samples/room/noisy.####.exr")
+    schemas = json.loads((DOCS / "reference/schemas.json").read_text())
     small = [room, "-o", "out/c.####.exr", "--frames", "1-2", "--model", "s", "--run-up", "0"]
     lines = {
         "postfx run": ["run", *small],

@@ -38,8 +38,8 @@ def within(own: str | None, files: dict[str, str], folder: Path, monkeypatch) ->
     ("0::/\n", {"cpu.max": "nonsense\n"}, 64),
     (None, {}, 64),
 ])
-def test_quotas(own: str | None, files: dict[str, str], expected: int, tmp_path: Path,
-                monkeypatch) -> None:
+def test_quotas_of_containers_bound_the_cores(own: str | None, files: dict[str, str],
+                                              expected: int, tmp_path: Path, monkeypatch) -> None:
     within(own, files, tmp_path, monkeypatch)
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(64)))
     assert system.usable_cores() == expected
@@ -54,8 +54,8 @@ def test_quotas(own: str | None, files: dict[str, str], expected: int, tmp_path:
     ("4:memory:/\n", {"memory/memory.limit_in_bytes": "9223372036854771712\n"}, 0),
     (None, {}, 0),
 ])
-def test_memory(own: str | None, files: dict[str, str], expected: int, tmp_path: Path,
-                monkeypatch) -> None:
+def test_limits_of_containers_bound_the_memory(own: str | None, files: dict[str, str],
+                                               expected: int, tmp_path: Path, monkeypatch) -> None:
     within(own, files, tmp_path, monkeypatch)
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     assert system.usable_memory() == (expected or machine)

@@ -135,8 +135,8 @@ def lift_constants(model: onnx.ModelProto) -> None:
     """Move outputs that no node makes into the metadata, from which `postfx.runtime.session` reads
     them: some execution providers do not support such outputs."""
     graph = model.graph
-    weights, used = {one.name: one for one in graph.initializer}, {name for node in graph.node
-                                                                   for name in node.input}
+    weights = {one.name: one for one in graph.initializer}
+    used = {name for node in graph.node for name in node.input}
     lifted = {one.name: onnx.numpy_helper.to_array(weights[one.name])
               for one in graph.output if one.name in weights}
     if not lifted:
@@ -233,12 +233,18 @@ def check_recipe(recipe: object) -> str | None:
         if not isinstance(value, RECIPE.get(key, ())):
             return f"recipe: '{key}' is not one of {', '.join(RECIPE)}, or has a wrong type"
     steps = recipe.get("steps") or []
-    if (not steps or not all(isinstance(s, dict) and isinstance(s.get("run"), str)
-                             and s["run"].strip() and set(s) <= {"run", "processes"}
-                             and isinstance(s.get("processes", 1), int) for s in steps)):
+    if not steps or not all(map(_is_step, steps)):
         return ("recipe: 'steps' is a list of objects with 'run', a module and its arguments, and "
                 "perhaps 'processes'")
     return None
+
+
+def _is_step(step: object) -> bool:
+    """Whether an entry of a recipe's steps has all that a step needs, and nothing else."""
+    if not isinstance(step, dict) or not set(step) <= {"run", "processes"}:
+        return False
+    run = step.get("run")
+    return isinstance(run, str) and bool(run.strip()) and isinstance(step.get("processes", 1), int)
 
 
 def known_recipe(card: Path) -> dict[str, Any]:

@@ -120,8 +120,8 @@ class Block(nn.Module):
 
     def __init__(self, reads: int, makes: int) -> None:
         super().__init__()
-        self.a, self.b = nn.Conv2d(reads, makes, 3, padding=1), nn.Conv2d(makes, makes, 3,
-                                                                          padding=1)
+        self.a = nn.Conv2d(reads, makes, 3, padding=1)
+        self.b = nn.Conv2d(makes, makes, 3, padding=1)
         self.c = nn.Conv2d(reads, makes, 1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
@@ -264,8 +264,8 @@ def train(views: Views, steps: int, width: int = 32, batch: int = 32,
     mean = copy.deepcopy(network)
     optimizer = torch.optim.AdamW(network.parameters(), 1e-3, weight_decay=1e-3)
     for step in range(steps):
-        begun, left = (min(1, (step + 1) / min(200, steps / 4)),
-                       (1 + math.cos(math.pi * step / steps)) / 2)
+        begun = min(1, (step + 1) / min(200, steps / 4))
+        left = (1 + math.cos(math.pi * step / steps)) / 2
         for group in optimizer.param_groups:
             group["lr"] = 1e-3 * begun * left + 1e-6
         planes, truth = mirrored(*views.batch(random.choice(views.learnt, batch)), step % 4)

@@ -119,7 +119,7 @@ def nearest_index(size: int, out_size: int, device: torch.device) -> tuple[Tenso
 
 
 def nearest_of(at: Tensor, size: int | Tensor, out_size: int | Tensor) -> tuple[Tensor, Tensor]:
-    """The same for the output pixels ``at``."""
+    """`nearest_index` of the output pixels ``at``."""
     centre = (2 * at + 1) * size  # in units of 1 / (2 out_size): exact
     index = centre // (2 * out_size)
     return index, (centre - index * (2 * out_size)) / (2 * out_size) - 0.5
@@ -155,7 +155,7 @@ def box_mean(image: Tensor, h: int, w: int) -> Tensor:
 
 
 def span_mean(image: Tensor, size: int, axis: int) -> Tensor:
-    """The same along one axis."""
+    """Mean, along one axis, of the pixels that each of ``size`` pixels touches."""
     full = image.shape[axis]
     index = torch.arange(size, device=image.device)
     return spans_mean(image, *span(index, size, full), axis)
@@ -404,8 +404,8 @@ def _differences(own: Tensor, guides: Tensor, rows: tuple[Tensor, Tensor],
             found = pick(guides, (rows[0] + k).clamp(max=height - 1),
                          (columns[0] + i).clamp(max=width - 1))
             apart = found / own - 1
-            mean, spread = (mean + share * apart,
-                            spread + share * apart.square().sum(1, keepdim=True))
+            mean = mean + share * apart
+            spread = spread + share * apart.square().sum(1, keepdim=True)
     return mean, spread
 
 

@@ -77,7 +77,8 @@ def rays(camera: torch.Tensor, height: int, width: int) -> torch.Tensor:
 
 
 def reflectance(diffuse: torch.Tensor, specular: torch.Tensor) -> torch.Tensor:
-    """What light is divided by: both albedos with a floor, 1 for lamps and misses."""
+    """The reflectance that light is divided by: both albedos with a floor, 1 for lamps and
+    misses."""
     total = diffuse + specular
     peak = total.amax(1, keepdim=True)
     return torch.where(is_emitter(diffuse, specular), torch.ones_like(total),
@@ -103,8 +104,8 @@ class Block(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.one, self.two = (nn.Conv2d(width, width, 3, padding=1),
-                              nn.Conv2d(width, width, 3, padding=1))
+        self.one = nn.Conv2d(width, width, 3, padding=1)
+        self.two = nn.Conv2d(width, width, 3, padding=1)
         nn.init.zeros_(self.two.weight)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
@@ -139,9 +140,9 @@ class SceneNetwork(nn.Module):
 
     def features(self, x: dict[str, torch.Tensor],
                  ray: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """What the stem reads of planes (N, C, H, W) and rays, and the places in the box, -1..1."""
-        middle, half = ((self.low + self.high)[None, :, None, None] / 2,
-                        (self.high - self.low)[None, :, None, None] / 2)
+        """The stem's inputs, of planes (N, C, H, W) and rays, and the places in the box, -1..1."""
+        middle = (self.low + self.high)[None, :, None, None] / 2
+        half = (self.high - self.low)[None, :, None, None] / 2
         hit = (x["depth"] < 1e6).float()
         eye = (x["camera"][:, 9:12, None, None] - middle) / half
         place = (eye + hit * x["depth"].clamp(max=1e6) * ray / half).clamp(-1.5, 1.5)
@@ -420,8 +421,8 @@ def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: 
                              weight_decay=1e-4, capturable=cuda, fused=True)
     random = torch.Generator().manual_seed(0)
     limits = (views.count, views.height - size[0] + 1, views.width - size[1] + 1, views.colours)
-    picked, begins = (torch.zeros(batch, 4, dtype=torch.int64, device=device),
-                      torch.zeros(batch, device=device))
+    picked = torch.zeros(batch, 4, dtype=torch.int64, device=device)
+    begins = torch.zeros(batch, device=device)
     mean = {name: value.detach().clone() for name, value in network.named_parameters()}
     newest = torch.ones((), device=device)
 
@@ -509,8 +510,8 @@ def train(args: argparse.Namespace) -> None:
         began, (share, rate) = time.monotonic(), SHARES[kind]
         network = fit(network, views, args, args.seconds * share, rate)
         print(f"{kind}: {time.monotonic() - began:.0f} s", flush=True)
-        weights, path = ({name: value.half().cpu() for name, value in network.state_dict().items()},
-                         args.models)
+        weights = {name: value.half().cpu() for name, value in network.state_dict().items()}
+        path = args.models
         torch.save(weights, path / f"{kind}.partial")
         (path / f"{kind}.partial").replace(path / f"{kind}.pt")
 

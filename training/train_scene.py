@@ -32,7 +32,7 @@ import postfx
 from postfx import Device, Frame, Pipeline, Role
 from postfx.colour.views import to_codes
 from postfx.errors import FrameError, PostfxError
-from postfx.frame import DEPTH_MISS
+from postfx.frame import ALBEDOS, DEPTH_MISS
 from postfx.kernels.scene import POINT
 from postfx.neural import Learner, Network
 from postfx.passes.scene import SceneShading, camera_of
@@ -50,7 +50,7 @@ BANDS, ENCODED = 4, 3
 RATE = 4e-3
 HELD_OUT = 4
 """Every so many frames one is held out."""
-NEEDED = (Role.COLOUR, Role.DEPTH, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+NEEDED = (Role.COLOUR, Role.DEPTH, Role.NORMAL, *ALBEDOS)
 
 
 class Words(argparse.ArgumentParser):
@@ -82,7 +82,7 @@ class Shown(NamedTuple):
 
     @classmethod
     def read(cls, frames: str, reference: str) -> tuple[Shown, Shown]:
-        """What is learnt, and what is held out.
+        """The frames to learn from, and those that are held out.
 
         Raises SequenceError if there is no such sequence, MissingFrameError if a frame has no
         reference.

@@ -160,8 +160,9 @@ def patterns(scene) -> tuple[str, str]:
     number = re.search(r"\d+(?=\D*$)", path.stem)
     if number is None:
         raise LookupError(f"the render's files have no frame number: {path}")
-    before, hashes, after = (path.stem[:number.start()], "#" * len(number[0]),
-                             path.stem[number.end():])
+    before = path.stem[:number.start()]
+    hashes = "#" * len(number[0])
+    after = path.stem[number.end():]
     return (str(path.with_name(f"{before}{hashes}{after}.exr")),
             str(path.with_name(f"{before}{MARK}{hashes}{after}.exr")))
 
@@ -337,8 +338,9 @@ def show(context, pattern: str, frames: list[int]) -> None:
             if area.type == "IMAGE_EDITOR":
                 space = area.spaces.active
                 space.image, user = image, space.image_user
-                user.frame_start, user.frame_duration, user.use_auto_refresh = (frames[0],
-                                                                                len(frames), True)
+                user.frame_start = frames[0]
+                user.frame_duration = len(frames)
+                user.use_auto_refresh = True
                 user.frame_offset = frames[0] - 1
 
 

@@ -66,8 +66,8 @@ def _path(kind: str, path: str) -> str:
         return os.path.expanduser(path)
     folder = (folder_paths.get_input_directory() if kind == "input"
               else folder_paths.get_output_directory())
-    found, folder = (os.path.abspath(os.path.join(folder, os.path.expanduser(path))),
-                     os.path.abspath(folder))
+    found = os.path.abspath(os.path.join(folder, os.path.expanduser(path)))
+    folder = os.path.abspath(folder)
     if found != folder and not found.startswith(os.path.join(folder, "")):
         raise OptionError(f"'{path}' is outside of ComfyUI's {kind} folder: give "
                           f"one inside {folder}")

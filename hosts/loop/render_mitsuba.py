@@ -41,15 +41,15 @@ def render(scene, job):
     film = mi.traverse(scene.sensors()[0])
     size = [int(side) for side in film["film.size"]]
     box = job["region"] or {"x": 0, "y": 0, "width": size[0], "height": size[1]}
-    film["film.crop_offset"], film["film.crop_size"] = [box["x"], box["y"]], [box["width"],
-                                                                              box["height"]]
+    film["film.crop_offset"] = [box["x"], box["y"]]
+    film["film.crop_size"] = [box["width"], box["height"]]
     film.update()
     integrator = mi.load_dict({"type": "aov", "aovs": AOVS, "image": scene.integrator()})
     pixels = np.array(mi.render(scene, integrator=integrator, spp=job["samples"], seed=job["seed"]))
     aovs = [name for name in integrator.aov_names() if not name.startswith("image.")]
     names = ["R", "G", "B", "A"][: pixels.shape[2] - len(aovs)] + aovs
-    rows, columns = slice(box["y"], box["y"] + box["height"]), slice(box["x"],
-                                                                     box["x"] + box["width"])
+    rows = slice(box["y"], box["y"] + box["height"])
+    columns = slice(box["x"], box["x"] + box["width"])
     whole = np.zeros((size[1], size[0], pixels.shape[2] + 1), np.float32)
     whole[rows, columns, :-1] = pixels
     whole[rows, columns, -1] = job["samples"]

@@ -31,6 +31,7 @@ where the captures come from:
 exit codes: 0 equal within the tolerance; 1 not; 2 an error whose message says how to fix it
 """
 EXIT_DIFFERENT = 1
+"""Exit code where captures differ."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

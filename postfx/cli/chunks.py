@@ -403,8 +403,8 @@ def _connect(address: str) -> Any:
 
 
 def _share_of_machine(ray: Any, address: str, given: argparse.Namespace) -> dict[str, int]:
-    """What Ray reserves for a chunk: a GPU if there are any, and the cores of the smallest machine,
-    or of its GPU."""
+    """The part of a machine that Ray reserves for a chunk: a GPU if there are any, and as many
+    cores as the smallest machine has, or has for each of its GPUs."""
     from postfx.errors import FarmError
 
     machines = [node["Resources"] for node in ray.nodes() if node["Alive"]]

@@ -98,7 +98,7 @@ class Default(NamedTuple):
 
     @property
     def words(self) -> list[str]:
-        """The same on a command line."""
+        """The option and its value as words of a command line."""
         if self.option.is_switch:
             return [self.option.flag] if self.value else []
         texts = (self.text if isinstance(self.text, list)
@@ -161,6 +161,8 @@ def read_defaults(options: Options) -> dict[str, Default]:
 
 
 def _read(path: Path, options: Options) -> list[Default]:
+    """Defaults that a file sets. OptionError where it is no TOML, or sets anything but options of
+    `postfx run`."""
     from postfx.files import parse_toml, read_text
 
     try:
@@ -177,6 +179,8 @@ def _read(path: Path, options: Options) -> list[Default]:
 
 
 def _default(path: Path, options: Options, key: str, value: Any) -> Default:
+    """The default that a key of a file sets; OptionError for one that is no option, or a value that
+    it cannot have."""
     known = {option.name.replace("_", "-"): option
              for option in options if not (option.once or option.shows)}
     option = known.get(key.replace("_", "-"))
@@ -192,7 +196,8 @@ def _default(path: Path, options: Options, key: str, value: Any) -> Default:
 
 
 def _parse(option: Option, value: Any) -> Any:
-    """As arguments hold a value of a file; ValueError if the option has no such value."""
+    """A value of a file in the form that arguments hold; ValueError if the option has no such
+    value."""
     if option.is_switch or (value is True and option.bare is not None):
         if not isinstance(value, bool):
             raise ValueError(f"'{value}' is neither true nor false")

@@ -122,7 +122,7 @@ class ExposureCheck:
         self._report = self._measure()
 
     def _measure(self) -> Report:
-        """By the view, or by what another chain made of boards."""
+        """The report by the view, or by pictures that another chain made of boards."""
         from postfx.exposure import colours_of
         from postfx.tools.exposure.debugger import debug, debug_graded, judge_view
         from postfx.tools.exposure.response import GradedBoards, read_response
@@ -162,7 +162,7 @@ class ExposureCheck:
         }
 
     def text(self) -> str:
-        """The same for people."""
+        """The report as lines for people."""
         report = self._report
         lines = [
             f"{self._sequence.pattern}: {len(report.readings)} frames, exposure "
@@ -177,7 +177,8 @@ class ExposureCheck:
         return "\n".join(lines)
 
     def _read_by(self) -> list[str]:
-        """By which curve levels of graded frames were read, and what remains uncertain."""
+        """Lines on the curve that levels of graded frames were read by, and on what remains
+        uncertain."""
         given = self._arguments
         if not given.graded:
             return []

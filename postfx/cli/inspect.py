@@ -84,6 +84,7 @@ STYLES = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 VERDICTS = {0: "nothing wrong was found", 1: "there are warnings", 2: "there are errors"}
 LINE_INDENT = " " * 9
 MOST_LISTED_LINES = 12
+"""Layers that the line of unread ones names."""
 
 
 def print_text(facts: dict[str, Any], exit_code: int) -> None:

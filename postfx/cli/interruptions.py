@@ -91,7 +91,8 @@ class Faults:
         return frame
 
     def attempt(self, number: int, wanted: bool, work: Callable[[], Result]) -> Result | None:
-        """What `work` makes of a frame, likewise."""
+        """The result of `work` on a frame; None if it failed and the run goes on. Failures of
+        frames that are not `wanted` do not count."""
         try:
             return work()
         except WriteError:

@@ -94,7 +94,7 @@ if TYPE_CHECKING:
 
 NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
 BACKWARDS = "denoise_upscale backwards"
-"""Of the run in reverse order, in the summary."""
+"""Name of the run in reverse order, in the summary."""
 
 
 class Job:
@@ -107,71 +107,60 @@ class Job:
         RUN.refuse_conflicts(arguments)
         self._arguments = arguments
         device = Device(**self._values("device"))
-        values = self._values("sequence")
-        self.sequence = read_sequence(arguments.input, arguments.frames, scratch=device.scratch,
-                                      **values)
         self._relax = device.memory.relax
+        self.skips: list[Skip] = []
+        policy = OnError(arguments.on_error)
+
+        # What is read and written.
+        self.sequence = read_sequence(arguments.input, arguments.frames, scratch=device.scratch,
+                                      **self._values("sequence"))
         self.outputs = _outputs(arguments, self.sequence)
         refuse_layer(arguments, self.outputs)
-        self.skips: list[Skip] = []
-        self._smooth = arguments.exposure == SMOOTH_MODE
-        policy = OnError(arguments.on_error)
+        self._refuse_error_in_pictures()
         if policy is OnError.STOP and not (arguments.explain or arguments.skip_existing):
             self.sequence.refuse_holes(self.sequence.numbers)
+        self._smooth = arguments.exposure == SMOOTH_MODE
         exposure = (SmoothExposure(colours_of(self.sequence, policy is not OnError.STOP))
-            if self._smooth else ExposureMeter(arguments.exposure))
-        cuts = "auto" if arguments.cuts == "auto" else "none"
-        covered = asked_form() == "whole"  # by a checkerboard, under which nothing is denoised
-        is_picture = self.outputs is not None and self.outputs.display
-        if is_picture and not arguments.no_denoise and self._values("denoiser").get("error"):
-            raise OptionError(f"{arguments.output}: pictures for a display hold no AOV 'error': "
-                              "write EXR, or leave error out of --aov")
+                    if self._smooth else ExposureMeter(arguments.exposure))
         # before any file is opened, which tells of it
-        native = not is_shown(is_picture, **self._values("look"))
+        native = not is_shown(self._is_picture, **self._values("look"))
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
+
+        # What runs.
+        cuts = "auto" if arguments.cuts == "auto" else "none"
         denoising = None if arguments.no_denoise else self._denoiser_options(device)
-        if arguments.both_ways and self._has_plain_albedo():
-            arguments.both_ways = False
-            self.skips.append(Skip("both_ways", "albedo shows no textures, so that more history in "
-                                                "one order shows more of them"))
-        both_ways = arguments.both_ways and arguments.strength != 0 and not covered
+        is_covered = asked_form() == "whole"  # by a checkerboard, under which nothing is denoised
+        both_ways = self._goes_both_ways() and not is_covered
         wrap = self._find_wrap()
         self._backwards = (Backwards(self.sequence, device,
                                      exposure if self._smooth else arguments.exposure, cuts,
                                      wrap=wrap, **denoising | {"error": False})
                            if denoising is not None and both_ways else None)
-        self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
+        self._run_up = None if is_covered else make_run_up(arguments, self.sequence, cuts)
         self._parts = self._find_parts()
-        enlarges = (denoising is not None
-                    and enlargement(self._first_spec, denoising) > 1)
-        self._partner = (None if covered or arguments.strength == 0
-                         else find_partner(getattr(arguments, "with"), enlarges))
-        passes, skips = self._passes(denoising, self._backwards is not None, self._partner)
+        partner = None if is_covered else self._find_partner(denoising)
+        passes, skips = self._passes(denoising, self._backwards is not None, partner)
         self.skips += skips
-        # it has its own
+        # without checks, as `_looker` does them, which knows the files
         self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False,
                                  wrap=wrap)
         refuse_views(self.sequence, self.outputs)
-        with ExitStack() as stack:
-            files = stack.enter_context(self.sequence.open(self.first))
-            self.skips += explain_overlay(arguments, files)
-            self._channels = {role: match.names for role, match in files.layout.planes.items()}
-            self._enable = files.layout.hints()
-            spec = files.spec()
-            self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards
-                                              else spec)
-            others = [stack.enter_context(self.sequence.reader(view).open(self.first))
-                      for view in self.sequence.views]
-            size = self.plan.output.width, self.plan.output.height
-            self.kept, skips = explain_kept(arguments, files, size, others)
-            self.skips += skips
+        self._explain_first_frame()
         if (not arguments.explain and arguments.model != "classic" and device.memory.host_visible
             and not device.scratch):
             check_memory(self.plan, self.sequence)
-        self._noticed, self._has_compared = (self._planes_of_later_frames(self._later_frames()),
-                                             False)
-        self._guides, self._format = from_files(self.plan.guides), self._values("writer")
+        self._guides = from_files(self.plan.guides)
+        self._format = self._values("writer")
+        standin = None
+        if policy is OnError.COPY:
+            plain, _ = self._passes(None if denoising is None else self._resample_options())
+            standin = Standin(self.sequence, plain, device, exposure)
+        self._faults = Faults(policy, standin)
+
+        # What looks at it.
+        self._noticed = self._planes_of_later_frames(self._later_frames())
+        self._has_compared = False
         self._capture = self._make_capture(device) if arguments.capture else None
         self._viewer = self._find_viewer()
         self._page = self._make_page() if arguments.report else None
@@ -180,13 +169,11 @@ class Job:
                                        arguments.compression)
             if not arguments.explain:  # after all options, whose mistakes matter more
                 self.outputs.check(self.sequence.numbers)
-        standin = None
-        if policy is OnError.COPY:
-            plain, _ = self._passes(None if denoising is None else self._resample_options())
-            standin = Standin(self.sequence, plain, device, exposure)
-        self._faults = Faults(policy, standin)
+
+        # What a run has told and taken so far.
         self._warnings: list[str] = []
-        self._seconds, self._preparation = 0.0, Preparation()
+        self._seconds = 0.0
+        self._preparation = Preparation()
         self._exposure = ExposureUsed(str(arguments.exposure), self._is_exposed)
         self._frame_ms: list[float] = []
         self._ahead_ms: list[float] = []
@@ -196,6 +183,51 @@ class Job:
         self._bad_pixels: dict[str, dict[str, int]] = {}
         self._written: list[str] = []
         self._frames = 0  # written
+
+    @property
+    def _is_picture(self) -> bool:
+        """Whether the output is a picture for a display."""
+        return self.outputs is not None and self.outputs.display
+
+    def _refuse_error_in_pictures(self) -> None:
+        """OptionError where the AOV 'error' is asked for, and the output cannot hold it."""
+        if self._arguments.no_denoise or not self._is_picture:
+            return
+        if self._values("denoiser").get("error"):
+            raise OptionError(f"{self._arguments.output}: pictures for a display hold no AOV "
+                              "'error': write EXR, or leave error out of --aov")
+
+    def _goes_both_ways(self) -> bool:
+        """Whether the denoiser is to run in both directions: not if albedo shows no textures, which
+        is noted."""
+        if self._arguments.both_ways and self._has_plain_albedo():
+            self._arguments.both_ways = False
+            self.skips.append(Skip("both_ways", "albedo shows no textures, so that more history in "
+                                                "one order shows more of them"))
+        return bool(self._arguments.both_ways) and self._arguments.strength != 0
+
+    def _find_partner(self, denoising: dict[str, Any] | None) -> str | None:
+        """The other denoiser that runs beside ours, None for none. denoising: options of ours."""
+        if self._arguments.strength == 0:
+            return None
+        enlarges = denoising is not None and enlargement(self._first_spec, denoising) > 1
+        return find_partner(getattr(self._arguments, "with"), enlarges)
+
+    def _explain_first_frame(self) -> None:
+        """Make the plan by the first frame's files, and settle what of them is written again."""
+        with ExitStack() as stack:
+            files = stack.enter_context(self.sequence.open(self.first))
+            self.skips += explain_overlay(self._arguments, files)
+            self._channels = {role: match.names for role, match in files.layout.planes.items()}
+            self._enable = files.layout.hints()
+            spec = files.spec()
+            self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards
+                                              else spec)
+            others = [stack.enter_context(self.sequence.reader(view).open(self.first))
+                      for view in self.sequence.views]
+            size = self.plan.output.width, self.plan.output.height
+            self.kept, skips = explain_kept(self._arguments, files, size, others)
+            self.skips += skips
 
     def _values(self, part: str) -> dict[str, Any]:
         return RUN.values_for(part, self._arguments)
@@ -379,8 +411,8 @@ class Job:
         return self._page.write(report, str(self.explain())) if self._page else report
 
     def _open_run(self) -> Run:
-        # that exposure looks ahead
-        frames = (sorted(self.sequence.numbers) if self._smooth else None)
+        # smooth exposure depends on which frames there are
+        frames = sorted(self.sequence.numbers) if self._smooth else None
         settings = RUN.settings(self._arguments)
         if not isinstance(self._arguments.input, str):  # files one by one
             settings["input"] = str(self.sequence.pattern)
@@ -446,6 +478,7 @@ class Job:
                         **self._format)
 
     def _process_all(self, run: Run, stop: Stop, progress: FrameProgress) -> None:
+        """Process a run's frames in order: they are read ahead, and written behind."""
         if self._run_up:
             self._run_up.on_frame = announce_run_up(stop.check, progress.note)
         if self._capture:
@@ -495,7 +528,9 @@ class Job:
         """The second, the middle and the last frame."""
         others = [number for number in self.sequence.numbers
                   if number > self.first and self.sequence.holds(number)]
-        return list(dict.fromkeys([*others[:1], *others[len(others) // 2 :][:1], *others[-1:]]))
+        if not others:
+            return []
+        return list(dict.fromkeys([others[0], others[len(others) // 2], others[-1]]))
 
     def _planes_of_later_frames(self, numbers: list[int]) -> list[str]:
         """A warning for planes that the first frame lacks and these have, or the reverse: the plan
@@ -504,11 +539,15 @@ class Job:
             try:
                 with self.sequence.reader().open(number) as files:
                     planes = {*self.pipeline.explain(files.spec()).planes}
-                    more = planes - {*self.plan.planes, Role.MOTION}
-                    more |= {*files.layout.planes} & {Role.MOTION} - {*self._channels}
-                    fewer = {*self.plan.planes} & {*self._channels} - planes - {Role.MOTION}
+                    has_motion = Role.MOTION in files.layout.planes
             except PostfxError:  # which is told where the frame's turn comes
                 continue
+            # a plan may hold motion that is estimated, so files tell of that
+            more = planes - {*self.plan.planes, Role.MOTION}
+            if has_motion and Role.MOTION not in self._channels:
+                more.add(Role.MOTION)
+            fewer = {role for role in self.plan.planes if role in self._channels} - planes
+            fewer.discard(Role.MOTION)
             if more:
                 names = " and ".join(sorted(map(str, more)))
                 return [f"frame {self.first} has no {names}, but frame {number} has: no frame "
@@ -523,8 +562,8 @@ class Job:
 
     @cached_property
     def _looker(self) -> FirstFrames | None:
-        """What tells what is plainly wrong with the first frames; None where AOVs are not read, so
-        that none is missing."""
+        """Looks for plain mistakes in the first frames; None where AOVs are not read, so that none
+        is missing."""
         if (self._arguments.no_denoise or self._arguments.strength == 0
             or self.pipeline.device.scratch):
             return None
@@ -600,6 +639,7 @@ class Job:
                 self._choices.setdefault(step.name, Counter())[step.instance.choice] += 1
 
     def _write(self, run: Run, done: FrameResult, progress: FrameProgress) -> None:
+        """Write a frame's files, and note what was written."""
         number, result, used = done.source.number, done.result, done.exposure_factor
         told = ({} if used is None
                 else {APPLIED if self._exposure.is_applied
@@ -650,8 +690,7 @@ class Job:
                                  scale=enlargement(self._first_spec, denoising),
                                  model=denoising.get("model", "m"), both_ways=both_ways, **parts))
         passes += [create("overlay")] if self._arguments.overlay == "composite" else []
-        is_picture = self.outputs is not None and self.outputs.display
-        shown, not_shown = make_display_passes(is_picture, **self._values("look"))
+        shown, not_shown = make_display_passes(self._is_picture, **self._values("look"))
         asked = map(parse_pass, getattr(self._arguments, "pass") or ())
         chain = insert_passes([*passes, *shown], tuple(asked), len(passes))
         if both_ways and chain[0].name not in ("denoise_upscale", "partner"):
@@ -671,8 +710,7 @@ class Job:
         hold them."""
         if self.sequence.options.parts is None:
             return ()
-        is_picture = self.outputs is not None and self.outputs.display
-        if is_shown(is_picture, **self._values("look")):
+        if is_shown(self._is_picture, **self._values("look")):
             self.skips.append(Skip("light groups and passes",
                                    "they are scene-linear, the output is not"))
             self.sequence.options = self.sequence.options.without_parts()
@@ -712,8 +750,8 @@ class Job:
 
 def announce_run_up(check: Callable[[], None],
                     tell: Callable[[str], None]) -> Callable[[int, int], None]:
-    """What is called before each frame of a run-up, with the number of the frame that it leads to
-    and its own.
+    """A function to call before each frame of a run-up, with the number of the frame that it leads
+    to and its own.
 
     `check` may raise to end the run; `tell` gets a line before the first frame, as a run-up may
     take long.

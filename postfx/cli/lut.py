@@ -26,6 +26,7 @@ examples:
 """
 _SIZES = (17, 33, 65)
 _MOST_FRAMES = 16
+"""Frames that a cube is made of unless others are given."""
 _LOOK = Options(Section("", LOOK_OPTIONS))
 
 

@@ -41,6 +41,7 @@ LONG_DASHES = ("\u2012", "\u2013", "\u2014", "\u2212")
 """What text processors make of a hyphen."""
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
+"""As shells have it: 128 and the number of SIGINT."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -57,6 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
+    """Run a command line; returns the exit code."""
     own = (words.index("--") if words[:1] and words[0] in FORWARDING and "--" in words
            else len(words))
     try:

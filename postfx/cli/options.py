@@ -40,7 +40,8 @@ MEANT_OPTIONS = {
     "--upscale": "--scale",
     "--view-transform": "--tonemap",
 }
-"""Likewise for options: the first word of the answer is told where the verb has it."""
+"""Options that users may mean by others: the first word of the answer is told where the verb has
+it."""
 
 
 # not a dataclass, whose module would take longer to load than all of --help
@@ -208,9 +209,11 @@ class Options:
         for option in self:
             for sets, convert in {option.sets: option.convert, **option.also}.items():
                 owner, _, parameter = sets.partition(".")
-                value = option.value(arguments) if owner == part else None
-                if (owner == part and value is not False
-                    and not (value is None and option.default is None)):
+                if owner != part:
+                    continue
+                value = option.value(arguments)
+                is_left_out = value is False or (value is None and option.default is None)
+                if not is_left_out:
                     found[parameter] = convert(value) if convert else value
         return found
 
@@ -235,14 +238,19 @@ class Options:
 
     def _fits(self, option: Option, arguments: argparse.Namespace) -> bool:
         """Whether an option goes with the others that are given."""
-        rivals = [other for section in self.sections if option in section.options
-                  for other in section.options
-                  if option.either and other.either == option.either and other is not option]
-        others = [other for other in self if other.is_given(arguments) and
-                  any(self._is_asked(key, arguments)
-                      for key in other.excludes if key.partition("=")[0] == option.flag)]
-        return not (any(rival.is_given(arguments) for rival in rivals) or others
-                    or self.exclusions(option, arguments))
+        if self.exclusions(option, arguments):
+            return False
+        for section in self.sections:
+            rivals = section.options if option in section.options and option.either else ()
+            for rival in rivals:
+                is_rival = rival.either == option.either and rival is not option
+                if is_rival and rival.is_given(arguments):
+                    return False
+        for other in self:
+            keys = [key for key in other.excludes if key.partition("=")[0] == option.flag]
+            if other.is_given(arguments) and any(self._is_asked(key, arguments) for key in keys):
+                return False
+        return True
 
     def exclusions(self, option: Option, arguments: argparse.Namespace) -> list[str]:
         """Messages of the given options that this one does not go with."""
@@ -299,7 +307,7 @@ class Parser(argparse.ArgumentParser):
         lambda parser, words: "")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As in the base class; also records which options are given."""
+        """Parse as the base class does, and record which options are given."""
         if self.declared is None or self.complete is None:
             return super().parse_known_args(args, namespace)
         options = [option for option in self.declared if not option.shows]
@@ -361,16 +369,20 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print a line, with what a mistyped verb may have meant, and end the process with 2."""
         choice = re.search(r"argument COMMAND: invalid choice: '([^']*)'", message)
-        verbs = [name for action in self._actions if isinstance(action, argparse._SubParsersAction)
-                 for name in action.choices] if choice else []
-        meant = suggest(choice[1], verbs) if choice else ""
-        if choice and re.search(r"[./]", choice[1]):
-            meant = f": did you mean postfx run {choice[1]}?"
-        if choice and choice[1] in MEANT_VERBS:
-            meant = f": did you mean postfx {MEANT_VERBS[choice[1]]}?"
-        message = f"there is no command '{choice[1]}'" if choice else message
+        if choice:
+            message = f"there is no command '{choice[1]}'{self._suggest_verb(choice[1])}"
         help = "--help-all" if any(option.basic for option in self.declared or ()) else "--help"
-        self.exit(2, f"error: {message}{meant} ('{self.prog} {help}' shows all)\n")
+        self.exit(2, f"error: {message} ('{self.prog} {help}' shows all)\n")
+
+    def _suggest_verb(self, word: str) -> str:
+        """Which verb somebody may have meant by a word, as the end of a message; '' for none."""
+        if word in MEANT_VERBS:
+            return f": did you mean postfx {MEANT_VERBS[word]}?"
+        if re.search(r"[./]", word):
+            return f": did you mean postfx run {word}?"
+        verbs = [name for action in self._actions if isinstance(action, argparse._SubParsersAction)
+                 for name in action.choices]
+        return suggest(word, verbs)
 
 
 def parse_path(text: str) -> str:

@@ -44,8 +44,10 @@ class RunReport:
     def __init__(self, sequence: Sequence, pipeline: Pipeline, plan: Plan,
                  inspect: Callable[[list[int], str | None], Inspection], path: str,
                  reference: str | None = None, check: bool = True) -> None:
-        self._sequence, self._pipeline, self._plan, self._inspect = (sequence, pipeline, plan,
-                                                                     inspect)
+        self._sequence = sequence
+        self._pipeline = pipeline
+        self._plan = plan
+        self._inspect = inspect
         self._path = Path(path)
         output = plan.output
         size = output.width, output.height
@@ -73,8 +75,8 @@ class RunReport:
         pictures: dict[str, np.ndarray] = {}
         motions: dict[str, np.ndarray | None] = {}
         maps: dict[str, np.ndarray] = {}
-        sources, results = (frame, *frame.views.values()), (done.result,
-                                                            *done.result.views.values())
+        sources = (frame, *frame.views.values())
+        results = (done.result, *done.result.views.values())
         for view, source, result in zip(self._views or (None,), sources, results, strict=True):
             own = self._pictures(view, source, result, factor, cut)
             found = self._compare(own, factor)
@@ -150,8 +152,8 @@ def write_inspection(inspection: Inspection, path: str) -> None:
     """Write the page of an inspection: the input's own frames, as many as the doctor looked at.
     Raises WriteError."""
     frames = inspection.frames
-    log, meter = (FrameLog([frame.number for frame in frames], Look(False), "input"),
-                  ExposureMeter("auto"))
+    log = FrameLog([frame.number for frame in frames], Look(False), "input")
+    meter = ExposureMeter("auto")
     for before, frame in zip([frames[0], *frames], frames, strict=False):
         motion = frame.planes.get(Role.MOTION)
         if motion is not None:  # leads from sample to sample here, not from centre to centre

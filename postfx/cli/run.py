@@ -6,11 +6,15 @@ import argparse
 import json
 import sys
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from postfx.cli.config import complete
 from postfx.cli.options import Parser
 from postfx.cli.run_options import PRESETS, RUN
 from postfx.errors import PostfxError
+
+if TYPE_CHECKING:
+    from postfx.cli.job import Job
 
 DESCRIPTION = """\
 Denoise a rendered sequence at its own size; enlarge it with --scale, tone-map it with --tonemap.
@@ -118,13 +122,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
     job = Job(arguments)
     if is_plan:
-        explained = job.explain()
-        paths, line = job.dry_run() if arguments.dry_run else ([], "")
-        if arguments.json:
-            outputs = {"outputs": [str(path) for path in paths]} if paths else {}
-            print(json.dumps(explained.as_dict() | outputs, indent=2))
-        else:
-            print("\n".join(filter(None, [str(explained), job.kept, line])))
+        _print_plan(job, arguments)
         return 0
     failure: PostfxError | KeyboardInterrupt | None = None
     try:
@@ -146,3 +144,14 @@ def execute(arguments: argparse.Namespace) -> int:
     if failure:
         raise failure
     return EXIT_FAULTS if report.faults else 0
+
+
+def _print_plan(job: Job, arguments: argparse.Namespace) -> None:
+    """Print what would run, and with --dry-run the files that it would write."""
+    explained = job.explain()
+    paths, line = job.dry_run() if arguments.dry_run else ([], "")
+    if arguments.json:
+        outputs = {"outputs": [str(path) for path in paths]} if paths else {}
+        print(json.dumps(explained.as_dict() | outputs, indent=2))
+    else:
+        print("\n".join(filter(None, [str(explained), job.kept, line])))

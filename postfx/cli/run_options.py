@@ -122,13 +122,13 @@ def explain_kept(
                   and is_display_format(arguments.output))
     if arguments.keep == "none" or is_picture or Role.COLOUR not in files.layout.planes:
         return "", []
+    written = []
+    for one in (files, *views):
+        written += [one.layout.planes[role].channels for role in (Role.COLOUR, Role.ALPHA)
+                    if role in one.layout.planes]
+        written += [found.channels for found in one.parts.values()]
+    touched = {(channel.part.index, channel.name) for channels in written for channel in channels}
     colour = files.match(Role.COLOUR)
-    planes = [one.layout.planes[role] for one in (files, *views)
-              for role in (Role.COLOUR, Role.ALPHA) if role in one.layout.planes]
-    parts = (found.channels for one in (files, *views) for found in one.parts.values())
-    touched = {(channel.part.index, channel.name)
-               for channels in (*(match.channels for match in planes), *parts)
-               for channel in channels}
     held = files.files[colour.channels[0].word].parts
     others = {(part.index, name) for part in held for name in part.channels} - touched
     count = f"{len(others)} other channel{'s' * (len(others) != 1)}"

@@ -26,7 +26,9 @@ from postfx.streams import make_printable, styled
 from postfx.temporal.reverse_order import RunUp
 
 SHOWN_FRAMES = 3
+"""Failed frames that are listed, a line each."""
 SHOWN_CUTS = 12
+"""Numbers of cuts that are listed."""
 SEEN_FRAMES = 10
 """Frames whose lines leave a warning above them in sight: after more it is repeated at the end."""
 LOG_SECONDS = 5
@@ -174,8 +176,8 @@ class FrameProgress:
 
     def note_compilation(self, count: int) -> None:
         """Say that kernels are compiled, and how many files of them were begun before."""
-        text, now = ("compiling kernels for this processor, on the first run only",
-                     time.perf_counter())
+        text = "compiling kernels for this processor, on the first run only"
+        now = time.perf_counter()
         self._bar.update(self._task, description=f"compiling kernels, file {count + 1}")
         if self._told is None or (now - self._told > LOG_SECONDS and not self._console.is_terminal):
             self.note(f"{text}: file {count + 1}" if count else text)
@@ -193,8 +195,8 @@ class FrameProgress:
         as of compiling."""
         self._done, self._fresh = self._done + 1, self._fresh + 1
         speed = self._fresh / (time.perf_counter() - self._begin - apart)
-        rate, left = (f"{speed:.2f} frames/s",
-                      timedelta(seconds=round((self._total - self._done) / speed)))
+        rate = f"{speed:.2f} frames/s"
+        left = timedelta(seconds=round((self._total - self._done) / speed))
         self._bar.update(self._task, advance=1, rate=f"{rate}, {left} left")
         if not self._console.is_terminal:
             self.note(f"{self._done}/{self._total} {path} ({rate})")
@@ -208,7 +210,7 @@ NIGHT_EV = 3.0
 
 @dataclass(frozen=True)
 class ExposureUsed:
-    """By how much frames were exposed, and by whose word.
+    """How much frames were exposed, and who said so.
 
     Attributes:
         mode: as --exposure says it.
@@ -442,7 +444,7 @@ class Report:
         return "\n".join(lines)
 
     def problems(self) -> str:
-        """Those lines of the summary that nobody must miss: frames that failed, and warnings."""
+        """Lines of the summary that nobody must miss: frames that failed, and warnings."""
         return "\n".join([*self._fault_lines(),
                           *(f"warning  {warning}" for warning in self.warnings)])
 
@@ -495,7 +497,7 @@ def warn_of_budget(
 
 
 def _round_up(milliseconds: float) -> float:
-    """To two digits."""
+    """The number rounded up to two digits."""
     step = 10.0 ** max(0, len(str(int(milliseconds))) - 2)
     return ceil(milliseconds / step) * step
 

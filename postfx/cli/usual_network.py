@@ -68,7 +68,8 @@ def choose_pixel_filter(sequence: Sequence, first: int,
 
 
 def _find_stddev(sequence: Sequence, number: int) -> float | None:
-    """What a frame tells of the pixel filter; None for nothing."""
+    """The standard deviation of the pixel filter, in pixels, that a frame's noise shows; None if it
+    shows none."""
     try:
         with sequence.open(number) as files:
             spec = files.spec()

@@ -108,7 +108,7 @@ def _make_job(arguments: argparse.Namespace, pattern: Pattern, first: int) -> Jo
              *arguments.forwarded]
     given = make_parser(["run"]).parse_args(["run", *words])
     # defaults of a studio yield
-    given.both_ways = (given.both_ways and "both_ways" not in given.filled)
+    given.both_ways = given.both_ways and "both_ways" not in given.filled
     if given.exposure == "smooth" and "exposure" in given.filled:
         given.exposure = RUN["--exposure"].default
     for flag, is_given in (("--both-ways", given.both_ways),
@@ -146,15 +146,15 @@ class Arrivals:
     def next(self) -> int | None:
         """The number of the next frame; blocks until it is there. None at the end."""
         begin = time.monotonic()
-        while (self._last is None or self._arguments.until is None
-               or self._last < self._arguments.until):
+        until, idle = self._arguments.until, self._arguments.idle
+        while self._last is None or until is None or self._last < until:
             self._check()
             number = self._ready()
             if number is not None:
-                self._before, self._last, self._late = self._last, number, None
+                self._before, self._last = self._last, number
+                self._late = None
                 return number
-            if (self._arguments.idle is not None
-                and time.monotonic() - begin >= self._arguments.idle):
+            if idle is not None and time.monotonic() - begin >= idle:
                 return None
             time.sleep(POLL)
         return None
@@ -173,6 +173,22 @@ class Arrivals:
     def _ready(self) -> int | None:
         """The frame to take now, if there is one: the next in order, or a later one after some
         patience."""
+        found = self._find_frames()
+        numbers = [number for number in found if self._last is None or number > self._last]
+        if not numbers or not self._may_go_on_with(numbers[0]):
+            return None
+        first = numbers[0]
+        paths = list(found[first].values())
+        if not all([self._has_settled(path) for path in paths]):
+            return None
+        if self._unreadable and self._unreadable[0] == first:
+            since = self._unreadable[1]
+            is_changed = any(self._seen[path][1] > since for path in paths)
+            return first if is_changed or self._is_out_of_patience(since) else None
+        return first
+
+    def _find_frames(self) -> dict[int, dict[str, Path]]:
+        """Files of the frames that are there; none in a folder that is empty, or not there yet."""
         from postfx.errors import SequenceError
         from postfx.io.pattern import VIEW_FIELD, locate
 
@@ -181,31 +197,30 @@ class Arrivals:
         except SequenceError:
             if any(Path(self._arguments.input).glob("*.exr")):
                 raise
-            return None  # an empty folder, or none yet
+            return {}
         if self.pattern.has_views:
             raise SequenceError(f"{self.pattern}: 'postfx watch' watches one view: put its name "
                                 f"for {VIEW_FIELD}")
-        found = self.pattern.find_frames()
-        numbers = [number for number in found if self._last is None or number > self._last]
-        if not numbers:
-            return None
-        first = numbers[0]
-        if self._last is not None and first > (late := self._last + self._arguments.step):
-            self._late = (self._late if self._late and self._late[0] == late
-                          else (late, time.monotonic()))
-            if time.monotonic() - self._late[1] < self._arguments.patience:
-                return None
-            self._tell(f"frame {late} did not come within {self._arguments.patience:g} s: going on "
-                       f"with {first}")
-        if not all([self._has_settled(path) for path in found[first].values()]):
-            return None
-        # again only if changed, or when patience runs out
-        if (self._unreadable and self._unreadable[0] == first):
-            changed = any(self._seen[path][1] > self._unreadable[1]
-                          for path in found[first].values())
-            tired = time.monotonic() - self._unreadable[1] >= self._arguments.patience
-            return first if changed or tired else None
-        return first
+        return self.pattern.find_frames()
+
+    def _may_go_on_with(self, first: int) -> bool:
+        """Whether the first frame that is there is the next in order, or patience for that ran
+        out."""
+        if self._last is None:
+            return True
+        next_one = self._last + self._arguments.step
+        if first <= next_one:
+            return True
+        if self._late is None or self._late[0] != next_one:
+            self._late = next_one, time.monotonic()
+        if not self._is_out_of_patience(self._late[1]):
+            return False
+        self._tell(f"frame {next_one} did not come within {self._arguments.patience:g} s: going on "
+                   f"with {first}")
+        return True
+
+    def _is_out_of_patience(self, since: float) -> bool:
+        return bool(time.monotonic() - since >= self._arguments.patience)
 
     def _has_settled(self, path: Path) -> bool:
         """Whether a file has stayed as it is for long enough."""
@@ -217,6 +232,6 @@ class Arrivals:
         state = status.st_size, status.st_mtime_ns
         known, since = self._seen.get(path, (None, now))
         self._seen[path] = state, (since if known == state else now)
-        # it was there before we looked
+        # a file that was there before we looked need not be watched as long
         old = time.time() - status.st_mtime >= self._arguments.settle
         return status.st_size > 0 and (old or now - self._seen[path][1] >= self._arguments.settle)

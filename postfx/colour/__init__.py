@@ -48,8 +48,10 @@ _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367],
 # Five digits in a header move a colour by less than 1e-4
 _ROUNDED = 2.1e-5
 _ALIKE = 2e-3
+"""Difference of the coordinates of primaries up to which they are those of a known space."""
 
 _FLAT_PRIMARIES = 1e-6
+"""Determinant, of chromaticities, below which primaries lie on a line."""
 
 
 def round_to_known(primaries: Chromaticities) -> Chromaticities:

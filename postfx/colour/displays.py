@@ -23,6 +23,7 @@ _M2 = 2523 / 4096 * 128
 _C1 = 3424 / 4096
 _C2 = 2413 / 4096 * 32
 _C3 = 2392 / 4096 * 32
+# Constants of HLG (ITU-R BT.2100-2, table 5).
 _A = 0.17883277
 _B = 1 - 4 * _A
 _C = 0.5 - _A * np.log(4 * _A)
@@ -99,8 +100,10 @@ HLG = Curve(_hlg_encode, _hlg_decode)
 DIFFUSE_WHITE_NITS = 203.0
 """Light of diffuse white on an HDR display, cd/m2 (ITU-R BT.2408-7, table 1)."""
 PEAK = 1000.0
+"""Light of an HDR display at full code values, cd/m2, unless another one is given."""
 _HLG_PEAKS = (400.0, 2000.0)  # outside, BT.2100's formula for the system gamma does not hold
 _DARK = 1e-9
+"""Luminance that darker light counts as, where a negative power of it is taken."""
 
 
 class Kind(NamedTuple):

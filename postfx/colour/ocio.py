@@ -33,6 +33,7 @@ DISPLAYS = {
 """Names that configs give to our displays: first those of the ACES configs, then older ones."""
 _NOTE = re.compile(r"^#\s*postfx: input=(.+), output=(\S+)$", re.MULTILINE)
 _HEAD = 4096
+"""Bytes at the beginning of a file in which a note of ours stands."""
 
 
 class Transform(NamedTuple):
@@ -145,15 +146,18 @@ def _display_name(config: Config, name: str, wanted: str, candidates: tuple[str,
 
 
 def _view_name(config: Config, shown: str, wanted: str, display: Display) -> str:
+    """The view of a display that is wanted: by its name, by words of it, or '' for the usual one.
+    An HDR display takes the one for its peak. ColourError where none or several are meant."""
     there = list(config.views(shown))
     words = wanted.lower().split()
-    matching = [view for view in there if view.lower() == wanted.lower()]
-    matching = matching or [view for view in there if all(word in view.lower() for word in words)]
+    if words:
+        matching = ([view for view in there if view.lower() == wanted.lower()]
+                    or [view for view in there if all(word in view.lower() for word in words)])
+    else:
+        matching = there if display.hdr else [config.default_view(shown)]
     if display.hdr:
-        bright = [view for view in matching if f" {display.peak:g} nits" in view]
-        matching = bright or (matching if words else [])
-    elif not words:
-        matching = [config.default_view(shown)]
+        for_peak = [view for view in matching if f" {display.peak:g} nits" in view]
+        matching = for_peak or (matching if words else [])
     if not matching or (words and len(matching) > 1):
         what = f"several views are '{wanted}'" if matching else f"no view '{wanted}'"
         what += f" for {display.peak:g} nits" if display.hdr and not words else ""

@@ -142,6 +142,7 @@ class _OfPackage(Config):
         return self._by(wanted)
 
     def _by(self, transform: Any) -> Colours:
+        """Colours by a transform of PyOpenColorIO, whose processor is made at the first call."""
         made: list[Any] = []
 
         def apply(colours: np.ndarray) -> np.ndarray:
@@ -200,6 +201,7 @@ class _OfOpenImageIO(Config):
             image, name=file, colorconfig=self._name, unpremult=False))
 
     def _by(self, transform: Callable[[oiio.ImageBuf], oiio.ImageBuf]) -> Colours:
+        """Colours by a transform of OpenImageIO."""
         def apply(colours: np.ndarray) -> np.ndarray:
             result = transform(oiio.ImageBuf(np.ascontiguousarray(colours.reshape(-1, 1, 3),
                                                                   np.float32)))

@@ -18,6 +18,7 @@ from postfx.colour import ACESCG, REC709, Chromaticities, ocio, to_xyz
 from postfx.colour.displays import SRGB, Display, parse_display, srgb_encode
 
 CUBE_SIDE = 65
+"""Entries of a view's cube along each axis."""
 
 # The axes: log2(1 + x / AXIS_TOE) * AXIS_SCALE is 0..1 for light of 0..WHITEST, where mid grey is
 # 0.18.
@@ -146,6 +147,7 @@ FALSE_COLOUR_BANDS = (
 colour display."""
 
 ZEBRA = 0.95
+"""Luma, 0..1 of the display's, from which pixels get stripes."""
 STRIPE = 6  # pixels of a stripe and of a gap
 
 

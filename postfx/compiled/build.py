@@ -137,7 +137,7 @@ class Part(NamedTuple):
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """What tells the compiler."""
+        """The compiler's flags."""
         chosen = (("-DALONE", f"-DALONE_{self.alone}=~,EXPORT_ONE") if self.alone
                   else ("-DTOGETHER",))
         return *chosen, "-Wno-unused-function", "-Wno-unneeded-internal-declaration"
@@ -156,7 +156,8 @@ def our_parts() -> dict[str, Part]:
 
 
 def digest_of(units: Sequence[Path], target: str, flags: Sequence[str] = ()) -> str:
-    """Of all that a library is made of: these files, their headers, and how they are compiled."""
+    """Digest of all that a library is made of: these files, their headers, and how they are
+    compiled."""
     found = hashlib.sha256(repr((ZIG, FLAGS, LINKED, TARGETS[target], *flags)).encode())
     for path in dict.fromkeys(path for unit in units for path in sources_of(unit)):
         found.update(f"\0{path.name}\0".encode() + path.read_bytes())
@@ -186,7 +187,7 @@ def build(units: Sequence[Path], target: str, folder: Path, levels: Iterable[str
     meanwhile."""
     folder.mkdir(parents=True, exist_ok=True)
     digest, kind = digest_of(units, target, flags), TARGETS[target]
-    # of these sources: others are compiled at the same time
+    # a lock for these sources alone: others are compiled at the same time
     with _locked(folder / f"{digest}.lock"):
         index = _read_index(folder, digest)
         missing = [level for level in tuple(levels) or kind.levels if level not in index]

@@ -51,7 +51,7 @@ class Rows:
             raise failure_of(self.name)
 
     def bind(self, arrays: Sequence[np.ndarray]) -> BoundRows:
-        """The same with all arrays given, for threads."""
+        """The call of these rows on arrays that are given now, for threads."""
         return BoundRows(self.name, self.form(kinds_of(arrays)).entry, arrays)
 
     def form(self, kinds: Kinds) -> Form:
@@ -63,7 +63,7 @@ class Rows:
         """Have the kernel ready before the first frame. One of ours that is to be compiled is so
         beside others."""
         if self.header is None and not _is_compiled(self.name, self.level):
-            # what fails there fails in `form`
+            # an error is raised by `form`, not here
             _compilers().submit(open_library, self.name, None, self.level)
         else:
             self.form(kinds)
@@ -95,7 +95,7 @@ class CompileWatch:
 
     @property
     def seconds(self) -> float:
-        """By the clock, in which anything was compiled."""
+        """Seconds by the clock in which anything was compiled."""
         with self._lock:
             return self._past + (time.perf_counter() - self._begin if self._depth else 0.0)
 
@@ -128,7 +128,7 @@ _watches: list[CompileWatch] = []
 
 @contextmanager
 def _told() -> Iterator[None]:
-    """Those that watch are told of what is compiled meanwhile."""
+    """Tell those that watch that something is compiled meanwhile."""
     told = tuple(_watches)
     for watch in told:
         watch.start()
@@ -141,6 +141,7 @@ def _told() -> Iterator[None]:
 
 @cache
 def _form(name: str, header: Path | None, level: str | None, kinds: Kinds) -> Form:
+    """The entry of a kernel for arrays of these kinds; BindingError if it takes others."""
     library = open_library(name, header, level)
     try:
         takes = getattr(library, f"{name}_takes")
@@ -253,6 +254,8 @@ def _find(folders: Iterable[Path], digest: str, level: str) -> Path | None:
 
 
 def _find_or_build(units: list[Path], level: str, own: bool, flags: Sequence[str] = ()) -> Path:
+    """The library of some sources for a level: one that is kept, or else a new one. own: whether
+    they are ours, which may come compiled with the package."""
     target = _this_target()
     try:
         folders = _folders(own)

@@ -15,22 +15,24 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.doctor import blocks, finite, largest
-from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.frame import ALBEDOS, DEPTH_MISS, Frame, Role
 from postfx.sampling import bilinear, is_inside, local_mean
 
-ALIGNED_PLANES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS,
-                  Role.DEPTH, Role.MOTION)
-ALIGNING_GUIDES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL)
+ALIGNED_PLANES = (*ALBEDOS, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION)
+ALIGNING_GUIDES = (*ALBEDOS, Role.NORMAL)
 WINDOW_SIDE_PX = 512
 """Of a larger picture only the middle is examined: this many pixels wide and high at most."""
-STRONGEST = 0.98
+STRONGEST_QUANTILE = 0.98
+"""Edges that are stronger count as this strong."""
 ALIGNED_BLOCK_PX = 8
 STEP_REACH_PX = 8
+"""Pixels each way that a block is moved by beyond its vectors."""
 MOST_ALIGNED_BLOCKS = 48
+"""Blocks that are moved, the worst ones."""
 
 # A block fits badly when its error is at least this many times the median, and at least this
 # large.
-STANDS_OUT = 4.0
+MISFIT_RATIO = 4.0
 LEAST_MISFIT = 0.04
 
 FITTING_ERROR_SHARE = 0.4
@@ -79,10 +81,20 @@ class Mover(NamedTuple):
 def compare_edges(frames: Sequence[Frame]) -> dict[Role, Placement]:
     """How each plane's edges coincide with the others' edges; needs frames of one size with at
     least two planes."""
-    edges = [{role: found for role in (*ALIGNED_PLANES, Role.COLOUR) if role in frame
-              and (found := _edges(_window(frame[role]), role)) is not None} for frame in frames]
-    return {role: placement for role in dict.fromkeys(role for found in edges for role in found)
-            if (placement := _placement(edges, role))}
+    edges = [_edges_of_planes(frame) for frame in frames]
+    roles = dict.fromkeys(role for found in edges for role in found)
+    placements = {role: _placement(edges, role) for role in roles}
+    return {role: placement for role, placement in placements.items() if placement}
+
+
+def _edges_of_planes(frame: Frame) -> dict[Role, np.ndarray]:
+    """`_edges` of the planes that have any."""
+    found = {}
+    for role in (*ALIGNED_PLANES, Role.COLOUR):
+        edges = _edges(_window(frame[role]), role) if role in frame else None
+        if edges is not None:
+            found[role] = edges
+    return found
 
 
 def find_movers(before: Frame, now: Frame) -> list[Mover]:
@@ -100,16 +112,17 @@ def find_movers(before: Frame, now: Frame) -> list[Mover]:
     found = []
     for row, column in _bad_blocks(old, new, motion):
         errors = _step_errors(old, new, motion, row, column, steps.astype(np.float32))
-        fitting, best = (steps[errors < FITTING_ERROR_SHARE * errors[len(steps) // 2]],
-                         steps[errors.argmin()])
-        # else any step along an edge would do
-        if (len(fitting) and np.abs(fitting - best).max() <= CERTAIN_STEPS_PX):
+        fitting = steps[errors < FITTING_ERROR_SHARE * errors[len(steps) // 2]]
+        best = steps[errors.argmin()]
+        # where steps far apart fit, any step along an edge would do
+        if len(fitting) and np.abs(fitting - best).max() <= CERTAIN_STEPS_PX:
             found.append((column * ALIGNED_BLOCK_PX, row * ALIGNED_BLOCK_PX, int(best[0]),
                           int(best[1])))
     return _cluster(found)
 
 
 def _window(plane: np.ndarray) -> np.ndarray:
+    """The middle of a plane, at most `WINDOW_SIDE_PX` high and wide."""
     height, width = plane.shape[:2]
     top, left = max(0, height - WINDOW_SIDE_PX) // 2, max(0, width - WINDOW_SIDE_PX) // 2
     return plane[top : top + WINDOW_SIDE_PX, left : left + WINDOW_SIDE_PX]
@@ -127,7 +140,7 @@ def _edges(plane: np.ndarray, role: Role) -> np.ndarray | None:
     plane = np.clip(finite(plane), -1e4, 1e4)
     strength = (largest(np.abs(np.diff(plane, axis=1)))[:-1]
                 + largest(np.abs(np.diff(plane, axis=0)))[:, :-1])
-    top = float(np.quantile(strength, STRONGEST))
+    top = float(np.quantile(strength, STRONGEST_QUANTILE))
     if top < 1e-6:
         return None
     strength = np.minimum(strength / np.float32(top), 1)
@@ -138,13 +151,16 @@ def _edges(plane: np.ndarray, role: Role) -> np.ndarray | None:
 
 
 def _placement(edges: list[dict[Role, np.ndarray]], role: Role) -> Placement | None:
+    """How a plane's edges coincide with those of the others, without the colour's; None where no
+    frame has both. edges: of the planes of each frame."""
     at = [number for number, found in enumerate(edges)
           if role in found and found.keys() - {role, Role.COLOUR}]
     if not at:
         return None
-    others = [_normalise(
-        np.sum([e for r, e in edges[number].items() if r not in (role, Role.COLOUR)], axis=0)
-    ) for number in at]
+    others = []
+    for number in at:
+        planes = [plane for name, plane in edges[number].items() if name not in (role, Role.COLOUR)]
+        others.append(_normalise(np.sum(planes, axis=0)))
     own = [edges[number][role] for number in at]
     table = np.array([[float(np.vdot(other, plane)) for plane in own] for other in others])
     flips = {name: float(np.mean([np.vdot(other, flip(plane))
@@ -164,7 +180,7 @@ def _bad_blocks(old: np.ndarray, new: np.ndarray, motion: np.ndarray) -> list[tu
     x, y = columns.astype(np.float32) + motion[..., 0], rows.astype(np.float32) + motion[..., 1]
     apart = largest(np.abs(bilinear(old, x.ravel(), y.ravel()).reshape(new.shape) - new))
     errors = blocks(np.where(is_inside(old, x, y), apart, 0), ALIGNED_BLOCK_PX)
-    least = max(STANDS_OUT * float(np.median(errors)), LEAST_MISFIT)
+    least = max(MISFIT_RATIO * float(np.median(errors)), LEAST_MISFIT)
     bad = np.argwhere(errors > least)
     worst = np.argsort(-errors[bad[:, 0], bad[:, 1]])[:MOST_ALIGNED_BLOCKS]
     return [(int(row), int(column)) for row, column in bad[worst]]
@@ -186,7 +202,8 @@ def _step_errors(old: np.ndarray, new: np.ndarray, motion: np.ndarray, row: int,
 
 def _cluster(found: list[tuple[int, int, int, int]]) -> list[Mover]:
     """Group blocks (x, y, step x, step y) that take the same step into objects."""
-    rest, things = np.array(found, int).reshape(-1, 4), []
+    rest = np.array(found, int).reshape(-1, 4)
+    things = []
     while len(rest):
         near = [(np.abs(rest[:, 2:] - step) <= ALIKE_STEPS_PX).all(1) for step in rest[:, 2:]]
         members = max(near, key=np.sum)

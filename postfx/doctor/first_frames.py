@@ -69,8 +69,10 @@ class FirstFrames:
     def __init__(self, channels: Mapping[Role, str] | None = None,
                  enable: Mapping[Role, str] | None = None,
                  on_gpu: bool = False, copies: bool = False) -> None:
-        self._channels, self._enable, self._on_gpu, self._copies = (channels or {}, enable or {},
-                                                                    on_gpu, copies)
+        self._channels = channels or {}
+        self._enable = enable or {}
+        self._on_gpu = on_gpu
+        self._copies = copies
         self._seen, self._kept, self._size = 0, list[Frame](), (0, 0)
         self.is_done = False
 
@@ -101,9 +103,9 @@ class FirstFrames:
         found = [finding for check in OF_ONE_FRAME for finding in check(Material([frame]))]
         held = {role: plane for role, plane in frame.planes.items()
                 if not self._channels or role in self._channels}
-        # motion may be estimated
-        material = Material([replace(frame, planes=held)], enable=dict(self._enable))
-        material.frames *= 1 if is_alone else 2  # a single frame needs no motion
+        read = replace(frame, planes=held)  # without motion that was estimated
+        frames = [read] if is_alone else [read, read]  # a single one needs no motion
+        material = Material(frames, enable=dict(self._enable))
         return found + [one for one in plane_checks.check_missing_planes(material)
                         if Role(one.role) in self._enable]
 

@@ -32,17 +32,23 @@ LARGEST_DEPTH_STEP = 0.05
 LARGEST_DEPTH_BEND = 0.01
 
 FITTED_POINTS = 5000
+"""Points that a rotation is fitted to, at most; below the next number none is."""
 FEWEST_FITTED_POINTS = 500
-LIKELY_FOV = tuple(range(20, 121, 10))
+LIKELY_FOV_DEGREES = tuple(range(20, 121, 10))
+"""Horizontal fields of view that are tried where the header gives none."""
 AGREEING = 0.75
 """Share of the points that a fit must explain."""
 ONE_LENGTH = 0.2
 """Normals are scaled, not averaged, when more than this share of them has the greatest length."""
 SAME_AXES_DEGREES = 3.0  # degrees
 NEAR_PLANES = tuple(0.0025 * 1.6**step for step in range(12))
+"""Distances of the near plane that are tried for scaled depth, in parts of the far plane's."""
 DEPTH_SCALES = 10.0 ** np.linspace(-5, 5, 161)
+"""Factors on depth that are tried to explain motion by the cameras."""
 SCALE_POINTS = 1000
+"""Points that they are tried with."""
 RIGHT_SCALE_ERROR = 0.05
+"""Difference from the cameras' motion, in parts of the motion, with which depth needs no factor."""
 
 
 class Points(NamedTuple):
@@ -105,10 +111,10 @@ def smooth_points(depth: np.ndarray) -> Points:
     if min(z.shape) < 2 * NEIGHBOUR_STEP_PX + 1:
         return Points(np.zeros(0, int), np.zeros(0, int))
     middle = z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX]
-    left, right = (z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, : -2 * NEIGHBOUR_STEP_PX],
-                   z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, 2 * NEIGHBOUR_STEP_PX :])
-    up, down = (z[: -2 * NEIGHBOUR_STEP_PX, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX],
-                z[2 * NEIGHBOUR_STEP_PX :, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX])
+    left = z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, : -2 * NEIGHBOUR_STEP_PX]
+    right = z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, 2 * NEIGHBOUR_STEP_PX :]
+    up = z[: -2 * NEIGHBOUR_STEP_PX, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX]
+    down = z[2 * NEIGHBOUR_STEP_PX :, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX]
     with np.errstate(invalid="ignore"):
         # a step to one side only is an edge
         smooth = np.abs(left + right - 2 * middle) < LARGEST_DEPTH_BEND * middle
@@ -203,7 +209,7 @@ def fit_rotation(frame: Frame, views: Sequence[float] = ()) -> Fit | None:
     if there.sum() < FEWEST_FITTED_POINTS:
         return None
     points, stored = Points(points.rows[there], points.columns[there]), stored[there]
-    views = views or ((frame.fov_x,) if frame.fov_x else LIKELY_FOV)
+    views = views or ((frame.fov_x,) if frame.fov_x else LIKELY_FOV_DEGREES)
     return min((_procrustes(normals_of_depth(frame, view, points)[0], stored, view)
                 for view in views),
                key=lambda fit: fit.angle)
@@ -289,7 +295,8 @@ def fit_depth_scale(before: Frame, now: Frame) -> DepthScale | None:
 
     camera = motion(1.0)
     factor = float(np.vdot(camera, stored) / max(float(np.vdot(camera, camera)), 1e-12))
-    as_it_is, rest = error(1.0), _typical_length(factor * camera - stored)
+    as_it_is = error(1.0)
+    rest = _typical_length(factor * camera - stored)
     length = max(_typical_length(stored), _typical_length(camera))
     scale = 1.0 if as_it_is < RIGHT_SCALE_ERROR * length else float(min(DEPTH_SCALES, key=error))
     return DepthScale(scale, error(scale), as_it_is, length, factor, rest)
@@ -381,7 +388,10 @@ def _within_one(frame: Frame) -> bool:
 def _fit_depth_kind(frame: Frame, kind: DepthKind) -> Fit | None:
     if not kind.code:
         return fit_rotation(frame)
-    views = (frame.fov_x,) if frame.fov_x else LIKELY_FOV if kind.code == "depth-ray" else (None,)
+    views: tuple[float | None, ...] = (frame.fov_x,)
+    if not frame.fov_x:
+        # only a ray's distance depends on the view
+        views = LIKELY_FOV_DEGREES if kind.code == "depth-ray" else (None,)
     fits = [fit_rotation(_reread(frame, kind, view)) for view in views]
     return min(filter(None, fits), key=lambda fit: fit.angle, default=None)
 
@@ -402,11 +412,17 @@ def _reread(frame: Frame, kind: DepthKind, fov_x: float | None) -> Frame:
 
 Model = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
+# Reflectance at normal incidence that a material may have: from about water's to all.
 LEAST_F0 = 0.015
 MOST_F0 = 1.0
+
 LEAST_PIXELS = 150
+"""Pixels of one roughness that are fitted together, at least."""
 LEAST_FIT_ERROR = 2e-4
-FOLLOWS_ANGLE = 0.5
+"""Errors of specular albedo below this count as this: they are rounding."""
+FOLLOWS_ANGLE_SHARE = 0.5
+"""Specular albedo follows the view angle where the model leaves less than this share of the error
+of one that does not."""
 
 
 @dataclass(frozen=True)
@@ -471,7 +487,8 @@ class RoughnessFit:
     def is_telling(self) -> bool:
         """Whether specular albedo follows the view angle as the model says; some renderers write
         one that does not."""
-        return max(self.errors[self.best], LEAST_FIT_ERROR) < FOLLOWS_ANGLE * self.without_angle
+        error = max(self.errors[self.best], LEAST_FIT_ERROR)
+        return error < FOLLOWS_ANGLE_SHARE * self.without_angle
 
     @property
     def certainty(self) -> float:

@@ -44,17 +44,11 @@ from postfx.doctor.geometry import (
     world_axes,
 )
 from postfx.doctor.material import Material
-from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.frame import ALBEDOS, DEPTH_MISS, Frame, Role
 from postfx.sampling import local_mean
 
-# Degrees between the normals of depth and the stored ones
-CLEARLY_OFF = 1.5
-WELL = 5.0
-
-MUCH_BETTER = 0.4
-FOV_EXPLAINS = 0.5
-FAR_AWAY = 50.0
-ANY_FOV = tuple(range(20, 122, 2))
+FAR_AWAY_RATIO = 50.0
+"""Depth that stands for misses is this many times as far as 95 % of the surfaces."""
 
 
 def check_depth_misses(material: Material) -> Iterator[Finding]:
@@ -74,20 +68,27 @@ def check_depth_misses(material: Material) -> Iterator[Finding]:
                     "misses stored as 0",
                     "store 1e10 where nothing was hit, or give --depth planar,miss=0 (in a profile "
                     "miss = 0.0)")
+    yield from _far_misses(material.middle, depth)
+
+
+def _far_misses(frame: Frame, depth: np.ndarray) -> Iterator[Finding]:
+    """Misses stored as one depth far behind all surfaces. depth: (height, width)."""
     is_there = is_hit(depth[..., None])
     hit = depth[is_there]
     if hit.size < 100:
         return
-    largest = float(hit.max())
-    same = hit == largest
+    farthest = float(hit.max())
+    same = hit == farthest
     others = hit[~same]
-    if others.size and percent(same) > 0.5 and largest > FAR_AWAY * np.percentile(others, 95) \
-            and not _have_normals(material.middle, is_there & (depth == largest)):
-        evidence = (f"{percent(same):.3g} % of the hits are exactly {largest:.6g}, the others "
+    if not others.size or percent(same) <= 0.5:
+        return
+    is_far = farthest > FAR_AWAY_RATIO * np.percentile(others, 95)
+    if is_far and not _have_normals(frame, is_there & (depth == farthest)):
+        evidence = (f"{percent(same):.3g} % of the hits are exactly {farthest:.6g}, the others "
                     f"below {others.max():.4g}")
         yield warning(Role.DEPTH, "depth-miss-far", evidence,
                       "misses stored as the far plane or the largest half float",
-                      f"store 1e10 where nothing was hit, or in a profile miss = {largest:.6g}")
+                      f"store 1e10 where nothing was hit, or in a profile miss = {farthest:.6g}")
 
 
 def _have_normals(frame: Frame, there: np.ndarray) -> bool:
@@ -97,6 +98,18 @@ def _have_normals(frame: Frame, there: np.ndarray) -> bool:
         return False
     lengths = np.linalg.norm(np.nan_to_num(frame[Role.NORMAL][there]), axis=-1)
     return percent(np.abs(lengths - 1) < 0.1) > 90
+
+
+# Degrees between the normals that depth gives and the stored ones: from the first on depth is not
+# what it is said to be, below the second another kind explains it.
+WRONG_DEGREES = 1.5
+EXPLAINED_DEGREES = 5.0
+
+OTHER_KIND_SHARE = 0.4
+"""Another kind of depth must leave less than this share of the angle."""
+OTHER_FOV_SHARE = 0.5
+"""Another field of view must leave less than this share of the angle of the best kind."""
+TRIED_FOV_DEGREES = tuple(range(20, 122, 2))
 
 
 def check_depth_kind(material: Material) -> Iterator[Finding]:
@@ -114,37 +127,44 @@ def check_depth_kind(material: Material) -> Iterator[Finding]:
         return
     stored = fits[DEPTH_VARIANTS[0]].angle
     kind = min(fits, key=lambda kind: fits[kind].angle)
-    other = fit_rotation(frame, ANY_FOV) if frame.fov_x and stored >= CLEARLY_OFF else None
-    other = other if other and other.angle < FOV_EXPLAINS * fits[kind].angle else None
-    best = other or fits[kind]
-    if stored < CLEARLY_OFF or best.angle >= min(MUCH_BETTER * stored, WELL):
+    if stored < WRONG_DEGREES:
         return
-    if best is other:
-        yield warning("sequence", "fov-mismatch", _facing(best, stored) + "; the header says "
-                      f"{frame.fov_x:.4g}", "vertical field of view, or another camera's",
-                      "write the horizontal field of view in degrees to postfx:fovX")
-    else:
-        yield error(Role.DEPTH, kind.code, _facing(best, stored, kind), kind.cause, kind.fix)
+    enough = min(OTHER_KIND_SHARE * stored, EXPLAINED_DEGREES)
+    other_fov = fit_rotation(frame, TRIED_FOV_DEGREES) if frame.fov_x else None
+    if other_fov and other_fov.angle < OTHER_FOV_SHARE * fits[kind].angle:
+        if other_fov.angle < enough:
+            evidence = f"{_facing(other_fov, stored)}; the header says {frame.fov_x:.4g}"
+            yield warning("sequence", "fov-mismatch", evidence,
+                          "vertical field of view, or another camera's",
+                          "write the horizontal field of view in degrees to postfx:fovX")
+    elif fits[kind].angle < enough:
+        yield error(Role.DEPTH, kind.code, _facing(fits[kind], stored, kind), kind.cause, kind.fix)
 
 
 def _facing(fit: Fit, stored: float, kind: DepthKind = DEPTH_VARIANTS[0]) -> str:
+    """How well depth of a kind explains the normals. stored: degrees as it is."""
     return (f"surfaces face within {fit.angle:.2g} degrees of their normals if depth is "
             f"{kind.name} and the field of view {fit.fov_x:.4g} degrees; {stored:.3g} degrees as "
             "it is")
 
 
-DEPTH_EXPLAINS = 4.0
+UNDERSTOOD_DEGREES = 4.0
+"""Largest angle between the normals that depth gives and the stored ones, turned: beyond, nothing
+is said of their space."""
+FEWEST_POINTS = 500
+"""Points on smooth surfaces that tell mixed normals."""
+LEAST_MIXED_PERCENT = 4.0
+"""Percent of the normals that must be in each of two spaces."""
 
-# Points, and percent of mixed ones
-FEW_POINTS = 500
-FEW_MIXED = 4.0
-
-# Pixels, part of the motion
+# Motion by camera and depth confirms a matrix: its least length, and its error in parts of that.
 LEAST_MOTION_PX = 0.1
 RIGHT_MOTION_ERROR = 0.1
 
-AGREES = np.cos(np.radians(5))
-DIFFERS = np.cos(np.radians(15))
+# Cosines of the angle to a normal in one space: from the first on it is of that space, below the
+# second it is not.
+SAME_SPACE_COSINE = np.cos(np.radians(5))
+OTHER_SPACE_COSINE = np.cos(np.radians(15))
+
 _FLIPS = [np.diag(signs) for signs in product((-1.0, 1.0), repeat=3)]
 
 
@@ -183,7 +203,7 @@ def check_normal_space(material: Material) -> Iterator[Finding]:
     frame, fit = material.middle, material.fit
     if Role.NORMAL not in frame or is_unsigned(frame):
         return
-    if fit is None or fit.angle > DEPTH_EXPLAINS:
+    if fit is None or fit.angle > UNDERSTOOD_DEGREES:
         yield info(Role.NORMAL, "normal-space-untested", "the space of the normals was not tested",
                    "it needs depth along the view axis and smooth surfaces",
                    "look at its picture (--pictures): world normals keep their colours when the "
@@ -195,26 +215,26 @@ def check_normal_space(material: Material) -> Iterator[Finding]:
         return
     if material.picture_to_world is not None:
         return
-    world = min(world_axes(frame), key=lambda matrix: _turn(fit.matrix, matrix))
-    off = _turn(fit.matrix, world)
+    worlds = world_axes(frame)
+    off = min(_turn(fit.matrix, world) for world in worlds)
+    inverted = min(_turn(fit.matrix, -world) for world in worlds)
+    transposed = min(_turn(fit.matrix, axes @ frame.world_to_camera[:3, :3])
+                     for axes in CAMERA_AXES)
     evidence = (f"normals are turned by {off:.3g} degrees from the world of worldToCamera, "
                 f"by {camera:.2g} degrees from the camera's axes")
     if camera < SAME_AXES_DEGREES:
         yield error(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space",
                     "write world normals, or in a profile space = \"camera\"")
-    elif ((inverted := min(_turn(fit.matrix, -matrix) for matrix in world_axes(frame)))
-          < SAME_AXES_DEGREES):
+    elif inverted < SAME_AXES_DEGREES:
         evidence = (f"negated, they are within {inverted:.2g} degrees of the normals that depth "
                     "and camera give")
         yield error(Role.NORMAL, "normal-inverted", evidence, "normals point away from the viewer",
                     "negate them, in a profile scale = [-1, -1, -1]")
-    elif (not _is_right(material) and min(
-            _turn(fit.matrix, axes @ frame.world_to_camera[:3, :3])
-            for axes in CAMERA_AXES) < SAME_AXES_DEGREES):
+    elif transposed < SAME_AXES_DEGREES and not _is_right(material):
         yield error("sequence", "matrix-transposed", evidence,
                     "worldToCamera stored for column vectors, or inverted",
                     "store it for row vectors (p_camera = p_world M)")
-    elif (other := _other_axes(frame, fit)) is not None:
+    elif other := _other_axes(frame, fit):
         evidence = (f"with {other[0]} they are within {other[1]:.2g} degrees of the normals that "
                     "depth and camera give")
         yield error(Role.NORMAL, "normal-axes", evidence,
@@ -234,19 +254,22 @@ def check_normal_mixed(material: Material) -> Iterator[Finding]:
     if (frame.world_to_camera is None or Role.NORMAL not in frame or Role.DEPTH not in frame
         or is_unsigned(frame)):
         return
-    points, fov = (smooth_points(frame[Role.DEPTH]),
-                   frame.fov_x or (material.fit.fov_x if material.fit else None))
-    if fov is None or points.rows.size < FEW_POINTS:
+    points = smooth_points(frame[Role.DEPTH])
+    fov = frame.fov_x or (material.fit.fov_x if material.fit else None)
+    if fov is None or points.rows.size < FEWEST_POINTS:
         return
-    if material.fit and material.fit.angle < DEPTH_EXPLAINS and material.picture_to_world is None:
+    is_explained = material.fit is not None and material.fit.angle < UNDERSTOOD_DEGREES
+    if is_explained and material.picture_to_world is None:
         return  # all normals are in one space, though not in the world's
-    seen, stored = normals_of_depth(frame, fov, points)[0], unit_normals(frame, points)
-    world = max((((seen @ matrix) * stored).sum(-1) for matrix in world_axes(frame)),
-                key=lambda c: percent(c > AGREES))
-    camera = max((((seen @ flip) * stored).sum(-1) for flip in _FLIPS),
-                 key=lambda c: percent((c > AGREES) & (world < DIFFERS)))
-    shares = percent(world > AGREES), percent((camera > AGREES) & (world < DIFFERS))
-    if min(shares) > FEW_MIXED:
+    seen = normals_of_depth(frame, fov, points)[0]
+    stored = unit_normals(frame, points)
+    by_world = [((seen @ matrix) * stored).sum(-1) for matrix in world_axes(frame)]
+    by_camera = [((seen @ flip) * stored).sum(-1) for flip in _FLIPS]
+    world = max(by_world, key=lambda cosines: percent(cosines > SAME_SPACE_COSINE))
+    is_elsewhere = world < OTHER_SPACE_COSINE
+    in_camera = max(percent((cosines > SAME_SPACE_COSINE) & is_elsewhere) for cosines in by_camera)
+    shares = percent(world > SAME_SPACE_COSINE), in_camera
+    if min(shares) > LEAST_MIXED_PERCENT:
         yield error(Role.NORMAL, "normal-mixed",
                     f"{shares[0]:.3g} % of the normals are in world space, {shares[1]:.3g} % in "
                     "camera space", "shaders or objects that write different spaces",
@@ -256,7 +279,7 @@ def check_normal_mixed(material: Material) -> Iterator[Finding]:
 def check_normal_facing(material: Material) -> Iterator[Finding]:
     """Some normals point away from the viewer."""
     frame, fit = material.middle, material.fit
-    if fit is None or fit.angle > DEPTH_EXPLAINS or is_unsigned(frame):
+    if fit is None or fit.angle > UNDERSTOOD_DEGREES or is_unsigned(frame):
         return
     points = smooth_points(frame[Role.DEPTH])
     seen, _ = normals_of_depth(frame, fit.fov_x, points)
@@ -286,13 +309,16 @@ def _other_axes(frame: Frame, fit: Fit) -> tuple[str, float] | None:
         for signs in product((1.0, -1.0), repeat=3):
             changed = np.eye(3)[:, order] * signs
             angle = min(_turn(fit.matrix, world @ changed.T) for world in world_axes(frame))
-            found.append((angle, ", ".join(("-" if sign < 0 else "") + "xyz"[axis]
-                                           for axis, sign in zip(order, signs, strict=True))))
+            names = [("-" if sign < 0 else "") + "xyz"[axis]
+                     for axis, sign in zip(order, signs, strict=True)]
+            found.append((angle, ", ".join(names)))
     angle, name = min(found)
     return (f"channels in the order {name}", angle) if angle < SAME_AXES_DEGREES else None
 
 
 def _without_matrix(camera: float) -> Iterator[Finding]:
+    """The finding for a frame without worldToCamera. camera: degrees between its normals and the
+    camera's axes."""
     if camera < SAME_AXES_DEGREES:
         evidence = (f"normals are within {camera:.2g} degrees of the camera's axes; certain only "
                     "with worldToCamera")
@@ -307,23 +333,32 @@ def _turn(one: np.ndarray, other: np.ndarray) -> float:
     return 2 * float(np.degrees(np.arcsin(min(sine, 1.0))))
 
 
-SURFACE_ALBEDOS = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+# Albedo. Noise and brightness are in parts of white, shares in percent of the pixels.
+
+MOST_ABOVE_ONE_PERCENT = 5.0
 NOISY_ALBEDO = 0.012
-MOST_ABOVE = 5.0  # percent of the pixels
-BRIGHT_ALBEDO = 0.5
-SAME_NOISE = 0.5
+NOISY_ALBEDO_SHARE = 0.02
+"""Noise that counts, in parts of the albedo's mean."""
+SAME_NOISE_CORRELATION = 0.5
+"""Albedo whose noise is correlated with the colour's by more is lit."""
+BRIGHT_METAL = 0.5
+"""Specular albedo of metal is larger."""
+
+# An encoded albedo. Slopes are those of `Slopes`.
 FEWEST_LIT_SQUARES = 20
 TOO_STEEP = 1.2
-SWAPPED = -0.2
+"""Upper quartile of the slope of brightness that no linear albedo has; its most is 1."""
+SWAPPED_SLOPE = -0.2
+"""Median slope of red over blue below which the channels of one plane are swapped."""
 ENCODED_DARK = 0.2
 """Largest channel of the darkest albedos (2nd percentile): a dark albedo of 0.04 is encoded as
 0.22."""
-MUCH_TOO_BRIGHT = 0.3  # percent
+MOST_TOO_BRIGHT_PERCENT = 0.3
 
 
 def check_albedo_above_one(material: Material) -> Iterator[Finding]:
     """Reflectance above 1: more light leaves than arrives."""
-    for role in SURFACE_ALBEDOS:
+    for role in ALBEDOS:
         if role not in material.middle:
             continue
         plane = finite(material.middle[role]).max(2)
@@ -333,25 +368,27 @@ def check_albedo_above_one(material: Material) -> Iterator[Finding]:
             cause = ("the AOV shows a light or a reflection, holds lit colour instead of "
                      "reflectance, or is scaled")
             fix = "write reflectance without light; values above 1 are cut off"
-            level = error if share > MOST_ABOVE else warning if share > 0.1 else info
+            level = error if share > MOST_ABOVE_ONE_PERCENT else warning if share > 0.1 else info
             yield level(role, "albedo-above-one", evidence, cause, fix)
 
 
 def check_albedo_noisy(material: Material) -> Iterator[Finding]:
     """Noise in flat areas of an albedo."""
-    for role in SURFACE_ALBEDOS:
+    for role in ALBEDOS:
         if role not in material.middle:
             continue
         plane = _reflectance(material.middle[role])
         level = noise_level(plane)
         used = plane.max(2) > 0
-        if level is None or level < NOISY_ALBEDO or level < 0.02 * float(plane[used].mean()):
+        if level is None:
+            continue
+        if level < max(NOISY_ALBEDO, NOISY_ALBEDO_SHARE * float(plane[used].mean())):
             continue
         shared = _shared_noise(material.middle, plane)
         evidence = (f"noise of {level:.3g} in the flattest quarter of the picture, mean "
                     f"{plane[used].mean():.3g}; ")
         evidence += f"{shared:.2f} correlated with the colour's noise"
-        lit = shared > SAME_NOISE and not _is_averaged(material.middle)
+        lit = shared > SAME_NOISE_CORRELATION and not _is_averaged(material.middle)
         cause = ("the AOV holds lit colour" if lit
                  else "depth of field, motion blur or rough layers in the AOV")
         fix = ("write reflectance without light" if lit
@@ -360,6 +397,7 @@ def check_albedo_noisy(material: Material) -> Iterator[Finding]:
 
 
 def _reflectance(plane: np.ndarray) -> np.ndarray:
+    """The plane with reflectance in 0..4, and 0 for what is not finite."""
     result: np.ndarray = np.clip(finite(plane), 0, 4)
     return result
 
@@ -378,34 +416,52 @@ def check_albedo_encoded(material: Material) -> Iterator[Finding]:
               for frame in material.frames if Role.COLOUR in frame and Role.DIFFUSE_ALBEDO in frame]
     if not frames or _is_averaged(material.middle):
         return
-    albedo = np.concatenate([largest(finite(frame[Role.DIFFUSE_ALBEDO])).ravel()
-                             for frame in frames])
-    darkest = float(np.percentile(albedo[albedo > 0.004], 2)) if (albedo > 0.004).any() else 0.0
     contrast, tint = measure_slopes(frames)
-    words = ("textures change colour {:.2f} times as much as the albedo (logarithms, upper "
-             "quartile of {} squares), where at most 1 is possible")
+    darkest = _darkest_albedo(frames)
     if contrast and contrast.squares >= FEWEST_LIT_SQUARES and contrast.upper > TOO_STEEP:
-        evidence = words.format(contrast.upper, contrast.squares)
-        if darkest > ENCODED_DARK:
-            yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded",
-                          f"{evidence}; and its darkest area is {darkest:.2f}",
-                          "albedo stored with the sRGB curve, as a picture",
-                          "write it linear, or decode it: an encoded albedo leaves textures in the "
-                          "noise")
-        else:
-            yield warning(Role.COLOUR, "colour-times-albedo", evidence,
-                          "colour was multiplied by albedo twice", "multiply light by albedo once")
-    elif darkest > ENCODED_DARK and (share := _too_bright(material.middle)) > MUCH_TOO_BRIGHT:
-        yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded",
-                      f"nothing is darker than {darkest:.2f}, and {share:.3g} % of the pixels "
-                      "reflect more than 1.03 in sum; decoded from sRGB, nearly none do",
-                      "albedo stored with the sRGB curve, as a picture", "write it linear")
-    if tint and tint.squares >= FEWEST_LIT_SQUARES and tint.median < SWAPPED and tint.upper < 0:
+        yield _too_steep(contrast, darkest)
+    elif darkest > ENCODED_DARK:
+        yield from _nothing_dark(material.middle, darkest)
+    is_telling = tint is not None and tint.squares >= FEWEST_LIT_SQUARES
+    if tint and is_telling and tint.median < SWAPPED_SLOPE and tint.upper < 0:
         yield warning(Role.DIFFUSE_ALBEDO, "albedo-channels",
                       f"where the albedo turns red, colour turns blue (slope {tint.median:.2f}, "
                       f"{tint.squares} squares)",
                       "channels in the order B, G, R, of albedo or of colour",
                       'swap them, in a profile channels = ["BGR"]')
+
+
+def _darkest_albedo(frames: Sequence[Frame]) -> float:
+    """2nd percentile of the largest channel of diffuse albedo, where it is not black; 0 where all
+    is."""
+    albedo = np.concatenate([largest(finite(frame[Role.DIFFUSE_ALBEDO])).ravel()
+                             for frame in frames])
+    lit = albedo[albedo > 0.004]
+    return float(np.percentile(lit, 2)) if lit.size else 0.0
+
+
+def _too_steep(contrast: Slopes, darkest: float) -> Finding:
+    """The finding for textures that change colour more than the albedo says."""
+    evidence = (f"textures change colour {contrast.upper:.2f} times as much as the albedo "
+                f"(logarithms, upper quartile of {contrast.squares} squares), where at most 1 is "
+                "possible")
+    if darkest <= ENCODED_DARK:
+        return warning(Role.COLOUR, "colour-times-albedo", evidence,
+                       "colour was multiplied by albedo twice", "multiply light by albedo once")
+    return warning(Role.DIFFUSE_ALBEDO, "albedo-encoded",
+                   f"{evidence}; and its darkest area is {darkest:.2f}",
+                   "albedo stored with the sRGB curve, as a picture",
+                   "write it linear, or decode it: an encoded albedo leaves textures in the noise")
+
+
+def _nothing_dark(frame: Frame, darkest: float) -> Iterator[Finding]:
+    """Albedo without anything dark, whose pixels reflect too much unless it is decoded."""
+    share = _too_bright(frame)
+    if share > MOST_TOO_BRIGHT_PERCENT:
+        yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded",
+                      f"nothing is darker than {darkest:.2f}, and {share:.3g} % of the pixels "
+                      "reflect more than 1.03 in sum; decoded from sRGB, nearly none do",
+                      "albedo stored with the sRGB curve, as a picture", "write it linear")
 
 
 def _too_bright(frame: Frame) -> float:
@@ -420,6 +476,7 @@ def _too_bright(frame: Frame) -> float:
 
 
 def _shared_noise(frame: Frame, albedo: np.ndarray) -> float:
+    """Correlation of an albedo's noise (height, width, 3) with the colour's; 0 without colour."""
     if Role.COLOUR not in frame:
         return 0.0
     light, reflected = (np.log(luminance(np.maximum(finite(plane), 0)) + 1e-2)[..., None]
@@ -430,15 +487,15 @@ def _shared_noise(frame: Frame, albedo: np.ndarray) -> float:
 def check_bright_metal(material: Material) -> Iterator[Finding]:
     """Diffuse and specular albedo bright in the same pixels: together they reflect more light than
     arrives."""
-    if not all(role in material.middle for role in SURFACE_ALBEDOS):
+    if not all(role in material.middle for role in ALBEDOS):
         return
-    diffuse, specular = (finite(material.middle[role]) for role in SURFACE_ALBEDOS)
-    metal = specular.max(2) > BRIGHT_ALBEDO
+    diffuse, specular = (finite(material.middle[role]) for role in ALBEDOS)
+    metal = specular.max(2) > BRIGHT_METAL
     bright = metal & ((diffuse + specular).max(2) > 1.05)
     share, of_metal = percent(bright), 100 * bright.sum() / max(metal.sum(), 1)
     if share > 0.05 and of_metal > 30:
         evidence = (f"{share:.3g} % of the pixels ({of_metal:.0f} % of those with specular albedo "
-                    f"above {BRIGHT_ALBEDO}) reflect more than 1.05 in sum, "
+                    f"above {BRIGHT_METAL}) reflect more than 1.05 in sum, "
                     f"{(diffuse + specular).max(2)[bright].mean():.3g} in the mean")
         yield warning(Role.DIFFUSE_ALBEDO, "metal-diffuse-bright", evidence,
                       "base colour written as diffuse albedo of metals too",
@@ -475,8 +532,8 @@ def check_roughness_kind(material: Material) -> Iterator[Finding]:
         evidence = (f"specular albedo is explained with an error of {fit.errors[kind]:.3g} if the "
                     f"AOV is {kind.name}, of {fit.as_it_is:.3g} as linear roughness ({fit.pixels} "
                     f"pixels); certainty {certain:.0%}")
-        yield (error if certain >= 0.5 else warning)(Role.ROUGHNESS, kind.code, evidence,
-                                                     kind.cause, kind.fix)
+        level = error if certain >= 0.5 else warning
+        yield level(Role.ROUGHNESS, kind.code, evidence, kind.cause, kind.fix)
 
 
 # Albedo by the colour: across a texture on one surface, both change together.
@@ -488,9 +545,10 @@ def check_roughness_kind(material: Material) -> Iterator[Finding]:
 # with a display curve has too little contrast, which doubles the slope or so.
 
 SQUARE_SIDE_PX = 8
-LEAST_RATIO = 0.2
+LEAST_LOG_RATIO = 0.2
 """Least logarithm of the ratio of the two thirds' albedos."""
-FIREFLY = 4.0
+FEWEST_TEXTURED_SQUARES = 5
+FIREFLY_RATIO = 4.0
 """Colour is cut off at this many times the median of its square."""
 DARK_SQUARE_RATIO = 0.02
 """Squares whose median is below this part of the picture's mean are too noisy to use."""
@@ -526,7 +584,7 @@ def measure_slopes(frames: Sequence[Frame]) -> tuple[Slopes | None, Slopes | Non
             continue
         middle = np.median(colour, axis=1, keepdims=True)
         lit = (middle[:, 0] > DARK_SQUARE_RATIO * colour.mean()).all(1)
-        colour, albedo = np.minimum(colour, FIREFLY * middle)[lit], albedo[lit]
+        colour, albedo = np.minimum(colour, FIREFLY_RATIO * middle)[lit], albedo[lit]
         brightness.append(_ratios(colour.sum(-1), albedo.sum(-1), albedo.sum(-1)))
         key = np.log((albedo[..., 0] + 1e-3) / (albedo[..., 2] + 1e-3))
         red, blue = (_ratios(colour[..., channel], albedo[..., channel], key) for channel in (0, 2))
@@ -538,16 +596,16 @@ def measure_slopes(frames: Sequence[Frame]) -> tuple[Slopes | None, Slopes | Non
 
 def _one_surface(frame: Frame) -> np.ndarray:
     """(squares,): whether normals agree and depth hardly changes."""
-    found = np.ones(frame.spec.height // SQUARE_SIDE_PX * (frame.spec.width // SQUARE_SIDE_PX),
-                    bool)
+    rows, columns = frame.spec.height // SQUARE_SIDE_PX, frame.spec.width // SQUARE_SIDE_PX
+    found = np.ones(rows * columns, bool)
     if Role.NORMAL in frame:
         normals = _squares(finite(frame[Role.NORMAL]))
         mean = np.linalg.norm(normals.mean(1), axis=-1)
         found &= ((mean > ALIGNED_NORMAL_LENGTH * np.linalg.norm(normals, axis=-1).mean(1))
                   & (mean > 0.3))
     if Role.DEPTH in frame:
-        depth = _squares(np.where(is_hit(frame[Role.DEPTH])[..., None], frame[Role.DEPTH],
-                                  np.inf))[..., 0]
+        hits = is_hit(frame[Role.DEPTH])[..., None]
+        depth = _squares(np.where(hits, frame[Role.DEPTH], np.inf))[..., 0]
         found &= np.isfinite(depth).all(1) & (depth.max(1) < FLAT_DEPTH_RATIO * depth.min(1))
     return found
 
@@ -555,9 +613,8 @@ def _one_surface(frame: Frame) -> np.ndarray:
 def _squares(plane: np.ndarray) -> np.ndarray:
     """Whole squares (count, 64, C) of a plane (height, width, C)."""
     rows, columns = plane.shape[0] // SQUARE_SIDE_PX, plane.shape[1] // SQUARE_SIDE_PX
-    cut = plane[: rows * SQUARE_SIDE_PX, : columns * SQUARE_SIDE_PX].reshape(rows, SQUARE_SIDE_PX,
-                                                                             columns,
-                                                                             SQUARE_SIDE_PX, -1)
+    whole = plane[: rows * SQUARE_SIDE_PX, : columns * SQUARE_SIDE_PX]
+    cut = whole.reshape(rows, SQUARE_SIDE_PX, columns, SQUARE_SIDE_PX, -1)
     return cut.swapaxes(1, 2).reshape(rows * columns, SQUARE_SIDE_PX * SQUARE_SIDE_PX, -1)
 
 
@@ -567,17 +624,21 @@ def _ratios(colour: np.ndarray, albedo: np.ndarray, key: np.ndarray) -> np.ndarr
 
     All arguments are (squares, 64).
     """
-    order, third = np.argsort(key, axis=1), SQUARE_SIDE_PX * SQUARE_SIDE_PX // 3
-    parts = order[:, -third:], order[:, :third]
-    means = [[np.take_along_axis(plane, part, 1).mean(1) for part in parts]
-             for plane in (colour, albedo)]
-    return np.stack([np.log((most + least_value) / (least + least_value))
-                     for (most, least), least_value in zip(means, (1e-4, 1e-3), strict=True)], -1)
+    order = np.argsort(key, axis=1)
+    third = SQUARE_SIDE_PX * SQUARE_SIDE_PX // 3
+    found = []
+    for plane, offset in ((colour, 1e-4), (albedo, 1e-3)):
+        most = np.take_along_axis(plane, order[:, -third:], 1).mean(1)
+        least = np.take_along_axis(plane, order[:, :third], 1).mean(1)
+        found.append(np.log((most + offset) / (least + offset)))
+    return np.stack(found, -1)
 
 
 def _slopes(ratios: np.ndarray) -> Slopes | None:
-    used = ratios[ratios[:, 1] > LEAST_RATIO]
-    if len(used) < 5:
+    """Quartiles of the slopes of (squares, 2) logarithms, of colours and of albedos; None with too
+    few squares."""
+    used = ratios[ratios[:, 1] > LEAST_LOG_RATIO]
+    if len(used) < FEWEST_TEXTURED_SQUARES:
         return None
     slopes, weights = used[:, 0] / used[:, 1], used[:, 1]
     order = np.argsort(slopes)

@@ -34,7 +34,7 @@ from postfx.doctor.material import Material, Reading, explain_roles, read_materi
 from postfx.errors import WriteError
 from postfx.exposure import measure
 from postfx.files import write_atomically
-from postfx.frame import ERROR_ROLES, ROLES, Frame, Role
+from postfx.frame import ALBEDOS, ERROR_ROLES, ROLES, Frame, Role
 from postfx.io.layout import Match
 from postfx.io.sequence import read_sequence
 from postfx.thumbnails import png, png_uri, shrink
@@ -222,6 +222,7 @@ def _guides(frame: Frame, reading: Reading) -> dict[str, Any] | None:
 
 def _plane(pixels: np.ndarray, role: Role, match: Match, stored: Values,
            extent: Range) -> dict[str, Any]:
+    """Facts of a plane in plain types. extent: its range."""
     return {
         "role": str(role),
         "channels": match.names,
@@ -290,7 +291,7 @@ def picture(plane: np.ndarray, role: Role) -> np.ndarray:
     pixels = np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels
     if role is Role.DEPTH:
         pixels[~is_hit(plane)] = MISS_RGB
-    if role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO):
+    if role in ALBEDOS:
         pixels[(finite(plane) > 1.001).any(2)] = RED_RGB
     broken = np.isnan(plane).any(2) if role is Role.DEPTH else ~np.isfinite(plane).all(2)
     pixels[broken] = MAGENTA_RGB

@@ -23,7 +23,8 @@ from postfx.io.layout import GuideLayout, Layout, Match
 from postfx.io.profile import PlaneRule
 from postfx.io.sequence import Sequence
 
-MOST_HELD_PAIRS = 7
+MOST_SCORED_PAIRS = 7
+"""Pairs of frames whose motion is scored, which takes long."""
 
 
 @dataclass
@@ -62,16 +63,15 @@ class Material:
                        for role in self.frames[0].planes} | self.stored
 
     def without(self, roles: Collection[str]) -> Material:
-        """The same frames without the planes of some roles, by name; itself if it has none of them,
-        or nothing else."""
-        if (not any(role in self.first for role in roles)
-            or set(map(str, self.first.planes)) <= set(roles)):
+        """The material without the planes of some roles, by name; itself if it has none of them, or
+        nothing else."""
+        held = set(map(str, self.first.planes))
+        if not held & set(roles) or held <= set(roles):
             return self
         frames = [replace(frame, planes={role: plane for role, plane in frame.planes.items()
                                          if role not in roles})
                   for frame in self.frames]
-        return Material(frames, self.stored, self.enable, self.unreadable, self.ranges,
-                        self.measured, self.unread, self.read_motion)
+        return replace(self, frames=frames)
 
     @property
     def first(self) -> Frame:
@@ -93,7 +93,7 @@ class Material:
     @cached_property
     def pair_scores(self) -> list[PairScores]:
         """Scores of the motion's variants for each pair that has motion and contrast."""
-        return [warped for pair in self.pairs[:MOST_HELD_PAIRS]
+        return [warped for pair in self.pairs[:MOST_SCORED_PAIRS]
                 if (warped := warp_pair(*pair, self.whole))]
 
     @cached_property
@@ -117,7 +117,8 @@ class Material:
 
 MOST_HELD_FRAMES = 8
 MOST_HELD_PIXELS = 8_000_000
-MOST_SPREAD = 8
+MOST_SPREAD_FRAMES = 8
+"""Frames of the rest of the sequence that only ranges are taken from."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,7 @@ def read_material(sequence: Sequence) -> Reading:
     numbers = _consecutive(sequence, most)
     rest = [number for number in sequence.numbers
             if number not in numbers and number in sequence.present()]
-    spread = rest[:: -(-len(rest) // MOST_SPREAD)][1:] + rest[-1:] if rest else []
+    spread = rest[:: -(-len(rest) // MOST_SPREAD_FRAMES)][1:] + rest[-1:] if rest else []
     for number in dict.fromkeys([*numbers[1:], *spread]):
         try:
             with sequence.open(number) as files:
@@ -278,6 +279,7 @@ def _names(match: Match) -> list[str]:
 
 
 def _why(layout: Layout, match: Match, prefix: str) -> str:
+    """Why a plane was read from its channels, and what its values went through, in words."""
     rule, role = match.rule, match.rule.role
     known = [name for other in layout.profile.rules(role) for name in other.names]
     preferred = (f"profile {layout.profile.name} knows {_list(known, layout.layer)} for {role}, "

@@ -27,40 +27,50 @@ from postfx.frame import Frame, Role
 from postfx.repeats import ONE_SEED, RepeatDetector
 from postfx.sampling import local_mean
 
-# Another variant must score below this part of the stored motion's score.
-BETTER_SCORE_RATIO = 0.85
-BETTER_BY_JITTER = 0.95
-BETTER_THAN_NONE = 0.65
+# Scores are errors of warped pictures, see `motion_variants`.
 
-MOST_PAIRS_AGREE = 0.75
-TELLING_MISFIT = 0.05  # misfit, in units of what one pixel costs: below, motion is right
+# Another variant is right if it scores below this part of the stored motion's score; likewise one
+# of the jitter alone, and none at all.
+BETTER_SCORE_RATIO = 0.85
+BETTER_JITTER_SCORE_RATIO = 0.95
+BETTER_NONE_SCORE_RATIO = 0.65
+
+AGREEING_PAIR_SHARE = 0.75
+"""Share of the pairs of frames in which it must score lower."""
+TELLING_SCORE = 0.05
+"""Stored motion that scores lower is right."""
 
 # Scores up to this many times the best one count as equal; the second holds for a colour if
 # motion lies in 0..1.
 ALIKE_SCORE_RATIO = 1.03
-LIKE_COLOUR = 1.15
+ALIKE_COLOUR_SCORE_RATIO = 1.15
 
-SEARCHED = 12  # pixels each way
-CLEARLY_MOVED = 0.75
-LEAST_CAMERA_MOTION = 0.1  # pixels
+SEARCHED_PX = 12
+"""Pixels each way that a picture without motion is moved by."""
+MOVED_SCORE_RATIO = 0.75
+"""It has moved if that scores below this part of the score where it is."""
+LEAST_CAMERA_MOTION_PX = 0.1
 JITTER_CODES = ("motion-jitter", "jitter-sign", "jitter-unit")
-USEFUL = 0.7
+USEFUL_SCORE_RATIO = 0.7
 """Right motion scores below this part of the score without motion."""
 SOME_PAIRS = 2
+"""Pairs that are enough for what takes long."""
 
-# Least length in pixels of motion that cameras are compared with; parts of it that count as
-# wrong, as explained.
-LEAST_LENGTH = 0.2
-CAMERA_DISAGREES = 0.3
-SCALE_EXPLAINS = 0.1
+LEAST_COMPARED_MOTION_PX = 0.2
+"""Median length of motion that the cameras' is compared with, at least."""
+# Differences in parts of that length: the cameras disagree, and a factor explains it.
+DISAGREEING_SHARE = 0.3
+EXPLAINED_SHARE = 0.1
 
-# degrees between the normals of depth and the stored ones, above which depth is not understood
-PLANAR_DEGREES = 5.0
-RIGHT_UNIT = 0.9
-LEAST_BLOCKS = 4
-NO_JITTER = 0.02  # pixels
-SHIFTED_SAMPLES = 0.501
-NOISE_ONLY = 1.0
+UNDERSTOOD_DEPTH_DEGREES = 5.0
+"""Largest angle between the normals of depth and the stored ones for which depth is understood."""
+RIGHT_UNIT_SCORE_RATIO = 0.9
+"""A unit by the cameras scores below this part of the stored motion's score."""
+FEWEST_MOVED_BLOCKS = 4
+NO_JITTER_PX = 0.02
+MOST_JITTER_PX = 0.501
+"""Samples lie within half a pixel; the rest is rounding."""
+NOISE_SCORE = 1.0
 """Planes have no more structure than noise when the score of chance is below this."""
 
 
@@ -146,16 +156,19 @@ def _by_other_means(material: Material, shots: list[PairScores]) -> Iterator[Fin
 def _camera_fits(material: Material, shots: list[PairScores]) -> list[DepthScale]:
     """How the cameras' motion differs from the stored motion; empty if it does not, or if depth is
     not understood."""
-    if material.fit and material.fit.angle > PLANAR_DEGREES:
+    if material.fit and material.fit.angle > UNDERSTOOD_DEPTH_DEGREES:
         return []
-    fits = [fit for w in shots[:SOME_PAIRS]
-            if (fit := fit_depth_scale(w.before, w.now)) and fit.length > LEAST_LENGTH]
-    return fits if all(fit.error_as_it_is > CAMERA_DISAGREES * fit.length for fit in fits) else []
+    found = [fit_depth_scale(pair.before, pair.now) for pair in shots[:SOME_PAIRS]]
+    fits = [fit for fit in found if fit and fit.length > LEAST_COMPARED_MOTION_PX]
+    disagree = all(fit.error_as_it_is > DISAGREEING_SHARE * fit.length for fit in fits)
+    return fits if disagree else []
 
 
 def _camera_evidence(fits: list[DepthScale]) -> tuple[str, float]:
-    length, apart = (float(np.median([getattr(fit, name) for fit in fits]))
-                     for name in ("length", "error_as_it_is"))
+    """How far the cameras' motion is from the stored one, and the median length of the longer one
+    in pixels."""
+    length = float(np.median([fit.length for fit in fits]))
+    apart = float(np.median([fit.error_as_it_is for fit in fits]))
     text = (f"worldToCamera and depth give motion that differs by {apart:.3g} of {length:.3g} "
             "pixels in the median")
     return text, length
@@ -166,27 +179,28 @@ def _unit_by_cameras(fits: list[DepthScale], shots: list[PairScores]) -> Finding
     if not fits:
         return None
     evidence, length = _camera_evidence(fits)
-    factor, rest = (float(np.median([getattr(fit, name) for fit in fits]))
-                    for name in ("factor", "rest"))
-    if not factor or abs(factor - 1) < 0.1 or rest > SCALE_EXPLAINS * length:
+    factor = float(np.median([fit.factor for fit in fits]))
+    rest = float(np.median([fit.rest for fit in fits]))
+    if not factor or abs(factor - 1) < 0.1 or rest > EXPLAINED_SHARE * length:
         return None
     scale = np.float32(1 / factor)
     unit = Variant("motion-scale", f"{scale:.3g} times as long",
                    "motion in a unit that is not pixels of the frame",
                    f"in a profile scale = [{scale:.4g}, {scale:.4g}]",
                    lambda motion, size, jitter: motion * scale)
-    if sum(score_variants(w, [unit])[unit] for w in shots) > RIGHT_UNIT * sum(w.as_it_is
-                                                                              for w in shots):
+    in_unit = sum(score_variants(pair, [unit])[unit] for pair in shots)
+    if in_unit > RIGHT_UNIT_SCORE_RATIO * sum(pair.as_it_is for pair in shots):
         return None
     evidence += f"; {rest:.2g} pixels if motion is {unit.name}"
     return error(Role.MOTION, unit.code, evidence, unit.cause, unit.fix)
 
 
 def _cameras_disagree(fits: list[DepthScale]) -> Finding:
+    """The finding for motion that differs from the cameras', by a factor on depth or otherwise."""
     evidence, length = _camera_evidence(fits)
-    scale, least = (float(np.median([getattr(fit, name) for fit in fits]))
-                    for name in ("scale", "error"))
-    if least < SCALE_EXPLAINS * length and abs(np.log10(scale)) > 0.05:
+    scale = float(np.median([fit.scale for fit in fits]))
+    least = float(np.median([fit.error for fit in fits]))
+    if least < EXPLAINED_SHARE * length and abs(np.log10(scale)) > 0.05:
         return error(Role.DEPTH, "depth-scale",
                      f"{evidence}; {least:.2g} pixels if depth is about {scale:.3g} times as large",
                      "depth in another unit than worldToCamera, or divided by the far plane",
@@ -199,13 +213,14 @@ def _cameras_disagree(fits: list[DepthScale]) -> Finding:
 
 def _movers(shots: list[PairScores]) -> Iterator[Finding]:
     """Objects that move although they have the vectors of the world around them."""
-    found = [next((thing for thing in find_movers(w.before, w.now) if thing.blocks >= LEAST_BLOCKS),
-                  None)
-             for w in shots]
-    things = [(w, thing) for w, thing in zip(shots, found, strict=True) if thing]
+    things = []
+    for warped in shots:
+        large = [thing for thing in find_movers(warped.before, warped.now)
+                 if thing.blocks >= FEWEST_MOVED_BLOCKS]
+        things += [(warped.now.number, large[0])] if large else []
     if things and len(things) == len(shots):
-        warped, thing = max(things, key=lambda pair: pair[1].blocks)
-        evidence = (f"frame {warped.now.number}: around pixel ({thing.x}, {thing.y}), "
+        number, thing = max(things, key=lambda one: one[1].blocks)
+        evidence = (f"frame {number}: around pixel ({thing.x}, {thing.y}), "
                     f"{thing.blocks} blocks of 8 x 8 pixels come from a place that is {thing.step} "
                     "pixels off the one where their vectors point")
         yield error(Role.MOTION, "motion-of-things", evidence,
@@ -216,9 +231,11 @@ def _movers(shots: list[PairScores]) -> Iterator[Finding]:
 
 def check_motion_zero(material: Material) -> Iterator[Finding]:
     """Motion that is 0 everywhere though the camera or the picture moves."""
-    for warped in [warped for warped in material.pair_scores
-                   if not warped.now.reset and warped.moved == 0][:2]:
-        if evidence := _by_camera(warped) or _by_picture(warped):
+    without = [warped for warped in material.pair_scores
+               if not warped.now.reset and warped.moved == 0]
+    for warped in without[:SOME_PAIRS]:
+        evidence = _by_camera(warped) or _by_picture(warped)
+        if evidence:
             cause = ("written without motion: the vector pass is off, or the previous camera was "
                      "not kept")
             yield error(Role.MOTION, "motion-zero",
@@ -228,19 +245,24 @@ def check_motion_zero(material: Material) -> Iterator[Finding]:
 
 
 def _by_camera(warped: PairScores) -> str:
+    """Evidence that the camera moves; '' if it does not, or nothing tells."""
     moved = motion_of_camera(warped.before, warped.now)
-    if (moved is None or not len(moved)
-        or (mean := float(np.linalg.norm(moved, axis=-1).mean())) < LEAST_CAMERA_MOTION):
+    if moved is None or not len(moved):
+        return ""
+    mean = float(np.linalg.norm(moved, axis=-1).mean())
+    if mean < LEAST_CAMERA_MOTION_PX:
         return ""
     return (f"but worldToCamera and depth say that the camera moves surfaces by {mean:.2f} pixels "
             "in the mean")
 
 
 def _by_picture(warped: PairScores) -> str:
-    offsets = list(product(range(-SEARCHED, SEARCHED + 1), repeat=2))
+    """Evidence that the picture as a whole has moved; '' if it has not."""
+    offsets = list(product(range(-SEARCHED_PX, SEARCHED_PX + 1), repeat=2))
     scores = {at: score_offset(warped.features, np.add(at, warped.jitter)) for at in offsets}
     best = min(scores, key=lambda at: scores[at])
-    if scores[best] >= min(CLEARLY_MOVED * scores[0, 0], RELATED_SCORE_RATIO * warped.unrelated):
+    enough = min(MOVED_SCORE_RATIO * scores[0, 0], RELATED_SCORE_RATIO * warped.unrelated)
+    if scores[best] >= enough:
         return ""
     return (f"but the previous frame fits better ({scores[best]:.3g}, not {scores[0, 0]:.3g}) when "
             f"moved by {best} pixels")
@@ -254,11 +276,12 @@ def best_variant(shots: list[PairScores]) -> Variant | None:
     if not good:
         return None
     least = min(good.values())
-    if any(variant.is_colour and good[variant] <= LIKE_COLOUR * least for variant in good):
-        good = {variant: ratio for variant, ratio in good.items() if variant.is_colour}
+    of_colour = {variant: ratio for variant, ratio in good.items() if variant.is_colour}
+    if of_colour and min(of_colour.values()) <= ALIKE_COLOUR_SCORE_RATIO * least:
+        good = of_colour
         least = min(good.values())
-    return min((v for v in good if good[v] <= ALIKE_SCORE_RATIO * least),
-               key=lambda v: (v.priority, good[v]))
+    alike = [variant for variant in good if good[variant] <= ALIKE_SCORE_RATIO * least]
+    return min(alike, key=lambda variant: (variant.priority, good[variant]))
 
 
 def best_scale(shots: list[PairScores]) -> Variant | None:
@@ -267,14 +290,14 @@ def best_scale(shots: list[PairScores]) -> Variant | None:
     still = next(variant for variant in VARIANTS if variant.code == "motion-worse-than-none")
     some = shots[:SOME_PAIRS]
     stored = float(np.mean([warped.as_it_is for warped in some]))
-    if stored < USEFUL * float(np.mean([warped.scores[still] for warped in some])):
+    unmoved = float(np.mean([warped.scores[still] for warped in some]))
+    if stored < USEFUL_SCORE_RATIO * unmoved:
         return None
     found = [score_variants(warped, scaled_variants()) for warped in some]
     scores = {variant: float(np.mean([one[variant] for one in found]))
               for variant in scaled_variants()}
     best = min(scores, key=lambda variant: scores[variant])
-    if (scores[best] >= BETTER_SCORE_RATIO
-        * min(stored, float(np.mean([warped.scores[still] for warped in some])))):
+    if scores[best] >= BETTER_SCORE_RATIO * min(stored, unmoved):
         return None
     for warped in shots:
         warped.scores |= score_variants(warped, [best])
@@ -283,20 +306,27 @@ def best_scale(shots: list[PairScores]) -> Variant | None:
 
 
 def _ratio(shots: list[PairScores], variant: Variant) -> float:
+    """A variant's score over that of the stored motion."""
     scores = [warped.scores.get(variant, np.inf) for warped in shots]
     stored = [min(warped.as_it_is, warped.unrelated) for warped in shots]
     return float(np.sum(scores) / max(np.sum(stored), 1e-9))
 
 
 def _is_better(shots: list[PairScores], variant: Variant, ratio: float) -> bool:
+    """Whether a variant fits clearly better than the stored motion, in most pairs. ratio: see
+    `_ratio`."""
+    enough = BETTER_SCORE_RATIO
+    if variant.code in JITTER_CODES:
+        enough = BETTER_JITTER_SCORE_RATIO
+    elif variant.code == "motion-worse-than-none":
+        enough = BETTER_NONE_SCORE_RATIO
     wins = np.mean([warped.scores.get(variant, np.inf) < warped.as_it_is for warped in shots])
-    least = BETTER_BY_JITTER if variant.code in JITTER_CODES else BETTER_SCORE_RATIO
-    least = BETTER_THAN_NONE if variant.code == "motion-worse-than-none" else least
-    telling = np.mean([warped.as_it_is for warped in shots]) > TELLING_MISFIT
-    return bool(telling and ratio < least and wins >= MOST_PAIRS_AGREE)
+    is_telling = np.mean([warped.as_it_is for warped in shots]) > TELLING_SCORE
+    return bool(is_telling and ratio < enough and wins >= AGREEING_PAIR_SHARE)
 
 
 def _evidence(shots: list[PairScores], best: Variant) -> str:
+    """How much better the pictures fit if the motion is stored as `best` says."""
     stored, fitting = (float(np.mean([min(w.scores[v], w.unrelated) for w in shots]))
                        for v in (VARIANTS[0], best))
     roles = ", ".join(str(role) for role in shots[0].by_role[best])
@@ -319,15 +349,17 @@ def _follows_jitter(shots: list[PairScores]) -> bool:
 
 
 def _untested(material: Material) -> Iterator[Finding]:
-    if (Role.MOTION in material.middle and material.pairs
-        and not any(w.moved == 0 for w in material.pair_scores)):
+    """Motion that no pair of frames tells anything about, unless all of it is 0."""
+    is_zero = any(warped.moved == 0 for warped in material.pair_scores)
+    if Role.MOTION in material.middle and material.pairs and not is_zero:
         yield info(Role.MOTION, "motion-untested",
                    "sign, axes and scale of the motion cannot be told",
                    "no pair of frames that belong together and show contrast",
                    "give more frames of one shot")
 
 
-CODED_OFFSET = 0.2  # how far the median may be from the colour 0.5
+CODED_OFFSET = 0.2
+"""How far the median of coded motion may be from 0.5, which stands for none."""
 
 
 def check_motion_coded(material: Material) -> Iterator[Finding]:
@@ -336,11 +368,11 @@ def check_motion_coded(material: Material) -> Iterator[Finding]:
     if Role.MOTION not in material.first:
         return
     motion = material.first[Role.MOTION].reshape(-1, 2)
-    least, most, typical = motion.min(0), motion.max(0), np.abs(np.median(motion, axis=0))
-    one_sign = ((least >= 0) | (most <= 0)).all()
-    is_coded = (one_sign and np.abs(motion).max(initial=0) <= 1
+    typical = np.abs(np.median(motion, axis=0))
+    has_one_sign = ((motion.min(0) >= 0) | (motion.max(0) <= 0)).all()
+    is_coded = (has_one_sign and np.abs(motion).max(initial=0) <= 1
                 and (np.abs(typical - 0.5) < CODED_OFFSET).all())
-    # which says more
+    # a finding of the pictures says more
     if is_coded and all(found.code != "motion-encoded" for found in check_motion_variant(material)):
         evidence = (f"all between 0 and 1 pixel, of one sign, around {typical[0]:.2g}, "
                     f"{typical[1]:.2g}")
@@ -349,14 +381,18 @@ def check_motion_coded(material: Material) -> Iterator[Finding]:
                       "unit (docs/reference/renderers.md)")
 
 
-# pixels: below, a texture that stays in place looks like noise that stays in place
 LEAST_TEXTURE_MOTION_PX = 1.0
-REPEATED = 0.15
+"""Below, a texture that stays in place looks like noise that stays in place."""
+REPEATED_CORRELATION = 0.15
+"""How much more noise that repeats is correlated in the same pixel than in those nearby."""
 NEARBY_OFFSETS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 2), (0, -2), (2, 0), (-2, 0))
 SEARCH_STEPS_PX = (0.25, 0.125)
-LEAST_JITTER = 0.12  # pixels, root mean square
-FITS_BETTER = 0.82
-JITTER_PAIRS = 5
+
+# Shifts that tell a jitter: pixels, root mean square, and the part of the stored motion's score
+# that they score below; in how many pairs they are looked for.
+LEAST_SHIFT_PX = 0.12
+SHIFTED_SCORE_RATIO = 0.82
+MOST_SHIFTED_PAIRS = 5
 
 
 def check_frame_count(material: Material) -> Iterator[Finding]:
@@ -384,7 +420,7 @@ def check_cut_unmarked(material: Material) -> Iterator[Finding]:
     new = [w for w in material.pair_scores if not w.now.reset and not w.is_related]
     if not new:
         return
-    if all(w.unrelated < NOISE_ONLY for w in new):
+    if all(w.unrelated < NOISE_SCORE for w in new):
         yield info(Role.MOTION, "motion-untested",
                    "sign, axes and scale of the motion cannot be told",
                    "the AOVs are mostly noise, as in fog or thick fur",
@@ -420,7 +456,7 @@ def check_reset_always(material: Material) -> Iterator[Finding]:
 def check_jitter_range(material: Material) -> Iterator[Finding]:
     """Jitter that is not a position within the pixel minus 0.5."""
     jitter = np.array([frame.jitter for frame in material.frames])
-    if np.abs(jitter).max() <= SHIFTED_SAMPLES:
+    if np.abs(jitter).max() <= MOST_JITTER_PX:
         return
     evidence = f"jitter from {jitter.min():.3g} to {jitter.max():.3g}"
     if jitter.min() >= 0 and jitter.max() <= 1:
@@ -434,14 +470,14 @@ def check_jitter_range(material: Material) -> Iterator[Finding]:
 
 def check_jitter_missing(material: Material) -> Iterator[Finding]:
     """Pictures that shift by fractions of a pixel from frame to frame, without a jitter header."""
-    if (any(max(map(abs, frame.jitter)) > NO_JITTER for frame in material.frames)
-        or len(material.shots) < 3):
+    has_jitter = any(max(map(abs, frame.jitter)) > NO_JITTER_PX for frame in material.frames)
+    if has_jitter or len(material.shots) < 3:
         return
-    shots = material.shots[:JITTER_PAIRS]
+    shots = material.shots[:MOST_SHIFTED_PAIRS]
     found, scores = np.split(np.array([_shift(warped) for warped in shots]), [2], axis=1)
     erratic = float(np.sqrt(((found - found.mean(0)) ** 2).sum(1).mean()))
-    if (erratic > LEAST_JITTER
-        and scores.sum() < FITS_BETTER * sum(warped.as_it_is for warped in shots)):
+    stored = sum(warped.as_it_is for warped in shots)
+    if erratic > LEAST_SHIFT_PX and scores.sum() < SHIFTED_SCORE_RATIO * stored:
         shifts = ", ".join(f"({x:.2f}, {y:.2f})" for x, y in found[:4])
         evidence = (f"frames are shifted by {shifts} ... pixels against the motion, {erratic:.2f} "
                     "px around their mean")
@@ -467,7 +503,8 @@ def check_samples_repeat(material: Material) -> Iterator[Finding]:
     yield from check_samples_stay(material)
 
 
-def check_samples_stay(material: Material, least: float = REPEATED) -> Iterator[Finding]:
+def check_samples_stay(material: Material,
+                       least: float = REPEATED_CORRELATION) -> Iterator[Finding]:
     """Noise that stays in its place while the picture moves, but not along its motion, which the
     denoiser tells. least: how much more it is correlated in the same pixel than nearby."""
     if _repeated_share(material):
@@ -492,7 +529,8 @@ def check_samples_stay(material: Material, least: float = REPEATED) -> Iterator[
 def _repeated_share(material: Material) -> float:
     """Share of the picture whose noise repeats along the motion, 0 unless it does in most pairs of
     frames."""
-    detect, found = RepeatDetector(), []
+    detect = RepeatDetector()
+    found = []
     for before, now in material.pairs:
         if Role.COLOUR in before and Role.COLOUR in now and not now.reset:
             detect.reset()
@@ -530,14 +568,14 @@ def _correlate_repeats(before: Frame, now: Frame) -> tuple[float, float] | None:
 def _noise(frame: Frame) -> np.ndarray:
     """(height, width): a pixel's difference from its neighbourhood in local standard deviations,
     -3..3."""
-    whole = local_mean(np.isfinite(frame[Role.COLOUR]).all(2, keepdims=True).astype(np.float32),
-                       3)[..., 0] > 0.999
+    is_finite = np.isfinite(frame[Role.COLOUR]).all(2, keepdims=True).astype(np.float32)
+    is_whole = local_mean(is_finite, 3)[..., 0] > 0.999
     light = np.log1p(np.maximum(luminance(finite(frame[Role.COLOUR])), 0) * 4)
     if Role.DIFFUSE_ALBEDO in frame:
         light = light / (luminance(finite(frame[Role.DIFFUSE_ALBEDO])) + np.float32(0.1))
     off = (light[..., None] - local_mean(light[..., None], 2))[..., 0]
     size = np.sqrt(local_mean(off[..., None] ** 2, 3))[..., 0]
-    result: np.ndarray = np.clip(off / np.maximum(size, 1e-6), -3, 3) * whole
+    result: np.ndarray = np.clip(off / np.maximum(size, 1e-6), -3, 3) * is_whole
     return result
 
 

@@ -21,9 +21,11 @@ from postfx.frame import Frame, Role
 from postfx.io.profile import PlaneRule
 
 MOST_TRIED_PAIRS = 3
+"""Pairs of frames that conventions are tried on."""
 TELLING_STILL_MISFIT = 0.05
 """Least misfit without motion, in units of what one pixel costs: below, too little moves."""
-MOST_KEPT = 8  # conventions that are tried on all pairs, after the first one
+MOST_KEPT = 8
+"""Conventions that are tried on all pairs, of those that fit the first pair best."""
 
 # Lengths in pixels that are tried for the 95th percentile of the motion.
 SHORTEST_TRIED_PX = 0.25
@@ -81,14 +83,15 @@ class ReadMotion:
         `unit`; None where no profile can say that."""
         if unit != "pixels" and self.rule.unit != "pixels":
             return None
-        own = {key: np.broadcast_to(getattr(self.rule, key), 2)[:: -1 if swapped else 1]
-               for key in ("scale", "offset")}
-        frames = ['per = "shutter"'] if self.rule.per == "shutter" else []
-        both = np.multiply(own["scale"], scale)
+        own_scale = np.broadcast_to(self.rule.scale, 2)
+        offset = np.broadcast_to(self.rule.offset, 2)
+        if swapped:
+            own_scale, offset = own_scale[::-1], offset[::-1]
+        x, y = np.multiply(own_scale, scale)
         lines = profile_lines(self.profile, self.layer, self.letters, swapped,
-                              self.rule.unit if unit == "pixels" else unit, own["offset"],
-                              (round_to(float(both[0])), round_to(float(both[1]))))
-        return "\n".join([lines, *frames])
+                              self.rule.unit if unit == "pixels" else unit, offset,
+                              (round_to(float(x)), round_to(float(y))))
+        return f'{lines}\nper = "shutter"' if self.rule.per == "shutter" else lines
 
 
 class Convention(NamedTuple):
@@ -104,9 +107,9 @@ class Convention(NamedTuple):
     def pixels(self, stored: np.ndarray, size: Size) -> np.ndarray:
         """Motion (..., 2) in pixels of a picture of this size."""
         motion = (stored[..., ::-1] if self.swapped else stored) + np.float32(self.offset)
-        found: np.ndarray = (motion * np.float32(self.factor) * np.asarray(
-            unit_size(self.unit, size), np.float32
-        ) * np.asarray(self.signs, np.float32))
+        unit = np.asarray(unit_size(self.unit, size), np.float32)
+        signs = np.asarray(self.signs, np.float32)
+        found: np.ndarray = motion * np.float32(self.factor) * unit * signs
         return found
 
     def lines(self, motion: UnreadMotion) -> str:
@@ -138,9 +141,8 @@ class Measurement(NamedTuple):
     @property
     def fits(self) -> bool:
         """Whether the pictures move, and the convention explains how."""
-        return (self.still > TELLING_STILL_MISFIT and self.misfit
-                < (FITTING_COMMON_MISFIT_SHARE if self.is_common else FITTING_MISFIT_SHARE)
-                * self.still)
+        share = FITTING_COMMON_MISFIT_SHARE if self.is_common else FITTING_MISFIT_SHARE
+        return self.still > TELLING_STILL_MISFIT and self.misfit < share * self.still
 
 
 def unit_size(unit: str, size: Size) -> tuple[float, float]:
@@ -161,9 +163,9 @@ def measure_convention(frames: Sequence[Frame], motion: UnreadMotion) -> Measure
     pairs = [pair for pair in pairs if pair.features][:MOST_TRIED_PAIRS]
     if not pairs:
         return None
-    like_colour = all(is_like_colour(pair.now) for pair in pairs)
-    tried = [one for offset in ((0.0, -0.5) if like_colour else (0.0,))
-             for one in _coarse(pairs, offset)]
+    tried = _coarse(pairs, 0.0)
+    if all(is_like_colour(pair.now) for pair in pairs):
+        tried += _coarse(pairs, -0.5)
     if not tried:
         return None
     rough = pairs[0].scores(tried)
@@ -176,8 +178,8 @@ def measure_convention(frames: Sequence[Frame], motion: UnreadMotion) -> Measure
               if _misfit(pairs, one) <= ALIKE_MISFIT_RATIO * misfit]
     still = float(np.mean([pair.score_still() for pair in pairs]))
     chosen = common[0] if common else best._replace(factor=round_to(best.factor, 3))
-    # of a largest velocity
-    is_common = (bool(common) or (chosen.offset != 0 and chosen.unit == "pixels"))
+    # coded pixels are in parts of a largest velocity, which may be any
+    is_common = bool(common) or (chosen.offset != 0 and chosen.unit == "pixels")
     return Measurement(chosen, _misfit(pairs, chosen), still, is_common)
 
 
@@ -213,15 +215,17 @@ def _coarse(pairs: Sequence[_Pair], offset: float) -> list[Convention]:
     width, height = pairs[0].size
     found = []
     for unit in ("pixels", "uv"):
-        most = 1.0 if unit == "pixels" else (width + height) / 2
+        unit_px = 1.0 if unit == "pixels" else (width + height) / 2
         steps = int(np.log(LONGEST_TRIED_PX / SHORTEST_TRIED_PX) / np.log(COARSE_FACTOR)) + 1
-        factors = [SHORTEST_TRIED_PX / length / most * COARSE_FACTOR**step for step in range(steps)]
+        least = SHORTEST_TRIED_PX / length / unit_px
+        factors = [least * COARSE_FACTOR**step for step in range(steps)]
         found += [Convention(swapped, signs, unit, factor, offset)
                   for factor in factors for swapped in (False, True) for signs in _SIGN_CHOICES]
     return found
 
 
 def _best(pairs: Sequence[_Pair], conventions: Sequence[Convention]) -> tuple[Convention, float]:
+    """The convention that fits all pairs best, and its misfit."""
     scores = np.mean([pair.scores(conventions) for pair in pairs], axis=0)
     at = int(np.argmin(scores))
     return conventions[at], float(scores[at])

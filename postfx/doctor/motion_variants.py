@@ -31,9 +31,13 @@ ENCODED_SCALES = tuple(2 ** (step / 4) for step in range(8, 45))
 apart."""
 
 COMPARED_POINTS = 1500
-CONTRASTY = 0.75
-OCCLUDED = 0.2
+"""Pixels of a plane that are compared, at most."""
+CONTRAST_QUANTILE = 0.75
+"""They are drawn from the quarter with the most contrast."""
+OCCLUDED_SHARE = 0.2
+"""Share of the points, those that fit worst, that is left out."""
 LEAST_INSIDE_SHARE = 0.5
+"""Share of the points that must come from inside the picture."""
 RELATED_SCORE_RATIO = 0.7
 """Pictures have something in common when their score is below this part of the score of chance."""
 GUIDE_WEIGHTS = ((Role.DIFFUSE_ALBEDO, 1.0), (Role.SPECULAR_ALBEDO, 1.0), (Role.NORMAL, 1.0))
@@ -118,13 +122,17 @@ def _pair(values: float | tuple[float, float]) -> np.ndarray:
 
 
 def _signed(signs: tuple[int, int]) -> Variant:
+    """The stored motion with other signs of its axes, or as it is."""
     code, name = _SIGNS[signs]
-    cause = {"": "",
-             "motion-sign": "current minus previous, or motion to the next frame, was written"}.get(
-        code, "the axis counts the other way, for example y up instead of down")
-    return Variant(code, name or "as it is", cause, _profile(_Unit("", ""), signs) if code else "",
-                   lambda motion, size, jitter: motion * _pair(signs), 1 if code else 0,
-                   change=(False, signs, "pixels"))
+    if not code:
+        name, cause, fix, priority = "as it is", "", "", 0
+    else:
+        cause = ("current minus previous, or motion to the next frame, was written"
+                 if code == "motion-sign"
+                 else "the axis counts the other way, for example y up instead of down")
+        fix, priority = _profile(_Unit("", ""), signs), 1
+    return Variant(code, name, cause, fix, lambda motion, size, jitter: motion * _pair(signs),
+                   priority, change=(False, signs, "pixels"))
 
 
 def _swapped(signs: tuple[int, int]) -> Variant:
@@ -322,7 +330,8 @@ def scaled_variants() -> tuple[Variant, ...]:
 
 def features_of(before: Frame, now: Frame) -> list[Feature]:
     """Planes with contrast that both frames hold; the later frame has motion."""
-    motion, found = now[Role.MOTION], []
+    motion = now[Role.MOTION]
+    found = []
     for role, weight in (*GUIDE_WEIGHTS, (Role.DEPTH, DEPTH_WEIGHT), (Role.COLOUR, COLOUR_WEIGHT)):
         if role in before and role in now:
             feature = _feature(role, weight, prepare_plane(before, role), prepare_plane(now, role),
@@ -363,28 +372,30 @@ def score_offset(features: list[Feature], offset: np.ndarray) -> float:
 
 def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray,
              motion: np.ndarray) -> Feature | None:
+    """Pixels with contrast of a plane; None where there are too few."""
     if min(now.shape[:2]) < 8:
         return None
     across = largest(np.abs(np.diff(now, axis=1, append=now[:, -1:])))
     down = largest(np.abs(np.diff(now, axis=0, append=now[-1:])))
     slope = across + down
-    rows, columns = np.nonzero(slope > max(float(np.quantile(slope, CONTRASTY)), 1e-4))
+    rows, columns = np.nonzero(slope > max(float(np.quantile(slope, CONTRAST_QUANTILE)), 1e-4))
     if rows.size < 100:
         return None
     chosen = np.random.default_rng(1).permutation(rows.size)[:COMPARED_POINTS]
     rows, columns = rows[chosen], columns[chosen]
-    steepness, at = slope[rows, columns], (rows.astype(np.float32), columns.astype(np.float32))
+    steepness = slope[rows, columns]
     contrast = float(np.minimum(steepness, np.quantile(steepness, 0.9)).mean())
-    before = np.ascontiguousarray(before, np.float32)
-    return Feature(role, weight, before, now[rows, columns].astype(np.float32), *at,
+    return Feature(role, weight, np.ascontiguousarray(before, np.float32),
+                   now[rows, columns].astype(np.float32),
+                   rows.astype(np.float32), columns.astype(np.float32),
                    finite(motion[rows, columns]), contrast)
 
 
 def _errors(feature: Feature, shifts: np.ndarray) -> np.ndarray:
     """Scores (count,) of shifts (count, points, 2); infinite if most points come from outside the
     picture."""
-    x, y = ((feature.columns + shifts[..., 0]).astype(np.float32),
-            (feature.rows + shifts[..., 1]).astype(np.float32))
+    x = (feature.columns + shifts[..., 0]).astype(np.float32)
+    y = (feature.rows + shifts[..., 1]).astype(np.float32)
     inside, apart = np.empty(x.shape, bool), np.empty(x.shape, np.float32)
     compare_places(feature.before, feature.now, x, y, apart, inside)
     own = is_inside(feature.before, feature.columns + feature.motion[:, 0],
@@ -394,7 +405,7 @@ def _errors(feature: Feature, shifts: np.ndarray) -> np.ndarray:
     used = inside | own
     apart[~used] = np.inf
     apart.sort(axis=1)
-    kept = np.maximum(((1 - OCCLUDED) * used.sum(1)).astype(int), 1)
+    kept = np.maximum(((1 - OCCLUDED_SHARE) * used.sum(1)).astype(int), 1)
     sums = np.where(np.arange(apart.shape[1]) < kept[:, None], apart, 0).sum(1)
     result: np.ndarray = np.where(inside.mean(1) < LEAST_INSIDE_SHARE, np.inf,
                                   sums / kept / feature.contrast)
@@ -420,7 +431,9 @@ def _mean(errors: dict[Role, float], features: list[Feature]) -> float:
 
 
 def _unrelated(features: list[Feature]) -> float:
-    rng, errors = np.random.default_rng(2), {}
+    """Score of positions chosen at random."""
+    rng = np.random.default_rng(2)
+    errors = {}
     for feature in features:
         height, width = feature.before.shape[:2]
         places = rng.random((feature.rows.size, 2), np.float32) * _pair((width - 1, height - 1))

@@ -15,7 +15,7 @@ from postfx.doctor.alignment import ALIGNED_PLANES, compare_edges
 from postfx.doctor.geometry import is_hit
 from postfx.doctor.material import Material
 from postfx.exposure import measure
-from postfx.frame import Frame, Role
+from postfx.frame import ALBEDOS, Frame, Role
 from postfx.kernels.statistics import OUTSIDE, light_outside
 from postfx.sampling import local_mean
 
@@ -45,6 +45,7 @@ COSTS = {
 """Measured by leaving each plane out of three sequences: the table of ablations in
 docs/lab/quality.md."""
 MATTERS_DB = 0.2
+"""A plane whose mean cost is at least this is worth a warning."""
 
 FOLLOWING = (Role.MOTION, Role.DEPTH, Role.NORMAL, Role.ROUGHNESS, Role.DIFFUSE_ALBEDO,
              Role.SPECULAR_ALBEDO)
@@ -87,27 +88,16 @@ def check_missing_planes(material: Material) -> Iterator[Finding]:
                     "not rendered, or named otherwise", fix)
 
 
-MANY_PERCENT = 50.0  # percent
-NEVER_NEGATIVE = (Role.COLOUR, Role.ALPHA, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO,
-                  Role.ROUGHNESS,
-                  Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR)
-UNIFORM = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.DEPTH, Role.ROUGHNESS)
-BLACK_VALUE = 1e-4
-MOST_LISTED = 8
-ENLARGING_FILTERS = {"repetition": (1, -1), "linear interpolation": (-0.5, 1.5, -1.5, 0.5)}
-"""Differences that are 0 at every other place of a plane that was enlarged to twice its size."""
-LEAST_SIDE = 32
-LEAST_ROWS = 12
-EXACT_ENLARGED_SHARE = 0.08
-FLIP_FITS = 1.5
-FLIP_LEAST = 0.13
-OTHER_FITS = 1.15
-OTHER_LEAST = 0.03
-SHARED_DISTANCE = 0.12
-MOST_OFF_SHARE = 0.6
-LEAST_FRAMES = 3
+MANY_PERCENT = 50.0
+"""Percent of a plane's values: with more wrong ones, the whole AOV is broken."""
+NEVER_NEGATIVE = (Role.COLOUR, Role.ALPHA, *ALBEDOS, Role.ROUGHNESS, Role.SPECULAR_HIT_DISTANCE,
+                  Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR)
 IN_UNIT_RANGE = (Role.ALPHA, Role.STRENGTH, Role.REACTIVE)
+"""Masks, whose values are 0 to 1."""
 OUTSIDE_GAMUT = "light-outside"
+"""Code of the finding that light is negative because its primaries cannot hold it."""
+MOST_LISTED = 8
+"""Names or frame numbers that a line lists; the rest is an ellipsis."""
 
 
 def check_finite_values(material: Material) -> Iterator[Finding]:
@@ -124,30 +114,54 @@ def check_finite_values(material: Material) -> Iterator[Finding]:
         yield (error if share > MANY_PERCENT else warning)(role, "not-finite", evidence, cause, fix)
 
 
+UNIFORM = (*ALBEDOS, Role.NORMAL, Role.DEPTH, Role.ROUGHNESS)
+"""Planes that always vary where a picture shows surfaces."""
+BLACK_VALUE = 1e-4
+"""Planes without a larger magnitude are black."""
+
+
 def check_uniform_planes(material: Material) -> Iterator[Finding]:
     """Planes that are black or hold a single value, though the picture shows something."""
     for role in UNIFORM:
         frames = [frame for frame in material.frames if role in frame and _shows_surfaces(frame)]
-        sizes = {frame.number: float(np.abs(finite(frame[role])).max(initial=0))
-                 for frame in frames}
-        black = [number for number, size in sizes.items() if size < BLACK_VALUE]
-        spread = {float(value) for frame in frames for value in _extremes(frame[role])}
-        if black and role is not Role.DEPTH:
-            evidence = (f"0 everywhere in frame{'s' * (len(black) > 1)} {_list(black)}; "
-                        f"{len(frames)} were examined")
-            wrong = (role is Role.NORMAL
-                     or (role is Role.DIFFUSE_ALBEDO and not _is_metal(material.middle)))
-            yield (error if wrong
-                   else info)(role, "black", evidence,
-                              "the pass is switched off or was never written"
-                              if wrong else "switched off, or nothing in view has such a value",
-                              "render it, or delete the AOV: a black one misleads")
-        elif frames and not black and len(spread) == (1 if role is not Role.NORMAL else 0):
-            yield _constant(role, f"{next(iter(spread)):.4g}", len(frames))
-        elif (frames and not black and role is Role.NORMAL
-              and all(_is_one_value(frame[role]) for frame in frames)):
-            value = ", ".join(f"{axis:.4g}" for axis in frames[0][role][0, 0])
-            yield _constant(role, f"({value})", len(frames))
+        black = [frame.number for frame in frames if _is_black(frame[role])]
+        if black:
+            if role is not Role.DEPTH:
+                yield _black(role, black, len(frames), _may_be_black(role, material.middle))
+        elif frames and (value := _only_value(role, frames)):
+            yield _constant(role, value, len(frames))
+
+
+def _black(role: Role, black: Sequence[int], examined: int, may_be: bool) -> Finding:
+    """The finding for a plane that is black in the frames of these numbers, of all that were
+    examined. may_be: whether a scene can look so."""
+    evidence = (f"0 everywhere in frame{'s' * (len(black) > 1)} {_list(black)}; {examined} were "
+                "examined")
+    cause = ("switched off, or nothing in view has such a value" if may_be
+             else "the pass is switched off or was never written")
+    level = info if may_be else error
+    return level(role, "black", evidence, cause,
+                 "render it, or delete the AOV: a black one misleads")
+
+
+def _may_be_black(role: Role, frame: Frame) -> bool:
+    """Whether a scene can be 0 everywhere: its normals cannot, its diffuse albedo can if all in
+    view is metal."""
+    if role is Role.DIFFUSE_ALBEDO:
+        return _is_metal(frame)
+    return role is not Role.NORMAL
+
+
+def _only_value(role: Role, frames: Sequence[Frame]) -> str:
+    """The one value that a plane has in all pixels of all frames, or the one normal of each frame;
+    '' if there are several."""
+    if role is Role.NORMAL:
+        if not all(_is_one_value(frame[role]) for frame in frames):
+            return ""
+        axes = ", ".join(f"{axis:.4g}" for axis in frames[0][role][0, 0])
+        return f"({axes})"
+    values = {value for frame in frames for value in _extremes(frame[role])}
+    return f"{values.pop():.4g}" if len(values) == 1 else ""
 
 
 def _constant(role: Role, value: str, frames: int) -> Finding:
@@ -159,10 +173,15 @@ def _constant(role: Role, value: str, frames: int) -> Finding:
 
 def _shows_surfaces(frame: Frame) -> bool:
     """Whether the picture is lit and its depth, if it has any, shows surfaces."""
-    lit = (Role.COLOUR not in frame
-           or float(np.abs(finite(frame[Role.COLOUR])).max(initial=0)) > BLACK_VALUE)
-    return lit and (Role.DEPTH not in frame or percent(is_hit(frame[Role.DEPTH])) > 1
-                    or not frame[Role.DEPTH].any())
+    if Role.COLOUR in frame and _is_black(frame[Role.COLOUR]):
+        return False
+    if Role.DEPTH not in frame or not frame[Role.DEPTH].any():
+        return True
+    return percent(is_hit(frame[Role.DEPTH])) > 1
+
+
+def _is_black(plane: np.ndarray) -> bool:
+    return float(np.abs(finite(plane)).max(initial=0)) < BLACK_VALUE
 
 
 def _is_metal(frame: Frame) -> bool:
@@ -173,6 +192,7 @@ def _is_metal(frame: Frame) -> bool:
 
 
 def _extremes(plane: np.ndarray) -> tuple[float, float]:
+    """The least and the largest finite value of a plane."""
     return float(finite(plane).min()), float(finite(plane).max())
 
 
@@ -182,6 +202,17 @@ def _is_one_value(plane: np.ndarray) -> bool:
 
 def _list(numbers: Sequence[int]) -> str:
     return ", ".join(map(str, numbers[:MOST_LISTED])) + " ..." * (len(numbers) > MOST_LISTED)
+
+
+ENLARGING_FILTERS = {"repetition": (1, -1), "linear interpolation": (-0.5, 1.5, -1.5, 0.5)}
+"""Differences that are 0 at every other place of a plane that was enlarged to twice its size."""
+LEAST_SIDE_PX = 32
+"""Smaller planes are not tested."""
+LEAST_ROWS = 12
+"""Rows, or columns, that must show differences."""
+EXACT_ENLARGED_SHARE = 0.08
+"""A plane was enlarged where the differences at every other place are below this share of those
+between."""
 
 
 def check_enlarged_planes(material: Material) -> Iterator[Finding]:
@@ -197,7 +228,7 @@ def check_enlarged_planes(material: Material) -> Iterator[Finding]:
 def _enlarged_how(plane: np.ndarray) -> str:
     """'repetition', 'linear interpolation', or '' for a plane of full resolution."""
     plane = np.where(np.isfinite(plane), np.clip(plane, -1e4, 1e4), 0).astype(np.float32)
-    if min(plane.shape[:2]) < LEAST_SIDE:
+    if min(plane.shape[:2]) < LEAST_SIDE_PX:
         return ""
     for how, taps in ENLARGING_FILTERS.items():
         both_ways = (_phase_ratio(along, np.array(taps, np.float32))
@@ -208,18 +239,32 @@ def _enlarged_how(plane: np.ndarray) -> str:
 
 
 def _phase_ratio(plane: np.ndarray, taps: np.ndarray) -> float:
-    """Ratio of the differences down the columns in even and odd rows; 1 with too few rows that
-    tell."""
+    """Differences down the columns in those rows, the even or the odd ones, where they are smaller,
+    over those in the others: 0 to 1, and 1 where fewer than `LEAST_ROWS` rows have any."""
     count = len(plane) - len(taps) + 1
     size = np.abs(sum(tap * plane[at : at + count] for at, tap in enumerate(taps)))
-    told = np.minimum(size, 10 * size.mean()).mean(axis=(1, 2))
-    phases = told[0::2], told[1::2]
-    if min(np.count_nonzero(phase > 0.01 * told.mean()) for phase in phases) == 0:
-        other = max(phases, key=np.sum)
-        return 0.0 if np.count_nonzero(other > 0.01 * told.mean()) >= LEAST_ROWS else 1.0
-    low, high = sorted(float(phase.mean()) for phase in phases)
-    return (low / max(high, 1e-12) if np.count_nonzero(told > 0.01 * told.mean()) >= LEAST_ROWS
-            else 1.0)
+    by_row = np.minimum(size, 10 * size.mean()).mean(axis=(1, 2))
+    is_telling = by_row > 0.01 * by_row.mean()
+    even, odd = is_telling[0::2].sum(), is_telling[1::2].sum()
+    if even + odd < LEAST_ROWS:
+        return 1.0
+    if min(even, odd) == 0:
+        return 0.0
+    low, high = sorted((float(by_row[0::2].mean()), float(by_row[1::2].mean())))
+    return low / max(high, 1e-12)
+
+
+# A plane is misplaced where its outlines fit other ones clearly better than those of its own
+# frame: correlations, and how many times as large they must be, and by how much larger.
+FLIP_RATIO = 1.5
+FLIP_MARGIN = 0.13
+OTHER_FRAME_RATIO = 1.15
+OTHER_FRAME_MARGIN = 0.03
+LEAST_OTHER_CORRELATION = 0.12
+
+LEAST_OFF_SHARE = 0.6
+"""Share of the frames that must fit another one better."""
+FEWEST_OUTLINED_FRAMES = 3
 
 
 def check_misplaced_planes(material: Material) -> Iterator[Finding]:
@@ -234,23 +279,26 @@ def check_misplaced_planes(material: Material) -> Iterator[Finding]:
                     "write each frame's own AOV")
     for role, placement in compare_edges(frames).items():
         flip = max(placement.flips, key=lambda name: placement.flips[name])
-        if placement.flips[flip] > FLIP_FITS * max(placement.own, 0) + FLIP_LEAST:
+        if placement.flips[flip] > FLIP_RATIO * max(placement.own, 0) + FLIP_MARGIN:
             yield error(role, "flipped",
                         "its outlines fit those of the other AOVs with a correlation of "
                         f"{placement.own:.2f}, but {placement.flips[flip]:.2f} when {flip}",
                         "rows or columns written the other way round",
                         "write all AOVs from the upper left corner")
-        elif role not in frozen and len(placement.at) >= LEAST_FRAMES:
+        elif role not in frozen and len(placement.at) >= FEWEST_OUTLINED_FRAMES:
             yield from _of_other_frame(role, placement.frames,
                                        [frames[at].number for at in placement.at])
 
 
 def _of_other_frame(role: Role, table: np.ndarray, numbers: list[int]) -> Iterator[Finding]:
-    own, other = np.diag(table), table - 2 * np.eye(len(table))
+    """The finding for a plane whose outlines fit those of other frames. table: (frames, frames) of
+    correlations, as in `Placement`. numbers: of these frames."""
+    own = np.diag(table)
+    other = table - 2 * np.eye(len(table))  # below all others on the diagonal
     source = other.argmax(1)
-    off = other.max(1) > np.maximum(np.maximum(OTHER_FITS * own, own + OTHER_LEAST),
-                                    SHARED_DISTANCE)
-    if off.mean() > MOST_OFF_SHARE and len(set(source[off])) >= 2:
+    least = np.maximum(OTHER_FRAME_RATIO * own, own + OTHER_FRAME_MARGIN)
+    off = other.max(1) > np.maximum(least, LEAST_OTHER_CORRELATION)
+    if off.mean() > LEAST_OFF_SHARE and len(set(source[off])) >= 2:
         fits = ", ".join(f"frame {numbers[source[at]]} holds frame {numbers[at]}'s"
                          for at in np.nonzero(off)[0][:3])
         evidence = (f"by its outlines {fits} (correlation {other.max(1)[off].mean():.2f}, with its "
@@ -265,15 +313,14 @@ def _find_frozen(frames: Sequence[Frame]) -> list[Role]:
     if len(frames) < 2:
         return []
     pairs = list(zip(frames, frames[1:], strict=False))
-    roles = [role
-             for role in (*ALIGNED_PLANES, Role.COLOUR) if all(role in frame for frame in frames)]
-    still = [role for role in roles
-             if all(np.array_equal(a[role], b[role], equal_nan=True) for a, b in pairs)
-             and not _is_one_value(frames[0][role])]
-    changing = [role for role in roles if role not in still and role is not Role.COLOUR
-                and not _is_one_value(frames[0][role])]
-    return ([role for role in still if role is not Role.COLOUR]
-            if len(changing) >= max(2, len(still)) else [])
+    shown = [role for role in (*ALIGNED_PLANES, Role.COLOUR)
+             if all(role in frame for frame in frames) and not _is_one_value(frames[0][role])]
+    still = [role for role in shown
+             if all(np.array_equal(a[role], b[role], equal_nan=True) for a, b in pairs)]
+    changing = [role for role in shown if role not in still and role is not Role.COLOUR]
+    if len(changing) < max(2, len(still)):
+        return []
+    return [role for role in still if role is not Role.COLOUR]
 
 
 def check_negative_values(material: Material) -> Iterator[Finding]:
@@ -338,15 +385,22 @@ def check_readable_frames(material: Material) -> Iterator[Finding]:
                     "render or copy this frame again")
 
 
+# Overlays and alpha. Coverage is 0 to 1; pairs of neighbouring pixels are compared.
+
 LEAST_COVERAGE = 0.02
-LEAST_CHANGE = 0.02
+"""Pixels with less are left out."""
+LEAST_CHANGE_STOPS = 0.02
+"""Pairs of which the coverage changes by less are left out."""
+LEAST_NOISY_CHANGE_STOPS = 0.2
+"""Pairs that are left out where colour is noisy: larger changes stand out from the noise."""
 FEWEST_CHANGED_PIXELS = 200
-STRAIGHT = 0.3
-# stops between neighbours' coverage: the noise of the colour does not hide larger steps
-MOST_NOISE_STOPS = 0.2
+STRAIGHT_SLOPE = 0.3
+"""Colour is not multiplied by coverage where `_slope` is below this; it is 1 if it is."""
+
+# Detail of medium size, and its correlation where colour holds the overlay already.
 NARROW_WINDOW_PX = 2
 WIDE_WINDOW_PX = 16
-TWICE = 0.4
+HELD_TWICE_CORRELATION = 0.4
 
 
 def check_overlay_alpha(material: Material) -> Iterator[Finding]:
@@ -372,7 +426,7 @@ def check_overlay_straight(material: Material) -> Iterator[Finding]:
     if Role.OVERLAY not in material.middle:
         return
     slope, pairs = _slope(finite(material.middle[Role.OVERLAY]))
-    if pairs >= FEWEST_CHANGED_PIXELS and slope < STRAIGHT:
+    if pairs >= FEWEST_CHANGED_PIXELS and slope < STRAIGHT_SLOPE:
         evidence = (f"where coverage doubles, colour becomes {2**slope:.2f} times as bright, not "
                     f"twice ({pairs} pairs of neighbours)")
         yield warning(Role.OVERLAY, "overlay-straight", evidence,
@@ -387,8 +441,8 @@ def check_alpha_straight(material: Material) -> Iterator[Finding]:
     if not all(role in frame for role in (Role.COLOUR, Role.ALPHA)):
         return
     slope, pairs = _slope(finite(np.concatenate([frame[Role.COLOUR], frame[Role.ALPHA]], axis=2)),
-                          MOST_NOISE_STOPS)
-    if pairs >= FEWEST_CHANGED_PIXELS and slope < STRAIGHT:
+                          LEAST_NOISY_CHANGE_STOPS)
+    if pairs >= FEWEST_CHANGED_PIXELS and slope < STRAIGHT_SLOPE:
         yield warning(Role.COLOUR, "alpha-straight",
                       f"where alpha doubles, colour becomes {2**slope:.2f} times as bright, not "
                       f"twice ({pairs} pairs of neighbours)",
@@ -405,7 +459,7 @@ def check_overlay_twice(material: Material) -> Iterator[Finding]:
     change = _detail(luminance(overlay[..., :3]) - overlay[..., 3] * np.median(light))
     used = np.abs(change) > np.percentile(np.abs(change), 80)
     shared = correlation(_detail(np.minimum(light, np.percentile(light, 90)))[used], change[used])
-    if used.sum() >= FEWEST_CHANGED_PIXELS and shared > TWICE:
+    if used.sum() >= FEWEST_CHANGED_PIXELS and shared > HELD_TWICE_CORRELATION:
         yield warning(Role.OVERLAY, "overlay-twice",
                       f"detail of the colour is {shared:.2f} correlated with what the overlay "
                       "changes", "the colour already holds the overlay, so it would appear twice",
@@ -427,11 +481,12 @@ def check_overlay_missing(material: Material) -> Iterator[Finding]:
                    "write transparent objects as 'overlay', premultiplied RGBA")
 
 
-def _slope(overlay: np.ndarray, least_change: float = LEAST_CHANGE) -> tuple[float, int]:
+def _slope(overlay: np.ndarray, least_change: float = LEAST_CHANGE_STOPS) -> tuple[float, int]:
     """Slope of the logarithm of light over the logarithm of coverage from pixel to pixel, and the
     number of pairs used.
 
-    The slope is 1 for premultiplied colour and 0 for straight colour.
+    overlay: (height, width, 4). least_change: of coverage within a pair, in stops. The slope is 1
+    for premultiplied colour and 0 for straight colour.
     """
     light, alpha = luminance(np.maximum(overlay[..., :3], 0)), overlay[..., 3]
     used = (alpha > LEAST_COVERAGE) & (light > 1e-4)
@@ -451,17 +506,22 @@ def _detail(plane: np.ndarray) -> np.ndarray:
     return result
 
 
-MOST_REACTIVE = 90.0  # percent of pixels that ignore more than half of their history
+MOST_REACTIVE_PERCENT = 90.0
+"""Percent of pixels that may ignore more than half of their history."""
 
-# Percent of pixels, and of neighbours both brighter or both darker
-DIFFERENT = 25.0
-ALIKE_NEIGHBOURS = 65.0
+# Colours are of different samples where more pixels than this differ by a tenth, and fewer pairs of
+# neighbours than this are both brighter or both darker.
+LEAST_DIFFERENT_PERCENT = 25.0
+ALIKE_NEIGHBOURS_PERCENT = 65.0
 
 
 def check_reactive_everywhere(material: Material) -> Iterator[Finding]:
     """A mask that drops the history nearly everywhere."""
     frame = material.middle
-    if Role.REACTIVE in frame and (share := percent(frame[Role.REACTIVE] > 0.5)) > MOST_REACTIVE:
+    if Role.REACTIVE not in frame:
+        return
+    share = percent(frame[Role.REACTIVE] > 0.5)
+    if share > MOST_REACTIVE_PERCENT:
         evidence = f"{share:.3g} % of the pixels ignore more than half of their history"
         yield warning(Role.REACTIVE, "reactive-everywhere", evidence,
                       "stored the other way round, 1 where the history is used",
@@ -478,9 +538,9 @@ def check_opaque_samples(material: Material) -> Iterator[Finding]:
     change = frame[Role.COLOUR].sum(axis=2) - before
     sign = np.where(np.abs(change) > 0.1 * np.abs(before), np.sign(change), 0)
     both = (sign[:, 1:] != 0) & (sign[:, :-1] != 0)
-    share, alike = (percent(sign != 0),
-                    percent((sign[:, 1:] == sign[:, :-1])[both]) if both.any() else 100.0)
-    if share > DIFFERENT and alike < ALIKE_NEIGHBOURS:
+    share = percent(sign != 0)
+    alike = percent((sign[:, 1:] == sign[:, :-1])[both]) if both.any() else 100.0
+    if share > LEAST_DIFFERENT_PERCENT and alike < ALIKE_NEIGHBOURS_PERCENT:
         evidence = (f"{share:.3g} % of the pixels differ from the colour by more than a tenth, and "
                     f"{alike:.3g} % of neighbours in the same direction")
         yield warning(Role.OPAQUE_COLOUR, "opaque-samples", evidence,
@@ -490,21 +550,22 @@ def check_opaque_samples(material: Material) -> Iterator[Finding]:
                       "none ignores it")
 
 
+# Stops: between the header's exposure and what metering wants; between two frames of one shot; and
+# of what metering wants at all, from 0.
 MISMATCH_EV = 2.0
 JUMP_EV = 0.75
 UNUSUAL_EV = 8.0
 
 
-def _jumps(frames: list[Frame], metered: dict[int, float]) -> Iterator[Finding]:
-    """Frames of one shot that are suddenly brighter or darker, by colour or by the header's
-    exposure."""
-    bright = {frame.number: frame.exposure if frame.exposure is not None
-                            and math.isfinite(frame.exposure) else 0.0 for frame in frames}
+def _exposure_jumps(frames: list[Frame], metered: dict[int, float]) -> Iterator[Finding]:
+    """The first frame of a shot that is suddenly brighter or darker, by colour or by the header's
+    exposure. metered: frame number -> stops that metering wants."""
+    exposures = {frame.number: _header_exposure(frame) for frame in frames}
     for before, now in zip(frames, frames[1:], strict=False):
         if now.reset or before.number not in metered or now.number not in metered:
             continue
-        header, colour = (bright[now.number] - bright[before.number],
-                          metered[before.number] - metered[now.number])
+        header = exposures[now.number] - exposures[before.number]
+        colour = metered[before.number] - metered[now.number]
         if abs(header + colour) > JUMP_EV:
             role = "sequence" if abs(header) > abs(colour) else Role.COLOUR
             yield warning(role, "exposure-jump",
@@ -517,36 +578,55 @@ def _jumps(frames: list[Frame], metered: dict[int, float]) -> Iterator[Finding]:
             return
 
 
+def _header_exposure(frame: Frame) -> float:
+    """Stops of the header; 0 where there are none, or no number."""
+    exposure = frame.exposure
+    return exposure if exposure is not None and math.isfinite(exposure) else 0.0
+
+
 def check_exposure_mismatch(material: Material) -> Iterator[Finding]:
     """An exposure in the header that differs from metering, which brings the picture to mid
     grey."""
     frames = [frame for frame in material.frames if Role.COLOUR in frame]
-    metered = {frame.number: ev
-               for frame in frames if (ev := measure(frame[Role.COLOUR])) is not None}
+    measured = {frame.number: measure(frame[Role.COLOUR]) for frame in frames}
+    metered = {number: ev for number, ev in measured.items() if ev is not None}
     if frames and not metered:
         yield warning(Role.COLOUR, "colour-black", f"black in all of {len(frames)} frames",
                       "lights off, or another layer's colour",
                       "check that the colour AOV is the beauty pass")
-    yield from _jumps(frames, metered)
+    yield from _exposure_jumps(frames, metered)
     headers = {frame.number: frame.exposure for frame in frames if frame.exposure is not None}
     if any(not math.isfinite(value) for value in headers.values()):
         yield error("sequence", "exposure-invalid",
                     f"exposure in the header: {next(iter(headers.values()))} EV",
                     "stops were written as postfx:exposure, which is a factor",
                     "write stops as postfx:exposureEV")
+    elif headers:
+        yield from _header_mismatch(headers, metered)
+    elif metered:
+        yield from _unusual_exposure(float(np.median(list(metered.values()))))
+
+
+def _header_mismatch(headers: dict[int, float], metered: dict[int, float]) -> Iterator[Finding]:
+    """Headers whose exposure is far from what metering wants: frame number -> stops, of both."""
+    both = [number for number in metered if number in headers]
+    if not both:
         return
-    offs = [headers[number] - metered[number] for number in metered if number in headers]
-    if offs and abs(off := float(np.median(offs))) > MISMATCH_EV:
-        number = next(number for number in metered if number in headers)
-        evidence = (f"the header's exposure is {headers[number]:+.2f} EV, metering wants "
-                    f"{metered[number]:+.2f} EV: {off:+.2f} EV")
-        result = "bright" if off > 0 else "dark"
-        yield warning("sequence", "exposure-mismatch", evidence,
-                      f"pictures would be too {result}: colour was scaled after the exposure was "
-                      "set, or the exposure belongs to another camera",
-                      "write the stops that bring mid grey to 0.18, or use --exposure auto")
-    elif (not headers and metered
-          and abs(ev := float(np.median(list(metered.values())))) > UNUSUAL_EV):
+    off = float(np.median([headers[number] - metered[number] for number in both]))
+    if abs(off) <= MISMATCH_EV:
+        return
+    evidence = (f"the header's exposure is {headers[both[0]]:+.2f} EV, metering wants "
+                f"{metered[both[0]]:+.2f} EV: {off:+.2f} EV")
+    result = "bright" if off > 0 else "dark"
+    yield warning("sequence", "exposure-mismatch", evidence,
+                  f"pictures would be too {result}: colour was scaled after the exposure was set, "
+                  "or the exposure belongs to another camera",
+                  "write the stops that bring mid grey to 0.18, or use --exposure auto")
+
+
+def _unusual_exposure(ev: float) -> Iterator[Finding]:
+    """Light so bright or dark that its unit is another one, where no header says an exposure."""
+    if abs(ev) > UNUSUAL_EV:
         yield info("sequence", "exposure-unusual", f"metering wants {ev:+.2f} EV",
                    "physical light units without a camera's exposure",
                    "nothing to do with --exposure auto; else write postfx:exposureEV")

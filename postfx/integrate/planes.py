@@ -11,7 +11,7 @@ import OpenImageIO as oiio
 
 from postfx.errors import WriteError
 from postfx.files import output_file
-from postfx.frame import Frame, Role
+from postfx.frame import VARIANCES, Frame, Role
 from postfx.io.light_plan import OVERLAY_LAYER
 from postfx.planes import LARGEST_HALF
 
@@ -36,8 +36,7 @@ PLANE_CHANNELS = {
 }
 """Channel names of each plane."""
 
-FULL_FLOAT = (Role.DEPTH, Role.SPECULAR_HIT_DISTANCE, Role.VARIANCE_OF_MEAN, Role.SAMPLE_VARIANCE,
-              Role.SECOND_MOMENT)
+FULL_FLOAT = (Role.DEPTH, Role.SPECULAR_HIT_DISTANCE, *VARIANCES)
 """Planes that half floats cannot hold: a miss is 1e10, and squares of radiance are tiny or huge.
 Motion would only lose fractions beyond 2048 pixels."""
 

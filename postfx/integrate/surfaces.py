@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from postfx.frame import Role
+from postfx.frame import ALBEDOS, Role
 from postfx.spelling import takes_both_spellings
 
 # Numerators and denominators of the rational fit, rows: powers of alpha, columns: powers of the
@@ -126,10 +126,6 @@ def _channel(values: np.ndarray) -> np.ndarray:
     return values if values.ndim == 3 else values[..., None]
 
 
-MIXED = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
-"""Planes that mix both surfaces of glass; all others take the stronger surface's value."""
-
-
 def mirrored_positions(positions: np.ndarray, mirror: np.ndarray,
                        mirror_normals: np.ndarray) -> np.ndarray:
     """Virtual positions (..., 3): where points at `positions` seem to be, seen in a flat mirror.
@@ -159,8 +155,8 @@ def unfolded_positions(eye: np.ndarray, mirror: np.ndarray, positions: np.ndarra
 def mirrored_normals(normals: np.ndarray, mirror_normals: np.ndarray) -> np.ndarray:
     """Normals (..., 3) of reflected surfaces as the virtual scene behind a mirror has them: n - 2
     (n . m) m."""
-    normals, mirror_normals = np.asarray(normals, np.float64), np.asarray(mirror_normals,
-                                                                          np.float64)
+    normals = np.asarray(normals, np.float64)
+    mirror_normals = np.asarray(mirror_normals, np.float64)
     result: np.ndarray = normals - 2 * _dot(normals, mirror_normals) * mirror_normals
     return result
 
@@ -219,7 +215,7 @@ def blend_surfaces(
     weight = np.asarray(weight, np.float64).reshape(*np.shape(weight)[:2], 1)
     blended = {}
     for role in (role for role in Role if role in reflected and role in transmitted):
-        share = weight if role in MIXED else weight > 0.5
+        share = weight if role in ALBEDOS else weight > 0.5
         blended[role] = np.where(share > 0, reflected[role], 0) * share + np.where(
             share < 1, transmitted[role], 0) * (1 - share)
     return blended

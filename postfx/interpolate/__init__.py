@@ -12,14 +12,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from postfx.caching import reuse_memory
 from postfx.cuts import CutDetector
 from postfx.errors import FrameError
-from postfx.frame import DEPTH_MISS, Frame, Role
+from postfx.frame import ALBEDOS, DEPTH_MISS, Frame, Role
 from postfx.interpolate import paths
 from postfx.interpolate.blend import (
     DARK,
@@ -93,7 +93,7 @@ from postfx.sampling import bilinear
 from postfx.system import at_once, begin
 from postfx.temporal.reverse_motion import LOST, invert_motion
 
-MIXED_PLANES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
+MIXED_PLANES = (*ALBEDOS, Role.ROUGHNESS, Role.ALPHA)
 """Planes that are mixed from both frames, as the colour is."""
 DATA = (Role.DEPTH, Role.NORMAL, Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE)
 """Planes that are taken from one frame's nearest pixel."""
@@ -109,10 +109,27 @@ BETTER_INVERTED = 0.9
 MOST_GROWN_PX = 64
 """Pixels by which an overlay that was found in the picture is grown, at most."""
 Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
-BY_VECTORS = 1.0, 0.0, 0.0, 0.0
-"""Shares of pictures where that along the vectors is the only one."""
-BY_FLOW = 0.0, 1.0, 0.0, 0.0
-"""The same of that along estimated motion."""
+
+
+class Shares(NamedTuple):
+    """How much each picture of a time counts; the sum is 1.
+
+    Attributes:
+        vectors: of the one along the vectors, or along estimated motion where there are none.
+        flow: of the one along estimated motion, beside vectors.
+        mean: of the mean of both frames.
+        over_shot: of a shot that moves by the vectors and goes over into another one.
+    """
+
+    vectors: float = 0.0
+    flow: float = 0.0
+    mean: float = 0.0
+    over_shot: float = 0.0
+
+
+BY_VECTORS = Shares(vectors=1.0)
+BY_FLOW = Shares(flow=1.0)
+BY_MEAN = Shares(mean=1.0)
 AFTER_SHARE = "share of the frame after"
 """What is mixed beside parts: 0 in the frame before, 1 in the one after."""
 OVERLAYS = ("mix", "hold")
@@ -157,18 +174,30 @@ class Between:
             if Role.COLOUR not in frame or frame.encoding != "scene-linear":
                 raise FrameError(f"frame {frame.number} ({frame.source or 'of no file'}) has no "
                                  "scene-linear colour: interpolate before the display transform")
-        self.before, self.after, self._later, self._memory = before, after, later, reuse_memory()
-        self._gathered: list[tuple[Frame, Pair]] = [] if last is None else [
-            one for one in last._gathered if one[0] is before or one[0] is after]
-        self._earlier = last.before if last is not None and last.after is before else None
-        self._inverted: list[tuple[Frame, Frame, np.ndarray]] = [] if last is None else [
-            one for one in last._inverted if one[0] is before]
-        self._known_sets = None if last is None else last._found_sets
+        self.before, self.after = before, after
+        self._earlier: Frame | None = None
+        self._later = later
+        self._memory = reuse_memory()
+        self._gathered: list[tuple[Frame, Pair]] = []
+        self._inverted: list[tuple[Frame, Frame, np.ndarray]] = []
+        self._known_sets: Sets | None = None
+        if last is not None:
+            self._take_over(last)
         self._found_sets: Sets | None = self._known_sets
         self._options: dict[str, Any] = {"flow": flow, "overlay": overlay, "composited": composited}
-        self._flow, self._overlay, self._composited = (flow, overlay,
-                                                       composited and self._both_have(Role.OVERLAY))
+        self._flow = flow
+        self._overlay = overlay
+        self._composited = composited and self._both_have(Role.OVERLAY)
         self.reason = self._find_reason(is_cut)
+
+    def _take_over(self, last: Between) -> None:
+        """Keep what the time before this one found of frames of both."""
+        if last.after is self.before:
+            self._earlier = last.before
+        self._gathered = [(frame, cells) for frame, cells in last._gathered
+                          if frame is self.before or frame is self.after]
+        self._inverted = [one for one in last._inverted if one[0] is self.before]
+        self._known_sets = last._found_sets
 
     def frame(self, t: float, number: int | None = None, previous: float = 0.0) -> Frame:
         """What is seen at a time t: 0 is the frame before, 1 the one after; those are given as they
@@ -354,7 +383,7 @@ class Between:
 
     @cached_property
     def _compared(self) -> Toned:
-        """What paths are compared by."""
+        """Grey pictures of both frames, by which paths are compared."""
         return Toned(*self._toned, *self._known, self._scale)
 
     @cached_property
@@ -439,69 +468,83 @@ class Between:
 
     @cached_property
     def _without_vectors(self) -> Between:
-        """The same time by estimated motion alone."""
-        frames = [replace(frame, views={}, planes={
-            role: plane for role, plane in frame.planes.items()
-            if role not in (Role.MOTION, Role.DEPTH)}) for frame in (self.before, self.after)]
-        return Between(*frames, **self._options)
+        """The time between both frames by estimated motion alone."""
+        return Between(_without_motion(self.before), _without_motion(self.after), **self._options)
 
     @cached_property
-    def _shares(self) -> tuple[float, float, float, float]:
-        """How much the picture by vectors, the one by estimated motion, the mean of both frames and
-        `_over_shot` count. The mean alone does where one frame is black, as nothing shows how its
-        light changed."""
-        ways = self._ways
+    def _shares(self) -> Shares:
+        """How much each picture counts. The mean alone does where one frame is black, as nothing
+        shows how its light changed."""
         if not self._all_lit:
-            return 0.0, 0.0, 1.0, 0.0
-        if ways is None:
+            return BY_MEAN
+        if self._ways is None:
             return self._shares_without_vectors
-        row = self._row
+        certain = self._certain_shares(self._ways)
+        return self._shares_by_unevenness(self._ways) if certain is None else certain
+
+    def _certain_shares(self, ways: Ways) -> Shares | None:
+        """The shares where it is plain which pictures count; None where they are to be measured."""
+        frames = len(self._row)
         if ways.vectors_fit and ways.is_thin:
-            return *ways.shares_of_thin(len(row)), 0.0, 0.0
+            vectors, flow = ways.shares_of_thin(frames)
+            return Shares(vectors, flow)
         if not ways.vectors_fit and ways.is_thin_along_flow:
             return BY_FLOW
-        worse = (self._unevenness_along(self._vectors)
-                 if ways.vectors_explain_little(len(row)) else 0.0)
-        # a blend is what vectors show that stand still, unless they are worse
-        is_still = ways.vectors_stand_still and worse <= MORE_EVEN
-        is_doubted = worse > (AS_EVEN_ALONE if len(row) == 2 else AS_EVEN)
-        if ways.vectors_fit and not ways.in_doubt and not is_still and not is_doubted:
-            return BY_VECTORS
-        if is_still and (self._both_have(Role.DEPTH) or (ways.vectors_fit and len(row) == 2)):
-            return BY_VECTORS  # light may change, and goes on through four frames
+        if self._vectors_blend:
+            # light may change, and goes on through four frames
+            is_known = self._both_have(Role.DEPTH) or (ways.vectors_fit and frames == 2)
+            return BY_VECTORS if is_known else None
+        is_doubted = self._doubt > (AS_EVEN_ALONE if frames == 2 else AS_EVEN)
+        return BY_VECTORS if ways.vectors_fit and not (ways.in_doubt or is_doubted) else None
+
+    def _shares_by_unevenness(self, ways: Ways) -> Shares:
+        """The shares by how evenly colours go on along each way through the frames around."""
         measure = self._unevenness
-        other, scale = self._without_vectors, np.float32(self._scale)
-        flow = scale * other._estimated_back
+        flow = np.float32(self._scale) * self._without_vectors._estimated_back
         flowing = FLOW_HANDICAP * measure(flow)
         mean = measure(np.zeros_like(flow))
         over_shot = given = math.inf
-        if len(row) == 4:
+        if len(self._row) == 4:
             over_shot = REST_HANDICAP * measure(flow, shot=self._vectors)
         if ways.vectors_fit:
             given = measure(self._vectors)
-        if ways.vectors_fit and is_still:
+        if ways.vectors_fit and self._vectors_blend:
             if min(flowing, over_shot) > CLEARLY_BETTER * given:
                 return BY_VECTORS
             mean = math.inf  # it is what such vectors show
-        found = shares_of((given, flowing, mean, over_shot))
-        return found[0], found[1], found[2], found[3]
+        return Shares(*shares_of((given, flowing, mean, over_shot)))
+
+    @cached_property
+    def _doubt(self) -> float:
+        """`_unevenness_along` vectors that explain little; 0 for others."""
+        ways = self._ways
+        if ways is None or not ways.vectors_explain_little(len(self._row)):
+            return 0.0
+        return self._unevenness_along(self._vectors)
 
     @property
-    def _shares_without_vectors(self) -> tuple[float, float, float, float]:
-        """The same where there are no vectors: estimated motion alone counts, unless it explains
+    def _vectors_blend(self) -> bool:
+        """Whether vectors stand still, so that they show a blend, and that is no worse."""
+        ways = self._ways
+        return ways is not None and ways.vectors_stand_still and self._doubt <= MORE_EVEN
+
+    @property
+    def _shares_without_vectors(self) -> Shares:
+        """The shares where there are no vectors: estimated motion alone counts, unless it explains
         little and colours go on about as evenly at the same place."""
         if Role.MOTION in self.after or not self._flow:
             return BY_VECTORS
         flow = self._estimated_back
         explained = compare_ways(*self._small, flow, flow)
-        if explained is None or explained.is_thin_along_flow or (
-                explained.flow < LEAST_LEFT_OF_FLOW * explained.still):
+        if explained is None or explained.is_thin_along_flow:
             return BY_VECTORS
-        way, measure = np.float32(self._scale) * flow, self._unevenness
+        if explained.flow < LEAST_LEFT_OF_FLOW * explained.still:
+            return BY_VECTORS
+        way = np.float32(self._scale) * flow
         if self._unevenness_along(way) <= LESS_EVEN_THAN_FLOW:
             return BY_VECTORS
-        found = shares_of((measure(way), measure(np.zeros_like(way))))
-        return found[0], 0.0, found[1], 0.0
+        flowing, mean = shares_of((self._unevenness(way), self._unevenness(np.zeros_like(way))))
+        return Shares(vectors=flowing, mean=mean)
 
     @property
     def _vectors(self) -> np.ndarray:
@@ -551,8 +594,9 @@ class Between:
 
     @cached_property
     def _flows(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same for cells (rows, columns, 2) in pixels, NaN where the way there and back does
-        not end where it began; empty if not asked for."""
+        """Estimated motion of both frames to the other one, for cells (rows, columns, 2), in
+        pixels: NaN where the way there and back does not end where it began; empty if not asked
+        for."""
         if not self._flow or not self._has_vectors:
             return np.empty((0, 0, 2), np.float32), np.empty((0, 0, 2), np.float32)
         found = consistent_motion(*self._estimated, self._scale)
@@ -611,11 +655,9 @@ class Between:
 
     @cached_property
     def _paths(self) -> tuple[paths.Paths, paths.Paths]:
-        has_depth, later = self._has_depth, self._later
-        if (later is not None and (not has_depth or later.reset or any(
-                role not in later or later[role].shape[:2] != self._size
-                for role in (Role.MOTION, Role.DEPTH)))):
-            later = None
+        """Paths of cells of both frames through the time between."""
+        has_depth = self._has_depth
+        later = self._later if has_depth and self._goes_on else None
         frames = [self.before, self.after, *([] if later is None else [later])]
         (came, near), (motion, far), *beyond = at_once([partial(self._cells_of, frame)
                                                         for frame in frames])
@@ -639,8 +681,18 @@ class Between:
                 side.ends += np.array(frame.jitter * 2, np.float32) / np.float32(self._scale)
         return first, last
 
+    @property
+    def _goes_on(self) -> bool:
+        """Whether the frame that follows is known, of this shot and size, and has motion and
+        depth."""
+        later = self._later
+        if later is None or later.reset:
+            return False
+        return all(role in later and later[role].shape[:2] == self._size
+                   for role in (Role.MOTION, Role.DEPTH))
+
     def _rank(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What stands for depth where there is none."""
+        """Order of surfaces by the misfit of their paths, in place of depth, of both frames."""
         first, last = self._small
         even = np.ones((*self._grid, 1), np.float32)
         ahead = invert_motion(motion, even, even)
@@ -867,9 +919,18 @@ class Interpolator:
         return self.between.frame(t, number)
 
     def at(self, time: float, number: int | None = None) -> Frame:
-        """Likewise, at a time in the unit of `push`, counted from the first frame's delta on."""
+        """What is seen at a time in the unit of `push`, counted from the first frame's delta on.
+        FrameError before there are two frames."""
         first, last = self._times
         return self.frame((time - first) / (last - first), number)
+
+
+def _without_motion(frame: Frame) -> Frame:
+    """A frame without motion, and depth, which belongs to it; nor other views."""
+    planes = dict(frame.planes)
+    planes.pop(Role.MOTION, None)
+    planes.pop(Role.DEPTH, None)
+    return replace(frame, views={}, planes=planes)
 
 
 def _is_held(one: Frame, other: Frame) -> bool:

@@ -122,7 +122,7 @@ class Toned:
 
 @dataclass(frozen=True)
 class Arrived:
-    """What arrived at cells at a time, of both sides, as `paths.splat_paths` gives it.
+    """Paths of both frames that arrived at cells at a time, as `paths.splat_paths` gives them.
 
     Attributes:
         before, after: (rows, columns, 8) paths, in cells, NaN without.
@@ -142,7 +142,7 @@ class Arrived:
 
 @dataclass(frozen=True)
 class Flows:
-    """What else may lead to a cell; any of these may be empty (0, 0, 2).
+    """Other motion that may lead to a cell; any of these may be empty (0, 0, 2).
 
     Attributes:
         ahead, back: (rows, columns, 2) flow of both frames to the other one at the time, in pixels.

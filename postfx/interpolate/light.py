@@ -18,7 +18,7 @@ from postfx.sampling import local_mean
 SHORTER = 96
 """Rows or columns that are looked at of a picture's shorter side."""
 BLOCK_SIDE_CELLS = 8
-"""Of these along the side of a block."""
+"""Cells along the side of a block."""
 LEAST_KNOWN = 12
 """Pixels of a block from which its ratio is known."""
 CHANGED = 0.1
@@ -39,6 +39,7 @@ AROUND_PX = 8
 # there.
 CARRIED_BLOCKS = 2
 WHOLE_PICTURE_WEIGHT = 1e-3
+"""Weight of the whole picture's change, which counts where no block near shows any."""
 
 
 def change_of_light(before: np.ndarray, after: np.ndarray, motion: np.ndarray | None, longest: float
@@ -51,8 +52,8 @@ def change_of_light(before: np.ndarray, after: np.ndarray, motion: np.ndarray | 
     """
     step = max(1, min(after.shape[:2]) // SHORTER)
     if motion is None:
-        before, after = (before[step // 2::step, step // 2::step],
-                         after[step // 2::step, step // 2::step])
+        before = before[step // 2::step, step // 2::step]
+        after = after[step // 2::step, step // 2::step]
         motion, step = _estimated(before, after), 1
     one, other, known = _pairs(before, after, motion, step, longest)
     dark = np.float32(DARK_LIGHT_SHARE * middle_light((before, after)))
@@ -105,8 +106,8 @@ def _medians(ratio: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """Medians (rows, columns, 3) over whole blocks of known pixels, and how much each counts (rows,
     columns, 1)."""
     rows, columns = known.shape[0] // BLOCK_SIDE_CELLS, known.shape[1] // BLOCK_SIDE_CELLS
-    ratio, known = (ratio[:rows * BLOCK_SIDE_CELLS, :columns * BLOCK_SIDE_CELLS],
-                    known[:rows * BLOCK_SIDE_CELLS, :columns * BLOCK_SIDE_CELLS, None])
+    ratio = ratio[:rows * BLOCK_SIDE_CELLS, :columns * BLOCK_SIDE_CELLS]
+    known = known[:rows * BLOCK_SIDE_CELLS, :columns * BLOCK_SIDE_CELLS, None]
     cells, is_known = (plane.reshape(rows, BLOCK_SIDE_CELLS, columns, BLOCK_SIDE_CELLS, -1)
                        .swapaxes(1, 2).reshape(rows, columns, BLOCK_SIDE_CELLS**2, -1)
                        for plane in (ratio, known))

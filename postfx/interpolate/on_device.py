@@ -165,7 +165,7 @@ TAKE_ALL: Steps = tuple(_step(TAKE, f"before.{role} after.{role} paths led new.{
 
 
 def sizes_of(height: int, width: int) -> dict[str, int]:
-    """What the symbols of shapes are for a picture of this size."""
+    """Values of the symbols in shapes, for a picture of this size."""
     scale = scale_of(height, width)
     rows, columns = -(-height // scale), -(-width // scale)
     return {"height": height, "width": width, "rows": rows, "columns": columns,
@@ -337,7 +337,7 @@ class DeviceInterpolator:
         return commands
 
     def _known(self, label: str, steps: Steps, *sets: int) -> CommandBuffer:
-        """The same, recorded once for each set of buffers."""
+        """`_record`, once for each set of buffers."""
         if (label, *sets) not in self._commands:
             self._commands[label, *sets] = self._record(label, steps)
         return self._commands[label, *sets]

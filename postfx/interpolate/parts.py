@@ -51,10 +51,7 @@ def find_common_sets(pictures: Pair, parts: Mapping[str, Pair], known: Sets | No
     """Sets of parts of three channels that add up to the picture (h, w, 3) of both frames. known:
     those that were found in earlier frames, None for none."""
     coloured = {name: pair for name, pair in parts.items() if pair[0].shape[2] == 3}
-    if known is not None and all(
-            name in coloured for names in known for name in names) and all(
-            _add_up(pictures[side], [coloured[name][side] for name in names])
-            for names in known for side in (0, 1)):
+    if known is not None and all(_is_set(names, pictures, coloured) for names in known):
         return known
     if not coloured:
         return ()
@@ -69,13 +66,20 @@ def follow_picture(parts: MutableMapping[str, np.ndarray], sets: Iterable[Sequen
     by their light, and all the same of it where they have none."""
     for names in sets:
         sizes = [np.abs(parts[name]) for name in names]
-        size, total = sum(sizes[1:], sizes[0]), sum((parts[name] for name in names[1:]),
-                                                    parts[names[0]])
+        size = sum(sizes[1:], sizes[0])
+        total = sum((parts[name] for name in names[1:]), parts[names[0]])
         missing, is_dark = picture - total, size == 0
         even = np.float32(1 / len(names))
         for name, own in zip(names, sizes, strict=True):
             share = np.where(is_dark, even, own / np.where(is_dark, np.float32(1), size))
             parts[name] = parts[name] + missing * share
+
+
+def _is_set(names: Sequence[str], pictures: Pair, parts: Mapping[str, Pair]) -> bool:
+    """Whether these parts are there, and add up to the picture of both frames."""
+    if not all(name in parts for name in names):
+        return False
+    return all(_add_up(pictures[side], [parts[name][side] for name in names]) for side in (0, 1))
 
 
 def _add_up(picture: np.ndarray, parts: Sequence[np.ndarray]) -> bool:

@@ -32,7 +32,8 @@ FAR = np.float32(1e30)
 ALIKE = np.float32(0.04)
 """Relative difference in depth of paths that arrive at a pixel as one surface."""
 SIMILAR = reverse_motion.ALIKE
-"""The same of neighbours from whose motion a crack is filled where motion is inverted."""
+"""Relative difference in depth of neighbours from whose motion a crack is filled where motion is
+inverted."""
 SEEN = np.float32(1)
 """Pixels by which motion to the other frame and back may miss."""
 SURE = np.float32(0.7)

@@ -25,8 +25,10 @@ from postfx.frame import Frame, Role
 from postfx.interpolate.choose import STILL
 from postfx.system import in_bands
 
+# Bits of a time code's word: dropped frame numbers, and the second frame of a pair.
 _DROP = 1 << 6
 _FIELD = 1 << 15
+
 _PLACES = ((24, 30), (16, 23), (8, 15), (0, 6))
 """First and last bit of hours, minutes, seconds and frames."""
 SPARK_SURROUNDINGS_SHARE = 0.09
@@ -117,7 +119,8 @@ class Times:
 
 
 def parse_times(times: str | None, rates: str | None = None) -> Times:
-    """Of --times ('2', or '0.25,0.5') and --fps ('24:60', or '24' for the old rate alone).
+    """Times that --times ('2', or '0.25,0.5') and --fps ('24:60', or '24' for the old rate alone)
+    ask for.
 
     Raises OptionError for anything else.
     """
@@ -249,20 +252,28 @@ def follow_light(frames: Sequence[Frame | None], t: float, picture: np.ndarray) 
     Lagrange's cubic, within what the middle two show. It is left out where a frame is missing or
     has no depth or no motion, a shot begins, or sizes differ. picture: (h, w, 3) of that time.
     """
-    if any(one is None or Role.COLOUR not in one or one[Role.COLOUR].shape != picture.shape or
-           Role.DEPTH not in one or (k > 0 and (one.reset or Role.MOTION not in one))
-           for k, one in enumerate(frames)):
-        return
+    size = picture.shape[:2]
     known = [one for one in frames if one is not None]
-    motions, depths = [one[Role.MOTION] for one in known[1:]], [one[Role.DEPTH] for one in known]
-    if any(plane.shape[:2] != picture.shape[:2] for plane in (*motions, *depths)) or \
-            not (np.abs(motions[1][::8, ::8]).max(-1) < STILL).any():
+    if len(known) < len(frames):
+        return
+    if not all(_has_sized(one, size, Role.COLOUR, Role.DEPTH) for one in known):
+        return
+    if not all(_has_sized(one, size, Role.MOTION) and not one.reset for one in known[1:]):
+        return
+    motions = [one[Role.MOTION] for one in known[1:]]
+    depths = [one[Role.DEPTH] for one in known]
+    if not (np.abs(motions[1][::8, ::8]).max(-1) < STILL).any():
         return
     shares = (-t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2,
               -t * (t + 1) * (t - 2) / 2, t * (t + 1) * (t - 1) / 6)
     planes = [whole(plane, np.float32)
               for plane in (*(one[Role.COLOUR] for one in known), *motions, *depths)]
     in_bands(len(picture), _curve.bind((*planes, np.array((*shares, t), np.float32), picture)))
+
+
+def _has_sized(frame: Frame, size: tuple[int, int], *roles: Role) -> bool:
+    """Whether a frame has planes of these roles, of this height and width."""
+    return all(role in frame and frame[role].shape[:2] == size for role in roles)
 
 
 # Sparks: isolated, bright, and gone from where a path leads in the other frame.
@@ -299,7 +310,7 @@ class Sparks:
     dim: float
 
     def arrays(self, t: float) -> tuple[np.ndarray, ...]:
-        """What kernels take, at a time."""
+        """The arguments of kernels that they share, at a time."""
         return *self.pictures, *self.marks, np.array((self.scale, self.dim, t), np.float32)
 
 

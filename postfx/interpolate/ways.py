@@ -71,7 +71,8 @@ FLOW_HANDICAP = 1.1
 """By how much that of estimated motion counts as larger: it was found in the very pictures that it
 is compared by."""
 REST_HANDICAP = 1.5
-"""The same of what moves before a shot that stands still: half of it was fitted."""
+"""By how much the unevenness of what moves before a shot that stands still counts as larger: half
+of it was fitted."""
 CLEARLY_BETTER = 0.9
 """Unevenness of the flow, in that of vectors that stand still, below which it counts beside them.
 Of noise the flow makes 1.1 to 1.8."""
@@ -79,26 +80,29 @@ AS_EVEN = 0.84
 """Unevenness of vectors, in that of a blend, from which they are not alone to count: up to 0.77
 in renders."""
 AS_EVEN_ALONE = 0.95
-"""The same by two frames alone: up to 0.82 in renders, 1.15 in noise."""
+"""Unevenness of vectors, in that of a blend, from which they are not alone to count, by two frames
+alone: up to 0.82 in renders, 1.15 in noise."""
 LEAST_LEFT = 0.5
 """Misfit of vectors, in that of standing still, below which they are not doubted for that: what
 moves may hide and uncover much that is uneven."""
 LEAST_LEFT_ALONE = 0.9
-"""The same by two frames alone."""
+"""Misfit of vectors, in that of standing still, below which they are not doubted by two frames
+alone."""
 LEAST_SPREAD_OF_FLOW = 0.25
-"""Share of the pixels over which it must be spread for that: 0.09 to 0.13 of a wire, 0.35 and more
-in dissolves."""
+"""Share of the pixels over which the misfit of estimated motion must be spread for a blend to count
+beside it: 0.09 to 0.13 of a wire, 0.35 and more in dissolves."""
 LEAST_LEFT_OF_FLOW = 0.4
 """Misfit of estimated motion, in that of standing still, from which a blend may count where there
 are no vectors."""
 LESS_EVEN_THAN_FLOW = 0.5
-"""Unevenness along estimated motion, in that of a blend, from which it does."""
+"""Unevenness along estimated motion, in that of a blend, from which a blend may count."""
 MORE_EVEN = 1.03
-"""The same from which a blend is better than vectors that explain nothing."""
+"""Unevenness along vectors, in that of a blend, from which a blend is better than vectors that
+explain nothing."""
 MOSTLY_NOISE = 0.5
 """Unevenness that cells beside have in common, in all of it, below which noise hides the rest."""
 DOUBTING_ROWS = 50
-"""Rows that are looked at for that."""
+"""Rows that are looked at for `MOSTLY_NOISE`."""
 ALONE = 0.3
 """How much differences count that cells beside have not in common: noise, and finest detail."""
 LEAST_SHARE = 0.1
@@ -170,7 +174,7 @@ class Ways:
 
     @property
     def is_thin_along_flow(self) -> bool:
-        """The same of estimated motion."""
+        """Whether only a thin thing is not where estimated motion leads."""
         return self.flow_spread < LEAST_SPREAD_OF_FLOW
 
     def shares_of_thin(self, frames: int) -> tuple[float, float]:
@@ -285,7 +289,7 @@ def straight_course(row: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rest_of(row: Sequence[np.ndarray], number: int) -> np.ndarray:
-    """What one of four arrays is beside `straight_course`."""
+    """One of four arrays less its `straight_course`."""
     mean, growth = straight_course(row)
     rest: np.ndarray = row[number] - mean - np.float32(number - 1.5) * growth
     return rest

@@ -147,7 +147,7 @@ _NAME = re.compile(r"\b[A-Z][A-Z\d_]+\b")
 _INCLUDE = re.compile(r'^#include "(.+)"\n', re.M)
 _CONSTANT = re.compile(r"^constexpr \w+ ([A-Z][A-Z\d_]*) = .*;.*\n", re.M)
 _TYPES = {int: "int", np.float64: "double"}
-"""Of constants in CUDA, by that in Python; all others are float."""
+"""Types of constants in CUDA, by their types in Python; all others are float."""
 
 
 def find_source(kernel: Kernel) -> Path | None:

@@ -48,7 +48,7 @@ FACTS = SIZES + MOST_LAYERS + 1
 ACTIVATIONS = ("relu", "gelu", "sine")
 RELU, GELU, SINE = range(3)
 THREADS = 256
-"""Of a block on a GPU."""
+"""Threads of a block on a GPU."""
 MOST_LEVELS = 16
 DIMS, NUMBERS, ENTRIES, LEVELS, SIDES = range(5)
 PI = np.float32(np.pi)

@@ -66,14 +66,17 @@ LIGHT = Kernel(
     shapes={"lowres": (1, 3, SIDE, SIDE), "light": (SIDE, 3)},
 )
 
-# Stops: a camera that crossed a staircase in 8 frames moved the mean by 0.17, by no more than
-# 0.04 in a frame.
+# Stops that count as a change of light: from the light of the grid, and from the last frame's. A
+# camera that crossed a staircase in 8 frames moved the mean by 0.17, by no more than 0.04 in a
+# frame.
 LAG = np.float64(1 / 4)
 JUMP = np.float64(1 / 16)
 
-# Stops between two lights that cannot be, as is NaN: there is no past, then.
 RELEASE = np.float64(0.95)
+"""Share of the way that the grid covers in each later frame, of what it covered in the one
+before."""
 MOST = np.float64(1e4)
+"""Stops between two lights that cannot be, as is NaN: there is no past, then."""
 
 FOLLOW = Kernel(
     name="follow",

@@ -76,6 +76,8 @@ def parse_leave(text: str) -> tuple[Entry, ...]:
 
 
 def _parse_entry(word: str, text: str) -> Entry:
+    """One word of --leave: a name, perhaps with the plane it is of and its strength. StrengthError
+    for a strength outside 0..1."""
     name, strength = word, 0.0
     head, equals, tail = word.rpartition("=")
     if equals:
@@ -189,7 +191,9 @@ def _percent(share: float) -> str:
 ROUNDED_STRENGTH = 1e-3
 """Strengths this close to 0 or 1 become 0 or 1, because shares do not add up to exactly 1."""
 MOST_SUGGESTED_NAMES = 5
+"""Names that an error suggests in place of one that is not there."""
 _HASH_MASK = 0xFFFFFFFF
+"""Names have hashes of 32 bits."""
 Key = TypeVar("Key")
 
 

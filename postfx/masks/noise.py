@@ -22,7 +22,7 @@ import numpy as np
 
 from postfx.colour import luminance
 from postfx.errors import StrengthError
-from postfx.frame import DEPTH_MISS, ERROR_ROLES, VARIANCES, Role
+from postfx.frame import ALBEDOS, DEPTH_MISS, ERROR_ROLES, VARIANCES, Role
 from postfx.masks.cryptomatte import Entry, snap
 from postfx.sampling import BAND_ROWS, bands, local_maximum, local_mean, local_sum
 
@@ -106,7 +106,7 @@ def _is_transparent(planes: Mapping[Role, np.ndarray]) -> bool:
 def _misses(planes: Mapping[Role, np.ndarray], see_through: bool) -> np.ndarray:
     zero = [Role.NORMAL] if Role.NORMAL in planes else []
     if zero and Role.DEPTH not in planes:
-        zero += [role for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in planes]
+        zero += [role for role in ALBEDOS if role in planes]
     signs = [~planes[role].any(2) for role in zero]
     signs += [planes[Role.DEPTH][:, :, 0] >= DEPTH_MISS] if Role.DEPTH in planes else []
     signs += [planes[Role.ALPHA][:, :, 0] == 0] if see_through else []
@@ -139,16 +139,16 @@ def _noise_strength(
 
 def _band_sums(band: Mapping[Role, np.ndarray], missed: np.ndarray, first: int,
                last: int) -> np.ndarray:
-    """Of each square: sums of noise power, of the pixels it was measured at, of the misses' light
-    and their number.
+    """Sums in each square: of noise power, of the pixels it was measured at, of the misses' light
+    and of their number.
 
     Values that are not finite count as infinite noise.
     """
     light = luminance(band[Role.COLOUR])
     broken = missed & ~np.isfinite(light)
     light = np.where(missed & ~broken, light, np.float32(0))
-    power, count = (np.where(broken, np.float32(np.inf), np.float32(0)),
-                    np.zeros(light.shape, np.float32))
+    power = np.where(broken, np.float32(np.inf), np.float32(0))
+    count = np.zeros(light.shape, np.float32)
     for span in SPANS:
         inside = (slice(span, -span), slice(span, -span))
         if min(light.shape) <= 2 * span:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 WEIGHTING_ROUNDS = 8
-"""Of weighting."""
+"""How often points are weighted by how well the fit before explains them."""
 LEAST_ERROR_PX = 0.02
 """The error that exact vectors have at least."""
 SURE_PX = 0.1
@@ -67,6 +67,6 @@ def fit_camera(now: np.ndarray, before: np.ndarray, near: np.ndarray, pixel: flo
         weights = (1 + (errors / (3 * typical)) ** 2) ** -2
     fitting = errors < max(5 * typical, SURE_PX)
     error = float(np.sqrt((errors[fitting] ** 2).mean() / 2))
-    # of surfaces in one plane it is large
+    # large where all surfaces lie in one plane, which tells little of the camera
     covariance = np.linalg.inv(normal) * (max(error, LEAST_ERROR_PX) * pixel) ** 2
     return start + change, covariance, error, float(fitting.mean())

@@ -28,10 +28,13 @@ from postfx.workers import Workers
 MOST_SIDE_PX = 640
 """Pixels of a picture's longer side; larger frames are halved, or taken in thirds, and so on."""
 
+# Pixels that a motion is fitted to, about this many and no fewer than that; those that it is then
+# aligned by, and how often.
 _FITTED_POINTS = 2000
 _FEWEST_FITTED_POINTS = 64
 _ALIGNED_POINTS = 4000
 _ALIGNING_ROUNDS = 5
+
 # Least share of points that the fit must explain, and the most of the picture's own contrast that
 # it may leave.
 _FITTING = 0.4
@@ -101,7 +104,7 @@ def motion_between(before: Picture | None, after: Picture, depth: np.ndarray | N
     if before is None or before.size != after.size or min(after.values.shape) < 2:
         return still
     one, other, step = after.values, before.values, after.step
-    # is in the pictures, but not in motion
+    # jitter moves the pictures, but is no part of motion
     jitter = np.subtract(after.jitter, before.jitter).astype(np.float32)
     rest = np.broadcast_to(jitter / step, (*one.shape, 2)).astype(np.float32)
     at_rest = _misfit(one, other, rest)
@@ -212,8 +215,9 @@ def _align(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.ndarr
 def _misfit(one: np.ndarray, other: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """(h, w) mean difference of the pictures around each pixel under a motion; points out of the
     picture count as 0."""
-    apart, around, across = (np.empty_like(one), np.empty_like(one),
-                             np.empty(one.shape[::-1], np.float32))
+    apart = np.empty_like(one)
+    around = np.empty_like(one)
+    across = np.empty(one.shape[::-1], np.float32)
     _differ(0, len(one), one, other, whole(motion, np.float32), apart)
     _average(0, len(apart), apart, across)
     _average(0, len(across), across, around)

@@ -71,12 +71,12 @@ def estimate_motion(after: np.ndarray, before: np.ndarray, finest: int = FINEST)
 
 def middle_light(pictures: tuple[np.ndarray, np.ndarray]) -> np.float32:
     """Light that is toned to about the middle: four times the geometric mean of both pictures."""
-    # of the pixels along a side tell how bright a picture is
-    some = (4 if min(pictures[0].shape[:2]) >= 256 else 1)
-    light = [np.maximum(picture[::some, ::some] @ LUMINANCE, 0) for picture in pictures]
+    # a quarter of the pixels along a side tells how bright a large picture is
+    step = 4 if min(pictures[0].shape[:2]) >= 256 else 1
+    light = np.stack([np.maximum(picture[::step, ::step] @ LUMINANCE, 0) for picture in pictures])
     mean = float(np.mean(light)) + 1e-12
-    return np.float32(4
-                      * math.exp(float(np.mean(np.log(np.stack(light) + np.float32(1e-3 * mean))))))
+    log_mean = float(np.mean(np.log(light + np.float32(1e-3 * mean))))
+    return np.float32(4 * math.exp(log_mean))
 
 
 def tone(picture: np.ndarray, level: float | np.floating, margin: int) -> np.ndarray:

@@ -20,6 +20,7 @@ TOOL_VARIABLE = "POSTFX_EXPOSURE_TOOL"
 CELLS = 9
 """Cells from top to bottom."""
 STOPS = 0.25
+"""Stops by which the greys of the board are darker and brighter than mid grey."""
 GREYS = (KEY * 2**-STOPS, KEY * 2**STOPS)
 """The two greys, as exposed: mid grey is half way between them in stops."""
 
@@ -123,7 +124,7 @@ def board_area(height: int, width: int, part: bool) -> tuple[slice, slice]:
 
 
 def cells(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of each row and of each column 0 or 1; the darker grey is where both are the same."""
+    """0 or 1 for each row and for each column; the darker grey is where both are the same."""
     side = max(height / CELLS, 1.0)
     return turns(height, side), turns(width, side)
 

@@ -10,13 +10,13 @@ import numpy as np
 from postfx import oidn
 from postfx.compiled.calls import whole
 from postfx.errors import PassOptionError
-from postfx.frame import FrameSpec, Role
+from postfx.frame import ALBEDOS, FrameSpec, Role
 from postfx.oidn import QUALITIES, OpenImageDenoise, total_albedo
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.pixel_filter import PixelFilter, find_stddev, parse_stddev
 from postfx.runtime import CommandBuffer, Device
 
-PREFERRED_ALBEDOS = (Role.DENOISING_ALBEDO, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+PREFERRED_ALBEDOS = (Role.DENOISING_ALBEDO, *ALBEDOS)
 NORMALS = (Role.DENOISING_NORMAL, Role.NORMAL)
 
 

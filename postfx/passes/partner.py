@@ -33,9 +33,9 @@ SHARE_BESIDE_A_PICTURE = 0.75
 others. On thirteen kinds the best share is about 0.55, but then the mixture is below Open Image
 Denoise in moving water."""
 SHARE_BESIDE_TWO_STAGES = 0.2
-"""The same beside a network that enlarges what another one denoised. On thirteen kinds it gains in
-moving water alone, by less than a tenth of a dB, and costs as little in the mean; 0.6 costs 0.2
-dB."""
+"""How much it counts beside a network that enlarges what another one denoised. On thirteen kinds it
+gains in moving water alone, by less than a tenth of a dB, and costs as little in the mean; 0.6
+costs 0.2 dB."""
 ENLARGEMENT_POWER = 0.75
 """Its weight falls with this power of the enlargement, as it is enlarged without knowing edges."""
 BACKWARD_FRAMES = 2

@@ -7,6 +7,7 @@ instead, so that a checkout works without being installed; no other package can 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -135,10 +136,15 @@ class PassRequest(NamedTuple):
     before: str | None = None
     after: str | None = None
 
+    @property
+    def neighbour(self) -> str | None:
+        """Name of the pass that it stands before or after; None where its place is free."""
+        return self.before or self.after
+
 
 def parse_pass(text: str, flag: str = "--pass") -> PassRequest:
-    """Of 'NAME[,option=value]...[,before=PASS|after=PASS]'. Raises OptionError, which
-    names the flag, for anything else."""
+    """The pass that 'NAME[,option=value]...[,before=PASS|after=PASS]' asks for. Raises OptionError,
+    which names the flag, for anything else."""
     name, *words = _COMMA.split(text.strip())
     if not re.fullmatch(r"[\w.-]+", name):
         raise OptionError(f"{flag} {text}: give a name and options, e.g. "
@@ -195,35 +201,38 @@ def insert_passes(chain: Sequence[Pass], asked: Sequence[PassRequest], default: 
     Passes of one place stand in the order in which they were asked for, and may name each other.
     Raises OptionError for a place that is not in the chain.
     """
-    added = [(one, make_asked(one)) for one in asked]
-    free = [instance for one, instance in added if not (one.before or one.after)]
+    made = [(request, make_asked(request)) for request in asked]
+    free = [instance for request, instance in made if not request.neighbour]
     result = [*(one for one in free if one.reads_render), *chain[:default],
               *(one for one in free if not one.reads_render), *chain[default:]]
-    waiting = [pair for pair in added if pair[0].before or pair[0].after]
-    behind: dict[Pass, int] = {}  # how many stand behind a pass already
+    waiting = [(request, instance) for request, instance in made if request.neighbour]
+    behind: Counter[Pass] = Counter()  # how many stand behind a pass already
     while waiting:
-        placed = next((pair for pair in waiting if _at(result, pair[0]) is not None), None)
-        if placed is None:
-            anchor, there = (waiting[0][0].before or waiting[0][0].after,
-                             [instance.name for instance in result])
-            raise OptionError(f"--pass {waiting[0][0].name}: no pass '{anchor}' runs "
-                              f"here{suggest(str(anchor), there) or ':'} there are "
-                              f"{', '.join(there) or 'none'}")
-        waiting.remove(placed)
-        one, instance = placed
-        at = _at(result, one) or 0
-        if one.after:
-            anchor_pass = result[at]
-            behind[anchor_pass] = behind.get(anchor_pass, 0) + 1
-            at += behind[anchor_pass]
-        result.insert(at, instance)
+        placeable = [pair for pair in waiting if _find(result, pair[0].neighbour) is not None]
+        if not placeable:
+            raise _no_neighbour(waiting[0][0], result)
+        request, instance = placeable[0]
+        waiting.remove(placeable[0])
+        place = _find(result, request.neighbour) or 0
+        if request.after:
+            neighbour = result[place]
+            behind[neighbour] += 1
+            place += behind[neighbour]
+        result.insert(place, instance)
     return result
 
 
-def _at(chain: Sequence[Pass], one: PassRequest) -> int | None:
-    """Where the pass stands that another one is to stand before or after."""
-    return next((at for at, instance in enumerate(chain)
-                 if instance.name == (one.before or one.after)), None)
+def _find(chain: Sequence[Pass], name: str | None) -> int | None:
+    """Where the first pass of a name stands; None if there is none."""
+    return next((place for place, instance in enumerate(chain) if instance.name == name), None)
+
+
+def _no_neighbour(request: PassRequest, chain: Sequence[Pass]) -> OptionError:
+    """The error for a pass that is to stand beside one that is not in the chain."""
+    names = [instance.name for instance in chain]
+    hint = suggest(str(request.neighbour), names) or ":"
+    return OptionError(f"--pass {request.name}: no pass '{request.neighbour}' runs here{hint} "
+                       f"there are {', '.join(names) or 'none'}")
 
 
 @cache

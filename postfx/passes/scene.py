@@ -100,7 +100,7 @@ def _find_model(pass_name: str, model: str) -> _Model:
 
 
 def _described(found: _Model) -> str:
-    """What a model reads, in words."""
+    """A model's inputs in words."""
     return f"points of {found.point} numbers" if found.point else ", ".join(found.inputs)
 
 
@@ -109,7 +109,8 @@ def _described(found: _Model) -> str:
 SIDE_MULTIPLE_PX = 16
 """Sides of what the network sees are multiples of this."""
 SETTINGS = np.array([0.9, 0.0], np.float32)
-"""Of GTAO: share of the radius from which on surfaces count less, and how thin they are."""
+"""Settings of GTAO: share of the radius from which on surfaces count less, and how thin they
+are."""
 USUAL_RADIUS = 0.125
 """Share of the median depth."""
 USUAL_FOV = 45.0
@@ -206,8 +207,8 @@ class Occlusion(_Linear):
         frame.set(Role.COLOUR, self._darkens["output"])
 
     def _look(self, turn: np.ndarray, depth: np.ndarray, *others: np.ndarray) -> None:
-        """What the network reads: planes with sides that it takes, the camera, and GTAO's
-        visibility, raw and smooth."""
+        """The network's inputs: planes with sides that it takes, the camera, and GTAO's visibility,
+        raw and smooth."""
         *normals, normal, far, camera, raw, smooth = others
         middle = _middle(depth.shape, raw.shape)
         normal[...], far[...] = 0, DEPTH_MISS
@@ -339,8 +340,8 @@ class Irradiance(_Linear):
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         self._directions["normal"] = self._lights["normal"] = frame[Role.NORMAL]
-        self._lights["colour"], self._lights["albedo"] = (frame[Role.COLOUR],
-                                                          frame[Role.DIFFUSE_ALBEDO])
+        self._lights["colour"] = frame[Role.COLOUR]
+        self._lights["albedo"] = frame[Role.DIFFUSE_ALBEDO]
         for table in (self._directions, self._network, self._lights):
             self._dispatch(commands, "irradiance", table)
         frame.set(Role.COLOUR, self._lights["output"])

@@ -45,11 +45,11 @@ class SceneBox(NamedTuple):
         return cls(middle, reach)
 
     def numbers(self) -> np.ndarray:
-        """What kernels read, (4,): the middle, and the reach."""
+        """The box as kernels read it, (4,): the middle, and the reach."""
         return np.array([*self.middle, self.reach], np.float32)
 
     def card(self) -> dict[str, Any]:
-        """What `of_card` reads."""
+        """The box as an entry of a model's card, which `of_card` reads."""
         return {CARD: {"middle": [float(side) for side in self.middle], "reach": self.reach}}
 
 
@@ -70,7 +70,7 @@ def places_of(camera: np.ndarray, depth: np.ndarray) -> np.ndarray:
 def points_of(
     camera: np.ndarray, depth: np.ndarray, normal: np.ndarray, box: SceneBox
 ) -> np.ndarray:
-    """What the network reads, (pixels, 9).
+    """The network's inputs, (pixels, 9).
 
     depth: (height, width, 1). normal: (height, width, 3), in the world.
     """
@@ -81,8 +81,8 @@ def points_of(
 
 
 def reflectance_of(diffuse: np.ndarray, specular: np.ndarray) -> np.ndarray:
-    """What light (height, width, 3) is divided by: both albedos with a floor, 1 for lamps and
-    misses."""
+    """The reflectance that light (height, width, 3) is divided by: both albedos with a floor, 1 for
+    lamps and misses."""
     total = diffuse + specular
     peak = total.max(-1, keepdims=True)
     floored = np.maximum(total, REFLECTANCE_SHARE * peak) + REFLECTANCE_OFFSET
@@ -90,6 +90,7 @@ def reflectance_of(diffuse: np.ndarray, specular: np.ndarray) -> np.ndarray:
 
 
 def light_to_learn(light: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
-    """What the network is to give: (pixels, 3) of light (height, width, 3), 0 and more."""
+    """The outputs that the network is to learn, (pixels, 3): light (height, width, 3) of 0 and
+    more, coded."""
     logs: np.ndarray = np.log1p(np.maximum(light, 0) / reflectance).reshape(-1, 3)
     return logs.astype(np.float32)

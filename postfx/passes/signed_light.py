@@ -35,8 +35,8 @@ def lies_below(part: np.ndarray) -> bool:
     """Whether a part (h, w, n) has light below 0, and more of it than a pixel filter leaves."""
     seen = part[::ROW_STEP]
     seen = seen[np.isfinite(seen)]
-    under, light = (np.maximum(-seen, 0).sum(dtype=np.float64),
-                    np.abs(seen).sum(dtype=np.float64))
+    under = np.maximum(-seen, 0).sum(dtype=np.float64)
+    light = np.abs(seen).sum(dtype=np.float64)
     return bool(under > LEAST_BELOW * light)
 
 

@@ -28,7 +28,7 @@ _SHAPER = "toe and scale above 0, and a matrix of 9 numbers"
 
 
 class Shaper(NamedTuple):
-    """What a look's model was trained behind; see ``postfx.kernels.colour``."""
+    """The curve that a look's model was trained behind; see ``postfx.kernels.colour``."""
 
     toe: float
     scale: float
@@ -99,8 +99,8 @@ def check_constants(model: str, constants: Mapping[str, np.ndarray], has_grid: b
 
 
 class _History(NamedTuple):
-    """What a frame leaves to the next: the smoothed grid or exposure, and the light that it is made
-    for."""
+    """The tensors that a frame leaves to the next: the smoothed grid or exposure, and the light
+    that it is made for."""
 
     held: Tensor
     light: Tensor
@@ -164,12 +164,12 @@ class ToneMap(Pass):
         self._shaper, given = shaper(library, model), self.options["keep"]
         keep = keep_of(library, model) if given is None else float(given)
         self._following = keep, follow_of(library, model)
-        self._params, matrix = (device.heap.tensor("tonemap params", (3,)),
-                                device.heap.tensor("tonemap matrix", (9,)))
+        self._params = device.heap.tensor("tonemap params", (3,))
+        matrix = device.heap.tensor("tonemap matrix", (9,))
         matrix.upload(self._shaper.matrix)
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
-        self._show, constants = (self._kind.show if self._kind else APPLY_CUBE,
-                                 dict(network.constants))
+        self._show = self._kind.show if self._kind else APPLY_CUBE
+        constants = dict(network.constants)
         if self._show is APPLY_CUBE:
             self._show, constants["cube"] = form_of(constants["cube"], device.gpu is not None)
         self._shaping = {"params": self._params, "matrix": matrix}

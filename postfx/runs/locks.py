@@ -101,8 +101,8 @@ LOCK_TIMEOUT_SECONDS = 30.0
 OLD = 60.0
 """Seconds after which a lock counts as abandoned if its holder cannot be checked from here."""
 EMPTY = 5.0
-"""The same where it does not name its holder: it is empty for milliseconds, on file systems without
-links."""
+"""Seconds after which a lock counts as abandoned that does not name its holder: it is empty for
+milliseconds, on file systems without links."""
 LOCK_PAUSE_SECONDS = 0.02
 
 

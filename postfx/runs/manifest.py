@@ -22,6 +22,7 @@ WORK_FOLDER = ".postfx"
 """Folder beside the frames for locks, claims and checkpoints; removed after the last run."""
 MANIFEST_FORMAT = "postfx manifest"
 MANIFEST_VERSION = 1
+"""Version of the format: another one is not read."""
 
 
 @dataclass(frozen=True)

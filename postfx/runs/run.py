@@ -227,8 +227,10 @@ class Run:
         self.works: list[Work] = []
         self.skips: list[Skip] = []
         self.warnings: list[str] = []
-        self._outputs, self._sequence, self._pipeline, self._plan = (outputs, sequence, pipeline,
-                                                                     plan)
+        self._outputs = outputs
+        self._sequence = sequence
+        self._pipeline = pipeline
+        self._plan = plan
         self.provenance, self._options = provenance, options
         self._id = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{os.urandom(4).hex()}"
         self._log = Log(options.log, self._id)
@@ -365,6 +367,8 @@ class Run:
         return wanted
 
     def _schedule(self, wanted: set[int]) -> list[Work]:
+        """The frames to run in order: those that are wanted, and those before them that they need
+        for their history."""
         numbers, options = self._sequence.numbers, self._options
         if not self._pipeline.remembers(self._plan):
             return [Work(number, True) for number in numbers if number in wanted]

@@ -117,8 +117,9 @@ class Recorder:
     def finish(self) -> None:
         """Finish the buffer: no more of its commands will run. Drops its tensors."""
         heap = self._commands.device.heap
-        self.buffer.heap_used, self.buffer.heap_peak, self.buffer.heap_size = (heap.used, heap.peak,
-                                                                               heap.size)
+        self.buffer.heap_used = heap.used
+        self.buffer.heap_peak = heap.peak
+        self.buffer.heap_size = heap.size
         self._of = {}
         self.done.set()
 

@@ -10,7 +10,7 @@ the same may be one kernel: the heads of a level, and what the next finer level 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from math import prod
@@ -25,26 +25,33 @@ from postfx.runtime.model_file import ModelFile, Node, Weights, parse_model
 if TYPE_CHECKING:
     from postfx.runtime.tensor import Tensor, TensorDevice
 
-# As in the kernels: rows and columns of the pixels that a group takes, and of those of heads;
-# threads of a group.
-SQUARE = (8, 8)
-WIDE = (2, 32)
-GROUP = 128
+# As in the kernels: rows and columns of the pixels that a group of threads takes.
+GROUP_PIXELS = (8, 8)
+HEAD_GROUP_PIXELS = (2, 32)
+GROUP_THREADS = 128
 
-# Channels that a block of threads can make; all channels are multiples of the step.
 TILES = (160, 128, 96, 80, 64, 40, 32, 16)
-STEP = 32
+"""Channels that a block of threads can make."""
+CHANNEL_STEP = 32
+"""All channels are multiples of it."""
 
-# Groups that a block may have, how many are enough for a processor, and parts of weights that a
-# block may hold.
 GROUP_COUNTS = (4, 3, 2, 1)
+"""Groups that a block may have."""
 MOST_GROUPS = 12
-SLOTS = (4, 3)
+"""Groups that are enough for a processor."""
+WEIGHT_PARTS = (4, 3)
+"""Parts of its weights that a block may hold at once, where it cannot hold all."""
 
-# Cycles that a group waits for pixels, and in which a channel is written; bytes that come in a
-# cycle.
-WAIT = 4700
-WRITE = 5.6
+# A GPU's memory, as CUDA says: shared memory that a block takes beside its own, registers of a
+# processor, and those of a thread beside one for every two channels of its tile.
+BLOCK_OVERHEAD_BYTES = 1024
+PROCESSOR_REGISTERS = 65536
+THREAD_REGISTERS = 48
+
+# Times of a group on an H100: cycles that it waits for pixels, and that it writes a channel in;
+# bytes that come in a cycle.
+WAIT_CYCLES = 4700
+CHANNEL_WRITE_CYCLES = 5.6
 CYCLE_WEIGHT_BYTES = 134
 CYCLE_PIXEL_BYTES = 13
 
@@ -76,7 +83,7 @@ class Head(NamedTuple):
 
 
 class Options(ctypes.Structure):
-    """What else a kernel is told: see postfx/kernels/convolution.cuh."""
+    """Further arguments of a kernel: see postfx/kernels/convolution.cuh."""
 
     _fields_ = tuple((name, ctypes.c_int)
                      for name in ("height", "width", "tiles", "split", "positive"))
@@ -133,7 +140,7 @@ class Layer:
     def tiles(self) -> tuple[int, ...]:
         """Numbers of channels that a block of threads may make, the largest first."""
         # all planes of the two pixels of a row, or half of them
-        if (self.head and self.head.side == 2):
+        if self.head and self.head.side == 2:
             return tuple(tile for tile in TILES
                          if tile in (2 * self.head.planes, self.head.planes) and tile % 16 == 0)
         least = self.head.planes if self.head else 0  # they are in the first tile
@@ -141,28 +148,32 @@ class Layer:
 
     def give(self, head: Head) -> bool:
         """Give the result in this form; whether the kernels can."""
-        rows = (self.channels == 4 * head.planes and 2 * head.planes in TILES
-                and 2 * head.planes % STEP == 0)
-        parts = ((rows if head.side == 2 else head.planes <= self.channels) and not self.positive
-                 and self.added is None)
-        if parts:
+        if self.positive or self.added is not None:
+            return False
+        if head.side == 2:
+            of_a_row = 2 * head.planes
+            can = (self.channels == 2 * of_a_row and of_a_row in TILES
+                   and of_a_row % CHANNEL_STEP == 0)
+        else:
+            can = head.planes <= self.channels
+        if can:
             self.head = head
-        return parts
+        return can
 
     def factors(self, tile: int) -> tuple[np.ndarray, np.ndarray]:
         """The weights and the bias in the order of the kernels: (tiles, steps, 4, tile, 8), tap by
         tap; (channels,)."""
         count, side, order = self.channels, self.taps, np.arange(self.channels)
         # rows, and of the planes of their two pixels a tile's half
-        if (self.head and self.head.side == 2):
+        if self.head and self.head.side == 2:
             order = order.reshape(2, 2, -1, tile // 2).transpose(0, 2, 1, 3).reshape(-1)
         weight = self.weight[order]
         if self.cells:  # the channels of a cell: its rows, their pixels, their channels
             parts = weight.reshape(count, -1, side, 2, side, 2).transpose(2, 4, 3, 5, 1, 0)
         else:
             parts = weight.transpose(2, 3, 1, 0)
-        found = parts.reshape(-1, STEP // 8, 8, count // tile, tile).transpose(3, 0, 1, 4, 2)
-        return np.ascontiguousarray(found, HALF), self.bias[order]
+        steps = parts.reshape(-1, CHANNEL_STEP // 8, 8, count // tile, tile)
+        return np.ascontiguousarray(steps.transpose(3, 0, 1, 4, 2), HALF), self.bias[order]
 
 
 class Unfit(ValueError):
@@ -198,6 +209,7 @@ class _Reader:
         self._sums: dict[str, tuple[str, str]] = {}
 
     def layers(self) -> list[Layer]:
+        """All layers of the model; Unfit where one of its nodes is no part of a layer."""
         steps: dict[str, Callable[[Node], None]] = {
             "Transpose": self._transpose, "Conv": self._convolve, "Relu": self._bound,
             "MaxPool": self._pool, "Resize": self._enlarge, "Add": self._add}
@@ -205,9 +217,9 @@ class _Reader:
             if node.domain or node.operator not in steps or len(node.outputs) != 1:
                 raise Unfit(f"it has {node.operator}")
             steps[node.operator](node)
-        if any(layer.channels % STEP or layer.read % STEP
+        if any(layer.channels % CHANNEL_STEP or layer.read % CHANNEL_STEP
                for layer in self._layers.values()):
-            raise Unfit(f"it has channels that are no multiples of {STEP}")
+            raise Unfit(f"it has channels that are no multiples of {CHANNEL_STEP}")
         found = list(self._layers.values())
         if {value.name for value in self._model.outputs} != self._given:
             raise Unfit("it has outputs that no convolution makes, or channels first")
@@ -228,6 +240,7 @@ class _Reader:
             raise Unfit("it moves axes")
 
     def _convolve(self, node: Node) -> None:
+        """Begin a layer."""
         weight, ints = self._array(node.inputs[1]), node.integers
         if weight.ndim != 4:
             raise Unfit("it has convolutions along one axis, or three")
@@ -273,6 +286,7 @@ class _Reader:
         self._enlarged[node.outputs[0]] = node.inputs[0]
 
     def _add(self, node: Node) -> None:
+        """Add constants to a layer's result, or the enlarged result of a coarser one."""
         first, second = node.inputs
         if second in self._weights and first in self._layers and self._uses[first] == 1:
             layer = self._layers[first]
@@ -317,16 +331,17 @@ class _Reader:
 def _join(layers: list[Layer]) -> list[Layer]:
     """Layers of one pixel that read the same become one, where one of them is enlarged afterwards:
     its result comes last."""
-    coarse, joined = {layer.coarse for layer in layers}, list[Layer]()
-    alike = {layer.output: layer
-             for layer in layers if layer.taps == 1 and not (layer.cells or layer.positive)}
-    heads = {layer.source: layer for layer in alike.values() if layer.output not in coarse}
+    coarse = {layer.coarse for layer in layers}
+    plain = [layer for layer in layers
+             if layer.taps == 1 and not (layer.cells or layer.positive)]
+    enlarged = {layer.output for layer in plain if layer.output in coarse}
+    partners = {layer.source: layer for layer in plain if layer.output not in coarse}
+    joined = list[Layer]()
     for layer in layers:
-        other = (heads.get(layer.source) if layer.output in coarse and layer.output in alike
-                 else None)
+        other = partners.get(layer.source) if layer.output in enlarged else None
         if other is not None:
-            weight, bias = (np.concatenate((other.weight, layer.weight)),
-                            np.concatenate((other.bias, layer.bias)))
+            weight = np.concatenate((other.weight, layer.weight))
+            bias = np.concatenate((other.bias, layer.bias))
             layer = Layer(layer.source, weight, bias, other.output, others=layer.output,
                           split=other.channels)
         joined.append(layer)
@@ -363,14 +378,14 @@ class Launch:
     rows: int
     columns: int
     tile: int
-    groups: int
-    held: int
+    groups: int = 1
+    held: int = 1
     slots: int = 0
 
     @property
     def squares(self) -> int:
-        """How many cover the result."""
-        rows, columns = WIDE if self.layer.head else SQUARE
+        """How many squares of a group's pixels cover the result."""
+        rows, columns = HEAD_GROUP_PIXELS if self.layer.head else GROUP_PIXELS
         return -(-self.rows // rows) * -(-self.columns // columns)
 
     @property
@@ -387,13 +402,13 @@ class Launch:
 
     @property
     def name(self) -> str:
-        """The kernel's."""
+        """Name of the kernel."""
         return "_".join(map(str, ("convolve", self.groups, *self.given)))
 
     @property
     def source(self) -> str:
-        """The kernel's, to follow postfx/kernels/convolution.cuh."""
-        return (f'\nextern "C" __global__ void __launch_bounds__({self.groups * GROUP}, '
+        """Source of the kernel, to follow postfx/kernels/convolution.cuh."""
+        return (f'\nextern "C" __global__ void __launch_bounds__({self.groups * GROUP_THREADS}, '
                 f'{self.held}) {self.name}({", ".join(f"View {name}" for name in ARGUMENTS)}, '
                 'Options options) {\n'
                 f'    convolve<{", ".join(map(str, self.given))}>({", ".join(ARGUMENTS)}, '
@@ -407,7 +422,7 @@ class Launch:
     @property
     def square(self) -> int:
         """Bytes of a square of the input with its border."""
-        side = SQUARE[0] + self.layer.taps - 1
+        side = GROUP_PIXELS[0] + self.layer.taps - 1
         return self.layer.read * 2 * (side**2 + {1: 1, 2: 0, 3: 5}[self.layer.taps])
 
     @property
@@ -419,7 +434,7 @@ class Launch:
 
 
 class Gpu(Protocol):
-    """What runs the kernels.
+    """The GPU that runs the kernels.
 
     Attributes:
         most_shared: bytes of shared memory that a block of threads may have.
@@ -447,22 +462,33 @@ def choices(layer: Layer, rows: int, columns: int, gpu: Gpu) -> list[Launch]:
 
     Raises Unfit where all need more shared memory than there is.
     """
+    tiles = [tile for tile in layer.tiles if gpu.warpgroups or tile % 16 == 0]
+    parts = WEIGHT_PARTS if gpu.warpgroups and layer.taps > 1 else ()
     found = list[Launch]()
-    for tile in layer.tiles if gpu.warpgroups else [tile for tile in layer.tiles if tile % 16 == 0]:
-        for slots in (0, *SLOTS) if gpu.warpgroups and layer.taps > 1 else (0,):
-            for groups in GROUP_COUNTS:
-                launch = Launch(layer, rows, columns, tile, groups, 1, slots)
-                most = 65536 // (groups * GROUP * (48 + tile // 2))  # as registers allow
-                held = min((gpu.most_shared + 1024) // (launch.shared + 1024), most,
-                           MOST_GROUPS // groups)
-                if held == 1 or held and groups > 1:  # one of more groups shares its weights
-                    found.append(replace(launch, held=held))
-            if not slots and found and found[-1].tile == tile:
-                break  # all its weights can stay
+    for tile in tiles:
+        launches = [*_launches(Launch(layer, rows, columns, tile), gpu)]
+        if not launches:  # else all its weights can stay
+            launches = [launch for slots in parts
+                        for launch in _launches(Launch(layer, rows, columns, tile, slots=slots),
+                                                gpu)]
+        found += launches
     if not found:
         raise Unfit(f"a layer needs more than the {gpu.most_shared} bytes of shared memory that "
                     "there are")
     return sorted(found, key=lambda launch: _cycles(launch, gpu))
+
+
+def _launches(launch: Launch, gpu: Gpu) -> Iterator[Launch]:
+    """A launch with blocks of each count of groups that a processor can hold."""
+    for groups in GROUP_COUNTS:
+        tried = replace(launch, groups=groups)
+        by_memory = ((gpu.most_shared + BLOCK_OVERHEAD_BYTES)
+                     // (tried.shared + BLOCK_OVERHEAD_BYTES))
+        registers = groups * GROUP_THREADS * (THREAD_REGISTERS + launch.tile // 2)
+        held = min(by_memory, PROCESSOR_REGISTERS // registers, MOST_GROUPS // groups)
+        # several blocks of one group would each hold the weights
+        if held == 1 or (held and groups > 1):
+            yield replace(tried, held=held)
 
 
 def _cycles(launch: Launch, gpu: Gpu) -> float:
@@ -476,20 +502,22 @@ def _cycles(launch: Launch, gpu: Gpu) -> float:
     tile, tasks = launch.tile, launch.squares * launch.tiles
     blocks = -(-launch.squares // launch.groups) * launch.tiles
     held = min(launch.held, -(-blocks // gpu.processors))  # blocks of a processor
-    load = held * launch.groups
-    rounds = -(-tasks // (gpu.processors * load))
+    groups = held * launch.groups
+    rounds = -(-tasks // (gpu.processors * groups))
     product = launch.factors // 16 * (tile / 2 if gpu.warpgroups else 16 + tile)
-    weights = held * 2 * launch.factors * tile / CYCLE_WEIGHT_BYTES * (rounds if launch.slots
-                                                                       else 1)
-    return weights + rounds * (WAIT + load
-                               * (product + WRITE * tile + launch.square / CYCLE_PIXEL_BYTES))
+    writing = CHANNEL_WRITE_CYCLES * tile
+    reading = launch.square / CYCLE_PIXEL_BYTES
+    weights = held * 2 * launch.factors * tile / CYCLE_WEIGHT_BYTES
+    if launch.slots:
+        weights *= rounds
+    return weights + rounds * (WAIT_CYCLES + groups * (product + writing + reading))
 
 
 def multiply_source(tile: int) -> str:
     """Products of a warpgroup for so many channels, for postfx/kernels/convolution.cuh."""
     count = tile // 2
-    sums, left = (", ".join(f'"+f"(sums[{i}])' for i in range(count)),
-                  ", ".join(f'"r"(left[{i}])' for i in range(4)))
+    sums = ", ".join(f'"+f"(sums[{i}])' for i in range(count))
+    left = ", ".join(f'"r"(left[{i}])' for i in range(4))
     places = [f"%{i}" for i in range(count + 5)]
     given = (f'{{{", ".join(places[:count])}}}, {{{", ".join(places[count:-1])}}}, {places[-1]}, '
              '1, 1, 1, 0;')

@@ -25,7 +25,7 @@ from postfx.caching import LRUCache
 from postfx.errors import DeviceError, ModelError
 from postfx.frame import LOG
 from postfx.kernels import Blocks, convolution_source, read_source
-from postfx.runtime.convolutions import GROUP, Launch, Options
+from postfx.runtime.convolutions import GROUP_THREADS, Launch, Options
 from postfx.runtime.memory import CUDA, address
 from postfx.version import pip_install
 
@@ -232,9 +232,9 @@ class CudaMemory:
         kernel = _compile(launch.name, convolution_source(self.warpgroups) + kernels, arch,
                           "convolution.cuh")
         handle, shared = _allow_shared(kernel.handle, launch.shared, self.place[1])
-        threads, tiles = launch.groups * GROUP, launch.tiles
+        threads, tiles = launch.groups * GROUP_THREADS, launch.tiles
         held = driver().cuOccupancyMaxActiveBlocksPerMultiprocessor(handle, threads, shared)
-        # they go on to other pixels
+        # blocks that run at once go on to the other pixels
         at_once = max(1, int(check_result(held)) * self.processors // tiles)
         blocks = min(at_once, -(-launch.squares // launch.groups)) * tiles
         views = [View() if tensor is None else _view(tensor) for tensor in tensors]
@@ -244,6 +244,7 @@ class CudaMemory:
     def _launcher(self, name: str, kept: Any, handle: Any, grid: tuple[int, int],
                   block: tuple[int, int], shared: int,
                   given: Sequence[ctypes.Structure]) -> Callable[[], None]:
+        """A function that launches a kernel. kept: what must live as long as it does."""
         arguments = (ctypes.c_void_p * len(given))(*map(ctypes.addressof, given))
         launch = partial(driver().cuLaunchKernel, handle, *grid, 1, *block, 1, shared, self.stream)
 
@@ -456,6 +457,7 @@ class CudaGraphs:
         return graph.result
 
     def _capture(self, enqueue: Callable[[], Any], kept: Any) -> Graph | None:
+        """The graph of the commands that are enqueued; None where they cannot be captured."""
         mode = driver().CUstreamCaptureMode.CU_STREAM_CAPTURE_MODE_RELAXED
         check_result(driver().cuStreamBeginCapture(self._stream, mode))
         self.capturing, self._captured_events, result = True, [], None

@@ -288,8 +288,8 @@ class Device:
         free, or two bindings cannot be one.
         """
         fixed = {key: int(size) for key, size in (dims or {}).items()}
-        content, named = _load(library, name, fixed), {key: size for key, size in fixed.items()
-                                                       if isinstance(key, str)}
+        content = _load(library, name, fixed)
+        named = {key: size for key, size in fixed.items() if isinstance(key, str)}
         taken = self.threads if threads is None else threads
         if not 1 <= taken <= self.threads:
             raise DeviceError(f"network '{name}' cannot take {taken} of the {self.threads} threads "
@@ -297,11 +297,11 @@ class Device:
         narrow = taken < self.threads and not in_place
         if self.gpu and self.gpu.convolves and not (narrow or in_place):
             try:
-                layers, host = (read_layers(content, library.path(name).parent),
-                                Placement(CPU, "cpu", 0, taken))
-                # tells sizes and constants
-                session = self._session(content, library, name, host, fixed)
-                state = PipelineState(self, LoadedNetwork(name, library.path(name), named, session,
+                layers = read_layers(content, library.path(name).parent)
+                host = Placement(CPU, "cpu", 0, taken)
+                # runs nothing: it tells sizes and constants
+                known = self._session(content, library, name, host, fixed)
+                state = PipelineState(self, LoadedNetwork(name, library.path(name), named, known,
                                                           library.constants(name)))
                 state.convolve(layers, self.gpu, heads or {})
                 self.name_model(library, name)

@@ -157,8 +157,8 @@ class Recordings:
 
     def key(self, records: Sequence[Record], kept: Iterable[Allocation],
             passages: Sequence[Passage] = ()) -> tuple[object, ...]:
-        """What two recordings that are alike have in common: the passages, if there is nothing else
-        in them."""
+        """A key that is equal for recordings of the same work: the passages, if there is nothing
+        else in them."""
         parts: list[object] = [frozenset(item for item in kept if isinstance(item, Transient))]
         if sum([len(passage.records) for passage in passages]) == len(records):
             return (*parts, *passages)
@@ -318,6 +318,7 @@ class Encoder:
                 "barrier() takes no stages")
 
     def _mask(self, stages: Stages, side: str) -> frozenset[str]:
+        """The stages of a barrier's side; EncodingError for none or unknown ones."""
         try:
             mask = frozenset((stages,) if isinstance(stages, str) else stages)
         except TypeError:  # not iterable: named below

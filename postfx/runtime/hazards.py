@@ -83,7 +83,7 @@ class Hazards:
             if not footprint.filled or any([allocation.released or allocation.lost
                                             for allocation in footprint.users]):
                 self._check_content(footprint)
-            # as barriers were made before memory was shared by them
+            # automatic barriers were made before transient tensors got the memory that they share
             footprint.ordered |= not self.explicit
             if self._flying or not footprint.ordered:
                 self._check_order(commands, footprint)
@@ -386,6 +386,7 @@ class Footprint(Accesses):
 
 
 def _spans(dispatches: Iterable[Dispatch]) -> list[Span]:
+    """Bytes that dispatches use, with those that use and that write them as bits."""
     writers: dict[tuple[int, int], int] = {}
     users: dict[tuple[int, int], int] = {}
     for index, dispatch in enumerate(dispatches):

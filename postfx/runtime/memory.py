@@ -417,8 +417,9 @@ def _name(place: tuple[int, int]) -> str:
 def _from_interface(array: Any, told: Any, memory: Memory) -> BorrowedArray:
     try:
         (pointer, is_read_only), shape = told["data"], tuple(map(int, told["shape"]))
-        (dtype, size), strides, stream = (_native_type(told["typestr"]), told.get("strides"),
-                                          told.get("stream"))
+        dtype, size = _native_type(told["typestr"])
+        strides = told.get("strides")
+        stream = told.get("stream")
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"its __cuda_array_interface__ cannot be read ({error!r})") from error
     if not dtype:
@@ -433,9 +434,10 @@ def is_as_lent(array: Any, pointer: int, shape: tuple[int, ...], dtype: str) -> 
     """Whether an array that was borrowed is a tensor of PyTorch, which can be changed in place, and
     still the same."""
     torch = sys.modules.get("torch")
-    return (torch is not None and isinstance(array, torch.Tensor) and bool(
-        array.data_ptr() == pointer and array.shape == shape and array.is_contiguous()
-        and not array.requires_grad and str(array.dtype) == f"torch.{dtype}"))
+    if torch is None or not isinstance(array, torch.Tensor):
+        return False
+    is_there = array.data_ptr() == pointer and array.shape == shape and array.is_contiguous()
+    return bool(is_there and not array.requires_grad and str(array.dtype) == f"torch.{dtype}")
 
 
 def follow_torch(memory: Memory) -> None:

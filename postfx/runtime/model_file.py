@@ -17,10 +17,93 @@ import numpy as np
 
 Dimension = int | str
 Field = int | memoryview
-_TYPED_DATA = (4, 5, 7, 10, 11)  # float_data, int32_data, int64_data, double_data, uint64_data
-_INT64 = 7
-_MOST_SHAPE = 16  # elements of what may be a shape
+_MOST_SHAPE_SIZES = 16
+"""Sizes that a shape may have: larger tensors of weights are none."""
 MOST_PARTS = 1_000_000
+"""Fields of a file, and members of fields of integers, at most."""
+
+
+# Numbers of the fields that are read, by onnx.proto's messages and names.
+
+
+class _ModelField:
+    GRAPH = 7
+    TRAINING_INFO = 20
+    FUNCTIONS = 25
+
+
+class _GraphField:
+    NODE = 1
+    INITIALIZER = 5
+    INPUT = 11
+    OUTPUT = 12
+    VALUE_INFO = 13
+    SPARSE_INITIALIZER = 15
+
+
+class _NodeField:
+    INPUT = 1
+    OUTPUT = 2
+    OP_TYPE = 4
+    ATTRIBUTE = 5
+    DOMAIN = 7
+
+
+class _AttributeField:
+    NAME = 1
+    INTEGER = 3
+    TEXT = 4
+    TENSOR = 5
+    GRAPH = 6
+    INTEGERS = 8
+    TENSORS = 10
+    GRAPHS = 11
+    TYPE = 20
+    SPARSE_TENSOR = 22
+    SPARSE_TENSORS = 23
+
+
+class _TensorField:
+    DIMS = 1
+    DATA_TYPE = 2
+    INT64_DATA = 7
+    NAME = 8
+    RAW_DATA = 9
+    EXTERNAL_DATA = 13
+    DATA_LOCATION = 14
+
+
+_TYPED_DATA = (4, 5, _TensorField.INT64_DATA, 10, 11)
+"""Fields of a tensor: float_data, int32_data, int64_data, double_data, uint64_data."""
+
+
+class _ValueField:
+    """Of a declared input, output or value, and of what its type holds."""
+
+    NAME = 1
+    TYPE = 2
+    TENSOR_TYPE = 1
+    SHAPE = 2
+    DIMENSION = 1
+    SIZE = 1
+    SYMBOL = 2
+
+
+_DIMENSION_PATH = (_ValueField.TYPE, _ValueField.TENSOR_TYPE, _ValueField.SHAPE,
+                   _ValueField.DIMENSION)
+"""Fields from a declared value to its dimensions."""
+
+
+class _ElementType:
+    FLOAT = 1
+    UINT8 = 2
+    INT8 = 3
+    INT64 = 7
+    FLOAT16 = 10
+
+
+_INTEGERS = 7
+"""Type of an attribute that holds several integers."""
 
 
 @dataclass
@@ -99,56 +182,57 @@ class _Reader:
     def model(self, content: memoryview) -> ModelFile:
         model = ModelFile()
         for number, value in self._wire.fields(content):
-            if number == 7:
+            if number == _ModelField.GRAPH:
                 model.graphs += 1
                 self._parse_graph(_message(value), model)
-            elif number == 20:
+            elif number == _ModelField.TRAINING_INFO:
                 model.extras.add("training")
-            elif number == 25:
+            elif number == _ModelField.FUNCTIONS:
                 model.extras.add("functions of its own")
         return model
 
     def _parse_graph(self, graph: memoryview, model: ModelFile) -> None:
-        declared = {11: model.inputs, 12: model.outputs, 13: model.inner}
+        declared = {_GraphField.INPUT: model.inputs, _GraphField.OUTPUT: model.outputs,
+                    _GraphField.VALUE_INFO: model.inner}
         for number, value in self._wire.fields(graph):
-            if number == 1:
+            if number == _GraphField.NODE:
                 model.nodes.append(self._node(_message(value)))
-            elif number == 5:
+            elif number == _GraphField.INITIALIZER:
                 model.weights.append(self._weights(_message(value)))
             elif number in declared:
                 declared[number].append(self._parse_declared(_message(value)))
-            elif number == 15:
+            elif number == _GraphField.SPARSE_INITIALIZER:
                 model.extras.add("sparse weights")
 
     def _node(self, message: memoryview) -> Node:
         node = Node()
         for number, value in self._wire.fields(message):
-            if number == 1:
+            if number == _NodeField.INPUT:
                 node.inputs.append(text(value))
-            elif number == 2:
+            elif number == _NodeField.OUTPUT:
                 node.outputs.append(text(value))
-            elif number == 4:
+            elif number == _NodeField.OP_TYPE:
                 node.operator = text(value)
-            elif number == 7:
+            elif number == _NodeField.DOMAIN:
                 node.domain = text(value)
-            elif number == 5:
+            elif number == _NodeField.ATTRIBUTE:
                 self._parse_attribute(_message(value), node)
         return node
 
     def _parse_attribute(self, message: memoryview, node: Node) -> None:
         name, integers = "", list[int]()
         for number, value in self._wire.fields(message):
-            if number == 1:
+            if number == _AttributeField.NAME:
                 name = text(value)
-            elif number in (3, 8):
+            elif number in (_AttributeField.INTEGER, _AttributeField.INTEGERS):
                 integers += self._wire.integers(value)
-            elif number == 4:
+            elif number == _AttributeField.TEXT:
                 node.words[name] = bytes(_message(value)).decode(errors="replace")
-            elif number in (5, 10):
+            elif number in (_AttributeField.TENSOR, _AttributeField.TENSORS):
                 node.weights.append(self._weights(_message(value)))
-            elif number in (6, 11):
+            elif number in (_AttributeField.GRAPH, _AttributeField.GRAPHS):
                 node.has_graph = True
-            elif number in (22, 23):
+            elif number in (_AttributeField.SPARSE_TENSOR, _AttributeField.SPARSE_TENSORS):
                 raise WireError("sparse weights in a node")
         if integers:
             node.integers[name] = tuple(integers)
@@ -158,65 +242,68 @@ class _Reader:
         dims: list[int] = []
         data: list[tuple[int, Field]] = []
         for number, value in self._wire.fields(message):
-            if number == 1:
+            if number == _TensorField.DIMS:
                 dims += self._wire.integers(value)
-            elif number == 2:
+            elif number == _TensorField.DATA_TYPE:
                 found.kind = self._number(value)
-            elif number == 8:
+            elif number == _TensorField.NAME:
                 found.name = text(value)
-            elif number == 9:
+            elif number == _TensorField.RAW_DATA:
                 found.content = _message(value)
-                found.raw, found.held = True, len(found.content)
+                found.raw = True
+                found.held = len(found.content)
                 data.append((number, value))
             elif number in _TYPED_DATA:
                 found.held += 1 if isinstance(value, int) else len(value)
                 data.append((number, value))
-            elif number == 13:
+            elif number == _TensorField.EXTERNAL_DATA:
                 found.external = {**(found.external or {}), **self._entry(_message(value))}
-            elif number == 14 and value != 0:
+            elif number == _TensorField.DATA_LOCATION and value != 0:  # in another file
                 found.external = found.external or {}
         found.dims = tuple(dims)
-        if found.kind == _INT64 and found.held <= 8 * _MOST_SHAPE:
+        if found.kind == _ElementType.INT64 and found.held <= 8 * _MOST_SHAPE_SIZES:
             found.values = tuple(self._small(data))
         return found
 
     def _small(self, data: list[tuple[int, Field]]) -> Iterator[int]:
         """Elements of a small tensor of int64."""
         for number, value in data:
-            if number == 9 and not isinstance(value, int):
+            if number == _TensorField.RAW_DATA and not isinstance(value, int):
                 yield from struct.unpack(f"<{len(value) // 8}q", value[: len(value) // 8 * 8])
-            elif number == 7:
+            elif number == _TensorField.INT64_DATA:
                 yield from self._wire.integers(value)
 
     def _entry(self, message: memoryview) -> dict[str, str]:
+        """Key and value of a message of two texts."""
         found = {number: text(value) for number, value in self._wire.fields(message)}
         return {found.get(1, ""): found.get(2, "")}
 
     def _parse_declared(self, message: memoryview) -> Declaration:
         name, shape = "", None
         for number, value in self._wire.fields(message):
-            if number == 1:
+            if number == _ValueField.NAME:
                 name = text(value)
-            elif number == 2:
+            elif number == _ValueField.TYPE:
                 for kind, tensor in self._wire.fields(_message(value)):
-                    if kind == 1:
+                    if kind == _ValueField.TENSOR_TYPE:
                         shape = self._shape(_message(tensor))
         return Declaration(name, shape)
 
     def _shape(self, tensor: memoryview) -> tuple[Dimension, ...] | None:
         shape = None
         for number, value in self._wire.fields(tensor):
-            if number == 2:
-                dims = (dim for key, dim in self._wire.fields(_message(value)) if key == 1)
+            if number == _ValueField.SHAPE:
+                dims = (dim for key, dim in self._wire.fields(_message(value))
+                        if key == _ValueField.DIMENSION)
                 shape = tuple(self._dimension(_message(dim)) for dim in dims)
         return shape
 
     def _dimension(self, message: memoryview) -> Dimension:
         size: Dimension = ""
         for number, value in self._wire.fields(message):
-            if number == 1:
+            if number == _ValueField.SIZE:
                 size = self._number(value)
-            elif number == 2:
+            elif number == _ValueField.SYMBOL:
                 size = text(value)
         return size
 
@@ -249,16 +336,19 @@ def fix_dimensions(content: bytes, sizes: Mapping[tuple[str, int], int]) -> byte
 
         def fix_dimension(dimension: memoryview) -> bytes:
             size = sizes.get((name, next(axes)))
-            return bytes(dimension) if size is None else b"\x08" + _as_varint(size)  # dim_value
+            if size is None:
+                return bytes(dimension)
+            return _as_number(_ValueField.SIZE, size)
 
-        return _replace(message, (2, 1, 2, 1), fix_dimension)  # type, tensor_type, shape, dim
+        return _replace(message, _DIMENSION_PATH, fix_dimension)
 
-    # graph, input; graph, output
-    return _replace(_replace(content, (7, 11), fix_value), (7, 12), fix_value)
+    for values in (_GraphField.INPUT, _GraphField.OUTPUT):
+        content = _replace(content, (_ModelField.GRAPH, values), fix_value)
+    return content
 
 
-_FLOAT_CODES = {1: "<f4", 10: "<f2"}
-"""ONNX's numbers of the element types that a table may have."""
+_TABLE_TYPES = {_ElementType.FLOAT: "<f4", _ElementType.FLOAT16: "<f2"}
+"""Element types that a table may have, and NumPy's names for them."""
 
 
 def read_tables(content: bytes) -> dict[str, np.ndarray]:
@@ -269,17 +359,17 @@ def read_tables(content: bytes) -> dict[str, np.ndarray]:
     """
     model = parse_model(content)
     stored = {one.name: one for one in model.weights}
-    from_nodes = {node.outputs[0]: node.inputs[0] for node in model.nodes
-                  if node.operator in ("Cast", "Identity")
-                                   and len(node.outputs) == len(node.inputs) == 1}
+    copies = [node for node in model.nodes if node.operator in ("Cast", "Identity")
+              and len(node.outputs) == len(node.inputs) == 1]
+    from_nodes = {node.outputs[0]: node.inputs[0] for node in copies}
     if model.inputs or len(from_nodes) < len(model.nodes):
         raise ValueError("it reads or computes something")
     found = {}
     for output in model.outputs:
         table = stored.get(from_nodes.get(output.name, output.name))
-        if table is None or not table.raw or table.external or table.kind not in _FLOAT_CODES:
+        if table is None or not table.raw or table.external or table.kind not in _TABLE_TYPES:
             raise ValueError(f"'{output.name}' is not stored in it")
-        values: np.ndarray = np.frombuffer(table.content, np.dtype(_FLOAT_CODES[table.kind]))
+        values: np.ndarray = np.frombuffer(table.content, np.dtype(_TABLE_TYPES[table.kind]))
         found[output.name] = values.reshape(table.dims).astype(np.float32)
     return found
 
@@ -293,9 +383,14 @@ class Product(NamedTuple):
 
 
 MOST_FACTOR = 64
-SIGN = 128
+"""Largest magnitude of a factor: a pair of its products with codes of 8 bits fits into 16 bits, in
+which processors add them."""
+CODE_SIGN = 128
+"""The bit by which codes of uint8 and int8 differ."""
 CODES_PREFIX = "codes_"
-_BYTES = (2, 3)  # uint8, int8
+_BYTES = (_ElementType.UINT8, _ElementType.INT8)
+_CODES_WAY = ("Cast", "BitwiseXor", "Reshape")
+"""Operators from a product's codes back to the tensor that holds them."""
 
 
 def take_products(content: bytes) -> tuple[bytes, dict[str, Product]]:
@@ -306,11 +401,13 @@ def take_products(content: bytes) -> tuple[bytes, dict[str, Product]]:
     h, w) in three nodes that flatten it and change its sign. Others stay as they are.
     """
     model = parse_model(content)
+    if any(node.has_graph for node in model.nodes):
+        return content, {}
     makers = {output: node for node in model.nodes for output in node.outputs}
     weights = {one.name: one for one in model.weights}
     taken: dict[str, Product] = {}
     sources: dict[str, str] = {}
-    for output in model.outputs if not any(node.has_graph for node in model.nodes) else ():
+    for output in model.outputs:
         if found := _product(output.name, makers, weights):
             source, factors = found
             sources.setdefault(source, f"{CODES_PREFIX}{output.name.rpartition('_')[2]}")
@@ -319,19 +416,26 @@ def take_products(content: bytes) -> tuple[bytes, dict[str, Product]]:
         return content, taken
     needed = {output.name for output in model.outputs} - taken.keys() | sources.keys()
     for node in reversed(model.nodes):
-        needed.update(node.inputs if needed & {*node.outputs} else ())
+        if needed & {*node.outputs}:
+            needed.update(node.inputs)
     nodes = iter(model.nodes)
 
     def change(graph: memoryview) -> bytes:
-        parts = [raw for number, value, raw in _fields(graph)
-                 if not (number == 1 and not needed & {*next(nodes).outputs})
-                 and not (number == 12 and _name_of(_message(value)) in taken)]
-        added = [_as_field(number, message) for source, codes in sources.items()
-                 for number, message in ((1, _channels_last(source, codes)),
-                                         (12, _bytes_output(codes)))]
-        return b"".join([*parts, *added])
+        parts: list[bytes | memoryview] = []
+        for number, value, raw in _fields(graph):
+            if number == _GraphField.NODE:
+                is_kept = bool(needed & {*next(nodes).outputs})
+            elif number == _GraphField.OUTPUT:
+                is_kept = _name_of(_message(value)) not in taken
+            else:
+                is_kept = True
+            parts += [raw] if is_kept else []
+        for source, codes in sources.items():
+            parts.append(_as_field(_GraphField.NODE, _channels_last(source, codes)))
+            parts.append(_as_field(_GraphField.OUTPUT, _bytes_output(codes)))
+        return b"".join(parts)
 
-    return _replace(content, (7,), change), taken
+    return _replace(content, (_ModelField.GRAPH,), change), taken
 
 
 def _product(output: str, makers: Mapping[str, Node],
@@ -339,44 +443,65 @@ def _product(output: str, makers: Mapping[str, Node],
     """The tensor of an output's codes, and its factors; None if it is no product, or not of this
     kind."""
     node = makers.get(output)
-    steps = [node] if node and node.operator == "MatMulInteger" and len(node.inputs) == 4 else []
-    for at in (1, 0, 0) if steps else ():
-        steps.append(makers.get(steps[-1].inputs[at], Node(inputs=[""])))
-    if ([step.operator for step in steps[1:]] != ["Cast", "BitwiseXor", "Reshape"]
-        or len(steps[2].inputs) != 2):
+    if node is None or node.operator != "MatMulInteger" or len(node.inputs) != 4:
         return None
-    names = steps[0].inputs[0], steps[0].inputs[2], steps[0].inputs[3], steps[2].inputs[1]
+    factors_name, codes_name, middle_name, zero_name = node.inputs
+    way = []
+    for operator in _CODES_WAY:
+        step = makers.get(codes_name)
+        if step is None or step.operator != operator or not step.inputs:
+            return None
+        way.append(step)
+        codes_name = step.inputs[0]
+    if len(way[1].inputs) != 2:
+        return None
+    names = factors_name, middle_name, zero_name, way[1].inputs[1]
     held = [weights.get(name, Weights()) for name in names]
     if not all(one.raw and one.kind in _BYTES for one in held) or len(held[0].dims) != 2:
         return None
     factors, middle, zero, sign = (np.frombuffer(one.content, np.uint8) for one in held)
-    if [middle.size, *zero, *sign] != [1, SIGN, SIGN] or held[0].dims[1] % 4:
+    if [middle.size, *zero, *sign] != [1, CODE_SIGN, CODE_SIGN] or held[0].dims[1] % 4:
         return None
     found = factors.reshape(held[0].dims).astype(np.int16) - middle
-    return ((steps[-1].inputs[0], found.astype(np.int8))
-            if np.abs(found).max(initial=0) <= MOST_FACTOR else None)
+    if np.abs(found).max(initial=0) > MOST_FACTOR:
+        return None
+    return codes_name, found.astype(np.int8)
 
 
 def _name_of(message: memoryview) -> str:
-    return next((text(value) for number, value, _ in _fields(message) if number == 1), "")
+    """The name of a declared value."""
+    return next((text(value) for number, value, _ in _fields(message)
+                 if number == _ValueField.NAME), "")
+
+
+def _as_number(field_number: int, value: int) -> bytes:
+    """A field that holds an integer."""
+    return _as_varint(field_number << 3 | VARINT) + _as_varint(value)
 
 
 def _as_field(number: int, message: bytes) -> bytes:
+    """A field that holds a message or a text."""
     return _as_varint(number << 3 | BYTES) + _as_varint(len(message)) + message
 
 
 def _channels_last(source: str, result: str) -> bytes:
     """A node Transpose, (0, 1, 2, 3) -> (0, 2, 3, 1)."""
-    axes = b"".join(bytes([8 << 3, axis]) for axis in (0, 2, 3, 1))
-    order = _as_field(1, b"perm") + axes + _as_varint(20 << 3) + bytes([7])  # of the type INTS
-    return b"".join((_as_field(1, source.encode()), _as_field(2, result.encode()),
-                     _as_field(4, b"Transpose"), _as_field(5, order)))
+    axes = b"".join(_as_number(_AttributeField.INTEGERS, axis) for axis in (0, 2, 3, 1))
+    order = (_as_field(_AttributeField.NAME, b"perm") + axes
+             + _as_number(_AttributeField.TYPE, _INTEGERS))
+    return b"".join((_as_field(_NodeField.INPUT, source.encode()),
+                     _as_field(_NodeField.OUTPUT, result.encode()),
+                     _as_field(_NodeField.OP_TYPE, b"Transpose"),
+                     _as_field(_NodeField.ATTRIBUTE, order)))
 
 
 def _bytes_output(name: str) -> bytes:
     """An output of uint8 with four axes, whose sizes follow from its node."""
-    kind = bytes([1 << 3, 2]) + _as_field(2, 4 * _as_field(1, b""))
-    return _as_field(1, name.encode()) + _as_field(2, _as_field(1, kind))
+    element_type = 1  # the field of a tensor's type that names its elements
+    shape = _as_field(_ValueField.SHAPE, 4 * _as_field(_ValueField.DIMENSION, b""))
+    tensor = _as_number(element_type, _ElementType.UINT8) + shape
+    kind = _as_field(_ValueField.TENSOR_TYPE, tensor)
+    return _as_field(_ValueField.NAME, name.encode()) + _as_field(_ValueField.TYPE, kind)
 
 
 def _replace(message: bytes | memoryview, path: tuple[int, ...],
@@ -406,6 +531,7 @@ def _message(value: Field) -> memoryview:
     return value
 
 
+# How a field's value is written: the three lowest bits before it.
 VARINT = 0
 FIXED64 = 1
 BYTES = 2

@@ -149,10 +149,11 @@ def _content(path: Path) -> bytes:
 
 
 MOST_MODEL_BYTES = 1 << 30
-"""Of a model's file."""
+"""Size of a model's file, at most."""
 MOST_ELEMENTS = 1 << 31
-"""Of a value whose shape the file fixes."""
+"""Elements of a value whose shape the file fixes, at most."""
 MOST_DIMENSIONS = 16
+"""Axes of a value, at most."""
 MOST_SHOWN = 300
 """Characters of a reason that are shown, for it may quote the file."""
 
@@ -229,7 +230,7 @@ def check_model(path: Path, content: bytes, card: Mapping[str, Any], trust: bool
 
 
 def _unknown_work(model: ModelFile) -> Iterator[str]:
-    """What a model does beyond computing with tensors. Domains that it only declares, as optimised
+    """Work of a model beyond computing with tensors. Domains that it only declares, as optimised
     ones do, are no harm."""
     yield from (f"it holds {extra}" for extra in sorted(model.extras))
     for node in model.nodes:
@@ -253,6 +254,7 @@ def _reasons(model: ModelFile, path: Path, card: Mapping[str, Any]) -> Iterator[
 
 
 def _wrong_weights(weights: Weights, path: Path, card: Mapping[str, Any]) -> Iterator[str]:
+    """What is wrong with a model's weights, in words that follow the file's name."""
     name = f"tensor '{weights.name}'"
     if weights.kind not in _ELEMENT_BITS:
         yield f"{name} is of a type that is not known ({weights.kind})"
@@ -308,6 +310,7 @@ def _wrong_sizes(model: ModelFile) -> Iterator[str]:
 
 
 def _differences(kind: str, found: list[Declaration], card: Mapping[str, Any]) -> Iterator[str]:
+    """Where a model's inputs or outputs are not those of its card. kind: 'input' or 'output'."""
     declared = card.get(f"{kind}s")
     if declared is None:
         return

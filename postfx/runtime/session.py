@@ -68,6 +68,7 @@ CONSTANTS = "postfx.constants"
 some execution providers cannot have: {name: {"shape": [...], "float32": "base64"}}."""
 _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
 _BFLOAT16 = 16
+"""ONNX's number of the type, which NumPy does not have."""
 OPTIMISED_FOLDER = "networks"
 MOST_CACHE_BYTES = 256 << 20
 """Total bytes of cached files; the least recently used are removed first."""
@@ -284,8 +285,8 @@ class Session:
         return grown[0] if grown else None
 
     def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """What depends on no input: all that the model's metadata holds, and these outputs, from
-        one run on zeros.
+        """Outputs that depend on no input: all that the model's metadata holds, and these outputs,
+        from one run on zeros.
 
         Raises ModelError if the model lacks them, or if they cannot be computed, for lack of memory
         for example.
@@ -454,7 +455,7 @@ def _value(item: ort.NodeArg) -> Value:
 
 
 def _element_type(tensor: Tensor) -> type | int:
-    """What ONNX Runtime calls a tensor's elements: NumPy's type, or ONNX's number where NumPy has
+    """ONNX Runtime's name for a tensor's elements: NumPy's type, or ONNX's number where NumPy has
     none."""
     return _BFLOAT16 if tensor.dtype == "bfloat16" else np.dtype(tensor.dtype).type
 

@@ -128,11 +128,14 @@ class CapturedBuffer:
         return [record for record in self.records if isinstance(record, CapturedDispatch)]
 
 
+# Pixels of a tensor's pictures, at most; slices that are shown of it, and of a node's output; and
+# elements up to which all values are kept.
 PICTURE_WIDTH = 192
 PICTURE_HEIGHT = 384
 MOST_SLICES = 64
-MOST_KEPT_VALUES = 64
 NODE_SLICES = 8
+MOST_KEPT_VALUES = 64
+
 _BLOCK_VALUES = 1 << 20
 
 
@@ -194,7 +197,8 @@ def take(array: np.ndarray, wanted: Pictures, folder: Path | None = None,
         return None
     if folder is not None:
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
-        # by `write` alone NumPy does not take the error of a full disk for its own
+        # NumPy sees `write` alone: into a file it would write by itself, and hide a full disk's
+        # error
         write_atomically(folder / file,
                          lambda output: np.save(SimpleNamespace(write=output.write), array))
     planes = as_planes(array)

@@ -255,8 +255,10 @@ class CudaComputeState(ComputeState):
     def __init__(self, device: StateDevice, kernel: Kernel, memory: CudaMemory,
                  source: Path) -> None:
         super().__init__(device, kernel)
-        self._memory, self._source, self._blocks, self._pixels = (memory, source, kernel.blocks,
-                                                                  kernel.pixels)
+        self._memory = memory
+        self._source = source
+        self._blocks = kernel.blocks
+        self._pixels = kernel.pixels
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that puts the kernel on the GPU's stream."""
@@ -327,8 +329,8 @@ def _prepare_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
 
 
 def _session_bindings(network: LoadedNetwork, in_place: Mapping[str, str]) -> tuple[Binding, ...]:
-    """What a network reads and writes. Raises ModelError where two that are to be one are not
-    alike."""
+    """The bindings of a network's inputs and outputs. Raises ModelError where two that are to be
+    one are not alike."""
     name, session = network.name, network.session
     reads = {value.name: Binding(value.name, "read", value.fixed, value.dtype)
              for value in session.inputs}
@@ -428,7 +430,7 @@ class Arguments:
         self._placed = None
 
     def with_memory(self) -> Arguments:
-        """The same arguments on the memory that transient tensors have now; cached until that
+        """These arguments on the memory that transient tensors have now; cached until that
         changes."""
         places = tuple([transient.place for transient in self.transients])
         if self._placed is None or self._placed[0] != places:
@@ -584,6 +586,7 @@ class ArgumentTable:
         return self._bindings[name]
 
     def _check(self, binding: Binding, tensor: Tensor) -> None:
+        """Raise BindingError where a tensor does not fit a binding."""
         where = f"{self.state.command}, binding '{binding.name}'"
         if not isinstance(tensor, Tensor):
             kind = type(tensor).__name__

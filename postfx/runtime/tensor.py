@@ -420,7 +420,7 @@ class Tensor:
 
     @property
     def __cuda_array_interface__(self) -> dict[str, Any]:
-        """The same for libraries that know CUDA's arrays; AttributeError in other memory."""
+        """The tensor for libraries that know CUDA's arrays; AttributeError in other memory."""
         if self.device.memory.place[0] != CUDA:
             raise AttributeError(f"tensor '{self.name}' is not in CUDA's memory")
         self.device.hazards.check_host_read(self)

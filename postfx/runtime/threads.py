@@ -37,11 +37,13 @@ DELAY = 5e-6
 """Seconds after which a helper takes the interpreter's lock: by then the thread that gave it a band
 has released it."""
 NAP = 20e-6
+"""Seconds between two looks for helpers that are done."""
 NANOSECONDS = 20_000_000
 """How long a helper dozes each of five times before it is away. A program that ends waits for
 that."""
 FLAG, ENTRY, WORDS, STATUS, TIMEOUT = range(5)
 LINE = 8
+"""Numbers of 64 bits in a cache line: a helper's row."""
 PYTHON = -1
 """In place of an entry: a band that is a function of Python's."""
 AWAY = 0
@@ -135,7 +137,8 @@ class Band(NamedTuple):
 
 
 class Functions:
-    """Those of threads.cpp, which explains them. A helper is given by the address of its row."""
+    """The functions of threads.cpp, which explains them. A helper is given by the address of its
+    row."""
 
     def __init__(self) -> None:
         self.make_pauses = find_function("make_pauses", 1)
@@ -235,7 +238,7 @@ def _time_pauses(count: int) -> float:
 
 
 class HasLabel(Protocol):
-    """What messages name."""
+    """Something that messages name by its label."""
 
     label: str
 

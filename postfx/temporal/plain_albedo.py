@@ -9,18 +9,20 @@ import numpy as np
 SPAN_PX = 6
 """Pixels in a row or column that are compared."""
 APART_PX = 4
-"""Of two pixels whose difference is a sample of the texture."""
+"""Distance of two pixels whose difference is a sample of the texture."""
 ALIKE = 0.01
 """Relative difference of albedo within a surface of one colour, and the darkest that counts."""
 PLAIN_SHARE = 0.9
 """Share of a picture in which albedo is of one colour, in renders at most 0.6."""
 TEXTURE_COVARIANCE = 0.01
-"""Of relative differences of light, above which it has textures: a contrast of a tenth."""
+"""Covariance of relative differences of light above which it has textures: a contrast of a
+tenth."""
 LARGEST_PRODUCT = 4.0
-"""Of two relative differences: more is a firefly."""
+"""Product of two relative differences, at most: more is a firefly."""
 MOST_LINES = 500
 """Rows, and columns, of a frame that are looked at."""
 DARKEST = 1e-12
+"""Level that a darker pixel counts as, so that parts of it are finite."""
 
 
 def is_plain(albedo: np.ndarray, colour: np.ndarray) -> bool:

@@ -71,15 +71,17 @@ class RunUp:
                  prepare: Callable[[Frame], Frame] = lambda frame: frame,
                  view: str | None = None) -> None:
         self._view = view
-        self._sequence, self._frames, self._find_cuts, self._prepare = (sequence, frames,
-                                                                        cuts == "auto", prepare)
+        self._sequence = sequence
+        self._frames = frames
+        self._find_cuts = cuts == "auto"
+        self._prepare = prepare
         self.on_frame: Callable[[int, int], None] = lambda first, number: None
         is_one = len(sequence.numbers) == 1  # which skips none
         self._next = ({} if is_one
                       else dict(zip(sequence.numbers, (*sequence.numbers[1:], None), strict=True)))
 
     def of_view(self, view: str) -> RunUp:
-        """The same for another view of the sequence."""
+        """This run-up for another view of the sequence."""
         found = copy.copy(self)
         found._view = view
         found.on_frame = lambda first, number: self.on_frame(first, number)
@@ -198,8 +200,9 @@ class Backwards:
             sequence.reader(view), device, exposure, cuts, prepare, wrap, **options)
         self._views: dict[str, Backwards] = {}
         after = sequence.after(sequence.numbers[-1], RUN_UP) if sequence.numbers else ()
-        self._given, self._numbers, self._asked = (sequence, (*sequence.numbers, *after),
-                                                   len(sequence))
+        self._given = sequence
+        self._numbers = (*sequence.numbers, *after)
+        self._asked = len(sequence)
         self._at = {number: index for index, number in enumerate(sequence.numbers)}
         self._pass = DenoiseUpscale(**options)
         self._pipeline = Pipeline([self._pass], device, exposure, cuts, checks=False, wrap=wrap)
@@ -261,8 +264,8 @@ class Backwards:
 
     def _guides(self, spec: FrameSpec) -> GuideSpec:
         """Guides for a spec, with `later` at the size of the denoiser's output."""
-        output, source = (self._pass.reflect(spec).output,
-                          spec.guides.source if spec.guides else None)
+        output = self._pass.reflect(spec).output
+        source = spec.guides.source if spec.guides else None
         return GuideSpec(output.width, output.height, (*spec.guide_roles, Role.LATER), source)
 
     def _length_ahead(self, frame: Frame) -> np.ndarray:

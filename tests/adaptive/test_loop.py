@@ -278,8 +278,8 @@ def test_mitsuba_renders_crop_windows_that_lie_where_they_belong(tmp_path: Path,
     counts = np.full((40, 48), 8.0)
     for job in jobs:
         box = job["region"]
-        rows, columns = slice(box["y"], box["y"] + box["height"]), slice(box["x"],
-                                                                         box["x"] + box["width"])
+        rows = slice(box["y"], box["y"] + box["height"])
+        columns = slice(box["x"], box["x"] + box["width"])
         counts[rows, columns] += job["samples"]
         with FrameFiles({"": Path(job["output"])}) as files:
             tile = files.read(1)

@@ -130,8 +130,8 @@ def test_regions_cover_exactly_the_tiles_that_get_samples():
     painted = np.zeros((100, 150))
     regions = find_regions(tiles, more)
     for region in regions:
-        rows, columns = slice(region.y, region.y + region.height), slice(region.x,
-                                                                         region.x + region.width)
+        rows = slice(region.y, region.y + region.height)
+        columns = slice(region.x, region.x + region.width)
         assert not painted[rows, columns].any()
         painted[rows, columns] = region.samples
     np.testing.assert_array_equal(painted, spread(tiles, more))

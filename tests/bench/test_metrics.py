@@ -65,8 +65,8 @@ def test_what_moves_along_does_not_flicker():
     picture = np.random.default_rng(2).random((16, 24, 3)).astype(np.float32)
     motion = np.zeros((16, 24, 2), np.float32)
     motion[..., 0] = -1
-    before, now = (metrics.Pictures(picture, picture),
-                   metrics.Pictures(*[np.roll(picture, 1, axis=1)] * 2))
+    before = metrics.Pictures(picture, picture)
+    now = metrics.Pictures(*[np.roll(picture, 1, axis=1)] * 2)
     assert metrics.flicker(before, now, motion) == 0
     wrong = metrics.Pictures(picture + 0.01, picture)
     assert metrics.flicker(wrong, now, motion) == pytest.approx(10, rel=1e-3)

@@ -88,7 +88,7 @@ def captures(postfx, shot):
         assert postfx(*RUN, *options).code == 0
 
 
-def test_compare(postfx, captures):
+def test_compare_names_the_first_tensor_that_differs(postfx, captures):
     same = postfx("capture-compare", "a", "b/capture.json", "--tolerance", "0")
     assert same.code == 0 and "equal: no tensor differs by more than 0" in same.out
     other = postfx("capture-compare", "c", "a")

@@ -45,7 +45,7 @@ def test_exr_of_a_display(postfx, shot, tmp_path):
     assert codes_of(tmp_path / "out/b.0001.exr").max() > 1.5  # stays scene-linear
 
 
-def test_dither(postfx, write_exr, tmp_path):
+def test_dither_moves_or_stands_still_or_is_left_out(postfx, write_exr, tmp_path):
     write_exr("in/shot.0001.exr", {name: np.full((64, 64), 0.3337) for name in "RGB"})
     write_exr("in/shot.0002.exr", {name: np.full((64, 64), 0.3337) for name in "RGB"})
     pictures = {}

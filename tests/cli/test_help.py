@@ -95,8 +95,8 @@ def test_the_readme_of_the_package_index_names_no_file_beside_it():
     build = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(build)
     text, address = (ROOT / "README.md").read_text("utf-8"), "https://example.org/owner/postfx"
-    plain, linked = (build.readme_of_the_index(text),
-                     build.readme_of_the_index(text, address + "/", "1.2.3"))
+    plain = build.readme_of_the_index(text)
+    linked = build.readme_of_the_index(text, address + "/", "1.2.3")
     assert "](" not in plain and "[Start]" not in plain and "Start: Blender" in plain
     found = re.findall(r"(!?)\[[^\]]*\]\(([^)]+)\)", linked)
     assert len(found) == len(re.findall(r"\]\(", text)) > 20

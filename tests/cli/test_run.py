@@ -70,8 +70,8 @@ def test_display_output_is_tone_mapped(postfx, shot, tmp_path):
     assert list(done.json["passes"]) == ["tonemap"]
     done = postfx("run", "in/shot.####.exr", "-o", "out/shot.####.png", "--no-denoise", "--json")
     assert list(done.json["passes"]) == ["tonemap"]
-    linear, encoded = (pixels_of(tmp_path / "out/shot.0002.exr"),
-                       pixels_of(tmp_path / "out/shot.0002.png"))
+    linear = pixels_of(tmp_path / "out/shot.0002.exr")
+    encoded = pixels_of(tmp_path / "out/shot.0002.png")
     assert 0 < encoded.min() < encoded.max() <= 1
     np.testing.assert_allclose(srgb_encode(linear), encoded, atol=0.004)
 
@@ -113,7 +113,7 @@ def test_resume_keeps_complete_files_and_mends_broken_ones(postfx, shot, tmp_pat
     assert len(broken.read_bytes()) == len(whole)
 
 
-def test_overwrite(postfx, shot, tmp_path):
+def test_overwrite_replaces_an_older_file(postfx, shot, tmp_path):
     shot(1)
     (tmp_path / "out").mkdir()
     (tmp_path / "out/shot.0001.exr").write_text("old")

@@ -20,7 +20,7 @@ CODES = np.linspace(0, 1, 2001)
 
 @pytest.mark.parametrize("source", SPACES)
 @pytest.mark.parametrize("target", SPACES)
-def test_matrices(source: str, target: str) -> None:
+def test_matrices_between_spaces_are_those_of_colour_science(source: str, target: str) -> None:
     found = primaries.matrix_between(primaries.LINEAR_SPACES[source],
                                      primaries.LINEAR_SPACES[target])
     np.testing.assert_allclose(found,
@@ -40,7 +40,7 @@ def test_luminance_weights_of_rec2020() -> None:
     (displays.PQ, lambda codes: colour.models.eotf_ST2084(codes) / 10000),
     (displays.HLG, lambda codes: colour.models.oetf_inverse_BT2100_HLG(codes)),
 ], ids=["srgb", "bt1886", "pq", "hlg"])
-def test_curves(curve: displays.Curve, decode) -> None:
+def test_display_curves_are_those_of_colour_science(curve: displays.Curve, decode) -> None:
     np.testing.assert_allclose(curve.decode(CODES), decode(CODES), atol=2e-7)
     np.testing.assert_allclose(curve.encode(curve.decode(CODES)), CODES, atol=1e-6)
     assert np.isfinite(curve.encode(np.array([-1, np.nan, np.inf]))).all()

@@ -260,8 +260,8 @@ def interpolated(pixels: np.ndarray, frame: Frame) -> np.ndarray:
     for axis in (0, 1):
         small = np.moveaxis(pixels, axis, 0)
         small = (small[0::2] + small[1::2]) / 2
-        before, after = (np.concatenate([small[:1], small[:-1]]),
-                         np.concatenate([small[1:], small[-1:]]))
+        before = np.concatenate([small[:1], small[:-1]])
+        after = np.concatenate([small[1:], small[-1:]])
         large = np.stack([0.75 * small + 0.25 * before, 0.75 * small + 0.25 * after], 1)
         pixels = np.moveaxis(large.reshape(-1, *small.shape[1:]), 0, axis)
     return pixels
@@ -361,8 +361,11 @@ def colour_again(frames: Frames) -> Frames | None:
     return plane(Role.COLOUR, lambda pixels, frame: pixels * frame[Role.DIFFUSE_ALBEDO])(frames)
 
 
-ALBEDO, NORMAL, ROUGH, DEPTH, MOTION = (Role.DIFFUSE_ALBEDO, Role.NORMAL, Role.ROUGHNESS,
-                                        Role.DEPTH, Role.MOTION)
+ALBEDO = Role.DIFFUSE_ALBEDO
+NORMAL = Role.NORMAL
+ROUGH = Role.ROUGHNESS
+DEPTH = Role.DEPTH
+MOTION = Role.MOTION
 COLOUR, SPECULAR = Role.COLOUR, Role.SPECULAR_ALBEDO
 
 BREAKAGES = [

@@ -17,8 +17,8 @@ from postfx.io.sequence import read_sequence
 from tests.doctor.breakages import BREAKAGES
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
-PAGE, PICTURE = (REPOSITORY / "docs" / "lab" / "doctor.md",
-                 REPOSITORY / "docs" / "images" / "doctor.jpg")
+PAGE = REPOSITORY / "docs" / "lab" / "doctor.md"
+PICTURE = REPOSITORY / "docs" / "images" / "doctor.jpg"
 OPEN, CLOSE = "<!-- table -->", "<!-- end -->"
 SHOWN = ("albedo with noise of 0.08", "normals in camera space", "1 / depth, misses 0",
          "motion y up", "smoothness")

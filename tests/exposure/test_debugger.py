@@ -165,8 +165,8 @@ class Brighter(ToneMap):
     defaults = MappingProxyType({**ToneMap.defaults, "by": lambda number: 2.0})
 
     def encode(self, commands, frame) -> None:
-        told, frame.exposure_factor = (frame.exposure_factor,
-                                       frame.exposure_factor * self.options["by"](frame.number))
+        told = frame.exposure_factor
+        frame.exposure_factor = frame.exposure_factor * self.options["by"](frame.number)
         super().encode(commands, frame)
         frame.exposure_factor = told
 
@@ -202,8 +202,8 @@ class Own(View):
     defaults = MappingProxyType({**View.defaults, "by": lambda told: told})
 
     def encode(self, commands, frame) -> None:
-        told, frame.exposure_factor = (frame.exposure_factor,
-                                       self.options["by"](frame.exposure_factor))
+        told = frame.exposure_factor
+        frame.exposure_factor = self.options["by"](frame.exposure_factor)
         super().encode(commands, frame)
         frame.exposure_factor = told
 

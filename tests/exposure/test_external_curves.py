@@ -162,8 +162,8 @@ class Outside(View):
     defaults = MappingProxyType({**View.defaults, "gain": 1.0})
 
     def encode(self, commands, frame) -> None:
-        told, frame.exposure_factor = (frame.exposure_factor,
-                                       frame.exposure_factor * self.options["gain"])
+        told = frame.exposure_factor
+        frame.exposure_factor = frame.exposure_factor * self.options["gain"]
         super().encode(commands, frame)
         frame.exposure_factor = told
 

@@ -88,8 +88,8 @@ def chart(tmp_path: Path):
     def write(curve) -> Path:
         light = oiio.ImageBuf(str(write_chart(tmp_path / "chart.exr")))
         assert light.spec().getattribute("postfx:exposureUsedEV") == 0
-        path, codes = (tmp_path / "chart.png",
-                       curve(light.get_pixels(oiio.FLOAT)[..., :3]).astype(np.float32))
+        path = tmp_path / "chart.png"
+        codes = curve(light.get_pixels(oiio.FLOAT)[..., :3]).astype(np.float32)
         assert oiio.ImageBuf(codes).write(str(path), oiio.UINT8)
         return path
 

@@ -59,8 +59,9 @@ def write_contradiction(folder: Path) -> Path:
     """A tiled file whose header says that it is of lines."""
     source, path = write_tiled(folder), folder / "contradiction.exr"
     with ExrContainer(source) as file:
-        (header,), version, chunks = (file.headers, file.version,
-                                      [stored for _, stored in file.copy_chunks(0)])
+        (header,) = file.headers
+        version = file.version
+        chunks = [stored for _, stored in file.copy_chunks(0)]
     header.set_text("type", "scanlineimage")
     head = struct.pack("<iI", EXR_MAGIC, version) + pack_headers([header])[8:]
     sizes = [len(chunk) for chunk in chunks]

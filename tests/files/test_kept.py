@@ -339,8 +339,8 @@ def test_what_stays_in_the_pictures_part_gets_one_of_its_own_beside_other_compre
 @pytest.mark.parametrize("several", [False, True], ids=["one part", "a part for each layer"])
 def test_light_groups_take_the_place_of_their_own(tmp_path: Path, several: bool) -> None:
     """Every name once, each in the part where it was, as programs that look for it expect."""
-    light, layers = picture(), {"ViewLayer.Combined": "RGBA", "ViewLayer.Combined_key": "RGB",
-                                "ViewLayer.Mist": "Z"}
+    light = picture()
+    layers = {"ViewLayer.Combined": "RGBA", "ViewLayer.Combined_key": "RGB", "ViewLayer.Mist": "Z"}
     held = {layer: {f"{layer}.{letter}": light["R"] * (0.5 if "key" in layer else 1)
                     for letter in letters}
             for layer, letters in layers.items()}

@@ -118,10 +118,10 @@ def fail(error: Exception) -> Frame:
 
 def test_the_frame_after_a_failed_one_begins_without_a_history() -> None:
     faults = Faults(OnError.SKIP)
-    first, failed, after, later = (faults.read(1, True, lambda: light(1)),
-                                   faults.read(2, True, lambda: fail(ReadError("broken"))),
-                                   faults.read(3, True, lambda: light(3)),
-                                   faults.read(4, True, lambda: light(4)))
+    first = faults.read(1, True, lambda: light(1))
+    failed = faults.read(2, True, lambda: fail(ReadError("broken")))
+    after = faults.read(3, True, lambda: light(3))
+    later = faults.read(4, True, lambda: light(4))
     assert failed is None and (first.reset, after.reset, later.reset) == (False, True, False)
     assert [fault.frame for fault in faults.found] == [2]
 

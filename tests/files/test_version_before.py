@@ -67,7 +67,7 @@ def keys_of(facts: object) -> object:
     return keys_of(facts[0]) if isinstance(facts, list) and facts else None
 
 
-def test_header(before: Path) -> None:
+def test_headers_of_the_version_before_are_read(before: Path) -> None:
     (frame,) = read_sequence("run/shot.0001.exr")
     assert frame.exposure == 1.0  # a factor of 2 there
     assert frame.fov_x == pytest.approx(40)
@@ -84,7 +84,8 @@ def test_exposure_that_a_run_used(before: Path) -> None:
     assert ExposureMeter("metadata")(frame) == 2.0
 
 
-def test_manifest(before: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_manifest_of_the_version_before_is_verified(before: Path,
+                                                      capsys: pytest.CaptureFixture[str]) -> None:
     manifest = load_manifest(before / "run")
     (run,) = manifest.runs.values()
     assert run["versions"]["postfx"] == "0.1.0" and len(run["fingerprint"]) == 64
@@ -118,7 +119,8 @@ def test_a_killed_run_is_finished(before: Path, capsys: pytest.CaptureFixture[st
     assert frame.exposure == 1.0 and math.isfinite(frame[Role.COLOUR].sum())
 
 
-def test_capture(before: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_capture_of_the_version_before_is_compared(before: Path,
+                                                     capsys: pytest.CaptureFixture[str]) -> None:
     """It is read, and what this version captures in its place is the same to rounding."""
     assert read_capture("capture")[0]["postfx"] == "0.1.0"
     assert compare("capture", "capture", tolerance=0.0).first is None
@@ -127,7 +129,7 @@ def test_capture(before: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["capture-compare", "capture", "now"]) == 0
 
 
-def test_network(before: Path) -> None:
+def test_a_network_of_the_version_before_runs(before: Path) -> None:
     """A denoiser that another version exported runs by its card, which lacks newer entries."""
     card = Library(before).card("denoise_upscale.tiny")
     assert card["config"]["widths"] == [8]

@@ -67,8 +67,8 @@ def layers(path: Path) -> dict[str, np.ndarray]:
     """Colours of a file's parts and layers, by name."""
     file, found, part = oiio.ImageInput.open(str(path)), {}, 0
     while file.seek_subimage(part, 0):
-        names, pixels = (list(file.spec().channelnames),
-                         file.read_image(part, 0, 0, file.spec().nchannels, "float"))
+        names = list(file.spec().channelnames)
+        pixels = file.read_image(part, 0, 0, file.spec().nchannels, "float")
         for name in names:
             if name.endswith(".R") and f"{name[:-1]}B" in names:
                 found[name[:-2]] = pixels[..., [names.index(f"{name[:-1]}{letter}")

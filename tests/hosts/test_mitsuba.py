@@ -100,7 +100,7 @@ def test_a_sequence_with_flow_and_alpha(denoiser_type):
     assert np.array_equal(np.array(fresh), np.array(alone))
 
 
-def test_wrong_use(denoiser_type, room):
+def test_wrong_arguments_are_named(denoiser_type, room):
     bitmap, layers, _ = room
     noisy = mi.TensorXf(layers[..., :3])
     with pytest.raises(PostfxError, match="'albedo' is missing: give it"):

@@ -37,8 +37,9 @@ def shot(tmp_path):
     for i in range(3):
         frame = random.random((32, 40, len(NAMES)), np.float32)
         albedo = wide[4 + i:36 + i, 20 - 2 * i:60 - 2 * i]
-        frame[..., :3], frame[..., 3], frame[..., 4:7] = (albedo * random.gamma(1, 1, (32, 40, 1)),
-                                                          1, albedo)
+        frame[..., :3] = albedo * random.gamma(1, 1, (32, 40, 1))
+        frame[..., 3] = 1
+        frame[..., 4:7] = albedo
         frame[..., 7:10], frame[..., 10], frame[..., 11:13] = (0, 0, 1), 5, (-2, -1)  # y is up
         write(tmp_path / f"in.{i + 1:04d}.exr", frame)
     return tmp_path

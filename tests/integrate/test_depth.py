@@ -62,7 +62,7 @@ def test_ray_distance_is_the_length_of_the_ray():
     assert (integrate.depth_from_ray(distance, camera.fov_x)[0, :2] == 1e10).all()
 
 
-def test_misses():
+def test_misses_become_1e10():
     found = integrate.depth_with_misses(np.array([[0.0, 2.0], [np.nan, 1e30]]), miss=0)
     np.testing.assert_array_equal(found, [[1e10, 2.0], [1e10, 1e10]])
 

@@ -9,8 +9,8 @@ from tests.integrate.pinhole import HEIGHT, WIDTH, Pinhole, hit_plane, hit_spher
 
 NOW, THEN = (Pinhole(np.array([x, 0.1, -3.0]), turned(yaw, 0.05))
              for x, yaw in ((0.0, 0.1), (0.35, -0.05)))
-MIRROR, NORMAL = (np.array([0.0, 0, 2.0]),
-                  np.array([0.3, 0.1, -1.0]) / np.linalg.norm([0.3, 0.1, -1.0]))
+MIRROR = np.array([0.0, 0, 2.0])
+NORMAL = np.array([0.3, 0.1, -1.0]) / np.linalg.norm([0.3, 0.1, -1.0])
 CENTRE, CENTRE_BEFORE, RADIUS = np.array([0.7, 0.2, -1.0]), np.array([0.5, 0.3, -1.1]), 0.9
 
 

@@ -85,9 +85,9 @@ def test_bad_vectors_are_harmless(scene, value):
 
 def test_pixels_that_are_not_finite_do_not_get_through(scene):
     before, after = scene(0), scene(1)
-    before[Role.COLOUR][10, 20], after[Role.COLOUR][40, 50], after[Role.DEPTH][30] = (
-        np.nan, np.inf, np.nan
-    )
+    before[Role.COLOUR][10, 20] = np.nan
+    after[Role.COLOUR][40, 50] = np.inf
+    after[Role.DEPTH][30] = np.nan
     assert np.isfinite(Between(before, after).frame(0.5)[Role.COLOUR]).all()
 
 

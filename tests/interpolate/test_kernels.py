@@ -23,8 +23,9 @@ def bilinear(picture: np.ndarray, y: float, x: float, rows: int, columns: int) -
 
 def test_windows_are_compared_as_in_their_formula():
     before, after = np.random.default_rng(1).random((2, 40, 50), np.float32)
-    known, margin, path = (np.ones((24, 34), np.bool_), choose.MARGIN,
-                           np.float32([1.3, -2.2, -0.6, 3.1]))
+    known = np.ones((24, 34), np.bool_)
+    margin = choose.MARGIN
+    path = np.float32([1.3, -2.2, -0.6, 3.1])
     toned = choose.Toned(before, after, known, known, 1)
     ends = np.broadcast_to(path, (24, 34, 4)).copy()
     side = paths.Paths(ends, np.zeros((24, 34, 2), np.float32), np.ones((24, 34, 1), np.float32),
@@ -157,8 +158,9 @@ def test_a_pixel_mixes_what_its_paths_show_by_how_well_both_frames_agree():
     """Less of what lies behind another thing that both frames show. The pixel (1, 1) lies a quarter
     of the way from the first of four cells to the others; the third follows the path of the
     first."""
-    before, after, near = (np.ones((4, 40, 3), np.float32), np.ones((4, 40, 3), np.float32),
-                           np.ones((4, 40, 1), "f4"))
+    before = np.ones((4, 40, 3), np.float32)
+    after = np.ones((4, 40, 3), np.float32)
+    near = np.ones((4, 40, 1), "f4")
     before[:, 8:14], after[:, 8:14] = 3, 2
     before[:, 18:24], near[:, 18:24] = 8, 2
     before[:, 28:34], after[:, 28:34], near[:, 28:34] = 5, 5, 1.05
@@ -260,8 +262,9 @@ def test_a_spark_of_the_farther_frame_is_left_out_with_its_edge(is_first):
 
 def test_light_of_sparks_that_are_hidden_goes_to_those_that_are_shown():
     """At a quarter of the time, of two sparks before and one after, of which one is shown."""
-    before, after, picture = (dark_with((20, 30, 90), (50, 70, 30)), dark_with((20, 60, 60)),
-                              dark_with((20, 30, 70)))
+    before = dark_with((20, 30, 90), (50, 70, 30))
+    after = dark_with((20, 60, 60))
+    picture = dark_with((20, 30, 70))
     kept, dim, own = picture.copy(), np.float32(0.3), np.zeros((66, 91, 8), np.float32)
     own[..., 4:6] = 1
     found = [timing.find_sparks(one, 1, dim, (66, 91)) for one in (before, after)]

@@ -160,5 +160,5 @@ def test_wrong_use_is_explained(emulated: Device, scene: Scene) -> None:
 @pytest.mark.gpu
 @pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
 @pytest.mark.parametrize("size", [(90, 131), (33, 40), (540, 960)])
-def test_on_a_gpu(size: tuple[int, int]) -> None:
+def test_frames_on_a_gpu_are_those_of_the_cpu(size: tuple[int, int]) -> None:
     follow(Device("cuda"), [turning(size, 0.15, number) for number in range(1, 5)], 0.3, -0.2)

@@ -69,7 +69,7 @@ PARTS = {
 
 
 @pytest.mark.parametrize("kind", PARTS)
-def test_parts(write_parts, kind: str) -> None:
+def test_parts_and_views_of_each_kind_are_read(write_parts, kind: str) -> None:
     parts, wanted = PARTS[kind]
     assert means(read(write_parts("a.exr", parts))) == wanted
 
@@ -95,7 +95,7 @@ LAYERS = {
 
 
 @pytest.mark.parametrize("kind", LAYERS)
-def test_layers(write_exr, kind: str) -> None:
+def test_layers_of_each_kind_are_read(write_exr, kind: str) -> None:
     channels, wanted = LAYERS[kind]
     assert means(read(write_exr("a.exr", channels))) == wanted
 

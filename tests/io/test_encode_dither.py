@@ -24,8 +24,8 @@ def test_each_threshold_is_there_once_and_low_frequencies_are_not() -> None:
     noise = blue_noise()
     assert (sorted((noise * NOISE_SIDE_PX**2 - 0.5).round().astype(int).ravel())
             == list(range(NOISE_SIDE_PX**2)))
-    spectrum, radius = (np.abs(np.fft.fft2(noise - 0.5)),
-                        np.hypot(*np.meshgrid(*[np.fft.fftfreq(NOISE_SIDE_PX)] * 2)))
+    spectrum = np.abs(np.fft.fft2(noise - 0.5))
+    radius = np.hypot(*np.meshgrid(*[np.fft.fftfreq(NOISE_SIDE_PX)] * 2))
     assert spectrum[(radius > 0) & (radius < 0.15)].mean() < 0.1 * spectrum[radius > 0.35].mean()
 
 
@@ -56,7 +56,7 @@ def test_whole_numbers_stay_and_everything_else_is_in_range(dither: Dither, bits
                     dither).tolist() == [[[0, 0, top]]]
 
 
-def test_no_bands() -> None:
+def test_dither_leaves_no_bands_in_a_ramp() -> None:
     """A ramp over four code values: averaged over 32x32 pixels it is the ramp; undithered it is a
     staircase."""
     codes = ramp(60, 64)

@@ -35,8 +35,8 @@ def test_reads_only_the_named_channels(write_exr, ramp):
 def test_whole_numbers_are_read_as_they_are(tmp_path: Path, rows):
     """Not in parts of 2^32, beside halves, in any order, with what stands for none around the data
     window."""
-    light, counts = (np.arange(24, dtype=np.float16).reshape(4, 6),
-                     np.arange(24, dtype=np.uint32).reshape(4, 6) * 1000)
+    light = np.arange(24, dtype=np.float16).reshape(4, 6)
+    counts = np.arange(24, dtype=np.uint32).reshape(4, 6) * 1000
     header = {"type": OpenEXR.scanlineimage, "dataWindow": ((1, 0), (6, 3)),
               "displayWindow": ((0, 0), (7, 3))}
     OpenEXR.File(header, {"G": light, "R": counts}).write(str(tmp_path / "a.exr"))
@@ -137,8 +137,8 @@ def test_zip_that_is_broken_is_named(tmp_path: Path):
 
 
 def test_tiles_below_the_rows_that_are_read_are_not_touched(tmp_path: Path):
-    path, values = tmp_path / "a.exr", np.float32(np.random.default_rng(0)
-                                                  .integers(0, 9, (150, 64, 1)))
+    path = tmp_path / "a.exr"
+    values = np.float32(np.random.default_rng(0).integers(0, 9, (150, 64, 1)))
     spec = oiio.ImageSpec(64, 150, 1, "float")
     spec.channelnames, spec.tile_width, spec.tile_height, spec.y = ("R",), 32, 32, -7
     output = oiio.ImageOutput.create(str(path))
@@ -226,8 +226,8 @@ def test_channels_of_all_kinds_are_put_side_by_side(count):
     halves = np.arange(1 << 16, dtype=np.uint16).reshape(2, -1).view(np.float16)
     floats = np.random.default_rng(count).random(halves.shape, np.float32)
     words = np.concatenate([halves.view(np.uint16), floats.view(np.uint16)], axis=1)
-    places, columns = [(1, 0), (2, halves.shape[1]), (1, 0),
-                       (2, halves.shape[1])][:count], [halves, floats] * 2
+    places = [(1, 0), (2, halves.shape[1]), (1, 0), (2, halves.shape[1])][:count]
+    columns = [halves, floats] * 2
     bits = np.empty((*halves.shape, count), np.float32)
     widen_rows(0, len(words), words, np.array(places), bits)
     wanted = np.stack(columns[:count], axis=-1).astype(np.float32)

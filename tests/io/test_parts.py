@@ -63,8 +63,8 @@ def cycles(tmp_path: Path) -> Path:
     random = np.random.default_rng(0)
     light = {name: random.random((*SIZE, 3), np.float32) ** 3
              for name in ("dd", "di", "gd", "gi", "fog", "glow")}
-    diffuse, glossy = (0.8 * random.random((*SIZE, 3), np.float32),
-                       np.full((*SIZE, 3), 0.04, np.float32))
+    diffuse = 0.8 * random.random((*SIZE, 3), np.float32)
+    glossy = np.full((*SIZE, 3), 0.04, np.float32)
     diffuse[:6] = 0  # nothing diffuse there: Cycles stores 0
     light["dd"][:6] = light["di"][:6] = 0
     picture = ((light["dd"] + light["di"]) * diffuse + (light["gd"] + light["gi"]) * glossy
@@ -123,10 +123,10 @@ def test_a_frame_of_blender_adds_up_by_groups_and_by_passes(tmp_path: Path) -> N
         assert main(["run", str(BLENDER), "-o", str(output), "--aov", "auto", "--scale", scale,
                      "--model", "s", "--bits", "32"]) == 0
         found = read(output)
-        picture, part = (picture_of(found, scale),
-                         {name.removeprefix("ViewLayer.").rpartition(".")[0]: layer(
-                             found, name.rpartition(".")[0]) for name in found
-                          if name.startswith("ViewLayer.") and name.endswith(".R")})
+        picture = picture_of(found, scale)
+        layers = [name.rpartition(".")[0] for name in found
+                  if name.startswith("ViewLayer.") and name.endswith(".R")]
+        part = {name.removeprefix("ViewLayer."): layer(found, name) for name in layers}
         groups = sum(part[f"Combined_{name}"] for name in ("key", "fill", "rim", "world"))
         passes = sum((part[f"{name} Direct"] + part[f"{name} Indirect"]) * part[f"{name} Color"]
                      for name in ("Diffuse", "Glossy", "Transmission"))
@@ -182,8 +182,8 @@ def test_distances_are_written_as_floats_and_an_unknown_layer_is_named_with_its_
     colour = noisy(1, *SIZE)[Role.COLOUR]
     depth = np.where(np.arange(SIZE[1])[:, None] < 8, 1e10,
                      1000.3).astype(np.float32) * np.ones((*SIZE, 1), np.float32)
-    path, output = (write(tmp_path / "a.0001.exr", {"": colour, "far": depth}),
-                    tmp_path / "b.0001.exr")
+    path = write(tmp_path / "a.0001.exr", {"": colour, "far": depth})
+    output = tmp_path / "b.0001.exr"
     run = ["run", str(path), "-o", str(output), "--model", "s", "--scale", "1", "--aov-denoise"]
     assert main([*run, "depth=far"]) == 0
     found = read(output)["far.V"]

@@ -50,7 +50,7 @@ def test_scanlines_within_any_window(window: dict, write_exr: Callable[..., Path
     assert_same(one, other)
 
 
-def test_tiles(tmp_path: Path) -> None:
+def test_pieces_of_a_tiled_file_are_those_of_the_whole(tmp_path: Path) -> None:
     path, values = tmp_path / "frame.0001.exr", planes(*SIZE)
     spec = oiio.ImageSpec(SIZE[1], SIZE[0], len(values), "float")
     spec.channelnames, spec.tile_width, spec.tile_height = tuple(values), 32, 32

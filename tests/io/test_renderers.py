@@ -50,8 +50,9 @@ def _truth() -> dict[Role, np.ndarray]:
 TRUTH = _truth()
 COLOUR, ALPHA, DEPTH, MOTION, NORMAL = (TRUTH[role] for role in tuple(Role)[:5])
 DIFFUSE, SPECULAR = TRUTH[Role.DIFFUSE_ALBEDO], TRUTH[Role.SPECULAR_ALBEDO]
-ROUGHNESS, COUNT, ERROR = (TRUTH[Role.ROUGHNESS], TRUTH[Role.SAMPLE_COUNT],
-                           TRUTH[Role.VARIANCE_OF_MEAN])
+ROUGHNESS = TRUTH[Role.ROUGHNESS]
+COUNT = TRUTH[Role.SAMPLE_COUNT]
+ERROR = TRUTH[Role.VARIANCE_OF_MEAN]
 PICTURE = {Role.COLOUR, Role.ALPHA}
 ALBEDOS = {Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO}
 OTHER = np.full((HEIGHT, WIDTH, 3), 0.123)
@@ -399,7 +400,7 @@ def open_layout(write_exr, write_parts, tmp_path):
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_layout(open_layout, tmp_path, name):
+def test_planes_of_each_renderers_layout_are_right(open_layout, tmp_path, name):
     layout = LAYOUTS[name]
     with open_layout(layout) as files:
         assert files.layout.profile.name == layout.profile

@@ -38,7 +38,7 @@ def test_all_spellings_of_the_frame_number(shot, number):
     [("a.%d.exr", "a.7.exr"), ("a.#.exr", "a.7.exr"), ("d/a_$F3.exr", "d/a_007.exr"),
      ("####.exr", "0007.exr")],
 )
-def test_padding(pattern, expected):
+def test_frame_numbers_are_padded_as_the_pattern_says(pattern, expected):
     assert parse_pattern(pattern).path(7) == Path(expected)
 
 

@@ -84,8 +84,8 @@ def test_pictures_take_the_place_of_their_renders(tmp_path: Path, kind: str) -> 
     (frame,) = sequence
     assert list(frame.views) == ["right"] and not sequence.warnings
     np.testing.assert_array_equal(frame.views["right"][Role.COLOUR][..., 0], right["R"])
-    before, after = channels_of(path), channels_of(write_frame(tmp_path / "out.exr", darken(frame),
-                                                               keep=None))
+    before = channels_of(path)
+    after = channels_of(write_frame(tmp_path / "out.exr", darken(frame), keep=None))
     assert [(*part[:2], {*part[2]}) for part in after] == [(*part[:2], {*part[2]})
                                                            for part in before]
     for (*_, old), (*_, new) in zip(before, after, strict=True):

@@ -191,8 +191,8 @@ def test_standard_attributes_survive(frame, tmp_path):
 
 
 def test_display_pictures_have_the_displays_colour_space(frame, tmp_path):
-    frame.metadata, frame.encoding = {"chromaticities": (0.7, 0.3, 0.2, 0.8, 0.1, 0.0, 0.3, 0.3),
-                                      "owner": "me"}, "srgb"
+    frame.metadata = {"chromaticities": (0.7, 0.3, 0.2, 0.8, 0.1, 0.0, 0.3, 0.3), "owner": "me"}
+    frame.encoding = "srgb"
     again = next(iter(read_sequence(write_frame(tmp_path / "b.exr", frame)))).metadata
     assert again["chromaticities"] == pytest.approx(REC709)
     assert again["owner"] == "me"

@@ -9,7 +9,7 @@ from functools import cache
 
 from postfx.kernels import convolution_source
 from postfx.runtime import Tensor
-from postfx.runtime.convolutions import ARGUMENTS, GROUP, Launch, Options
+from postfx.runtime.convolutions import ARGUMENTS, GROUP_THREADS, Launch, Options
 from tests.kernels.host_cuda import SHIM, View, compile_source
 
 # A warp's matrices and products in half precision, as `add_product` of the shim has them in single
@@ -140,11 +140,11 @@ class HostGpu:
         views = [View()
                  if tensor is None else View(tensor.start, (ctypes.c_int * 4)(*tensor.shape[:4]))
                  for tensor in tensors]
-        function, given = (getattr(_library(kernels, self.warpgroups), f"run_{launch.name}"),
-                           (View * len(views))(*views))
+        function = getattr(_library(kernels, self.warpgroups), f"run_{launch.name}")
+        given = (View * len(views))(*views)
         blocks = min(-(-launch.squares // launch.groups),
                      -(-self.processors // launch.tiles)) * launch.tiles
-        return lambda: function(blocks, launch.groups * GROUP, given, ctypes.byref(options))
+        return lambda: function(blocks, launch.groups * GROUP_THREADS, given, ctypes.byref(options))
 
 
 @cache

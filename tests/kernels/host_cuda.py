@@ -252,8 +252,9 @@ def run(kernel: Kernel, arrays: Mapping[str, np.ndarray]) -> None:
     function = getattr(_library(find_source(kernel)), f"run_{kernel.name}")
     # what is changed in place is one of them
     bindings = dict.fromkeys(kernel.reads + kernel.writes)
-    views, blocks, (down, across) = ([view(arrays[binding]) for binding in bindings], kernel.blocks,
-                                     kernel.pixels)
+    views = [view(arrays[binding]) for binding in bindings]
+    blocks = kernel.blocks
+    down, across = kernel.pixels
     wide, high = block = PIXELS if columns else (1, 1)
     grid = (-(-columns[0] // (across * wide)), -(-rows // (down * high))) if columns else (1, 1)
     if blocks:

@@ -81,7 +81,8 @@ def test_compared_places(size: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("size", [(1, 1, 1), (3, 40, 2), (45, 80, 6)], ids=str)
 @pytest.mark.parametrize("widths", [(1, 3), (3, 17)])
-def test_bands(size: tuple[int, int, int], widths: tuple[int, int]) -> None:
+def test_bands_are_differences_of_box_means(size: tuple[int, int, int],
+                                            widths: tuple[int, int]) -> None:
     planes, wanted = RANDOM.normal(size=size), np.zeros(size)
     for width, sign in zip(widths, (1, -1), strict=True):
         near = width // 2
@@ -185,8 +186,8 @@ def test_many_threads_find_what_one_finds() -> None:
             rows(i, i + 1)
 
     def look():
-        detector, frames = CutDetector(), [Frame({Role.COLOUR: plane})
-                                           for plane in (colour, colour[::-1].copy())]
+        detector = CutDetector()
+        frames = [Frame({Role.COLOUR: plane}) for plane in (colour, colour[::-1].copy())]
         cuts = [detector(frame) for frame in frames]
         repaired, counts = repair_nonfinite(frames[0], (Role.COLOUR,))
         return cuts, detector.relation, measure(colour), counts, repaired[Role.COLOUR].tobytes()

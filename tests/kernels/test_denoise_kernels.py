@@ -171,8 +171,8 @@ def test_products_are_opened_where_they_lie() -> None:
     random, (h, w) = np.random.default_rng(5), (12, 20)
     store = random.integers(-4000, 4000, (FINE + SOME) * h * w, np.int32)
     scaling = random.normal(0, 1e-3, (2, 4 * FINE)).astype(np.float32)
-    products, wanted = (store[SOME * h * w:].reshape(1, 4 * FINE, h // 2, w // 2),
-                        np.empty((1, FINE, h, w), np.float32))
+    products = store[SOME * h * w:].reshape(1, 4 * FINE, h // 2, w // 2)
+    wanted = np.empty((1, FINE, h, w), np.float32)
     OPEN_FINE_PRODUCTS.rows(0, h, products.copy(), scaling, wanted)
     fine = store.view(np.float32)[:FINE * h * w].reshape(1, FINE, h, w)
     for first in range(0, FINE, SOME):

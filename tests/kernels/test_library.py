@@ -106,8 +106,8 @@ def other_rows() -> Iterator[tuple[str, list[np.ndarray], list[np.ndarray]]]:
     random, (h, w) = np.random.default_rng(4), (19, 77)
     light = np.exp2(random.normal(-2, 8, (h * w * 3))).astype(np.float32)
     light[::13], light[1::17], light[2::19] = np.nan, np.inf, -light[2::19]
-    plain, words = (random.integers(0, 256, 2 * h * w * 8, np.uint8),
-                    random.integers(0, 1 << 16, (h, 3 * w)))
+    plain = random.integers(0, 256, 2 * h * w * 8, np.uint8)
+    words = random.integers(0, 1 << 16, (h, 3 * w))
     byte_rows, channels = plain[:h * w].reshape(h, w), np.array([(1, 0), (2, w)])
     yield "halve_pixels", [light], [np.zeros((3, h * w), np.uint16)]
     yield "widen_rows", [words.astype(np.uint16), channels], [np.zeros((h, w, 2), np.float32)]
@@ -120,8 +120,8 @@ def other_rows() -> Iterator[tuple[str, list[np.ndarray], list[np.ndarray]]]:
            [np.zeros((h, w + 1), np.uint8)])
     yield "predict_bytes", [plain], [np.zeros_like(plain)]
     yield "unpredict_bytes", [plain], [np.zeros(plain.size // 2, np.uint16)]
-    normal, depth = (random.normal(0, 1, (h, w, 3)).astype(np.float32),
-                     1 + random.random((h, w, 1), np.float32))
+    normal = random.normal(0, 1, (h, w, 3)).astype(np.float32)
+    depth = 1 + random.random((h, w, 1), np.float32)
     normal[2, 3], depth[4, 5], depth[6, 7] = np.nan, np.inf, np.nan
     camera, settings = np.float32([*np.eye(3).ravel(), 0.4, 0.5, 0.3]), np.float32([0.6, 0.3])
     surface, visible = np.zeros((h, w, 4), np.float32), np.zeros((h, w), np.float32)
@@ -306,12 +306,13 @@ def test_nan_and_infinity_go_into_what_is_made_of_them_and_into_nothing_else(
         found = forms(kernel, broken, case)
         for name in kernel.writes:
             wanted = found[FUSED[0]][name]
-            kept, finite, where = (wanted == clean[FUSED[0]][name], np.isfinite(wanted),
-                                   f"{binding} {name}")
+            kept = wanted == clean[FUSED[0]][name]
+            finite = np.isfinite(wanted)
+            where = f"{binding} {name}"
             assert (~kept).sum() <= MOST_CHANGED, where
             for form, arrays in found.items():
                 # others may round a change that these do not see
-                bits = (0 if form in FUSED else 1e-6)
+                bits = 0 if form in FUSED else 1e-6
                 np.testing.assert_allclose(arrays[name][kept], clean[form][name][kept], bits, bits,
                                            err_msg=where)
                 np.testing.assert_array_equal(np.isfinite(arrays[name]), finite, f"{where} {form}")

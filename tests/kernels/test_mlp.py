@@ -120,8 +120,9 @@ def plug_in(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(params=range(len(NETWORKS)),
                 ids=["-".join(map(str, network.sizes)) for network in NETWORKS])
 def case(request: pytest.FixtureRequest, plug_in: Path) -> Case:
-    network, random, name = (NETWORKS[request.param], np.random.default_rng(0),
-                             f"squares_{request.param}")
+    network = NETWORKS[request.param]
+    random = np.random.default_rng(0)
+    name = f"squares_{request.param}"
     kernel = Kernel(name, ("parameters", "points"), ("values",), Rows(name, plug_in), ("values", 0),
                     {
                         "parameters": (network.count,), "points": ("points", network.inputs),
@@ -134,8 +135,8 @@ def case(request: pytest.FixtureRequest, plug_in: Path) -> Case:
     points = random.normal(size=(POINTS, network.inputs)).astype(np.float32)
     device = Device("cpu", threads=2)
     learner = Learner(device, network)
-    given, made = (device.wrap("squared", points * points),
-                   device.heap.tensor("values", (POINTS, network.outputs)))
+    given = device.wrap("squared", points * points)
+    made = device.heap.tensor("values", (POINTS, network.outputs))
     commands = device.command_buffer("network")
     with commands.compute_encoder("network") as encoder:
         learner.run(encoder, given, made)
@@ -147,8 +148,8 @@ def case(request: pytest.FixtureRequest, plug_in: Path) -> Case:
 
 def test_on_the_cpu(case: Case) -> None:
     device = Device("cpu", threads=2)
-    state, values = device.compute_state(case.kernel), device.heap.tensor("values",
-                                                                          case.wanted.shape)
+    state = device.compute_state(case.kernel)
+    values = device.heap.tensor("values", case.wanted.shape)
     table = ArgumentTable(state,
                           {name: device.wrap(name, array) for name, array in case.inputs.items()}
                           | {"values": values})
@@ -200,7 +201,7 @@ def test_warps_use_the_matrix_units(case: Case) -> None:
 
 @pytest.mark.gpu
 @pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
-def test_on_a_gpu(case: Case) -> None:
+def test_an_mlp_on_a_gpu_gives_the_cpus_values(case: Case) -> None:
     device = Device("cuda")
     points = np.stack([case.inputs["points"]] * HEIGHT)
     wanted = np.stack([case.wanted] * HEIGHT)

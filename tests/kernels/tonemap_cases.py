@@ -62,8 +62,8 @@ class Pace:
 
     def arguments(self) -> list[np.ndarray]:
         light = np.full(fixed_shape(LIGHT, "light"), 8 * SHAPER[1])
-        params, before = [0.98, 0.6, self.past, SHAPER[1]], [[0.5, self.made_for, self.last,
-                                                              self.share]]
+        params = [0.98, 0.6, self.past, SHAPER[1]]
+        before = [[0.5, self.made_for, self.last, self.share]]
         return [np.array(values, np.float32) for values in (light, params, before)]
 
 
@@ -117,8 +117,10 @@ def hdr(height: int, width: int) -> np.ndarray:
     colour = (np.exp2(np.random.default_rng(height).uniform(-12, 8, (height, width, 3)))
               .astype(np.float32))
     if height > 4:
-        colour[1, 1, 0], colour[2, 2, 1], colour[3, 3, 2], colour[4, 4,
-                                                                  0] = np.nan, np.inf, -np.inf, -3.0
+        colour[1, 1, 0] = np.nan
+        colour[2, 2, 1] = np.inf
+        colour[3, 3, 2] = -np.inf
+        colour[4, 4, 0] = -3.0
     return colour
 
 

@@ -59,8 +59,8 @@ def defined(planes: Planes, samples: int, threshold: float) -> np.ndarray:
 def test_strength_is_as_defined(error: float) -> None:
     planes, variance = rendered(error)
     planes = told(Role.SAMPLE_VARIANCE, planes, variance, 64)
-    found, wanted = strength_of_converged(planes, ONE_PERCENT,
-                                          64)[:, :, 0], defined(planes, 64, 0.01)
+    found = strength_of_converged(planes, ONE_PERCENT, 64)[:, :, 0]
+    wanted = defined(planes, 64, 0.01)
     # strengths that near to 0 and 1 are 0 and 1
     np.testing.assert_allclose(found, wanted, atol=1.1e-3)
     assert (found[:, :24] == 0).all() and (found[:, 38:].mean() > 0.2) == (error > 0.01)

@@ -34,8 +34,8 @@ class Twin:
     def __init__(self, network: Network, count: int = 700) -> None:
         random = np.random.default_rng(1)
         parameters = network.initial(2)
-        self.network, self.start = (network, parameters
-                                    + random.normal(0, 0.02, parameters.shape).astype(np.float32))
+        self.network = network
+        self.start = parameters + random.normal(0, 0.02, parameters.shape).astype(np.float32)
         self.layers = []
         for weights, biases in network.layers(self.start.copy()):
             layer = torch.nn.Linear(weights.shape[1], weights.shape[0])
@@ -112,8 +112,8 @@ def test_values_and_gradients_are_those_of_torch(network):
 def test_steps_are_those_of_adam_in_torch():
     """The same gradients to both, as tiny ones decide the sign of a step."""
     random = np.random.default_rng(0)
-    start, partials = (random.normal(size=50).astype(np.float32),
-                       random.normal(size=(3, 52)).astype(np.float32))
+    start = random.normal(size=50).astype(np.float32)
+    partials = random.normal(size=(3, 52)).astype(np.float32)
     partials[:, -1] = 0.25, 0, 0.25  # half of the points are learnt
     parameters = torch.nn.Parameter(torch.from_numpy(start.copy()))
     adam = torch.optim.Adam([parameters], 0.01, DECAYS, EPSILON)
@@ -163,8 +163,8 @@ def test_empty_points_change_no_step(dims):
     """The points that are learnt alone, and among others that are not: the same error and the same
     step."""
     random = np.random.default_rng(4)
-    points, targets = (random.uniform(0, 1, (40, 2)).astype(np.float32),
-                       random.normal(size=(40, 1)).astype(np.float32))
+    points = random.uniform(0, 1, (40, 2)).astype(np.float32)
+    targets = random.normal(size=(40, 1)).astype(np.float32)
     among, empty = np.repeat(points, 100, 0), np.full((4000, 1), np.nan, np.float32)
     empty[::100] = targets
     grid = Grid(2, levels=3, entries=256, sides=(4, 16)) if dims else None

@@ -42,8 +42,8 @@ def _export(folder: Path) -> None:
         export_trunk(small_model(guides).trunk, folder / name)
     configs = {"low": LOW, "doubting": DOUBTING, "doubting.guides": DOUBTING, "residual": RESIDUAL}
     for tag, config in configs.items():
-        model, path = (small_model(tag.endswith(".guides"), config),
-                       folder / f"denoise_upscale.{tag}.onnx")
+        model = small_model(tag.endswith(".guides"), config)
+        path = folder / f"denoise_upscale.{tag}.onnx"
         checkpoint = {"config": model.config.as_dict(), "weights": model.state_dict(), "notes": {}}
         if tag == "doubting":  # the same layers: its card alone says that it doubts
             shutil.copy(folder / "denoise_upscale.low.onnx", path)

@@ -85,8 +85,8 @@ def rays_at(clip_matrix: np.ndarray, places: np.ndarray, width: int,
     """Eye and directions through pixel positions, 1 along the view axis."""
     # through the corners of a picture of one quarter
     eye, corner = view_rays(2, 2, clip_matrix, (-0.5, -0.5))
-    across, down = ((corner[0, 1] - corner[0, 0]) * 2 / width,
-                    (corner[1, 0] - corner[0, 0]) * 2 / height)
+    across = (corner[0, 1] - corner[0, 0]) * 2 / width
+    down = (corner[1, 0] - corner[0, 0]) * 2 / height
     return eye, corner[0, 0] + places[..., :1] * across + places[..., 1:] * down
 
 

@@ -32,11 +32,11 @@ def shots(seed: int = 1, count: int = 24) -> Iterator[Shot]:
     """Frames of 160x96, exposed as they are, with planes of the wall; references of twice the
     size."""
     random = np.random.default_rng(seed)
-    places, angles = (random.random((count, 2)) * (WIDTH, HEIGHT),
-                      random.uniform(0, 2 * np.pi, count))
+    places = random.random((count, 2)) * (WIDTH, HEIGHT)
+    angles = random.uniform(0, 2 * np.pi, count)
     steps = np.stack((np.cos(angles), np.sin(angles)), 1) * random.uniform(2, 6, (count, 1))
-    radii, lights = (random.uniform(0.8, 2, count),
-                     np.array([1, 0.6, 0.25]) * random.uniform(3, 9, (count, 1)))
+    radii = random.uniform(0.8, 2, count)
+    lights = np.array([1, 0.6, 0.25]) * random.uniform(3, 9, (count, 1))
     for number in range(FRAMES):
         now = np.mod(places + number * steps, (WIDTH, HEIGHT))
         yield _shot(number, list(zip(now, radii, lights, strict=True)), random)

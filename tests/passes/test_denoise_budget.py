@@ -108,7 +108,7 @@ def test_costs_are_those_of_the_precision() -> None:
     assert [cost(name) for name in names] == [3.5, 3.5, 2.1, 3.5, 2.1, 1.0, 0.5]
 
 
-def test_families() -> None:
+def test_families_are_listed_from_fast_to_slow() -> None:
     assert family("l") == ("classic", "s", "m", "l")
     assert family("m.int8") == ("classic", "s.int8", "m.int8")
     assert family("mine") == ("mine",)

@@ -99,8 +99,8 @@ def test_a_gpu_gives_the_same() -> None:
 
 def test_tiles_within_a_memory_budget_are_as_the_whole_frame() -> None:
     frames = [noisy(number, 540, 960) for number in (1, 2)]
-    found, whole = (run(frames, Device("cpu", threads=2, memory="640M"), scale=1.5),
-                    run(frames, scale=1.5))
+    found = run(frames, Device("cpu", threads=2, memory="640M"), scale=1.5)
+    whole = run(frames, scale=1.5)
     np.testing.assert_allclose(shown(found[-1]), shown(whole[-1]), atol=2e-3)
 
 

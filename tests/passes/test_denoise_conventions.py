@@ -57,7 +57,7 @@ def test_own_convention(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_depth(kind: str, tmp_path: Path) -> None:
+def test_depth_of_each_kind_becomes_planar(kind: str, tmp_path: Path) -> None:
     planar = through_files([sample(3), sample(4)], tmp_path / "planar")
     stored = [replace(frame,
                       planes={**frame.planes, Role.DEPTH: KINDS[kind](frame[Role.DEPTH], frame)})

@@ -156,8 +156,8 @@ def reach_in(path: Path) -> int:
     seen = {one.name: (1, 0) for one in graph.input}  # input pixels of a step, and reach
     for node in graph.node:
         known = [seen[name] for name in node.input if name in seen]
-        step, reach = (max(one[0] for one in known) if known else 1,
-                       max((one[1] for one in known), default=0))
+        step = max(one[0] for one in known) if known else 1
+        reach = max((one[1] for one in known), default=0)
         facts = {fact.name: onnx.helper.get_attribute_value(fact) for fact in node.attribute}
         side, stride = facts.get("kernel_shape", [1])[0], facts.get("strides", [1])[0]
         if node.op_type == "Conv":

@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 
 from postfx.errors import GuideError, PassOptionError
-from postfx.frame import GUIDE_ROLES, Frame, Role
+from postfx.frame import ALBEDOS, GUIDE_ROLES, Frame, Role
 from postfx.passes.denoise import DenoiseUpscale, models
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
 from tests.passes.denoise_frames import flat, guided, noisy
-
-ALBEDOS = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 
 pytestmark = pytest.mark.usefixtures("small_models")
 

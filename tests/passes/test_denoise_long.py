@@ -40,8 +40,8 @@ def test_a_slow_pan_does_not_get_worse(model: str, frames: int, shared_dir: Path
     folder = shared_dir / "sequences" / "garage"
     room, truth = (next(iter(read_sequence(folder / f"{name}.####.exr")))
                    for name in ("noisy", "reference"))
-    light, planes = around(truth[Role.COLOUR], 2), {role: around(room[role], 1)
-                                                    for role in SURFACES}
+    light = around(truth[Role.COLOUR], 2)
+    planes = {role: around(room[role], 1) for role in SURFACES}
     motion = np.zeros((HEIGHT, WIDTH, 2), np.float32)
     motion[..., 0] = SPEED
     still = {Role.MOTION: motion, Role.DEPTH: np.full((HEIGHT, WIDTH, 1), 5, np.float32)}

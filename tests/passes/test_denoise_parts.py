@@ -421,8 +421,9 @@ def test_the_plan_shows_parts_and_a_missing_one_is_named(device: Device) -> None
 def test_values_that_no_file_should_hold_do_not_spread(device: Device) -> None:
     pipeline = upscaler(device, parts=NAMES)
     frame = lit(1)
-    frame.parts["key"][3, 4], frame.parts["key"][9, 9], frame.parts["fill"][5,
-                                                                            5] = np.nan, np.inf, -4
+    frame.parts["key"][3, 4] = np.nan
+    frame.parts["key"][9, 9] = np.inf
+    frame.parts["fill"][5, 5] = -4
     for current in (frame, lit(2)):
         found = pipeline(current)
         assert all(np.isfinite(part).all() and part.min() >= 0 for part in found.parts.values())

@@ -84,8 +84,8 @@ def wanted(now: Frame, ball: bool = False) -> tuple[np.ndarray, np.ndarray]:
 def test_a_floor_shows_its_image_where_geometry_has_it() -> None:
     before, now = scene.frame(3), scene.frame(4)
     truth, seen = wanted(now)
-    found, surface = (reflected(before, now, roughness=np.zeros((HEIGHT, WIDTH, 1))),
-                      now[Role.MOTION])
+    found = reflected(before, now, roughness=np.zeros((HEIGHT, WIDTH, 1)))
+    surface = now[Role.MOTION]
     inner = seen & np.roll(seen, 1, 0) & np.roll(seen, -1, 0)
     assert inner.sum() > 1000
     assert np.abs(surface - truth)[inner].max() > 1
@@ -131,8 +131,9 @@ def test_a_ball_bends_by_one_over_its_radius(size: tuple[int, int], share: float
                                              tmp_path: Path) -> None:
     """At the edges of the picture, too; an axis of one pixel adds nothing to the mean. From inside
     it is hollow."""
-    radius, middle, turn = (2.0, np.array([0.1, -0.05, 4.0]),
-                            np.linalg.qr(np.arange(9.0).reshape(3, 3) % 5 + 1)[0])
+    radius = 2.0
+    middle = np.array([0.1, -0.05, 4.0])
+    turn = np.linalg.qr(np.arange(9.0).reshape(3, 3) % 5 + 1)[0]
     camera = np.float32([50, 50, 50, 50, 0.1, -0.2, *12 * [0], *turn.ravel()])
     y, x = np.mgrid[:size[0], :size[1]] + 0.5
     rays = np.stack([(x + 0.1 - size[1] / 2) / 50, (y - 0.2 - size[0] / 2) / 50, np.ones(size)], -1)

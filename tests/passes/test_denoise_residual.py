@@ -34,8 +34,8 @@ SEAM = 1e-5
 
 def seen(number: int, height: int, width: int, mirrored: bool = True, **kept) -> Frame:
     """A noisy frame, with planes that follow mirrors and glass, some of it broken."""
-    frame, random = (noisy(number, height, width, **{"exposure": 1.0, **kept}),
-                     np.random.default_rng([7, number]))
+    frame = noisy(number, height, width, **{"exposure": 1.0, **kept})
+    random = np.random.default_rng([7, number])
     if not mirrored:
         return frame
     albedo, normal = 1.5 * random.random((2, height, width, 3), np.float32) - 0.2

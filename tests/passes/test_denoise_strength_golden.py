@@ -95,8 +95,8 @@ def test_strength_0_is_the_enlarged_input_to_the_bit(
                                atol=EXACT)
     np.testing.assert_array_equal(run(masked(frame, 0), device, scale), nothing)
     part = ramp((37, 50))
-    mask, untouched = masked(frame, part), enlarged64(part[..., None], nothing.shape[:2],
-                                                      (0, 0))[..., 0] == 0
+    mask = masked(frame, part)
+    untouched = enlarged64(part[..., None], nothing.shape[:2], (0, 0))[..., 0] == 0
     found = run(mask, device, scale)
     assert 0.2 < untouched.mean() < 0.3
     np.testing.assert_array_equal(found[untouched], nothing[untouched])

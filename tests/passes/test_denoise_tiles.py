@@ -210,8 +210,8 @@ def test_what_has_not_converged_is_as_in_a_run_of_the_whole(device: Device,
         strength = strength_of_converged({**frame.planes, Role.SAMPLE_VARIANCE: variance},
                                          Threshold(error=0.01), 16)
         assert (strength[62:118, 102:168] == 1).any() and (strength == 0).mean() > 0.8
-        wanted, found = whole(frame)[Role.COLOUR], tiled(masked(frame,
-                                                                strength[:, :, 0]))[Role.COLOUR]
+        wanted = whole(frame)[Role.COLOUR]
+        found = tiled(masked(frame, strength[:, :, 0]))[Role.COLOUR]
         active = resampled(masked(frame, strength[:, :, 0]), Role.STRENGTH, 2)[:, :, 0] == 1
         error = (np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor))
                  .max(2))
@@ -226,8 +226,8 @@ def test_the_halo_is_enough_for_every_network(model: str, device: Device,
     own."""
     mask = MASKS["box"]
     whole = chain(device, model=model)
-    wanted, found = (whole(room[0])[Role.COLOUR],
-                     chain(device, model=model)(masked(room[0], mask))[Role.COLOUR])
+    wanted = whole(room[0])[Role.COLOUR]
+    found = chain(device, model=model)(masked(room[0], mask))[Role.COLOUR]
     error = np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max(2)
     assert error[full(mask)].max() < 1e-3
 
@@ -258,8 +258,8 @@ def test_tiles_at_other_scales_and_with_guides(scale: float, with_guides: bool,
     output = tuple(round(side * scale) for side in size)
     frames = [noisy(number, *size) for number in (1, 2)]
     frames = [guided(frame, *output) if with_guides else frame for frame in frames]
-    whole, tiled = chain(device, scale=scale, model="m.fp32"), chain(device, scale=scale,
-                                                                     model="m.fp32")
+    whole = chain(device, scale=scale, model="m.fp32")
+    tiled = chain(device, scale=scale, model="m.fp32")
     for frame in frames:
         wanted, part = whole(frame)[Role.COLOUR], masked(frame, mask)
         found = tiled(part)[Role.COLOUR]
@@ -379,8 +379,8 @@ def test_a_mask_that_moves_every_frame_makes_few_networks_ready(device: Device,
 
 def test_the_portable_kernels_do_the_same(device: Device) -> None:
     portable = Device("cpu", threads=2, compiled_kernels=False)
-    mask, frames = boxes(np.s_[100:140, 20:60], size=(160, 240)), [noisy(number, 160, 240)
-                                                                   for number in (1, 2)]
+    mask = boxes(np.s_[100:140, 20:60], size=(160, 240))
+    frames = [noisy(number, 160, 240) for number in (1, 2)]
     one, other = (chain(place, model="s.fp32") for place in (device, portable))
     for frame in frames:
         found, wanted = (run(masked(frame, mask))[Role.COLOUR] for run in (one, other))
@@ -392,8 +392,8 @@ def test_the_time_falls_with_the_mask(device: Device) -> None:
     work."""
     shares = {share: masked(noisy(1, 256, 448), np.arange(256)[:, None] >= share * 256)
               for share in (0.0, 0.9)}
-    chains, times = ({share: chain(device, model="m") for share in shares},
-                     {share: [] for share in shares})
+    chains = {share: chain(device, model="m") for share in shares}
+    times = {share: [] for share in shares}
     for _ in range(10):
         for share, frame in shares.items():
             chains[share](frame)

@@ -108,8 +108,8 @@ def test_exposure_never_changes_the_brightness(exposures: tuple[float, ...],
 def test_a_darker_scene_with_more_exposure_is_the_same_picture(device: Device) -> None:
     bright = noisy(1)
     dark = Frame({**bright.planes, Role.COLOUR: bright[Role.COLOUR] / 8}, 1, bright.jitter)
-    found, wanted = run([dark], device,
-                        exposure=3.0)[0][Role.COLOUR], run([bright], device)[0][Role.COLOUR]
+    found = run([dark], device, exposure=3.0)[0][Role.COLOUR]
+    wanted = run([bright], device)[0][Role.COLOUR]
     np.testing.assert_allclose(found * 8, wanted, rtol=1e-3, atol=1e-4)
 
 

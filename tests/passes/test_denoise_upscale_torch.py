@@ -80,8 +80,8 @@ def test_pass_gives_what_torch_gives(
         frames[1].jitter = frames[2].jitter = (0.0, 0.0)
     if with_guides:
         frames = [guided(frame, *output) for frame in frames]
-        frames[1].guides[Role.DIFFUSE_ALBEDO][3, 4], frames[1].guides[Role.DEPTH][5, 6] = (np.nan,
-                                                                                           np.inf)
+        frames[1].guides[Role.DIFFUSE_ALBEDO][3, 4] = np.nan
+        frames[1].guides[Role.DEPTH][5, 6] = np.inf
     device = Device("cpu", threads=2, compiled_kernels=compiled)
     pipeline = Pipeline([DenoiseUpscale(scale=scale, model=model)], device, exposure="metadata")
     reads = with_guides and scale > 1  # at render size the planes are better

@@ -174,8 +174,8 @@ def test_small_changes_hardly_move_a_look(device: Device, tag: str, share: float
         alone = steady(tag, device)
         alone(frame(given.astype(np.float32)))
         pipeline(frame(given.astype(np.float32)))
-        asked, moved = (np.abs(kept_of(alone) - before).mean(),
-                        np.abs(kept_of(pipeline) - before).mean())
+        asked = np.abs(kept_of(alone) - before).mean()
+        moved = np.abs(kept_of(pipeline) - before).mean()
         assert asked > 1e-4 and moved < share * asked
 
 

@@ -57,9 +57,10 @@ class Runs:
 
     def __init__(self, shot: str, folder: Path,
                  capsys: pytest.CaptureFixture[str]) -> None:
-        self.shot, self.folder, self.log, self._capsys = (shot, folder,
-                                                          folder.parent / f"{folder.name}.jsonl",
-                                                          capsys)
+        self.shot = shot
+        self.folder = folder
+        self.log = folder.parent / f"{folder.name}.jsonl"
+        self._capsys = capsys
         self._started = 0
 
     def arguments(self, *more: str, passes: tuple[str, ...] = QUICK) -> list[str]:

@@ -36,11 +36,12 @@ from tests.reliability.faulty import DAMAGE, Fault, Faulty
 from tests.reliability.model_files import model_of, outside
 
 ROOT = Path(__file__).resolve().parents[2]
-READ, WRITE, ENCODE = ("postfx.io.sequence.Sequence.read", "postfx.cli.job.write_frame",
-                       "postfx.io.writer.write_exr")
+READ = "postfx.io.sequence.Sequence.read"
+WRITE = "postfx.cli.job.write_frame"
+ENCODE = "postfx.io.writer.write_exr"
 PREVIEW = "postfx.cli.job.Job.preview"
-MANIFEST, CHECKPOINT = ("postfx.runs.manifest.write_atomically",
-                        "postfx.runs.folder.write_atomically")
+MANIFEST = "postfx.runs.manifest.write_atomically"
+CHECKPOINT = "postfx.runs.folder.write_atomically"
 DENOISED = ("--denoise-only", "--threads", "1")
 """Passes that keep the render's size, where a run takes the largest network."""
 HANGS_S = 300

@@ -75,8 +75,8 @@ def test_operators_are_onnx_own():
 
 def test_our_reader_agrees_with_the_package(tmp_path):
     for path in sorted(models_dir().rglob("*.onnx")):
-        ours, theirs = (parse_model(path.read_bytes()),
-                        onnx.load(path, load_external_data=False).graph)
+        ours = parse_model(path.read_bytes())
+        theirs = onnx.load(path, load_external_data=False).graph
         assert [(n.operator, n.inputs, n.outputs) for n in ours.nodes] == [
             (n.op_type, list(n.input), list(n.output)) for n in theirs.node]
         assert [(w.name, w.dims) for w in ours.weights] == [(w.name, tuple(w.dims))
@@ -117,8 +117,8 @@ def test_mutated_models_are_refused_or_well_formed(tmp_path):
 def test_shapes_are_read_as_the_package_reads_them():
     """Bytes or numbers, with every sign; not what is too long to be a shape."""
     values = [-1, 0, 16, (1 << 62) + 1, -(1 << 63), (1 << 63) - 1]
-    typed, packed = (helper.make_tensor("typed", TensorProto.INT64, [6], values),
-                     np.array(values, np.int64))
+    typed = helper.make_tensor("typed", TensorProto.INT64, [6], values)
+    packed = np.array(values, np.int64)
     weights = [typed, numpy_helper.from_array(packed, "raw"),
                numpy_helper.from_array(np.arange(16), "longest"),
                numpy_helper.from_array(np.arange(17), "too long")]

@@ -206,7 +206,7 @@ def test_read_that_keeps_failing(runs, unbroken):
     assert runs("--skip-existing")[0] == 0 and runs.files() == unbroken
 
 
-def test_slow_disk(runs, unbroken):
+def test_a_slow_disk_changes_no_file(runs, unbroken):
     slow = [{"at": at, "do": "sleep", "seconds": 0.05}
             for at in (READ, "postfx.cli.job.write_frame")]
     assert runs.fail(*slow)[0] == 0

@@ -10,8 +10,9 @@ import pytest
 from tests.reliability.conftest import Runs, write_frame
 
 PASSES = ("--model", "s", "--scale", "1.5", "--tonemap", "--threads", "1")
-READ, WRITE, NETWORK = ("postfx.io.sequence.Sequence.read", "postfx.cli.job.write_frame",
-                        "postfx.pipeline.Flow._run")
+READ = "postfx.io.sequence.Sequence.read"
+WRITE = "postfx.cli.job.write_frame"
+NETWORK = "postfx.pipeline.Flow._run"
 PLACES = (WRITE, NETWORK, "postfx.io.writer.write_exr")
 RARE = ("postfx.runs.folder.save_checkpoint", "postfx.runs.manifest.write_atomically")
 """Called once a second or so."""

@@ -149,8 +149,8 @@ class Tab:
 @contextmanager
 def chromium(folder: Path) -> Iterator[Tab]:
     """A tab of a browser whose own files are in `folder`. Skips where there is no Chromium."""
-    browser, options = program(), [*OPTIONS, f"--user-data-dir={folder / 'browser'}",
-                                   "--remote-debugging-pipe"]
+    browser = program()
+    options = [*OPTIONS, f"--user-data-dir={folder / 'browser'}", "--remote-debugging-pipe"]
     (command_end, commands), (answers, answer_end) = os.pipe(), os.pipe()
     ends = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 10) for end in (command_end, answer_end)]
     actions: list[tuple[Any, ...]]

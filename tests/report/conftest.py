@@ -40,8 +40,8 @@ def make_capture(tmp_path: Path) -> Callable[..., Capture]:
         kernel = device.compute_state(toys.ADD)
         network = device.pipeline_state(library, "double", {"height": 4, "width": 5})
         total, y = device.heap.tensor(name, SHAPE), device.heap.tensor("y", SHAPE)
-        left, right = (device.wrap("a", np.full(SHAPE, a, np.float32)),
-                       device.wrap("b", np.full(SHAPE, b, np.float32)))
+        left = device.wrap("a", np.full(SHAPE, a, np.float32))
+        right = device.wrap("b", np.full(SHAPE, b, np.float32))
         commands = device.command_buffer("frame 3")
         with commands.group("toy"), commands.compute_encoder("add") as encoder:
             encoder.dispatch(kernel, ArgumentTable(kernel, {"a": left, "b": right, "total": total}))

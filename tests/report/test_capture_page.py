@@ -90,8 +90,8 @@ def test_without_onnx_the_page_says_so(make_capture, monkeypatch, tmp_path):
 def test_all_has_a_picture_for_each_channel_and_each_input_once(tmp_path):
     device = Device("cpu", threads=1)
     state = device.compute_state(toys.ADD)
-    a, total = (device.wrap("a", np.ones((8, 9, 5), np.float32)),
-                device.heap.tensor("total", (8, 9, 5)))
+    a = device.wrap("a", np.ones((8, 9, 5), np.float32))
+    total = device.heap.tensor("total", (8, 9, 5))
     commands = device.command_buffer("frame")
     with commands.compute_encoder("add") as encoder:
         encoder.dispatch(state, ArgumentTable(state, {"a": a, "b": a, "total": total}))

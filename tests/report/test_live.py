@@ -144,7 +144,7 @@ def test_a_viewer_that_hangs_holds_nothing(monkeypatch):
 @pytest.mark.parametrize(("text", "host", "port"), [
     ("tev", "localhost", 14158), ("tev:wall", "wall", 14158), ("tev:wall:99", "wall", 99),
     ("tev:[::1]:7", "::1", 7)])
-def test_addresses(text, host, port):
+def test_addresses_of_viewers_are_parsed(text, host, port):
     assert parse_address(text) == (host, port)
 
 

@@ -171,7 +171,7 @@ def test_statistics():
         ((2, 2, 8, 9), (4, 8, 9)),
     ],
 )
-def test_planes(shape, planes):
+def test_arrays_of_any_layout_become_planes(shape, planes):
     array = np.arange(np.prod(shape)).reshape(shape)
     found = as_planes(array)
     assert found.shape == planes
@@ -181,8 +181,8 @@ def test_planes(shape, planes):
 
 
 def test_pictures_are_small(device):
-    a, b = (device.wrap("a", np.ones((30, 1000, 5), np.float32)),
-            device.heap.tensor("b", (30, 1000, 5)))
+    a = device.wrap("a", np.ones((30, 1000, 5), np.float32))
+    b = device.heap.tensor("b", (30, 1000, 5))
     state = device.compute_state(toys.ADD)
     commands = device.command_buffer("frame")
     with commands.compute_encoder("add") as encoder:

@@ -300,8 +300,9 @@ def test_run_names_what_does_not_fit_even_after_one_that_did(by_itself, ones, ch
 
 
 def test_run_finds_its_tables_again(by_itself, ones):
-    known, x, total = (Recordings(), by_itself.wrap("x", ones),
-                       by_itself.heap.tensor("total", (1, 4, 5)))
+    known = Recordings()
+    x = by_itself.wrap("x", ones)
+    total = by_itself.heap.tensor("total", (1, 4, 5))
     found = []
     for _ in range(2):
         commands = by_itself.command_buffer("frame", known=known)

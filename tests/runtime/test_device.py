@@ -132,8 +132,8 @@ def test_compiled_and_portable_kernels_agree(kernel, kernels):
     assert (isinstance(states[0], CompiledComputeState)
             and isinstance(states[1], PortableComputeState))
     assert states[0].bindings == states[1].bindings
-    first, second = run(compiled, states[0], arrays, output), run(portable, states[1], arrays,
-                                                                  output)
+    first = run(compiled, states[0], arrays, output)
+    second = run(portable, states[1], arrays, output)
     assert all(np.array_equal(first[name], second[name]) for name in output)
 
 

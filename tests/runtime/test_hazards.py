@@ -30,8 +30,9 @@ def record(bench, *steps, barrier=None):
 
 def graph(bench, kind):
     """Two steps on 'shared' that need an order, a network first."""
-    one, shared, other = (bench.tensor("one", True), bench.tensor("shared", True),
-                          bench.tensor("other"))
+    one = bench.tensor("one", True)
+    shared = bench.tensor("shared", True)
+    other = bench.tensor("other")
     return {
         "read after write": (bench.double(one, shared), bench.add(shared, one, other)),
         "write after write": (bench.double(one, shared), bench.add(one, one, shared)),
@@ -82,8 +83,9 @@ def test_barrier_that_misses_a_stage_is_none(bench, kind, barrier):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_within_one_encoder_only_a_plain_barrier_orders(bench, kind):
-    one, shared, other = (bench.tensor("one", True), bench.tensor("shared", True),
-                          bench.tensor("other"))
+    one = bench.tensor("one", True)
+    shared = bench.tensor("shared", True)
+    other = bench.tensor("other")
     first, second = {
         "read after write": (bench.add(one, one, shared), bench.add(shared, one, other)),
         "write after write": (bench.add(one, one, shared), bench.add(one, one, shared)),

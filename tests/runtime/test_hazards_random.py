@@ -57,8 +57,8 @@ def random_records(rng, encoders):
 def holds(barrier, place, one, first, two, second, turn):
     """Whether the barrier recorded at `place` puts dispatch `one`, recorded at `first`, before
     `two`, at `second`."""
-    earlier, later = (turn[one.encoder] - turn[barrier.encoder],
-                      turn[two.encoder] - turn[barrier.encoder])
+    earlier = turn[one.encoder] - turn[barrier.encoder]
+    later = turn[two.encoder] - turn[barrier.encoder]
     if isinstance(barrier, EncoderBarrier):
         return earlier == later == 0 and first < place < second
     scopes = one.stage in barrier.after and two.stage in barrier.before

@@ -27,7 +27,7 @@ def imported(source: Path) -> set[str]:
     return found
 
 
-def test_imports():
+def test_only_the_runtime_imports_onnx_runtime_and_nothing_imports_torch():
     for source in SOURCES:
         names = imported(source)
         assert not names & {"torch", "training", "tests"}, source

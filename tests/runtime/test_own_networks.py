@@ -122,7 +122,7 @@ def test_dimensions_that_cannot_be(unnamed, device, dims, reason):
         device.pipeline_state(unnamed, "unnamed", dims)
 
 
-def test_bfloat16(device, tmp_path):
+def test_a_network_may_read_and_write_bfloat16(device, tmp_path):
     x, y = toys.value("x", (4,), TensorProto.BFLOAT16), toys.value("y", (4,), TensorProto.BFLOAT16)
     nodes = [helper.make_node("Cast", ["x"], ["f"], to=TensorProto.FLOAT),
              helper.make_node("Neg", ["f"], ["g"]),
@@ -139,8 +139,8 @@ def test_bfloat16(device, tmp_path):
 def test_strided_arrays_are_read_and_written_where_they_lie(device, library):
     picture = np.arange(2 * 9 * 12, dtype=np.float32).reshape(9, 12, 2)
     before, target = picture.copy(), np.zeros((5, 8, 1), np.float32)
-    crop, turned = (picture[6:2:-1, 1:11:2, :1].transpose(2, 0, 1),
-                    target[:4, 7:2:-1].transpose(2, 0, 1))
+    crop = picture[6:2:-1, 1:11:2, :1].transpose(2, 0, 1)
+    turned = target[:4, 7:2:-1].transpose(2, 0, 1)
     x, y = device.wrap("x", crop), device.wrap("y", turned)
     run_once(device.pipeline_state(library, "double", {"height": 4, "width": 5}), {"x": x, "y": y})
     assert np.array_equal(turned, 2 * crop) and np.array_equal(picture, before)
@@ -224,8 +224,8 @@ def test_a_kernel_that_works_in_place(tmp_path, compiled):
                     [helper.make_node("Add", ["amount", "total"], ["total_out"])], shapes[:2],
                     shapes[2:])
     device = Device("cpu", threads=2, compiled_kernels=compiled, kernels=portable)
-    state, total = device.compute_state(ADD_TO), device.wrap("total",
-                                                             np.arange(9, dtype=np.float32))
+    state = device.compute_state(ADD_TO)
+    total = device.wrap("total", np.arange(9, dtype=np.float32))
     for _ in range(2):
         run_once(state, {"amount": device.wrap("amount", np.float32([5])), "total": total},
                  "compute")

@@ -58,8 +58,8 @@ def test_other_products_stay_as_they_are(change: dict[str, int | str]) -> None:
 @pytest.mark.skipif(not has_byte_products(), reason="needs an x86-64 processor")
 @pytest.mark.parametrize("name", ["denoise_upscale.s.int8", "denoise_upscale.m.int8.guides"])
 def test_codes_times_factors_are_the_networks_own_products(name: str) -> None:
-    device, dims = Device("cpu", threads=2), {"height": 32, "width": 48, "ringed_height": 34,
-                                              "ringed_width": 50}
+    device = Device("cpu", threads=2)
+    dims = {"height": 32, "width": 48, "ringed_height": 34, "ringed_width": 50}
     whole, split = (device.pipeline_state(Library(), name, dims, codes=codes)
                     for codes in (False, True))
     wanted, found = results(whole), results(split)

@@ -17,8 +17,9 @@ class Frame:
 
     def __init__(self, bench, label="frame 1"):
         self.bench = bench
-        self.x, self.doubled, self.total = (bench.tensor("x", True), bench.tensor("doubled"),
-                                            bench.tensor("total"))
+        self.x = bench.tensor("x", True)
+        self.doubled = bench.tensor("doubled")
+        self.total = bench.tensor("total")
         self.tables = bench.double(self.x, self.doubled), bench.add(self.doubled, self.x,
                                                                     self.total)
         self.commands = bench.device.command_buffer(label)

@@ -23,8 +23,10 @@ class Meeting:
     """A stand-in for what a network runs: waits until `count` of them run at once."""
 
     def __init__(self, count):
-        self.barrier, self.most, self.now, self.lock = (threading.Barrier(count), 0, 0,
-                                                        threading.Lock())
+        self.barrier = threading.Barrier(count)
+        self.most = 0
+        self.now = 0
+        self.lock = threading.Lock()
 
     def __call__(self, run):
         def met():
@@ -179,8 +181,8 @@ class Forks(ProviderMemory):
         return self.streams[-1]
 
     def fork(self, streams, before):
-        self.ran, self.before = [], [(stream, mask)
-                                     for stream, mask in zip(streams, before, strict=True)]
+        self.ran = []
+        self.before = [(stream, mask) for stream, mask in zip(streams, before, strict=True)]
         return self if any(streams) else None
 
     def __enter__(self):

@@ -45,7 +45,7 @@ def test_other_device(bench):
         ArgumentTable(bench.network)["x"] = Device("cpu").heap.tensor("t", (1, 4, 5))
 
 
-def test_released(bench):
+def test_a_released_tensor_cannot_be_bound(bench):
     x = bench.tensor("x")
     x.release()
     with pytest.raises(BindingError, match="binding 'x': tensor 'x' was released: bind a new one"):

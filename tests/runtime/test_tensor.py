@@ -84,7 +84,7 @@ def test_views_and_neighbours(bench):
     commands.wait(10)
 
 
-def test_released(bench):
+def test_a_released_tensor_cannot_be_read(bench):
     x = bench.tensor("x", True)
     x.release()
     assert (x.state.kind, str(x.state)) == ("released", "released")

@@ -172,10 +172,10 @@ def test_released_ones_are_refused(chain):
 
 def test_after_a_failed_command_the_buffer_runs_again(device, library):
     state = device.pipeline_state(library, "pick")
-    index, total = (device.heap.tensor("index", (1,), "int64"),
-                    device.heap.tensor("total", (1, 1, 1)))
-    picked, x = device.heap.transient("picked", (1,)), device.wrap("x",
-                                                                   np.ones((1, 1, 1), np.float32))
+    index = device.heap.tensor("index", (1,), "int64")
+    total = device.heap.tensor("total", (1, 1, 1))
+    picked = device.heap.transient("picked", (1,))
+    x = device.wrap("x", np.ones((1, 1, 1), np.float32))
     kernel = device.compute_state(toys.ADD)
     index.fill(7)
     commands = device.command_buffer("frame")

@@ -124,7 +124,7 @@ CHECKS = {"frame": by_frame, "pipeline": by_pipeline, "denoise": by_denoise,
 
 
 @pytest.mark.parametrize("name", CHECKS)
-def test_any_shot(name: str) -> None:
+def test_any_shot_passes_each_check(name: str) -> None:
     examples(CHECKS[name], QUICK)
 
 

@@ -80,7 +80,7 @@ def test_light_is_finite_and_in_range(model: str, device: Device) -> None:
 
 
 @BOTH
-def test_sizes(model: str, device: Device) -> None:
+def test_both_ways_run_at_every_size(model: str, device: Device) -> None:
     for size in SIZES[::2]:
         for colour in both_ways([noisy(number, *size) for number in (1, 2, 3)], model, device):
             assert colour.shape == (*size, 3) and np.isfinite(colour).all(), size

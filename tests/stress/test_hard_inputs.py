@@ -65,7 +65,8 @@ def test_shown_light_is_within_the_display(shown: Pipeline) -> None:
 
 @pytest.mark.parametrize(("scale", "sizes"),
                          [(1, SIZES[3:5]), (1.5, SIZES[5:7]), (2, SIZES), (3, SIZES[::3])])
-def test_sizes(scale: float, sizes: tuple[tuple[int, int], ...], device: Device) -> None:
+def test_all_passes_run_at_every_size(scale: float, sizes: tuple[tuple[int, int], ...],
+                                      device: Device) -> None:
     chain = Pipeline([*pipeline("s.fp32", device, scale=scale).passes, ToneMap(),
                       Display(display="p3")], device)
     for size in sizes:

@@ -33,8 +33,8 @@ def quality(folder: Path, model: str, kind: str) -> float:
     guides = str(folder / "guides.####.exr") if kind == "with guides" else None
     material = Material(Sources(str(folder / "noisy.####.exr"), str(folder / "reference.####.exr"),
                                 guides))
-    chain, found = pipeline(model, Device("cpu"), "auto",
-                            scale=1 if kind == "at 1x" else material.scale), []
+    chain = pipeline(model, Device("cpu"), "auto", scale=1 if kind == "at 1x" else material.scale)
+    found = []
     for frame in islice(material.noisy, FRAMES):
         colour, reference = chain(frame)[Role.COLOUR], material.reference(frame.number)[Role.COLOUR]
         if kind == "at 1x":

@@ -134,8 +134,9 @@ def foliage(t: float) -> Moment:
     """Some 160 leaves that sway, each by itself."""
     rng, leaves = np.random.default_rng(21), {}
     for k in range(160):
-        at, turn, phase = (rng.uniform((-2.2, 0.3, -1), (2.2, 2.6, 1.6)), rng.uniform(0, 360),
-                           rng.uniform(0, 6.3))
+        at = rng.uniform((-2.2, 0.3, -1), (2.2, 2.6, 1.6))
+        turn = rng.uniform(0, 360)
+        phase = rng.uniform(0, 6.3)
         green = plain(*(rng.uniform(0.5, 1) * np.array([0.15, 0.45, 0.08])))
         sway = at + 0.05 * np.array([np.sin(0.9 * t + phase), 0.3 * np.cos(1.1 * t + phase), 0])
         leaves[f"leaf{k}"] = (shape("disk", green),

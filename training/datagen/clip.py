@@ -173,10 +173,10 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
     if fine:
         styles, positions = draw_fine_styles(options.variants, options.frames, pixel_filter, rng)
     else:
-        styles, positions = draw_styles(options.variants, options.frames, pixel_filter, rng,
-                                        options.even_spp), ""
-    size, output = (options.width, options.height), (round(options.width * scale),
-                                                     round(options.height * scale))
+        styles = draw_styles(options.variants, options.frames, pixel_filter, rng, options.even_spp)
+        positions = ""
+    size = (options.width, options.height)
+    output = (round(options.width * scale), round(options.height * scale))
     wanted = look.samples_for(options.reference_error, gain)
     spp = int(np.clip(wanted, options.reference_spp / 2, 4 * options.reference_spp)) // 16 * 16 or 1
     steps = REPLACED if rng.random() < 0.5 and not fine else 0

@@ -136,8 +136,8 @@ def draw_scenes(count: int, side: int, device: torch.device) -> Scene:
     covered = draw_share(COVERED, count, device)[:, None, None]
     cover = torch.where(covered, 0.1 + 0.9 * torch.rand(count, LATTICE, LATTICE, device=device),
                         1.0)
-    smooth, span = torch.rand(shape, device=device) < 0.3, log_uniform(12, 96, *shape,
-                                                                       device=device)
+    smooth = torch.rand(shape, device=device) < 0.3
+    span = log_uniform(12, 96, *shape, device=device)
     return Scene(albedo, cell, smooth, light, span, torch.rand(*shape, 2, device=device) * side,
                  speed, size, glow, normal, torch.rand(shape, device=device), cover,
                  torch.rand(count, 3, 1, 1, device=device))

@@ -177,6 +177,6 @@ def _view(tracer: Tracer, drafted: Draft, rng: np.random.Generator, width: int, 
         other = other_path(tracer, built, drafted, rng, width, gain)
         if other is None or not shows_enough(other[1]):
             return None
-        path, samples = Cut(path, other[0], kind.cut), max(samples,
-                                                           other[1].samples_for(error, gain))
+        path = Cut(path, other[0], kind.cut)
+        samples = max(samples, other[1].samples_for(error, gain))
     return HeldOut(drafted.description.name, built, path, gain, samples, rng)

@@ -190,7 +190,7 @@ def make_view(tracer: Tracer, built: BuiltScene, size: tuple[int, int], seed: in
                                        film))
 
     def planes(k: int) -> dict[str, np.ndarray]:
-        """Those of the last moment, through jitter `k`."""
+        """Planes of the last moment, through jitter `k`."""
         film = film_of(size, style.offsets(k, pixels, rng))
         found = plane_images(tracer, built, (cameras[-1], cameras[-2]), size, style, film)
         found = {name: image.reshape(height, width, -1) for name, image in found.items()}
@@ -229,8 +229,8 @@ def make_view(tracer: Tracer, built: BuiltScene, size: tuple[int, int], seed: in
 
 def draw_pose(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Eye and target of a camera in the room, and how both move in a frame; each (2, 3)."""
-    eye, target = (rng.uniform((-2.3, 0.5, -2.2), (2.3, 2.3, 2.8)),
-                   rng.uniform((-2.0, 0.1, -2.9), (2.0, 1.9, 2.0)))
+    eye = rng.uniform((-2.3, 0.5, -2.2), (2.3, 2.3, 2.8))
+    target = rng.uniform((-2.0, 0.1, -2.9), (2.0, 1.9, 2.0))
     while np.linalg.norm(target - eye) < 1.2:
         target = rng.uniform((-2.0, 0.1, -2.9), (2.0, 1.9, 2.0))
     return np.stack([eye, target]), rng.normal(0, (0.02, 0.008, 0.02), (2, 3))

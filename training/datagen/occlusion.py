@@ -37,7 +37,7 @@ from training.datagen.variant import use_variant
 
 HELD_OUT = ("bathroom", "flight-helmet", "hospital", "kaykit-dungeon", "small-house")
 RADII = 0.06, 0.125, 0.25
-"""Of the median depth."""
+"""Radii in parts of the median depth."""
 LEARNT, LEARNT_RADII = 5, (0.045, 0.33)
 """How many radii a view to learn from has, and the least and largest."""
 SMALL = 120_000
@@ -108,8 +108,8 @@ def mix(scenes: Sequence[Scene], random: np.random.Generator) -> mi.Scene:
                            [np.sin(turn), 0, np.cos(turn)]])
         if random.random() < 0.25:  # fallen over
             matrix = matrix @ np.linalg.qr(random.normal(size=(3, 3)))[0]
-        size, by = (np.exp(random.uniform(-1.0, 0.7)) / span.max(),
-                    np.exp(random.uniform(-0.3, 0.3, 3)))
+        size = np.exp(random.uniform(-1.0, 0.7)) / span.max()
+        by = np.exp(random.uniform(-0.3, 0.3, 3))
         things = [stretched(((v - scene.low - span * [0.5, 0, 0.5]) * size @ matrix, n @ matrix, f),
                             by)
                   for v, n, f in scene.parts]
@@ -117,8 +117,9 @@ def mix(scenes: Sequence[Scene], random: np.random.Generator) -> mi.Scene:
         place = np.array([random.uniform(-1.2, 1.2), -low, random.uniform(-1.2, 1.2)])
         parts += [(v + place, n, f) for v, n, f in things]
     for kind in range(random.choice([0, 1, 2, 3], p=[0.4, 0.2, 0.3, 0.1])):
-        far, high, faces = (random.uniform(1.0, 2.0), random.uniform(1.0, 3.0),
-                            np.array([[0, 1, 2], [0, 2, 3]]))
+        far = random.uniform(1.0, 2.0)
+        high = random.uniform(1.0, 3.0)
+        faces = np.array([[0, 1, 2], [0, 2, 3]])
         corners = np.array([[-4, 0, -far], [4, 0, -far], [4, high, -far], [-4, high, -far]])
         if kind == 1:
             corners = corners[:, ::-1]

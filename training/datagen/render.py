@@ -185,8 +185,8 @@ class Farm:
         """Restart a worker. The clip that it died of is skipped; one that it never began goes back
         to the queue."""
         self._sweep(worker.running.pid)
-        clip, reason = (worker.clip,
-                        f"exit status {worker.running.returncode}, see worker.{worker.number}.log")
+        clip = worker.clip
+        reason = f"exit status {worker.running.returncode}, see worker.{worker.number}.log"
         if clip is not None:
             worker.deaths += 1
             print(f"worker {worker.number} ended at clip {clip}: {reason}", flush=True)

@@ -117,7 +117,8 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple[Any, ...]]:
 
 
 def cycles_maker(args: argparse.Namespace) -> Callable[[int], tuple[Any, ...]]:
-    """The same with Cycles; `--real` is the folder of glTF scenes, panoramas and pages."""
+    """A function that renders a clip by its number with Cycles; `--real` is the folder of glTF
+    scenes, panoramas and pages."""
     from training.datagen.cycles.clips import Blender, CyclesOptions, make_clip
 
     fixed: dict[str, Any] = {}

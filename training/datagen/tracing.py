@@ -100,8 +100,8 @@ def _step(scene: mi.Scene, path: Path, properties: mi.Float, motions: Motions) -
     onward = si.spawn_ray(si.to_world(local))
     mirror, normal = on & ~through, si.sh_frame.n
     bent = on & (dr.norm(si.dn_du) + dr.norm(si.dn_dv) > FLAT)
-    moved, turned = (motions.point(row, found, si.p),
-                     dr.normalize(motions.vector(row, mi.Vector3f(normal))))
+    moved = motions.point(row, found, si.p)
+    turned = dr.normalize(motions.vector(row, mi.Vector3f(normal)))
     first = on & (path.length == 0)
     steps = dr.select(on, path.steps - 1, path.steps)
     return Path(

@@ -137,8 +137,8 @@ def keep_levels(weights: dict[str, Tensor], count: int) -> dict[str, Tensor]:
     levels = count_levels(weights)
     if not 0 < count <= levels:
         raise ValueError(f"the network has {levels} levels: --levels takes 1 to {levels}")
-    found, heads = {}, {f"{PREFIX}heads.{i}.bias": f"{PREFIX}alike.{i - count}"
-                        for i in range(count, levels)}
+    found = {}
+    heads = {f"{PREFIX}heads.{i}.bias": f"{PREFIX}alike.{i - count}" for i in range(count, levels)}
     for name, values in weights.items():
         word, level, *_ = *name.removeprefix(PREFIX).split("."), ""
         if name in heads:
@@ -231,8 +231,8 @@ def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None,
     begun = {"start": starts[-1]} if starts else {}
     config = first["config"]
     if levels is not None:
-        weights, config = keep_levels(weights, levels), {**config,
-                                                         "widths": config["widths"][:levels]}
+        weights = keep_levels(weights, levels)
+        config = {**config, "widths": config["widths"][:levels]}
     if newer:
         name = next(name for name in NEWER_LOGITS if name in weights)
         weights[name][NEWER_LOGITS[name]] += newer

@@ -32,11 +32,14 @@ PLANES = (("colour", 3), ("diffuse_albedo", 3), ("specular_albedo", 3), ("normal
           ("denoising_albedo", 3), ("denoising_normal", 3), ("motion", 2))
 GUIDES = PLANES[1:6]
 CHANNELS = sum(channels for _, channels in PLANES)
-# samples a pixel whose mean albedo is taken for the true one: beside a render of fewer, or alone
-SOME, MANY = 32, 256
+# Samples a pixel whose mean albedo is taken for the true one: beside a render of a quarter of
+# them, and alone.
+SOME_SAMPLES = 32
+MANY_SAMPLES = 256
 MOST_TRIES = 5
-"""How often a clip is read. NumPy parses the headers of arrays as Python code. The parser of Python
-3.11 is not quite safe in threads: now and then it raises SystemError for code that is right."""
+"""How often the reading of a clip is tried. NumPy parses the headers of arrays as Python code. The
+parser of Python 3.11 is not quite safe in threads: now and then it raises SystemError for code that
+is right."""
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 LEFT_SPREAD = (-0.03, 0.06)
 """Bounds of a neighbour's weight where a little of a pixel filter is left, or too much of it was
@@ -139,8 +142,8 @@ def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[st
     data = np.load(path)
     if guides and "guide_depth" not in data.files:
         raise ValueError(f"{path}: no planes at output size, which --guides needs")
-    variants = sorted({k.split("_", 1)[0]
-                       for k in data.files if k.startswith("v") and k[1].isdigit()})
+    names = {key.split("_", 1)[0] for key in data.files}
+    variants = sorted(name for name in names if name[0] == "v" and name[1:].isdigit())
     hazy = {v: blank_volumes and shows_volume(data[f"{v}_depth"][0, ..., None].astype(np.float32))
             for v in variants}
 
@@ -162,25 +165,28 @@ def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[st
                    for name in pairs]
         return torch.cat([*planes, *motions], 1)
 
+    def is_marked(variant: str, mark: str) -> bool:
+        key = f"{variant}_{mark}"
+        return key in data.files and bool(data[key])
+
     reference = data["reference"]
-    keep = (1 - data["reset"].astype(np.float32) if "reset" in data.files
-            else np.ones(len(reference), np.float32))
+    resets = data["reset"] if "reset" in data.files else np.zeros(len(reference))
+    jitter = np.stack([data[f"{v}_jitter"] for v in variants]).astype(np.float32)
     return Clip(
-        path.stem,
-        torch.stack([render(v) for v in variants]),
-        torch.from_numpy(np.stack([data[f"{v}_jitter"] for v in variants]).astype(np.float32))
-        .to(device),
-        [str(data[f"{v}_style"]) != "realtime" for v in variants],
-        torch.from_numpy(keep).to(device),
-        plane("reference"),
-        torch.cat([plane(f"guide_{name}") for name, _ in GUIDES], 1) if guides else None,
-        grey_factor(reference[0]),
-        plane("half") if "half" in data.files else None,
-        [f"{v}_half" in data.files and bool(data[f"{v}_half"]) for v in variants],
-        [f"{v}_exact" in data.files and bool(data[f"{v}_exact"]) for v in variants],
-        [hazy[v] for v in variants],
-        [int(data[f"{v}_spp"]) for v in variants],
-        pairs,
+        name=path.stem,
+        planes=torch.stack([render(v) for v in variants]),
+        jitter=torch.from_numpy(jitter).to(device),
+        spread=[str(data[f"{v}_style"]) != "realtime" for v in variants],
+        keep=torch.from_numpy(1 - resets.astype(np.float32)).to(device),
+        reference=plane("reference"),
+        guides=torch.cat([plane(f"guide_{name}") for name, _ in GUIDES], 1) if guides else None,
+        exposure=grey_factor(reference[0]),
+        half=plane("half") if "half" in data.files else None,
+        halved=[is_marked(v, "half") for v in variants],
+        exact=[is_marked(v, "exact") for v in variants],
+        hazy=[hazy[v] for v in variants],
+        samples=[int(data[f"{v}_spp"]) for v in variants],
+        pairs=pairs,
     )
 
 
@@ -189,8 +195,8 @@ def inverse_motion(data: Mapping[str, np.ndarray], variant: str) -> np.ndarray:
     frame."""
     from postfx.temporal.reverse_motion import invert_motion
 
-    motion, depth = (data[f"{variant}_motion"].astype(np.float32),
-                     data[f"{variant}_depth"][..., None].astype(np.float32))
+    motion = data[f"{variant}_motion"].astype(np.float32)
+    depth = data[f"{variant}_depth"][..., None].astype(np.float32)
     frames = pairwise(zip(motion, depth, strict=True))
     return np.stack([*(invert_motion(*after, shown) for (_, shown), after in frames),
                      np.zeros_like(motion[-1])])
@@ -203,8 +209,8 @@ def static_motion(data: Mapping[str, np.ndarray], variant: str) -> np.ndarray:
     It follows from depth and the camera's poses (x left, y up, z forward), which only the Mitsuba
     clips hold. The first frame, cuts and clips without poses keep the motion of the file.
     """
-    motion, depth = (data[f"{variant}_motion"].astype(np.float32),
-                     data[f"{variant}_depth"].astype(np.float64))
+    motion = data[f"{variant}_motion"].astype(np.float32)
+    depth = data[f"{variant}_depth"].astype(np.float64)
     meta = json.loads(str(data["meta"])) if "meta" in data else {}
     if "to_world" not in meta:
         return motion
@@ -390,37 +396,35 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
     """
     windows = [_window(clip, crop) for clip in clips]
     chosen = list(zip(clips, variants, windows, strict=True))
-    guided = clips[0].guides is not None
-    guides = [c.guides[..., w[2], w[3]] for c, _, w in chosen if c.guides is not None]
     device = clips[0].planes.device
     planes = torch.stack([c.planes[v, ..., w[0], w[1]] for c, v, w in chosen]).float()
-    for entry, (other, (clip, _, window)) in enumerate(zip(others, chosen, strict=False)):
+    true = torch.full_like(planes[:, :, :CHANNELS], torch.nan)
+    for entry, (clip, variant, (rows, columns, *_)) in enumerate(chosen):
+        other = others[entry] if others else None
         if other is not None:
             share = random.random()
-            for part in (slice(0, 3), *SURFACE):
-                second = clip.planes[other, :, part, window[0], window[1]].float()
+            for part in (COLOUR, *SURFACE):
+                second = clip.planes[other, :, part, rows, columns].float()
                 planes[entry, :, part] = torch.lerp(planes[entry, :, part], second, share)
-    true = torch.full_like(planes[:, :, :CHANNELS], torch.nan)
-    for entry, (other, (clip, variant, window)) in enumerate(zip(surfaces or variants, chosen,
-                                                                 strict=True)):
-        known = None if clip.hazy[other] else true_planes(clip, other)
-        if known is not None:
-            for part in SURFACE:
-                true[entry, :, part] = clip.planes[known, :, part, window[0], window[1]].float()
-        if other != variant:
-            for part in SURFACE:
-                planes[entry, :, part] = clip.planes[other, :, part, window[0], window[1]].float()
+        source = surfaces[entry] if surfaces else variant
+        known = None if clip.hazy[source] else true_planes(clip, source)
+        for part in SURFACE:
+            if known is not None:
+                true[entry, :, part] = clip.planes[known, :, part, rows, columns].float()
+            if source != variant:
+                planes[entry, :, part] = clip.planes[source, :, part, rows, columns].float()
+    guides = [c.guides[..., w[2], w[3]] for c, _, w in chosen if c.guides is not None]
+    exposure = torch.tensor([c.exposure for c in clips], device=device, dtype=torch.float32)
     return Stack(
-        planes,
-        torch.stack([c.jitter[v] for c, v, _ in chosen]),
-        torch.tensor([c.spread[v] for c, v, _ in chosen], device=device),
-        torch.stack([c.keep for c in clips]),
-        torch.stack([target(c, v)[..., w[2], w[3]] for c, v, w in chosen]).float(),
-        true,
-        torch.stack(guides).float() if guided else None,
-        torch.tensor([c.exposure for c in clips], device=device,
-                     dtype=torch.float32)[:, None, None, None],
-        clips[0].pairs,
+        planes=planes,
+        jitter=torch.stack([c.jitter[v] for c, v, _ in chosen]),
+        spread=torch.tensor([c.spread[v] for c, v, _ in chosen], device=device),
+        keep=torch.stack([c.keep for c in clips]),
+        reference=torch.stack([target(c, v)[..., w[2], w[3]] for c, v, w in chosen]).float(),
+        surfaces=true,
+        guides=torch.stack(guides).float() if guides else None,
+        exposure=exposure[:, None, None, None],
+        pairs=clips[0].pairs,
     )
 
 
@@ -440,7 +444,9 @@ def true_planes(clip: Clip, variant: int) -> int | None:
     if not clip.spread[variant]:
         return variant
     best = max(range(len(clip.samples)), key=lambda v: clip.samples[v] if clip.spread[v] else 0)
-    enough = MANY if best == variant else min(MANY, max(SOME, 4 * clip.samples[variant]))
+    enough = MANY_SAMPLES
+    if best != variant:
+        enough = min(MANY_SAMPLES, max(SOME_SAMPLES, 4 * clip.samples[variant]))
     return best if clip.samples[best] >= enough else None
 
 
@@ -491,6 +497,7 @@ def _split(stacked: Tensor, planes: tuple[tuple[str, int], ...]) -> dict[str, Te
 
 # First channels of these planes in a stack; further kinds of motion follow motion.
 NORMAL, DEPTH, MIRRORED_ALBEDO, MIRRORED_NORMAL, MOTION = 9, 13, 14, 17, 20
+COLOUR = slice(0, 3)
 # Albedos, normals and roughness: means over a pixel's samples, where those are spread.
 SURFACE = slice(3, 13), slice(14, 20)
 # Values for a plane that a file lacks; postfx/passes/denoise/planes.py fills in the same ones.
@@ -588,7 +595,7 @@ def spread_noise(stack: Stack, chance: float) -> Stack:
         return torch.where(chosen, found, values)
 
     planes, surfaces = planes.clone(), stack.surfaces.clone()
-    for part in (slice(0, 3), *SURFACE):
+    for part in (COLOUR, *SURFACE):
         planes[:, :, part] = filtered(planes[:, :, part])
         surfaces[:, :, part] = filtered(surfaces[:, :, part])
     return replace(stack, planes=planes, surfaces=surfaces, reference=filtered(stack.reference))
@@ -619,12 +626,12 @@ def falsify_motion(batch: Batch, chance: float) -> Batch:
     ring = ellipse(centre, 1.4 * radius, h, w) & ~region
     frames = []
     for t, (frame, motion) in enumerate(zip(batch.frames, true, strict=True)):
-        around = ((motion * ring).sum((2, 3), keepdim=True) / ring.sum((2, 3), keepdim=True)
-                  .clamp(min=1))
-        static = batch.static[t] if batch.static else torch.where(region, around, motion)
-        false = torch.where(kind == 0, static, torch.where(kind == 1,
-                            torch.where(region, around, motion),
-                            torch.where(region | (kind == 3), torch.zeros_like(motion), motion)))
+        pixels = ring.sum((2, 3), keepdim=True).clamp(min=1)
+        around = (motion * ring).sum((2, 3), keepdim=True) / pixels
+        led_around = torch.where(region, around, motion)
+        stopped = torch.where(region | (kind == 3), torch.zeros_like(motion), motion)
+        false = torch.where(kind == 1, led_around, stopped)
+        false = torch.where(kind == 0, batch.static[t] if batch.static else led_around, false)
         frames.append(replace(frame, motion=torch.where(chosen, false, motion)))
     return replace(batch, frames=frames, static=None, true_motion=true)
 
@@ -634,8 +641,8 @@ def ellipse(centre: Tensor, radius: Tensor, h: int, w: int) -> Tensor:
     width and height."""
     x = (torch.arange(w, device=centre.device) + 0.5) / w
     y = (torch.arange(h, device=centre.device) + 0.5) / h
-    across, down = (((x - centre[:, :1]) / radius[:, :1]) ** 2,
-                    ((y - centre[:, 1:]) / radius[:, 1:]) ** 2)
+    across = ((x - centre[:, :1]) / radius[:, :1]) ** 2
+    down = ((y - centre[:, 1:]) / radius[:, 1:]) ** 2
     return (across[:, None, None] + down[:, None, :, None]) < 1
 
 
@@ -655,8 +662,10 @@ def _stand_ins(planes: Inputs | Guides, lost: dict[str, Tensor]) -> dict[str, An
 
 def _flip(stack: Stack) -> Stack:
     """Mirror and transpose the picture; motion and jitter follow."""
-    planes, jitter, reference, guides = (stack.planes, stack.jitter.clone(), stack.reference,
-                                         stack.guides)
+    planes = stack.planes
+    jitter = stack.jitter.clone()
+    reference = stack.reference
+    guides = stack.guides
     surfaces = stack.surfaces
     signs = torch.ones(planes.shape[2], device=planes.device)
     for axis in (0, 1):

@@ -127,8 +127,8 @@ HALO = 80
 `l` the result then differs from the whole frame's by at most 3e-5, with 64 pixels by 2e-3
 (docs/lab/denoiser.md)."""
 FILTERED_HALO = 84
-"""The same where a filter for the albedo runs before: with `xl` by at most 1.0e-3, with 80 pixels
-by 1.3e-3."""
+"""Halo where a filter for the albedo runs before: with `xl` it changes results by at most 1.0e-3,
+80 pixels by 1.3e-3."""
 
 
 # Kernel -> its torch definition, and the sizes to trace with: 21x33 pixels of a picture of 25x45,
@@ -243,8 +243,8 @@ def outputs(config: Layout) -> tuple[str, ...]:
 
 
 class ExportedTrunk(Trunk):
-    """The same network, except that it reads the features in two parts, and its fine head ends with
-    the convolution: `postfx.kernels.denoise.network_io` does the rest."""
+    """A `Trunk` that reads the features in two parts, and whose fine head ends with the
+    convolution: `postfx.kernels.denoise.network_io` does the rest."""
 
     def __init__(self, trunk: Trunk):
         super().__init__(trunk.config)
@@ -297,8 +297,8 @@ class ExportedResidual(ResidualTrunk):
 
 
 class ExportedPicture(PictureNetwork):
-    """The same network, except that it reads the features in parts, and adds up convolutions over
-    several tensors instead of joining those.
+    """A `PictureNetwork` that reads the features in parts, and adds up convolutions over several
+    tensors instead of joining those.
 
     ONNX Runtime lays channels out in blocks, and leaves that layout where tensors are joined to an
     odd number of channels.

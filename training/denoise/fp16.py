@@ -149,7 +149,8 @@ def _last_convolution(graph: GraphProto, head: str,
 
 def _phases(graph: GraphProto, head: str,
             made: dict[str, NodeProto]) -> tuple[str, np.ndarray, np.ndarray]:
-    """The same for the fine head, whose channels are grouped by phase."""
+    """Input, weight and bias of the 1x1 convolution that makes the fine head, whose channels are
+    grouped by phase."""
     inputs, weight, bias = _last_convolution(graph, head, made)
     rows = np.arange(len(bias)).reshape(-1, 4).T.ravel()
     return inputs, weight[rows], bias[rows]

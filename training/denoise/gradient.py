@@ -114,7 +114,7 @@ class GradientStep:
 
 
 def map_tensors(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
-    """The same structure of dataclasses and lists, with ``change`` applied to its tensors."""
+    """A copy of dataclasses and lists, with ``change`` applied to the tensors in them."""
     if isinstance(value, Tensor):
         return change(value)
     if isinstance(value, list):

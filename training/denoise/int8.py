@@ -379,8 +379,8 @@ def heads(graph: onnx.GraphProto) -> dict[str, NodeProto]:
 def _multiply(graph: onnx.GraphProto, output: str, convolution: NodeProto,
               weights: Rounded) -> None:
     """Replace a 1x1 convolution and everything after it by a product of 8-bit values."""
-    name, source = ("fine" if output == PHASED_FINE else output,
-                    convolution.input[0].removesuffix(KEPT))
+    name = "fine" if output == PHASED_FINE else output
+    source = convolution.input[0].removesuffix(KEPT)
     add_constant(graph, f"{name}_factors", (weights.factors[:, :, 0, 0] + MIDDLE).astype(np.uint8))
     bias = constant_value(graph, convolution.input[2])
     scaling = np.stack([weights.steps * constant_value(graph, f"{source}_scale"), bias])

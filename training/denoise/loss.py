@@ -277,8 +277,11 @@ class ClipLoss(nn.Module):
     def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0,
                  light: tuple[float, float] = LIGHT, reflectance: float = 0.0, guides: float = 0.0):
         super().__init__()
-        self.model, self.flicker, self.reset, self.even, self.light = (model, flicker, reset, even,
-                                                                       light)
+        self.model = model
+        self.flicker = flicker
+        self.reset = reset
+        self.even = even
+        self.light = light
         self.reflectance, self.guides = reflectance, guides
 
     def forward(self, batch: Batch) -> Results:
@@ -323,7 +326,8 @@ class ClipLoss(nn.Module):
 
     def _run(self, frames: list[Inputs], keep: list[Tensor],
              state: State) -> tuple[list[Step], list[Tensor]]:
-        """What each frame gives, and how many frames it has seen, itself included, (N, 1, 1, 1)."""
+        """The `Step` of each frame, and how many frames it has seen, itself included, (N, 1, 1,
+        1)."""
         steps, counts = [], [torch.zeros_like(keep[0])]
         for inputs, kept in zip(frames, keep, strict=True):
             kept = (torch.rand_like(kept) >= self.reset) * kept

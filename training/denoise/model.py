@@ -415,8 +415,8 @@ def guide_features(guides: Guides, h: int, w: int, scale: Tensor) -> Tensor:
     """The guides at the four quarter-pixel corners of each render pixel, nearest sample: (N, 44, h,
     w)."""
     at = seen_guides(guides, scale)
-    rows, columns = (ops.corner_index(h, at.shape[-2], at.device),
-                     ops.corner_index(w, at.shape[-1], at.device))
+    rows = ops.corner_index(h, at.shape[-2], at.device)
+    columns = ops.corner_index(w, at.shape[-1], at.device)
     return torch.cat([ops.pick(at, rows[i], columns[j]) for i in range(2) for j in range(2)], 1)
 
 
@@ -499,7 +499,7 @@ def trust_reflectance(factor: Tensor, share: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Step:
-    """What a frame gives: exposed linear ``output`` (N, 3, H, W), the next ``state``, the last
+    """The results of a frame: exposed linear ``output`` (N, 3, H, W), the next ``state``, the last
     output reprojected (log-encoded), and the logarithm of the expected squared error of each pixel
     (N, 1, h, w), in code values of the display, or None from a network that does not predict it;
     ``planes`` are albedo and normal without their noise (N, 6, h, w), as codes, or None from a

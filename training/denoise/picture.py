@@ -252,8 +252,8 @@ def conv(inputs: int, outputs: int) -> nn.Conv2d:
 
 
 class PublishedNetwork(nn.Module):
-    """What networks with published weights share: their layers, by their names there, and the way
-    through them."""
+    """The common part of networks with published weights: their layers, by their names there, and
+    the way through them."""
 
     def __init__(self, layers: dict[str, Layer]) -> None:
         super().__init__()

@@ -79,13 +79,14 @@ def revive(config: TrunkConfig, weights: Mapping[str, Tensor],
            active: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of a `DenoiseUpscale` with restarted channels in place of those that are never
     active."""
-    made, random = ({name: weight.clone() for name, weight in weights.items()},
-                    torch.Generator().manual_seed(0))
+    made = {name: weight.clone() for name, weight in weights.items()}
+    random = torch.Generator().manual_seed(0)
     for name, channels in active.items():
         dead = ~channels.cpu()
         block, number = name.rsplit(".", 1)
-        source, (targets,
-                 skips) = f"trunk.{block}.{int(number) - 1}", _readers(config, block, int(number))
+        source = f"trunk.{block}.{int(number) - 1}"
+        (targets,
+                 skips) = _readers(config, block, int(number))
         weight = made[f"{source}.weight"]
         spread = (2 / weight[0].numel()) ** 0.5 * (SHY if skips else 1)  # He et al. 2015, for ReLU
         fresh = torch.randn(weight.shape, generator=random) * spread

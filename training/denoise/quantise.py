@@ -170,7 +170,8 @@ def find_groups(graph: onnx.GraphProto) -> dict[str, str]:
 
 
 def equalise(model: onnx.ModelProto, shares: Mapping[str, np.ndarray]) -> onnx.ModelProto:
-    """The same float32 network, whose channels use their tensors' ranges alike.
+    """A float32 network that gives the same result, and whose channels use their tensors' ranges
+    alike.
 
     Args:
         shares: tensor -> the part of its range that each channel needs, (C,).
@@ -269,8 +270,8 @@ def shots(source: str, ending: str) -> Iterator[Shot]:
     found, guided, unscaled = 0, ending == GUIDED, ending == UNSCALED
     clips = sorted(Path(source).glob("[!.]*.npz")) if Path(source).is_dir() else []
     for clip in map(load_clip, clips):
-        # guides are not read there
-        if (guided and ("guide_jitter" not in clip or clip["scale"] == 1)):
+        # at scale 1 guides are not read
+        if guided and ("guide_jitter" not in clip or clip["scale"] == 1):
             continue
         for variant in range(clip["variants"]):
             frames = [_frame(clip, variant, t, guided) for t in range(len(clip["reference"]))]

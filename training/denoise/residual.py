@@ -67,7 +67,8 @@ class ResidualConfig:
 
     @property
     def sees(self) -> int:
-        """The same with the filters that it predicts."""
+        """Pixels of the render size that the network and the filters that it predicts see around
+        each."""
         return self.reach + 2 * sum(1 << level for level in range(LEVELS + 1))
 
     def as_dict(self) -> dict[str, Any]:

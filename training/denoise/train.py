@@ -17,9 +17,10 @@ its random numbers by --seed and its own number, so that a resumed run draws the
 adds the run to a table of runs (`training.measure.runs`). The defaults are those of the last
 training of m.
 
-This file reads from top to bottom: settings, the few functions that a step needs, then `train`, one
-plain loop. The network is in model.py, the loss in loss.py, clips and their augmentation in
-dataset.py, CUDA graphs and gradients in gradient.py, and checkpoints in checkpoint.py.
+This file reads from top to bottom: settings, the few functions that a step needs, the state of a
+run, then `train`, one plain loop. The network is in model.py, the loss in loss.py, clips and their
+augmentation in dataset.py, CUDA graphs and gradients in gradient.py, and checkpoints in
+checkpoint.py.
 """
 
 import argparse
@@ -383,6 +384,137 @@ def wait_for_clips(pool: ClipPool, wanted: int | None, where: str) -> None:
         since = time.monotonic() if count > before else since
 
 
+class Run:
+    """A training under way, and its checkpoints.
+
+    Attributes:
+        model: the network with its live weights.
+        average: of its weights, which is validated and exported.
+        flat, gradient: the gradient of a step, and what computes it.
+        optimiser: with the learning rate of the next step.
+        step: steps so far, begun: those of the checkpoint that the run goes on from.
+        start: when it began, in seconds of the clock, without time between resumed runs.
+    """
+
+    def __init__(self, args: argparse.Namespace, pool: ClipPool, model: DenoiseUpscale,
+                 device: torch.device, world: int):
+        self.args, self.pool, self.model = args, pool, model
+        self.device, self.world = device, world
+        self.average = Average(model, DECAY)
+        self.loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light),
+                             args.reflectance, args.clean_planes)
+        groups = rate_groups(model, args.published_rate, args.only)
+        self.flat = FlatGradient([weight for group in groups for weight in group["params"]])
+        self.gradient = GradientStep(self.loss, self.flat)
+        self.optimiser = torch.optim.AdamW(groups, lr=args.rate, betas=(0.9, 0.99),
+                                           weight_decay=1e-4, fused=device.type == "cuda")
+        self.step, self.start = 0, time.monotonic()
+        if args.onward:
+            self._load(unpack(args.onward))
+        self.begun = self.step
+        if args.resume:
+            self._resume(read(args.resume))
+
+    def _load(self, saved: dict[str, Any]) -> None:
+        """Take weights, their average and the count of steps from a checkpoint."""
+        self.model.load_state_dict(saved["live"])
+        self.average.weights = {k: v.to(self.device) for k, v in saved["weights"].items()}
+        self.step = saved["step"]
+
+    def _resume(self, saved: dict[str, Any]) -> None:
+        """Go on as the run did that wrote this checkpoint."""
+        self._load(saved)
+        self.optimiser.load_state_dict(saved["optimiser"])
+        self.flat.nonfinite.fill_(saved["nonfinite"])
+        self.start = time.monotonic() - saved["seconds"]
+
+    @property
+    def seconds(self) -> float:
+        """Time so far."""
+        return time.monotonic() - self.start
+
+    def progress(self) -> float:
+        """Share of the training that is done, by steps or by the clock, the same on every GPU."""
+        if self.args.steps is not None:
+            return float(self.step / max(self.args.steps, 1))
+        passed = self.seconds / (60 * self.args.minutes)
+        if self.world == 1:  # without waiting for the GPU, while the next batch is put together
+            return float(passed)
+        share = torch.tensor([passed], device=self.device)
+        dist.broadcast(share, 0)
+        return float(share)
+
+    def set_rate(self, done: float) -> float:
+        """Set the learning rate for a share of the training that is done; returns it."""
+        rate = rate_at(done, self.step - self.begun, self.args.rate, self.args.cool)
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate * group["share"]
+        return rate
+
+    def learn(self, batch: Batch) -> tuple[list[Tensor], State]:
+        """One step; returns loss, PSNR, flicker and the gradient's norm, and the history after the
+        batch."""
+        *results, state = self.gradient(batch)
+        norm = self.flat.finish(LARGEST_NORM, self.world > 1)
+        self.optimiser.step()
+        self.average.update(self.step)
+        self.step += 1
+        return [*results, norm], state
+
+    def keep(self) -> dict[str, Any]:
+        """Validate the averaged weights and write the checkpoint; returns the notes on the run so
+        far."""
+        args, seconds = self.args, self.seconds
+        quality, flicker = validate(self.loss, self.average.weights, self.pool)
+        notes = {"steps": self.step, "minutes": round(seconds / 60, 2), "gpus": self.world,
+                 "batch": args.batch * self.world, "clips": len(self.pool) * self.world,
+                 "validation_psnr": quality, "validation_flicker": flicker}
+        if args.both_ways:
+            both = validate(self.loss, self.average.weights, self.pool, both=True)
+            notes |= {"both_ways": args.both_ways, "both_psnr": both[0], "both_flicker": both[1]}
+        save({"config": self.model.config.as_dict(),
+              "weights": {k: v.cpu().contiguous() for k, v in self.average.weights.items()},
+              "notes": notes,
+              "live": self.model.state_dict(),
+              "optimiser": self.optimiser.state_dict(),
+              "step": self.step,
+              "seconds": self.seconds,
+              "rate": self.optimiser.param_groups[0]["lr"],
+              "seed": args.seed,
+              "arguments": {k: v for k, v in vars(args).items() if k not in PLACES},
+              "commit": git_commit(),
+              "nonfinite": int(self.flat.nonfinite)}, args.out / "checkpoint.pt")
+        add_row(args.out / "validation.csv", self.step, round(self.seconds, 1), quality, flicker)
+        print("validation", json.dumps(notes), flush=True)
+        return notes
+
+    def keep_stable(self) -> None:
+        """The checkpoint of the highest learning rate, from which a longer training goes on."""
+        self.keep()
+        os.replace(self.args.out / "checkpoint.pt", self.args.out / "stable.pt")
+
+    def tell(self, rate: float, recent: list[Tensor]) -> None:
+        """Print the means of recent steps, and add them to the log."""
+        values = [round(float(x), 5) for x in torch.stack(recent).nanmean(0)]
+        print(f"step {self.step} {self.seconds:.0f} s clips {len(self.pool)} rate {rate:.2e} loss "
+              f"{values[0]:.4f} psnr {values[1]:.2f} flicker {values[2]:.4f} norm "
+              f"{values[3]:.3f} non-finite {int(self.flat.nonfinite)}", flush=True)
+        add_row(self.args.out / "log.csv", self.step, round(self.seconds, 1), rate, *values)
+
+
+def open_pool(args: argparse.Namespace, rank: int, world: int, device: torch.device) -> ClipPool:
+    """The clips of a process: it trains on a share of the folders, and one clip in twenty is held
+    out."""
+    pairs: list[str] = []
+    if args.both_ways or args.carry:
+        pairs.append("inverse")
+    if args.false_motion:
+        pairs.append("static")
+    prepare = FirstStage(args.first, device) if args.first else None
+    return ClipPool(dict(args.clips), device, args.guides, rank, world, pairs=tuple(pairs),
+                    blank_volumes=not args.volumes, prepare=prepare)
+
+
 def train(args: argparse.Namespace, rank: int = 0, world: int = 1,
           device: torch.device = torch.device("cpu"),  # noqa: B008
           model: DenoiseUpscale | None = None, pause: int | None = None) -> DenoiseUpscale:
@@ -391,138 +523,62 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1,
     ``model`` stands in for the network of the arguments. ``pause``: stop at this step, with a
     checkpoint to resume.
     """
-    # Clips: each process trains on a share of the folder, and one clip in twenty is held out.
-    kinds = (("inverse",) if args.both_ways or args.carry else ()) + (("static",)
-                                                                      if args.false_motion else ())
-    pool = ClipPool(dict(args.clips), device, args.guides, rank, world, pairs=kinds,
-                    blank_volumes=not args.volumes,
-                    prepare=FirstStage(args.first, device) if args.first else None)
+    pool = open_pool(args, rank, world, device)
     wait_for_clips(pool, args.wait, folder_names(args))
     tell_empty_folders(pool)
     augment = Augment(clean=args.clean, false_motion=args.false_motion,
                       spread=args.spread_noise)
-
-    # The network, the average of its weights, and its loss.
     model = model or network_of(args)
     model = model.to(device, memory_format=torch.channels_last)
     if args.start:
         model.load_state_dict(widen(load_weights(args.start, args.trust), model.state_dict()))
-    groups = rate_groups(model, args.published_rate, args.only)
-    average = Average(model, DECAY)
-    loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light), args.reflectance,
-                    args.clean_planes)
-    flat = FlatGradient([weight for group in groups for weight in group["params"]])
-    gradient = GradientStep(loss, flat)
-    optimiser = torch.optim.AdamW(groups, lr=args.rate, betas=(0.9, 0.99), weight_decay=1e-4,
-                                  fused=device.type == "cuda")
+    run = Run(args, pool, model, device, world)
     print(f"{len(pool)} clips to train on, {len(pool.validation)} held out", flush=True)
 
-    # Start at the first step, or at the step of a checkpoint.
-    step, start = 0, time.monotonic()
-    if args.onward:
-        saved = unpack(args.onward)
-        model.load_state_dict(saved["live"])
-        average.weights = {k: v.to(device) for k, v in saved["weights"].items()}
-        step = saved["step"]
-    begun = step
-    if args.resume:
-        saved = read(args.resume)
-        model.load_state_dict(saved["live"])
-        average.weights = {k: v.to(device) for k, v in saved["weights"].items()}
-        optimiser.load_state_dict(saved["optimiser"])
-        flat.nonfinite.fill_(saved["nonfinite"])
-        step, start = saved["step"], time.monotonic() - saved["seconds"]
-
-    def progress() -> float:
-        """Share of the training that is done, by steps or by the clock, the same on every GPU."""
-        if args.steps is not None:
-            return step / max(args.steps, 1)
-        passed = (time.monotonic() - start) / (60 * args.minutes)
-        if world == 1:
-            return passed  # without waiting for the GPU, while the next batch is put together
-        share = torch.tensor([passed], device=device)
-        dist.broadcast(share, 0)
-        return float(share)
-
-    def keep() -> dict[str, Any]:
-        """Validate the averaged weights and write the checkpoint; returns the notes on the run so
-        far."""
-        seconds = time.monotonic() - start
-        quality, flicker = validate(loss, average.weights, pool)
-        notes = {"steps": step, "minutes": round(seconds / 60, 2), "gpus": world,
-                 "batch": args.batch * world, "clips": len(pool) * world,
-                 "validation_psnr": quality, "validation_flicker": flicker}
-        if args.both_ways:
-            both = validate(loss, average.weights, pool, both=True)
-            notes |= {"both_ways": args.both_ways, "both_psnr": both[0], "both_flicker": both[1]}
-        weights = {k: v.cpu().contiguous() for k, v in average.weights.items()}
-        save({"config": model.config.as_dict(), "weights": weights, "notes": notes,
-              "live": model.state_dict(), "optimiser": optimiser.state_dict(), "step": step,
-              "seconds": time.monotonic() - start,
-              "rate": optimiser.param_groups[0]["lr"], "seed": args.seed,
-              "arguments": {k: v for k, v in vars(args).items() if k not in PLACES},
-              "commit": git_commit(), "nonfinite": int(flat.nonfinite)}, args.out / "checkpoint.pt")
-        add_row(args.out / "validation.csv", step, round(time.monotonic() - start, 1), quality,
-                flicker)
-        print("validation", json.dumps(notes), flush=True)
-        return notes
-
-    def save_stable() -> None:
-        """The checkpoint of the highest learning rate, from which a longer training goes on."""
-        keep()
-        os.replace(args.out / "checkpoint.pt", args.out / "stable.pt")
-
-    # The loop.
     cooling = False
     stop_watching = pool.watch() if world == 1 else None
-    kept, recent = time.monotonic(), []
-    playing = [Playback(step) for _ in range(PLAYING)]
-    while (done := progress()) < 1 and step != pause:
+    kept = time.monotonic()
+    recent: list[Tensor] = []
+    playing = [Playback(run.step) for _ in range(PLAYING)]
+    while (done := run.progress()) < 1 and run.step != pause:
         if args.cool and not cooling and done >= 1 - args.cool:
             cooling = True
             if rank == 0:
-                save_stable()
-        rate = rate_at(done, step - begun, args.rate, args.cool)
-        for group in optimiser.param_groups:
-            group["lr"] = rate * group["share"]
-        play = pick(playing, step, args)
+                run.keep_stable()
+        rate = run.set_rate(done)
+
+        # A batch: new windows, or those of an earlier step played the other way.
+        play = pick(playing, run.step, args)
         seed_all(args.seed, rank, play.begun)  # the same windows and augmentation for all turns
         drawn = pool.draw(args.batch, args.crop, args.seed + play.begun, args.sparse_planes,
                           play.turn, args.blend)
         batch = augment(drawn)
-        seed_all(args.seed, rank, step, "resets")
+        seed_all(args.seed, rank, run.step, "resets")
         if args.carry:
             batch = replace(batch, state=play.state or empty_state(batch.frames[0],
                                                                    *batch.references.shape[-2:]))
-        *results, play.state = gradient(set_direction(batch, runs_both_ways(step, args.both_ways)))
+        batch = set_direction(batch, runs_both_ways(run.step, args.both_ways))
+
+        results, play.state = run.learn(batch)
         play.turn += 1
-        norm = flat.finish(LARGEST_NORM, world > 1)
-        optimiser.step()
-        average.update(step)
-        recent.append(torch.stack((*results, norm)))
-        step += 1
-        if step in (1, 5, 20, 50, 100) or step % 250 == 0:
-            values = [round(float(x), 5) for x in torch.stack(recent).nanmean(0)]
-            recent.clear()
+        recent.append(torch.stack(results))
+        if run.step in (1, 5, 20, 50, 100) or run.step % 250 == 0:
             if rank == 0:
-                seconds = time.monotonic() - start
-                print(f"step {step} {seconds:.0f} s clips {len(pool)} rate {rate:.2e} loss "
-                      f"{values[0]:.4f} psnr {values[1]:.2f} flicker {values[2]:.4f} norm "
-                      f"{values[3]:.3f} non-finite {int(flat.nonfinite)}", flush=True)
-                add_row(args.out / "log.csv", step, round(seconds, 1), rate, *values)
+                run.tell(rate, recent)
+            recent.clear()
         if time.monotonic() - kept > 60 * KEEP_MINUTES:
             if world > 1:
                 pool.refresh()
             # windows are drawn from other clips now
-            playing = [Playback(step) for _ in range(PLAYING)]
+            playing = [Playback(run.step) for _ in range(PLAYING)]
             if rank == 0:
-                keep()
+                run.keep()
             kept = time.monotonic()
     if stop_watching:
         stop_watching()
     if rank == 0:
-        notes = keep()
-        if args.log and step != pause:
+        notes = run.keep()
+        if args.log and run.step != pause:
             append_run(args.log, run_row(args, notes))
     return model
 

@@ -394,7 +394,7 @@ class Remodulate(nn.Module):
 
 
 class RemodulateBoth(Remodulate):
-    """The same -> radiance (6, th + 2, tw + 2): without the reflectance, and with it."""
+    """`Remodulate` twice -> radiance (6, th + 2, tw + 2): without the reflectance, and with it."""
 
     def forward(self, filtered: Tensor, factor: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
         shaded = super().forward(filtered, factor, rows, columns)
@@ -493,7 +493,7 @@ class Store(nn.Module):
 
 
 class StoreRinged(Store):
-    """The same -> stored (1, hp + 2, wp + 2, wide)."""
+    """`Store` with an edge of one pixel around -> stored (1, hp + 2, wp + 2, wide)."""
 
     ring = 1
 
@@ -510,8 +510,8 @@ class Upsample(nn.Module):
 
 
 class UpsampleGuided(nn.Module):
-    """The same with radiance (6, th + 2, tw + 2), without and with reflectance, the guides' albedos
-    (H, W, 3), by which the first is multiplied, and the trust in them (cells, cells, 1)."""
+    """`Upsample` by guides: radiance (6, th + 2, tw + 2), without and with reflectance, the guides'
+    albedos (H, W, 3), by which the first is multiplied, and the trust in them (cells, cells, 1)."""
 
     def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor,
                 diffuse_albedo: Tensor, specular_albedo: Tensor, trust: Tensor, params: Tensor,
@@ -527,8 +527,8 @@ class UpsampleGuided(nn.Module):
 
 
 class UpsampleUnscaled(nn.Module):
-    """The same at the render size: radiance (6, th + 2, tw + 2) and the render pixels' factor (th,
-    tw, 3), which is multiplied after weighting the samples if these are not jittered."""
+    """`Upsample` at the render size: radiance (6, th + 2, tw + 2) and the render pixels' factor
+    (th, tw, 3), which is multiplied after weighting the samples if these are not jittered."""
 
     def forward(self, radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor,
                 factor: Tensor,

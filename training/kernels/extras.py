@@ -313,6 +313,6 @@ def between(values: Tensor, size: int, axis: int) -> Tensor:
     at = ((torch.arange(size) + 0.5) / TILE - 0.5).clamp(0, last)
     first = at.floor().long()
     part = (at - first).unflatten(0, (-1, *[1] * (values.ndim - 1 - axis)))
-    one, other = values.index_select(axis, first), values.index_select(axis,
-                                                                       (first + 1).clamp(max=last))
+    one = values.index_select(axis, first)
+    other = values.index_select(axis, (first + 1).clamp(max=last))
     return one + (other - one) * part

@@ -49,8 +49,8 @@ class MixPartner(nn.Module):
         moved = torch.where(possible[..., None], motion, torch.zeros_like(motion))
         y, x = rows + moved[..., 1], columns + moved[..., 0]
         known = possible & (y >= 0) & (y <= height - 1) & (x >= 0) & (x <= width - 1)
-        y, x = torch.where(known, y, torch.zeros_like(y)), torch.where(known, x,
-                                                                       torch.zeros_like(x))
+        y = torch.where(known, y, torch.zeros_like(y))
+        x = torch.where(known, x, torch.zeros_like(x))
         top, left = y.floor(), x.floor()
         v, u = (y - top)[..., None], (x - left)[..., None]
         above, first = top.long(), left.long()

@@ -233,7 +233,7 @@ class Correct(nn.Module):
 
 
 def _nearness(near: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
-    """What cells say of render pixels (rows, columns)."""
+    """Nearness of cells for render pixels (rows, columns)."""
     return part(near[..., None], *((place // NEAR_CELL).clamp(max=size - 1) for place, size in
                                    zip((rows, columns), near.shape, strict=True)))[0, 0]
 
@@ -280,6 +280,6 @@ class Decode(nn.Module):
 
 
 class DecodeOne(Decode):
-    """The same -> plane (H, W, 1)."""
+    """`Decode` of one channel -> plane (H, W, 1)."""
 
     channels = 1

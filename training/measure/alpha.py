@@ -40,7 +40,7 @@ class Hairs(NamedTuple):
 
     @classmethod
     def grown(cls) -> Hairs:
-        """The same hairs every time."""
+        """Hairs at random, alike in every call."""
         random = np.random.default_rng(5)
         root = np.stack([random.uniform(10, SIDE - 10, HAIRS), random.uniform(60, SIDE - 3, HAIRS)],
                         1)

@@ -117,8 +117,8 @@ def many_planes(tracer: Any, view: Any, camera: Any, size: tuple[int, int],
     """Planes (H, W, C) that renderers average over samples, here over at least the given number."""
     from training.datagen.clip import AVERAGED, Style, film_of, plane_images
 
-    style, passes = (Style("box", min(samples, AT_ONCE), np.zeros((1, 2), np.float32)),
-                     -(-samples // AT_ONCE))
+    style = Style("box", min(samples, AT_ONCE), np.zeros((1, 2), np.float32))
+    passes = -(-samples // AT_ONCE)
     total: dict[str, np.ndarray] = {
         name: np.zeros((size[1], size[0], 1), np.float32) for name in AVERAGED}
     for _ in range(passes):

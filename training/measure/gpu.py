@@ -40,7 +40,7 @@ from postfx.passes.denoise.models import CLASSIC
 
 ROOM = Path(__file__).resolve().parents[2] / "samples/room/noisy.####.exr"
 THREADS = 8
-"""Of the CPU that frames are compared with."""
+"""Threads of the CPU that frames are compared with."""
 ROLES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO)
 """Planes of `calls`, `sharing` and `kernels`."""
 FRAMES_OF_MEMORY = 6
@@ -278,7 +278,7 @@ class Interface:
 
 
 class Capsule:
-    """The same for DLPack alone."""
+    """A tensor of ours as an array of a library that knows DLPack alone."""
 
     def __init__(self, tensor: Any) -> None:
         self._tensor = tensor

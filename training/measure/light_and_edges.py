@@ -35,9 +35,9 @@ BAND_PX = 2
 DEPTH_STEP = 0.1
 """Relative difference of depth between neighbours that makes a silhouette."""
 MOST_LIGHT = 1e3
-"""Of exposed light; a cell's mean would else be that of its fireflies."""
+"""Exposed light that counts, at most; a cell's mean would else be that of its fireflies."""
 LEAST_LIGHT = 1.8e-4
-"""Of a cell's exposed mean that counts."""
+"""Exposed mean of a cell that counts, at least."""
 POSTFX, NOISY = "postfx", "noisy"
 
 
@@ -74,7 +74,7 @@ def silhouettes(depth: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Sums:
-    """Of one shot, by way: differences of cells, and squared errors along silhouettes."""
+    """Figures of one shot by way: differences of cells, and squared errors along silhouettes."""
 
     cells: dict[str, list[np.ndarray]]
     edges: dict[str, list[float]]

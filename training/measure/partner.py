@@ -49,8 +49,8 @@ def reference_of(clip: Mapping[str, np.ndarray], height: int) -> np.ndarray:
 
 def ways_of(model: str, scale: float, size: tuple[int, int], weight: float | None,
             exposure: float) -> dict[str, Way]:
-    """What is compared, by name. The mean is that of the first two, by `weight` or by the product's
-    for each frame."""
+    """The pictures that are compared, by name. The mean is that of the first two, by `weight` or by
+    the product's for each frame."""
     device = Device("cpu")
     oidn = Oidn("high", "cpu", device.threads, "prefiltered")
     kernels = HostKernels(device)

@@ -44,8 +44,8 @@ LEAST_ERROR = 1e-7
 
 @dataclass(frozen=True)
 class Errors:
-    """Of the pixels of one frame, (height, width): what was predicted, and what was measured
-    without the noise of references, which can be below 0 in single pixels."""
+    """Squared errors of the pixels of one frame, (height, width): what was predicted, and what was
+    measured without the noise of references, which can be below 0 in single pixels."""
 
     predicted: np.ndarray
     measured: np.ndarray

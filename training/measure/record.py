@@ -84,7 +84,7 @@ def load(name: str) -> Run:
 
 
 def run(command: list[str]) -> str:
-    """What a command prints, run from the project's folder by this interpreter."""
+    """The output of a command, run from the project's folder by this interpreter."""
     words = [sys.executable if word == "python" else word for word in command]
     paths = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     done = subprocess.run(words, cwd=ROOT, env=os.environ | {"PYTHONPATH": paths},

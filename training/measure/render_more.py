@@ -307,7 +307,7 @@ def measure(scene: Scene, given: argparse.Namespace) -> dict[str, list[list[floa
         print(f"{name} best spread of {samples}: {spread:.2f} for the same FLIP", flush=True)
     for path in sorted(scene.folder.glob("adaptive.*.exr")):
         render = read(path)
-        # it ended early everywhere, and Cycles does not say with how many
+        # sampling ended early everywhere, and Cycles does not say with how many samples
         if np.ptp(render[Role.SAMPLE_COUNT]) == 0:
             continue
         figures = judge.figures(judge.denoise(render), mean_samples(render))

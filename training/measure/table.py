@@ -92,8 +92,7 @@ class Shot:
 
 
 def shots(folder: Path, kinds: list[str], sizes: list[str], samples: list[int]) -> Iterator[Shot]:
-    """What there is in a folder, in the order of kinds, sizes and samples; empty lists choose
-    all."""
+    """The shots in a folder, in the order of kinds, sizes and samples; empty lists choose all."""
     for sub in sorted(path for path in folder.iterdir() if path.is_dir()):
         if kinds and sub.name not in kinds or not any(sub.glob("reference.*.exr")):
             continue

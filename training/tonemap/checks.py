@@ -48,8 +48,8 @@ def hue(codes: np.ndarray) -> np.ndarray:
 
 
 def greys(render: Render, reference: Render) -> dict[str, float]:
-    """Of a grey ramp: largest chroma, largest fall and largest step between neighbours in steps of
-    8 bits.
+    """What becomes of a grey ramp: largest chroma, largest fall and largest step between neighbours
+    in steps of 8 bits.
 
     `rough` is how much the largest step is larger than the reference's: a band that eight bits
     alone do not make.
@@ -95,8 +95,8 @@ def _swing(render: Render, height: int = 256, width: int = 512) -> float:
     edge[:, width // 2 :] *= np.float32(2.0**EDGE_STOPS)
     row = (render(edge) @ LUMINANCE_WEIGHTS)[height // 2] * STEPS
     reach, half = int(EDGE_REACH * width), width // 2
-    dark, bright = (row[half - reach : half - 1] - row[half // 4],
-                    row[half + 1 : half + reach] - row[-half // 4])
+    dark = row[half - reach : half - 1] - row[half // 4]
+    bright = row[half + 1 : half + reach] - row[-half // 4]
     return float(max(np.abs(dark).max(), np.abs(bright).max()))
 
 

@@ -192,8 +192,8 @@ class Mapper:
     def hold(self, kept: np.ndarray) -> Render:
         """The look with a constant grid or exposure."""
         library, model = find_model(self._tag)
-        constants, numbers = (self._device.pipeline_state(library, model).constants,
-                              shaper(library, model))
+        constants = self._device.pipeline_state(library, model).constants
+        numbers = shaper(library, model)
         params = np.array([1.0, numbers.toe, numbers.scale], np.float32)
 
         def render(rgb: np.ndarray) -> np.ndarray:
@@ -228,8 +228,8 @@ def steadiness(mapper: Mapper, look: Look, folder: Path) -> dict[str, dict[str, 
     to the look's frames.
     """
     frames = list(exposed_frames(folder))
-    light, shown = [frame[Role.COLOUR] for frame in frames], [mapper.follow(frame)
-                                                              for frame in frames]
+    light = [frame[Role.COLOUR] for frame in frames]
+    shown = [mapper.follow(frame) for frame in frames]
     static = nearest_exposure(look.view, light, shown)
     renders: dict[str, Render] = {
         "static": lambda rgb: exact_view(look.view, rgb * np.float32(2.0**static)),
@@ -325,8 +325,9 @@ def span(values: Iterable[float]) -> str:
 
 def print_following(tag: str, pictures: dict[str, np.ndarray]) -> None:
     """How fast a look follows steps and ramps."""
-    mapper, alone, lights = Mapper(tag), Mapper(tag), [np.ascontiguousarray(rgb)
-                                                       for rgb in pictures.values()]
+    mapper = Mapper(tag)
+    alone = Mapper(tag)
+    lights = [np.ascontiguousarray(rgb) for rgb in pictures.values()]
     for stops in STEPPED:
         frames = span(frames_of_step(mapper, rgb, way * stops) for rgb in lights for way in (-1, 1))
         print(f"{tag}: a step of {stops:g} stops is followed in {frames} frames", flush=True)

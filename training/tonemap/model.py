@@ -82,8 +82,8 @@ def look_up(shaped: torch.Tensor, cube: torch.Tensor) -> torch.Tensor:
     i, j, k = corner.long().unbind(1)
     first = i * red + j * green + k
     fourth = first + (size * size + size + 1)
-    corners, weights = (first, first + step, fourth - last, fourth), (1.0 - high, high - middle,
-                                                                      middle - low, low)
+    corners = (first, first + step, fourth - last, fourth)
+    weights = (1.0 - high, high - middle, middle - low, low)
     flat = cube.reshape(-1, 3)
     total = sum(F.embedding(index, flat) * weight[..., None]
                 for index, weight in zip(corners, weights, strict=True))

@@ -37,9 +37,11 @@ import numpy as np
 from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
 
+# Channels: of the hidden state of a network, of `state`, and of what a network reads of a pixel.
 HIDDEN = 8
 STATE = 4 + HIDDEN
 FEATURES = 27 + HIDDEN
+
 KERNEL = 5 * 5
 """Channels of a 5x5 filter kernel."""
 PHASES = 9 * 4
@@ -64,6 +66,7 @@ MIRRORED = 6
 """Channels of the planes that follow mirrors and glass: Denoising Albedo and Denoising Normal."""
 # both albedos, normal, roughness and depth at the four quarter-pixel corners of a render pixel
 GUIDES = 4 * 11
+# Where numbers stand in `params`, and in `window`.
 EXPOSURE, JITTER_X, JITTER_Y, GAIN = range(4)
 TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH = range(8)
 UNKNOWN = 1e-3  # share of a reprojected pixel that the history may lack
@@ -77,6 +80,7 @@ DOUBT = np.float32(0.7)
 FAINT = np.float32(1e-4)
 """Squared relative detail below which guides are not judged."""
 MAX_COUNT = 32.0
+"""Frames that the accumulated colour counts as, at most."""
 MAX_COLOUR = 1e4
 """Exposed light that a channel holds at most."""
 MAX_LIGHT = np.float32(1e30)
@@ -99,9 +103,9 @@ FARTHEST = np.float32(1e9)
 # Limits that are never reached from frame to frame. Beyond them the history or the network's answer
 # is broken and is not passed on. NaN is not below them, either.
 MOST_LOG = np.float32(20)
-"""Of log-encoded light."""
+"""Largest log-encoded light."""
 MOST_STATE = np.float32(3e5)
-"""Of all of a pixel's state."""
+"""Largest magnitude in a pixel's state."""
 
 MOST_REFLECTANCE = np.float32(4)
 """What both albedos of a channel reflect at most."""

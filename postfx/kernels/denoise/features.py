@@ -28,7 +28,7 @@ FEATURE = kernel("features", LOOKS, ("past", "features"), None, ("features", 2))
 
 
 def packed_feature_rows(y0: int, y1: int, *tensors: np.ndarray) -> None:
-    """The same channels last, in half precision."""
+    """Rows of `FEATURE` with channels last, in half precision."""
     *reads, past, packed = tensors
     features = np.empty((1, FEATURES, *packed.shape[1:3]), np.float32)
     FEATURE.rows(y0, y1, *reads, past, features)

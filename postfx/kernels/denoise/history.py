@@ -56,9 +56,9 @@ BEND = np.float32(0.9)
 
 # How far the motion of a surface at rest may differ from the camera's: the sum of both.
 STILL = np.float32(0.25)
-"""In pixels."""
+"""Part of it in pixels."""
 PART = np.float32(0.05)
-"""As a share of the motion."""
+"""Part of it as a share of the motion."""
 
 REFLECTIONS = kernel(
     "reflections", ("motion", "depth", "normal", "roughness", "diffuse_albedo", "specular_albedo",

@@ -46,4 +46,4 @@ DECODE = kernel("decode", ("filtered", "decoding"), ("plane",), None, ("plane", 
                 decoding=(5,), plane=IMAGE)
 DECODE_ONE = kernel("decode_one", ("filtered", "decoding"), ("plane",), None, ("plane", 0),
                     filtered=IMAGE, decoding=(5,), plane=("rows", "columns", 1))
-"""The same for planes of one channel, which were filtered as three."""
+"""`DECODE` of planes of one channel, which were filtered as three."""

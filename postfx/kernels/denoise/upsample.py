@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from postfx.kernels.denoise import BOTH, GUIDE_REFLECTANCE, in_half, kernel
 
-SIGMA = 0.5
 TAPS = 9
+"""Filtered pixels around an output pixel that it is made of."""
 
 WRITES = ("output", "next_history")
 BETWEEN = ("moved", "past", "warped")

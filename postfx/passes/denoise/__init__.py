@@ -61,9 +61,10 @@ from postfx.passes.denoise.savings import (
     REPEATED_NOISE,
     UNFOLLOWED_REFLECTIONS,
     Amount,
+    Reason,
     Savings,
 )
-from postfx.passes.denoise.tiling import CELL, Sizes, active_cells, grown, whole_tiles
+from postfx.passes.denoise.tiling import CELL, Band, Sizes, active_cells, grown, whole_tiles
 from postfx.passes.denoise.unfiltered import SPREAD_MARGIN_PX
 from postfx.passes.denoise.window import Work
 from postfx.pixel_filter import find_stddev, parse_stddev
@@ -95,8 +96,8 @@ REPEATS = "repeats "
 
 @lru_cache  # a run asks with every frame
 def network_name(tag: str, model: str) -> str:
-    """What users call the network of a model that runs for their short tag: the tag, or its size
-    replaced by that of a stand-in."""
+    """The users' name for the network that runs for their short tag: the tag, with its size
+    replaced where a model of another size stands in."""
     asked, dot, precision = tag.partition(".")
     size = short_tag(model).partition(".")[0]
     return tag if size == asked else f"{size}{dot}{precision}"
@@ -218,26 +219,37 @@ class DenoiseUpscale(Pass):
         return not has_networks() and "/" not in tag and CLASSIC in family(tag) and not self._parts
 
     def reflect(self, spec: FrameSpec) -> Reflection:
-        carried = passthrough_roles(spec)
-        size = self._output_size(spec)
         self._check_error(spec)
         self._check_enlargement(spec)
+        carried = passthrough_roles(spec)
         written = (Role.COLOUR, *carried, *(Role.ERROR,) * self._error)
-        output = FrameSpec(size.width, size.height, written)
-        lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
-        guides = GUIDE_ROLES if self._reads_guides(spec) else lost
-        planes = ((*READ_PLANES, Role.STRENGTH, *self._reactive_planes(spec)) if self.strength
-                  else ())
-        planes += tuple(MIRRORED_ROLES) if planes and self._reads_mirrored(spec) else ()
-        planes += (Role.SPECULAR_HIT_DISTANCE,) if planes and can_follow(spec) else ()
-        demanded = self._mask.demands() if self.strength else ()
-        kept = [role for role in carried if role not in spec.guide_roles]
-        guides = (*(guides if self.strength else ()),
-                  *(role for role in carried if role in spec.guide_roles))
-        optional = tuple(dict.fromkeys((*planes, *kept)))
-        return Reflection(reads=(Role.COLOUR, *demanded), may_read=optional, writes=written,
-                          output=output, may_read_guides=guides, notes=self._notes(spec),
+        size = self._output_size(spec)
+        planes = [role for role in carried if role not in spec.guide_roles]
+        guides = [role for role in carried if role in spec.guide_roles]
+        demanded: tuple[Role, ...] = ()
+        if self.strength:
+            demanded = self._mask.demands()
+            planes = [*self._seen_planes(spec), *planes]
+            guides = [*self._seen_guides(spec), *guides]
+        return Reflection(reads=(Role.COLOUR, *demanded), may_read=tuple(dict.fromkeys(planes)),
+                          writes=written, output=FrameSpec(size.width, size.height, written),
+                          may_read_guides=tuple(guides), notes=self._notes(spec),
                           parts=self._read_parts(spec))
+
+    def _seen_planes(self, spec: FrameSpec) -> tuple[Role, ...]:
+        """Planes that the network, and what follows reflections, may read of frames of a spec."""
+        planes = (*READ_PLANES, Role.STRENGTH, *self._reactive_planes(spec))
+        if self._reads_mirrored(spec):
+            planes += tuple(MIRRORED_ROLES)
+        if can_follow(spec):
+            planes += (Role.SPECULAR_HIT_DISTANCE,)
+        return planes
+
+    def _seen_guides(self, spec: FrameSpec) -> tuple[Role, ...]:
+        """Guides that a network reads, or else those that stand in for planes that are missing."""
+        if self._reads_guides(spec):
+            return GUIDE_ROLES
+        return tuple(role for role in GUIDE_ROLES if not spec.has(role))
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         if not self.strength:
@@ -306,13 +318,14 @@ class DenoiseUpscale(Pass):
             self._savings.note_resize(spec in self._sizes)
             if self._ladder:
                 self._ladder.note_resize(spec.width * spec.height / (before.width * before.height))
-        self._ready, self._spec = (self._sizes.get_or_make(spec, partial(self._made_ready, spec)),
-                                   spec)
+        self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
+        self._spec = spec
         if isinstance(self._ready, ReadyNetwork) and self._ready.first:
             self._ready.first.reset()
         return True
 
     def _made_ready(self, spec: FrameSpec) -> Ready:
+        """What frames of a spec need: networks, tensors and commands."""
         size = self._output_size(spec)
         if not self.strength:
             none = PartHistory(self._device, size, ())
@@ -330,9 +343,9 @@ class DenoiseUpscale(Pass):
                             self._part_history)
 
     def _first_stage(self, models: Iterable[str]) -> DenoiseUpscale:
-        """What denoises frames before they are enlarged by these networks, and mixes them with the
-        noisy ones. Its strength is 1 in the halo of these, too, where little of what it does comes
-        to the result: so both halos are one."""
+        """The denoiser that runs before these networks enlarge frames, and mixes its result with
+        the noisy frame. Its strength is 1 in the halo of these networks, too, as little of it comes
+        to the result there: so both share one halo."""
         stage = DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False, pixel_filter="none",
                                **{name: self.options[name]
                                   for name in ("model", "reactive", "library")})
@@ -422,8 +435,8 @@ class DenoiseUpscale(Pass):
         self._fresh = bool(history)
         self._memory.forget()
         if self._fresh:
-            self._exposure, self._wider = (float(history["exposure"]),
-                                           bool(history.get(WIDER, False)))
+            self._exposure = float(history["exposure"])
+            self._wider = bool(history.get(WIDER, False))
             if not isinstance(self._ready, ReadyNetwork):
                 raise KeyError(f"pass '{self.name}' has no history at strength 0")
             self._used = next(iter(key.removeprefix(NETWORK_PREFIX)
@@ -461,11 +474,11 @@ class DenoiseUpscale(Pass):
     def _denoise(self, commands: CommandBuffer, frame: ResidentFrame,
                  ready: ReadyNetwork) -> Tensor:
         """The denoised colour, by as much work as the frame needs."""
+        savings = Savings() if frame.history_only else self._savings
         strength = frame.host_planes.get(Role.STRENGTH)
         cells = None if strength is None else active_cells(strength)
         if ready.error and cells is not None:
             ready.error.forget()
-        savings = Savings() if frame.history_only else self._savings
         if cells is not None and not cells.any():
             savings.note_frame(Amount.NOTHING, 0.0)
             self._fresh = False
@@ -482,40 +495,60 @@ class DenoiseUpscale(Pass):
             savings.note_frame(Amount.SAME, 0.0, [REPEATED_NOISE] if repeats else [])
             return self._result
 
+        work, amount, more_reasons = self._plan_work(frame, ready, keep, cells)
+        reasons += more_reasons
+        colour = ready.encode(commands, frame, work, reasons)
+        self._fresh, self._exposure = not frame.unusable, frame.exposure_factor
+        if alike is not Alike.OTHER:
+            self._keep_result(commands, colour)
+        if work.still and amount is Amount.WHOLE:
+            reasons.append(NOTHING_MOVES)
+        savings.note_frame(amount, 1.0 if work.band is None else work.band.share, reasons)
+        return colour
+
+    def _plan_work(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool,
+                   cells: np.ndarray | None) -> tuple[Work, Amount, list[Reason]]:
+        """The work on a frame, how much of the frame it is, and why it saves less.
+
+        keep: whether the history goes on. cells: those that are denoised at all, None for all.
+        """
         self._used = self._choose(frame, ready)
         stddev = self._stddev(frame) if ready.sees_noise_alone(self._used) else 0.0
         if stddev and cells is not None:
             cells = grown(cells, SPREAD_MARGIN_PX)
         lit = ready.lit_cells(frame) if cells is None and Role.MOTION not in frame else None
-        active = cells if lit is None else lit
-        judged = cells is not None and ready.may_restore(frame)
-        band = None if active is None else ready.frames.layout(active, judged)
-        if cells is not None and judged:
-            cells = whole_tiles(cells)
-        if band and lit is not None:
-            band = band.over(frame.spec.height)  # what is not lit is written, too
+        band, cells = self._band(frame, ready, cells, lit)
         gain = frame.exposure_factor / self._exposure if keep else 1.0
         if not self._wider and ready.is_outside(frame):
             self._widen(keep)
         still = keep and gain == 1 and frame.is_blank(Role.MOTION)
-        camera = None
+        camera, reasons = None, list[Reason]()
         if ready.reflections:
             camera, why = self._cameras.step(frame, keep and not still)
             reasons += [(UNFOLLOWED_REFLECTIONS, why)] if why else []
         params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
         work = Work(ready.models[self._used], params, keep, still, cells, band, self._wider, camera,
                     stddev)
-        colour = ready.encode(commands, frame, work, reasons)
-        self._fresh, self._exposure = not frame.unusable, frame.exposure_factor
-        if alike is not Alike.OTHER:
-            self._keep_result(commands, colour)
+        amount = Amount.WHOLE
+        if band is not None and band.share != 1:
+            amount = Amount.TILES if lit is None else Amount.LIT
+        return work, amount, reasons
 
-        share = 1.0 if band is None else band.share
-        some = Amount.TILES if lit is None else Amount.LIT
-        if still and share == 1:
-            reasons.append(NOTHING_MOVES)
-        savings.note_frame(Amount.WHOLE if share == 1 else some, share, reasons)
-        return colour
+    def _band(self, frame: ResidentFrame, ready: ReadyNetwork, cells: np.ndarray | None,
+              lit: np.ndarray | None) -> tuple[Band | None, np.ndarray | None]:
+        """The tiles that the network runs on, None for all of the frame; and the active cells,
+        grown to whole tiles where these are judged as a whole.
+
+        cells: those that are denoised, lit: those that show light, None where that is not known.
+        """
+        judged = cells is not None and ready.may_restore(frame)
+        active = cells if lit is None else lit
+        band = None if active is None else ready.frames.layout(active, judged)
+        if band and lit is not None:
+            band = band.over(frame.spec.height)  # cells without light are written, too
+        if cells is not None and judged:
+            cells = whole_tiles(cells)
+        return band, cells
 
     def _choose(self, frame: ResidentFrame, ready: ReadyNetwork) -> str:
         """The tag of a frame's network: by the budget; another one for what is enlarged as it
@@ -542,11 +575,11 @@ class DenoiseUpscale(Pass):
         return self._found_stddev
 
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
-        """What a frame is beside the one before. Only what is denoised alone, from planes of the
-        host, depends on nothing but the frame."""
-        alone = not (keep or self.budget or frame.is_away or frame.unusable or ready.layers
-                     or ready.error)
-        if not alone or not frame.tensors.keys() == frame.host_planes.keys() or ready.reflections:
+        """Whether a frame is a copy of the one before. Only a frame that is denoised alone, from
+        planes in the host's memory, has a result that depends on nothing else."""
+        depends_on_more = (keep or self.budget or frame.is_away or frame.unusable or ready.layers
+                           or ready.error or ready.reflections)
+        if depends_on_more or frame.tensors.keys() != frame.host_planes.keys():
             self._memory.forget()
             return Alike.OTHER
         planes: dict[Hashable, np.ndarray] = {Role.COLOUR: frame.host_planes[Role.COLOUR]}
@@ -588,8 +621,8 @@ class DenoiseUpscale(Pass):
         return repeats
 
     def _check_error(self, spec: FrameSpec) -> None:
-        """PassOptionError where the error is asked for and a network of frames of this spec does
-        not predict it."""
+        """Raise PassOptionError where the error is asked for, and a network for frames of this spec
+        does not predict it."""
         if not self._error:
             return
         if not self.strength:
@@ -602,8 +635,8 @@ class DenoiseUpscale(Pass):
                                   f"size: {self._error_remedy()}")
 
     def _check_enlargement(self, spec: FrameSpec) -> None:
-        """PassOptionError where frames of this spec are enlarged and a network gives the picture
-        itself."""
+        """Raise PassOptionError where frames of this spec are to be enlarged by a network that
+        gives the picture itself."""
         if not self.strength or self._is_render_size(spec):
             return
         for tag in self._tags_for(spec):
@@ -612,8 +645,8 @@ class DenoiseUpscale(Pass):
                                       "does not enlarge: give scale 1, or another model")
 
     def _error_remedy(self) -> str:
-        """What to do about it: a network that predicts it at the render size, where one comes with
-        postfx."""
+        """The remedy where no network predicts the error: one that does at the render size, if one
+        comes with postfx."""
         able = [tag for tag in family(LARGEST_TAG) if predicts_error(model_of(tag, UNSCALED))]
         return (f"give model '{able[-1]}' and scale 1, or leave the error out" if able
                 else "leave the error out")
@@ -627,7 +660,7 @@ class DenoiseUpscale(Pass):
                    for ending in endings)
 
     def _read_parts(self, spec: FrameSpec) -> tuple[str, ...]:
-        """Names of the parts; FrameError for a part that the frame lacks."""
+        """Names of the parts that are denoised; FrameError for one that the frame lacks."""
         names = tuple(part.name for part in self._parts)
         for name in names:
             if name not in spec.part_names:
@@ -653,7 +686,7 @@ class DenoiseUpscale(Pass):
         return self._given_stddev or 0.0 if sees and self.strength else 0.0
 
     def _pixel_filter_notes(self, spec: FrameSpec) -> list[str]:
-        """What becomes of a pixel filter whose width is known."""
+        """A note that a pixel filter of known width is undone; none if it is not."""
         stddev = self.undone_stddev(spec)
         return ([f"a pixel filter of {stddev:.2f} px is undone before it and applied again"]
                 if stddev else [])

@@ -48,8 +48,8 @@ class Alpha:
         rows, columns = (device.wrap(name, np.arange(size, dtype=np.float32)) for name, size in
                          (("alpha rows", spec.height), ("alpha columns", spec.width)))
         moved = between("motion of alpha", (spec.height, spec.width, 2))
-        self._output, self.enlarged = (between("alpha", (*output, 1)),
-                                       between("enlarged alpha", (*output, 1)))
+        self._output = between("alpha", (*output, 1))
+        self.enlarged = between("enlarged alpha", (*output, 1))
         self._pixels = {"part_rows": rows, "part_columns": columns}
         self._near = new("near alpha", (-(-spec.height // NEAR_CELL), -(-spec.width // NEAR_CELL)))
         self._moved, self._finds_cells = moved, device.gpu is not None

@@ -201,7 +201,7 @@ class Frames:
         device.make_ready(*kernels_of(FRAME_NEEDS, frozenset({"reactive"} if reactive else ())))
 
     def beside(self, history: History) -> Frames:
-        """The same networks for other frames of the same size, which have this history."""
+        """These networks for other frames of this size, which have this history."""
         other, new = copy(self), self._device.heap.tensor
         other._history, other._kept = history, None
         other._common = {**self._common, "params": new("params", (4,)),

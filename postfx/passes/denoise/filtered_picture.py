@@ -66,7 +66,7 @@ class FilteredPicture:
 
 
 def own_frames(frames: Frames, history: PartHistory) -> dict[str, Frames]:
-    """What runs a network on parts that have filters of their own, by their names."""
+    """Networks for parts that have filters of their own, by the names of the parts."""
     return {name: frames.beside(own) for name, own in history.own.items()
             if name != FILTERED_PICTURE}
 

@@ -48,7 +48,7 @@ class Room:
 
 
 class Turn(NamedTuple):
-    """What a frame finds, and what it leaves.
+    """The tensors that a frame finds, and those that it leaves.
 
     Attributes:
         last: the tensors that the frame before left, by the kernels' names.
@@ -73,8 +73,9 @@ class History:
     """
 
     def __init__(self, device: Device, sizes: Sizes, reactive: bool) -> None:
-        self._device, self._size, self._output = (device, (sizes.h, sizes.w),
-                                                  (sizes.height, sizes.width))
+        self._device = device
+        self._size = (sizes.h, sizes.w)
+        self._output = (sizes.height, sizes.width)
         self._channels = STATE_CHANNELS | ({"last_reactive": 1} if reactive else {})
         self._outputs = [self._make_output()]
         self._rooms = self._make_rooms()
@@ -302,8 +303,10 @@ class PartHistory:
 
     def __init__(self, device: Device, output: Size, parts: Sequence[Part],
                  own: Mapping[str, History] = MappingProxyType({})) -> None:
-        self._device, self._output, self.own, self.stops = (device, output, own,
-                                                            dict.fromkeys(own, 0.0))
+        self._device = device
+        self._output = output
+        self.own = own
+        self.stops = dict.fromkeys(own, 0.0)
         self.ran: tuple[str, ...] = ()
         places = places_of(parts)
         self.stacks = ([make_zeros(device, "parts", (len(places), *output, 3)) for _ in range(2)]

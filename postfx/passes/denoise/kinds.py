@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from postfx.frame import Role
+from postfx.frame import ALBEDOS, Role
 from postfx.planes import LARGEST_FLOAT
-
-REFLECTANCE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 
 
 @dataclass(frozen=True)
@@ -44,10 +42,10 @@ class Kind:
     @property
     def is_like_picture(self) -> bool:
         """Whether it has all of the picture's reflectance."""
-        return self.divided == REFLECTANCE_ROLES
+        return self.divided == ALBEDOS
 
 
-LIGHT_KIND = Kind(divided=REFLECTANCE_ROLES)
+LIGHT_KIND = Kind(divided=ALBEDOS)
 KINDS = {
     "light": LIGHT_KIND,
     "diffuse": Kind(divided=(Role.DIFFUSE_ALBEDO,), is_seen=True, is_sparse=True),

@@ -39,7 +39,7 @@ USUAL_NETWORK = "m"
 PIXEL_BYTES = 3900
 """Memory that `xl` takes for each render pixel on a CPU: 3,890 measured at 1280x720."""
 GPU_PIXEL_BYTES = 5300
-"""The same on a GPU: 5,259 measured at 1920x1080."""
+"""Bytes of memory for a pixel on a GPU: 5,259 measured at 1920x1080."""
 ENLARGING_PIXEL_BYTES = 1000
 """What enlarging adds, to three times the size at most: 894 measured at 640x360 on a CPU."""
 STAND_INS = {"l": "m", "xl": "m"}
@@ -235,6 +235,8 @@ def _stand_in(tag: str, stand_ins: Mapping[str, str]) -> str:
 
 
 def _named(tag: str, ending: str, device: Device | None) -> str:
+    """The full name of the network of a tag for an ending, in the device's fast precision where
+    there is one."""
     if tag == CLASSIC:
         return CLASSIC
     if tag.endswith(FILE):
@@ -301,7 +303,7 @@ def blanks_volumes(model: str) -> bool:
 HALOS = {CLASSIC: 40, "s": 56, "m": 44, "l": 48}
 """By model size; the largest for other models."""
 GUIDED_HALO = 96
-"""Of models that read guides."""
+"""Halo of models that read guides."""
 
 
 def halo_of(models: Iterable[str]) -> int:
@@ -314,7 +316,7 @@ def halo_of(models: Iterable[str]) -> int:
 NETWORK_REACHES_PX = {CLASSIC: 72, "s": 136, "m": 64, "l": 64}
 """By model size."""
 GUIDED_REACH = 224
-"""Of models that read guides."""
+"""Reach of models that read guides, in render pixels."""
 
 
 def reach_of(models: Iterable[str]) -> int:
@@ -381,10 +383,10 @@ FAMILY = {CLASSIC: 0.5, "s": 1.0, "m": 3.5, "l": 5.0, "xl": 26.0}
 each takes in float32."""
 
 FAST = {CLASSIC: 0.5, "s": 1.0, "m": 2.1, "l": 2.8, "xl": 22.0}
-"""The same in integers or half precision."""
+"""As `FAMILY`, in integers or half precision."""
 
 TWO_STAGES_COST = 36.0
-"""The same for both networks of `xl` where frames are enlarged: 4793 ms on a CPU, `s` 132."""
+"""As `FAMILY`, for both networks of `xl` where frames are enlarged: 4793 ms on a CPU, `s` 132."""
 
 ROOM = 0.85
 """Share of the budget that a slower network may be expected to take; the rest keeps it from going

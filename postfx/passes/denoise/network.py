@@ -144,37 +144,50 @@ class Network:
     def __init__(self, state: PipelineState, seen: Mapping[str, Tensor],
                  heads: Mapping[str, Tensor],
                  new: Callable[[str, tuple[int, ...], str], Tensor]) -> None:
-        unmarked = [binding.name
-                    for binding in state.bindings if binding.name.startswith((CODING, SCALING))]
-        if unmarked:
-            raise ModelError(f"network '{state.name}': no card beside it marks "
-                             f"{', '.join(unmarked)} as constant; take the card that it was made "
-                             "with, or make both again with training.denoise.quantise")
+        self._refuse_unmarked(state)
+        heap = state.device.heap
         made = {b.name: heads.get(b.name) or new(b.name, state.shapes[b.name], b.dtype)
                 for b in state.bindings if b.name.startswith(MADE)}
-        constants = {name: upload(state.device.heap, name, array)
-                     for name, array in state.constants.items()
+        constants = {name: upload(heap, name, array) for name, array in state.constants.items()
                      if name.startswith((CODING, SCALING))}
         known = {**parts_of(seen["features"]), **seen, **heads, **made}
         packed = [name for name in made if name.startswith((PACKED, STORED)) and name not in seen]
         self.stored = dict[str, Tensor]()
         if codes_features(state):
-            packed.remove(name := f"{STORED}features")
+            name = f"{STORED}features"
+            packed.remove(name)
             self.stored = {"coding": constants[f"{CODING}features"], "stored": made[name]}
         outputs = [one for name, closed in made.items() if name.startswith((*OUTPUT_WORDS,))
                    for one in _outputs(closed, constants, heads)]
         self.coded: dict[str, Tensor] = {}
         for output, product in state.products.items():
-            name, whole = output.removeprefix(PRODUCTS), product.factors
-            whole = np.pad(whole, ((0, -len(whole) % FOURS), (0, 0)))
+            name = output.removeprefix(PRODUCTS)
             coded = {"codes": made[product.codes], "scaling": constants[f"{SCALING}{name}"],
-                     "factors": upload(state.device.heap, f"factors {name}", whole, "int8")}
+                     "factors": upload(heap, f"factors {name}", _in_fours(product.factors),
+                                       "int8")}
             outputs.append(_coded_output(name, coded, heads[name]))
-            self.coded = coded if name == "fine" else self.coded
+            if name == "fine":
+                self.coded = coded
         itself = Each(buffers={binding.name: known[binding.name] for binding in state.bindings},
                       network=state)
         self.over = {"inputs": [_input(made[name], constants, seen) for name in packed],
                      "network": [itself], "outputs": outputs}
+
+    @staticmethod
+    def _refuse_unmarked(state: PipelineState) -> None:
+        """ModelError where constants of a network are outputs, as no card beside it tells of
+        them."""
+        unmarked = [binding.name for binding in state.bindings
+                    if binding.name.startswith((CODING, SCALING))]
+        if unmarked:
+            raise ModelError(f"network '{state.name}': no card beside it marks "
+                             f"{', '.join(unmarked)} as constant; take the card that it was made "
+                             "with, or make both again with training.denoise.quantise")
+
+
+def _in_fours(factors: np.ndarray) -> np.ndarray:
+    """Factors (n, C) of whole groups of four: zeros are added."""
+    return np.pad(factors, ((0, -len(factors) % FOURS), (0, 0)))
 
 
 def _input(closed: Tensor, constants: Mapping[str, Tensor], seen: Mapping[str, Tensor]) -> Each:

@@ -12,9 +12,11 @@ from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import FrameSpec, GuideSpec, Role
 from postfx.passes.denoise.models import Ladder
 
+# Output size over render size: what networks can do, and what is done unless a size is given.
 LEAST_SCALE = 1.0
 MOST_SCALE = 3.0
 USUAL_SCALE = 1.0
+
 ASPECT = 0.01
 """Share of a side by which frames may be off the output's aspect, if that is more than a pixel:
 sizes are often multiples of 8."""
@@ -82,6 +84,8 @@ def enlargement(spec: FrameSpec, options: Mapping[str, Any]) -> float:
 
 
 def _fixed(spec: FrameSpec, size: Size) -> Size:
+    """The output's size that was asked for; FrameError for a frame of other proportions, or one
+    that is too small or too large."""
     found = f"{spec.source or 'frame'}: {spec.width}x{spec.height}"
     wide, high = spec.height * size.width / size.height, spec.width * size.height / size.width
     if (abs(high - spec.height) > max(1, ASPECT * high)
@@ -104,6 +108,8 @@ def _fixed(spec: FrameSpec, size: Size) -> Size:
 
 
 def _guided(spec: FrameSpec, guides: GuideSpec, scale: float | None, scaled: Size) -> Size:
+    """The output's size by a frame's guides; GuideError where they do not fit the frame or the
+    scale."""
     sides = ((guides.width, spec.width), (guides.height, spec.height))
     if scale is None:
         low = max(LEAST_SCALE, *((outer - 0.5) / side for outer, side in sides))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.errors import FrameError
-from postfx.frame import FrameSpec, Part, Role
+from postfx.frame import ALBEDOS, FrameSpec, Part, Role
 from postfx.kernels.denoise import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.alpha import Alpha
@@ -25,7 +25,7 @@ from postfx.passes.denoise.history import (
     places_of,
     some_of,
 )
-from postfx.passes.denoise.kinds import KINDS, LIGHT_KIND, REFLECTANCE_ROLES, Kind
+from postfx.passes.denoise.kinds import KINDS, LIGHT_KIND, Kind
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.output import Restore, Strength
 from postfx.passes.denoise.planes import ABSENT, Resampler, absent_plane
@@ -73,7 +73,8 @@ class Group:
 
 
 class OwnRun(NamedTuple):
-    """What the network itself runs on: a part's planes and params, and where the output goes."""
+    """One run of the network on a part: the part's planes and params, and the tensor for its
+    output."""
 
     name: str
     planes: dict[str, Tensor]
@@ -82,7 +83,7 @@ class OwnRun(NamedTuple):
 
 
 class Pictures(NamedTuple):
-    """What becomes of a frame's picture.
+    """A frame's picture on its way through the filters.
 
     Attributes:
         filtered: what was filtered with its parts.
@@ -112,8 +113,9 @@ class Layers:
         self._groups = _groups_of(parts)
         self._places = places_of(parts)
         new = device.heap.tensor
-        self._params, self._exposed, self._exposure = (new("part params", (4,)),
-                                                       new("whole params", (4,)), 1.0)
+        self._params = new("part params", (4,))
+        self._exposed = new("whole params", (4,))
+        self._exposure = 1.0
         self._nothing = make_zeros(device, "no reflectance",
                                    (*self._render, 3) if self._parts else (1,))
         self._made: dict[str, Tensor] = {}
@@ -199,7 +201,7 @@ class Layers:
 
     def own_runs(self, frame: ResidentFrame, planes: Mapping[str, Tensor],
                  work: Work) -> Iterator[OwnRun]:
-        """What the network itself runs on in this frame."""
+        """The runs of the network on parts, in this frame."""
         self._history.ran = tuple(name for name in self._history.own if name in self._runs)
         for name in self._history.ran:
             part = self._raw[name] = self._input(name, frame)
@@ -239,8 +241,10 @@ class Layers:
                       pictures: Pictures, rows: Rows, restore: Restore | None,
                       strength: Strength | None) -> Tensor:
         """Record what becomes of one layer behind the windows, as of the picture; returns it."""
-        kind, value, raw, plain = (self._kind(name), self._history.layer(name).output,
-                                   self._raw.get(name), self._plain)
+        kind = self._kind(name)
+        value = self._history.layer(name).output
+        raw = self._raw.get(name)
+        plain = self._plain
         if name == ALPHA_LAYER and self._alpha:
             raw, plain = frame[Role.ALPHA], self._plain_alpha
             value = self._alpha.correct(commands, pictures.filtered)
@@ -300,7 +304,7 @@ class Layers:
         return found
 
     def _under(self, group: Group, values: Mapping[str, Tensor]) -> list[Tensor]:
-        """What the parts of a group have below 0, of layers by name."""
+        """Light below 0 of the parts of a group, by the names of their layers."""
         return [values[below(name)] for name in group.names if below(name) in values]
 
     def _needed(self, frame: ResidentFrame) -> list[str]:
@@ -351,14 +355,14 @@ class Layers:
         if kind.is_like_picture:
             return found
         return found | {str(role): planes[str(role)] if role in kind.divided else self._nothing
-                        for role in REFLECTANCE_ROLES}
+                        for role in ALBEDOS}
 
     def _own_reflectance(self, name: str, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Planes, at both sizes, in place of those that a part has nothing to do with: reflectance
         that it is not divided by, and for fog, which has no surface, all of them. Light through
         glass, which files divide by a colour, has one."""
         kind = self._kind(name)
-        lost = [role for role in REFLECTANCE_ROLES if role not in kind.divided]
+        lost = [role for role in ALBEDOS if role not in kind.divided]
         if not (kind.on_surface or self._parts[name].factor):
             lost = [*SURFACE]
         found = {str(role): self._absent(role, self._render) for role in lost}
@@ -372,7 +376,7 @@ class Layers:
         return self._made[name]
 
     def _input(self, name: str, frame: ResidentFrame) -> Tensor:
-        """What a layer is filtered from: a part, or its light of one sign."""
+        """The tensor that a layer is filtered from: a part, or its light of one sign."""
         return self._by_sign.get(name) or self._three(name, frame)
 
     def _three(self, name: str, frame: ResidentFrame) -> Tensor:
@@ -565,6 +569,6 @@ def is_speckled(covered: np.ndarray) -> bool:
     lone empty ones."""
     around = three_by_three(covered.astype(np.float32), 1, np.add)
     edges = np.count_nonzero((around > 0) & (around < 9))
-    specks, holes = (np.count_nonzero(covered & (around <= 3)),
-                     np.count_nonzero(~covered & (around >= 6)))
+    specks = np.count_nonzero(covered & (around <= 3))
+    holes = np.count_nonzero(~covered & (around >= 6))
     return bool(edges > 0 and min(specks, holes) > SPECKLED * edges)

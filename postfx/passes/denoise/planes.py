@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
+from postfx.frame import ALBEDOS, GUIDE_ROLES, ROLES, FrameSpec, Role
 from postfx.kernels.denoise import FARTHEST
 from postfx.kernels.image import positions
 from postfx.kernels.statistics import coverage_noise
@@ -27,8 +27,9 @@ from postfx.runtime import CommandBuffer, Device, Tensor
 ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0,
           Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0, Role.MOTION: 0.0}
 MIRRORED_ROLES = {Role.DENOISING_ALBEDO: 0.0, Role.DENOISING_NORMAL: 0.0}
-"""The same of planes that follow mirrors and glass, which only some networks read."""
-HAZY = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.DEPTH)
+"""Values that stand for planes that follow mirrors and glass, where they are missing; only some
+networks read them."""
+HAZY = (*ALBEDOS, Role.DEPTH)
 """Planes that are left out in a volume: they show the surface behind it for the samples that came
 so far."""
 FOUND_VOLUME_SHARE = 0.12
@@ -102,8 +103,8 @@ class Planes:
     def __init__(self, device: Device, spec: FrameSpec, output: Size, guided: bool,
                  mirrored: bool = False) -> None:
         """`mirrored`: also the planes that follow mirrors and glass."""
-        render, read = Size(spec.height, spec.width), (*ABSENT,
-                                                       *(MIRRORED_ROLES if mirrored else ()))
+        render = Size(spec.height, spec.width)
+        read = (*ABSENT, *(MIRRORED_ROLES if mirrored else ()))
         self._device, self._spec, self.hazy, self._looked = device, spec, False, False
         self._haze: dict[str, Tensor] = {}
         self._held = {role: str(role) for role in read if spec.has(role)}
@@ -141,7 +142,7 @@ class Planes:
         return planes | self._constants | (self.stand_ins(frame) if blank else {})
 
     def stand_ins(self, frame: ResidentFrame) -> dict[str, Tensor]:
-        """What stands in for the planes that a volume hides, if it does. Planes on the device are
+        """Planes that stand in for those that a volume hides, if one does. Planes on the device are
         looked at where a sequence begins."""
         if Role.DEPTH not in self._held:
             return {}
@@ -163,7 +164,7 @@ def shows_volume(depth: np.ndarray, before: bool = False) -> bool:
 
 
 def absent_plane(device: Device, role: Role, size: Size) -> Tensor:
-    """What stands for a plane that a frame lacks."""
+    """The tensor that stands for a plane that a frame lacks."""
     shape, value = (*size, ROLES[role].channels), (ABSENT | MIRRORED_ROLES)[role]
     if device.scratch is None:
         return device.wrap(f"absent {role}", np.full(shape, value, np.float32))

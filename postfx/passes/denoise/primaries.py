@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from postfx.colour import TO_WIDER_PRIMARIES
-from postfx.frame import Part, Role
+from postfx.frame import ALBEDOS, Part, Role
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.graph import WIDENED, run_steps
 from postfx.passes.denoise.history import FILTERED_PICTURE, WHOLE
 from postfx.runtime import CommandBuffer, Device, Tensor
 
-COLOURS = (Role.COLOUR, Role.OPAQUE_COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+COLOURS = (Role.COLOUR, Role.OPAQUE_COLOUR, *ALBEDOS)
 """Light, and what is compared with it or multiplied by it."""
 
 # In a history, light in the first three channels.

@@ -27,9 +27,9 @@ SAMPLES = 24
 
 # How far half of those pixels may be off: the sum of both.
 MOST_OFF = 0.25
-"""In pixels."""
+"""Part of it in pixels."""
 PART_OFF = 0.05
-"""As a share of the motion."""
+"""Part of it as a share of the motion."""
 
 NO_CAMERA = "no worldToCamera and field of view (postfx:fovX) in the headers"
 NO_FIT = "worldToCamera, field of view and depth do not give the motion that the frame has"

@@ -76,7 +76,7 @@ class Window:
 
     @cached_property
     def out(self) -> Box:
-        """The same at output size: all output pixels that the render pixels touch. Windows of one
+        """The window at output size: all output pixels that the render pixels touch. Windows of one
         size have equally many."""
         frame, grid = self.frame, self.frame.grid
         top, rows = _enlarged(self.top, self.rows, frame.h, frame.height, grid)
@@ -222,7 +222,7 @@ class Band:
         return self.top, self.top + self.rows
 
     def over(self, rows: int) -> Band:
-        """The same tiles, for all rows of the frame."""
+        """This band's tiles, for all rows of the frame."""
         return Band(0, rows, self.tiles)
 
     @property
@@ -283,8 +283,8 @@ def active_rows(cells: np.ndarray, h: int) -> Rows:
 
 
 def full_rows(strength: np.ndarray, at: np.ndarray, rows: Rows) -> Rows:
-    """Of some output rows, which lie `at` rows of a frame, the longest run in which a strength (h,
-    w, 1) is 1: it is so in both rows around each."""
+    """The longest run of some output rows, which lie `at` rows of a frame, in which a strength (h,
+    w, 1) is 1 in both rows around each."""
     ones = np.logical_and(strength >= 1, strength < np.inf).reshape(len(strength), -1).all(axis=1)
     above = np.floor(at[slice(*rows)]).astype(int)
     full = np.logical_and(*(np.take(ones, near, mode="clip") for near in (above, above + 1)))

@@ -72,7 +72,7 @@ Targets = Mapping[str, Mapping[str, Tensor]]
 
 
 class Work(NamedTuple):
-    """What is done about a frame.
+    """The work that one frame needs.
 
     Attributes:
         model: the network that runs.
@@ -268,7 +268,7 @@ class WindowGraph:
                 for name, shape in shapes_of(steps, self._sizes, words).items()}
 
     def _sizes(self, level: int, planes: int = 3) -> dict[str, int]:
-        """What symbols stand for in the shapes of kernels, at a level of the pyramid."""
+        """Values of the symbols in shapes of kernels, at a level of the pyramid."""
         window, out = self._window, self._window.out
         sides = {
             "t": (window.rows, window.columns),
@@ -355,7 +355,7 @@ class WindowGraph:
 
 def _share(layer: Layer, i: int, stacks: Mapping[str, Tensor], next_part: Tensor,
            factor: Tensor) -> Each:
-    """What kernels of one layer read and write, the `i`-th of some. `factor`: the picture's."""
+    """Tensors that the kernels of the `i`-th layer read and write. `factor`: of the picture."""
     divided = "diffuse_albedo" in layer.tensors
     own = {**layer.tensors, "part_level": some_of(stacks["pool 0"], 3 * i, 3),
            "next_part": next_part,
@@ -365,7 +365,7 @@ def _share(layer: Layer, i: int, stacks: Mapping[str, Tensor], next_part: Tensor
 
 
 def _shaded(radiance: Tensor) -> Tensor:
-    """Of the picture's radiance, the planes with the reflectance of the render size, the last
+    """The planes of the picture's radiance that have the reflectance of the render size: the last
     ones."""
     channels, *size = radiance.shape
     return radiance.view("radiance", (3, *size), (channels - 3) * math.prod(size))

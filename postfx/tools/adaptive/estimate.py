@@ -43,7 +43,8 @@ from postfx.tools.adaptive.plan import tile_means
 ERROR_LAYER = "error"
 """Layer of the predicted error in files."""
 AVERAGED_RADIUS_PX = 8
-"""Of the squares that differences are averaged over, in pixels."""
+"""Half the side of the squares that differences are averaged over."""
+# Of the formula for one render alone.
 ERROR_SHARE = 0.66
 BEFORE_POWER = 0.714
 AFTER_POWER = 0.287
@@ -54,6 +55,7 @@ SLOPE_STEP = 1e-3
 MOST_NOISE_CODES = 0.5
 """Code values that noise counts for at most: a single firefly would say more than all other pixels
 of a tile."""
+# Of the formula for two halves.
 CHANGE_SHARE = 1.6
 CHANGE_POWER = 0.3
 LEAST_ERROR_RATIO = 0.5

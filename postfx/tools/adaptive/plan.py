@@ -50,7 +50,7 @@ class Quality:
 
     @property
     def psnr(self) -> float:
-        """The same in dB."""
+        """The error as PSNR in dB."""
         return psnr(self.error)
 
 

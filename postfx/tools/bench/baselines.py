@@ -12,7 +12,7 @@ import numpy as np
 from postfx.compiled.library import Rows
 from postfx.errors import BenchError, DeviceError
 from postfx.exposure import measure
-from postfx.frame import Frame, Role
+from postfx.frame import ALBEDOS, Frame, Role
 from postfx.kernels import Kernel
 from postfx.kernels.image import RESAMPLE, positions
 from postfx.oidn import OpenImageDenoise, total_albedo
@@ -58,7 +58,7 @@ class Oidn:
 
 def _aids(frame: Frame) -> dict[str, np.ndarray]:
     """Albedo and normal by OIDN's names."""
-    albedos = [frame[role] for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in frame]
+    albedos = [frame[role] for role in ALBEDOS if role in frame]
     if Role.DENOISING_ALBEDO in frame:
         albedos = [frame[Role.DENOISING_ALBEDO]]
     aids = {"albedo": total_albedo(*albedos)} if albedos else {}
@@ -153,8 +153,8 @@ class Accumulator:
             history, past = np.zeros((height, width, 4), np.float32), now
         reads = {"current": current, "history": history, "motion": frame[Role.MOTION], **now,
                  **{f"past_{name}": plane for name, plane in past.items()}}
-        self._history, self._past = self._kernels.run(ACCUMULATE_FRAMES, reads,
-                                                      (height, width, 4)), now
+        self._history = self._kernels.run(ACCUMULATE_FRAMES, reads, (height, width, 4))
+        self._past = now
         return np.ascontiguousarray(self._history[..., :3])
 
 

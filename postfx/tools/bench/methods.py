@@ -124,12 +124,10 @@ def select(found: Catalogue, names: str | None, models: str | None) -> Catalogue
     chosen_tags = _words(models, tags, "--models") if models else tags
     known = {method.name for method in found.methods} | set(FAMILIES)
     chosen = _words(names, known, "--methods") if names else known
-    methods = tuple(
-        method
-        for method in found.methods
-        if (method.name in chosen or method.family in chosen)
-        and (not method.model or method.model.split(".")[0] in chosen_tags)
-    )
+    named = [method for method in found.methods
+             if method.name in chosen or method.family in chosen]
+    methods = tuple(method for method in named
+                    if not method.model or method.model.split(".")[0] in chosen_tags)
     if not methods:
         raise BenchError(f"--methods {names} --models {models} leaves nothing to measure: leave "
                          "one of them out")

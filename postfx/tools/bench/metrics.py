@@ -23,8 +23,11 @@ from postfx.sampling import bilinear, motion_at
 
 LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
 TRIMMED = 0.999
+"""Share of the pixels, those with the least error, that relMSE is the mean of."""
 LEAST_SQUARED_ERROR = 1e-12  # squared: 120 dB
 FOLLOWED_DIFFERENCE = 0.1
+"""Code values by which the reference may differ from itself a frame before, along the motion, for a
+pixel to count for flicker."""
 FIGURES = ("psnr", "ssim", "flip", "relmse", "flicker")
 """Names of the figures. More is better for psnr (dB) and ssim (up to 1), less for flip (0..1),
 relmse and flicker."""
@@ -59,8 +62,8 @@ def flip(picture: np.ndarray, reference: np.ndarray) -> float:
 
 
 def flip_map(picture: np.ndarray, reference: np.ndarray) -> tuple[float, np.ndarray]:
-    """The same, and each pixel's error as a colour (height, width, 3) 0..1, from black (none)
-    through red to white."""
+    """Mean LDR-FLIP error, 0..1, and each pixel's error as a colour (height, width, 3) 0..1, from
+    black (none) through red to white."""
     colours, mean, _ = flip_evaluator.evaluate(reference, picture, "LDR")
     return float(mean), colours
 

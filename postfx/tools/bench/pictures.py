@@ -50,8 +50,7 @@ def draw_crops(material: Material, rows: list[dict[str, Any]], path: Path) -> No
 
 
 def draw_worst(material: Material, rows: list[dict[str, Any]], path: Path) -> None:
-    """The same for our failures: the places of one frame where we are furthest behind OIDN's
-    methods; a PNG.
+    """Crops where we are furthest behind OIDN's methods, in one frame; a PNG.
 
     Ours is the largest network without guides, which has the same input as OIDN. The frame is the
     one whose PSNR leads the best OIDN method's least, or lags furthest. Removes the picture if
@@ -158,11 +157,12 @@ def _choose_methods(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """OIDN high, OIDN high with accumulation, and our largest model that uses no later frames,
     without and with guides; if these are missing, the first methods."""
     by_name = {row["name"]: row for row in rows}
-    ours = [row for row in rows if row["family"] == "ours"
-            and not (row["alone"] or row["run_up"] or row["both"]) and row["precision"] == "fp32"]
+    ours = [row for row in rows if row["family"] == "ours" and row["precision"] == "fp32"
+            and not (row["alone"] or row["run_up"] or row["both"])]
     chosen = [by_name.get("oidn-high"), by_name.get("oidn-high-accumulated")]
-    chosen += [next((row for row in reversed(ours) if row["guides"] is guides), None)
-               for guides in (False, True)]
+    for guides in (False, True):
+        largest_last = [row for row in ours if row["guides"] is guides]
+        chosen += largest_last[-1:]
     return [row for row in chosen if row] or rows[:4]
 
 
@@ -187,6 +187,7 @@ SPOTS = [(8, 5), (8, -13), (-8, 5), (-8, -13), (0, 10), (0, -18), (14, -4), (-14
 """Places for a label, in points from its dot; the first free one is used, with a line to the dot
 unless it is one of the first `NEAR_SPOTS`."""
 NEAR_SPOTS = 8
+"""Places so near to the dot that the label needs no line to it."""
 Point = tuple[float, float, dict[str, Any]]
 """Position of a method's dot, and its row."""
 
@@ -264,6 +265,7 @@ def _fill(row: dict[str, Any]) -> str:
 
 def _dress(axes: Axes, facts: dict[str, Any], rows: list[dict[str, Any]], figure: str,
            time: str) -> None:
+    """Title, axes, grid and legend of a plot. time: the words for its x axis."""
     sizes = ["x".join(map(str, facts[key])) for key in ("render_size", "output_size")]
     axes.set_title(f"{sizes[0]} to {sizes[1]}, second half of {len(facts['sequence']['frames'])} "
                    f"frames, {facts['device']}, {facts['threads']} CPU threads")

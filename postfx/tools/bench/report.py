@@ -107,6 +107,7 @@ def print_table(facts: dict[str, Any]) -> None:
 
 
 def _table(facts: dict[str, Any]) -> Any:
+    """The methods as a table for a terminal, a row each."""
     from rich.table import Table
 
     gpu = facts["device"] != "cpu"
@@ -145,6 +146,7 @@ def _cells(row: dict[str, Any], gpu: bool) -> list[str]:
 
 
 def _notes(facts: dict[str, Any]) -> list[str]:
+    """Lines below the table: comparisons, ablations and warnings."""
     titles = {row["name"]: row["title"] for row in facts["methods"]}
     lines = []
     for entry in facts["against_best_baseline"]:

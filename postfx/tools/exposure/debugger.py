@@ -49,8 +49,10 @@ DRIFTING_VERDICT = "drifting"
 NEAR_EV = 0.25
 """A picture this close to mid grey needs no exposure: noise may move the meter by as much."""
 SAME_EV = 0.125
+"""Stops by which a header's exposure and a picture's brightness may differ to be one."""
 APPLIED_EV = 0.05  # the board's own error is smaller
 STEADY_EV = 0.1
+"""Stops by which a steady exposure, or a steady picture, may vary over a shot."""
 OPPOSED = -0.8  # correlation
 
 
@@ -279,6 +281,7 @@ class _Mode:
 
 
 def _judge(readings: Sequence[Reading]) -> Shot:
+    """What the readings of one shot say of it."""
     mismatch = np.array([reading.mismatch_ev for reading in readings])
     verdict = _verdict(mismatch, np.ptp([reading.reference_ev for reading in readings]))
     return Shot(

@@ -232,6 +232,7 @@ CHART_HEIGHT_PX = 270
 # and dither add some.
 MOST_GREY_SPREAD = 0.35
 LEAST_GREY_DIFFERENCE = 0.01
+"""Part of the signal, 0..1, by which dither does not change levels."""
 
 
 def write_chart(path: str | PathLike[str]) -> Path:

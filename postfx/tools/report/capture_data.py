@@ -293,6 +293,8 @@ def _shape(tensor: dict[str, Any]) -> tuple[str, list[int]]:
 
 
 def _load(folder: Path, tensor: dict[str, Any]) -> np.ndarray:
+    """The content of a captured tensor. CompareError where it was not kept, ReadError for a file
+    that does not fit."""
     if not tensor.get("file"):
         command = "postfx run --capture DIR --capture-tensors all"
         raise CompareError(f"capture in '{folder}' has no content of tensor '{tensor['name']}': "

@@ -26,6 +26,7 @@ from postfx.version import pip_install
 LONGEST_SIDE_PX = 800
 """Longest side of a picture in pixels; larger ones are reduced."""
 WHITE_STOPS = 6
+"""Stops above 1 at which light is white in a picture that is not for a display."""
 
 
 Pixels = Mapping[str, np.ndarray]
@@ -216,8 +217,12 @@ def measure_errors(codes: Mapping[str, np.ndarray]) -> Comparison:
 
 
 MOST_MEASURED_POINTS = 40_000
+"""Pixels of a frame that flicker is measured at, about."""
 FEWEST_MEASURED_POINTS = 100
+"""Pixels that motion must lead into the frame before: with fewer, flicker is not known."""
 CALMEST = 0.8
+"""Share of the pixels, those that change least, that flicker is the mean of: others are
+uncovered."""
 
 
 def measure_change(before: np.ndarray, now: np.ndarray, motion: np.ndarray,

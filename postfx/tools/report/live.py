@@ -98,6 +98,7 @@ class LiveViewer:
         self._thread.join(LAST_SECONDS)
 
     def _work(self) -> None:
+        """Send queued pictures to the viewer, until None comes."""
         connection: socket.socket | None = None
         while (item := self._waiting.get()) is not None:
             if time.monotonic() > self._deadline:
@@ -124,7 +125,7 @@ class LiveViewer:
 
 
 def packets(name: str, frame: Frame) -> Iterator[bytes]:
-    """What tells a viewer of a picture: light, or what a display shows as linear light."""
+    """Messages that give a viewer a picture: light, or what a display shows as linear light."""
     colour = frame[Role.COLOUR]
     light = colour if frame.encoding in LINEAR else srgb_decode(colour)
     height, width, count = light.shape

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from onnx import AttributeProto, ModelProto, NodeProto, TensorProto
 
 LONGEST_TEXT = 200
+"""Characters of an attribute that are shown."""
 MOST_SHOWN_VALUES = 16
 """Weights of at most so many elements are shown in full."""
 
@@ -49,6 +50,7 @@ def describe(path: Path, dims: Mapping[str, int]) -> dict[str, Any]:
 
 
 def _graph(model: ModelProto, dims: Mapping[str, int]) -> dict[str, Any]:
+    """The graph of a model in plain types, for a page. dims: sizes of its free dimensions."""
     graph = model.graph
     weights = {item.name: item for item in graph.initializer}
     inputs = [item.name for item in graph.input if item.name not in weights]

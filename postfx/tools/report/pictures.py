@@ -15,7 +15,9 @@ BLACK_PERCENTILE = 1
 WHITE_PERCENTILE = 99
 
 GAMMA = 2.2
+"""Power that pictures of light are shown by."""
 SHEET_COLUMNS = 4
+"""Tiles in a row of a sheet."""
 _NOT_FINITE = (255, 0, 255)
 
 

@@ -162,8 +162,9 @@ def test_reflectances_of_metal_plastic_glass(tracer: Tracer, built: BuiltScene) 
 
 def test_guides_lie_on_the_reference_grid(tracer: Tracer, built: BuiltScene) -> None:
     built.move(1, 0)
-    cameras, size, rng = ((camera(1), camera(0)), (2 * SIZE[0], 2 * SIZE[1]),
-                          np.random.default_rng(0))
+    cameras = (camera(1), camera(0))
+    size = (2 * SIZE[0], 2 * SIZE[1])
+    rng = np.random.default_rng(0)
     jitter = (0.25, -0.3)
     guides = guide_frame(tracer, built, cameras, size, style("realtime", 1, jitter), 1, rng)
     assert "motion" not in guides and guides["depth"].shape == (64, 96)
@@ -190,8 +191,8 @@ def mirrored_scene(virtual: bool) -> BuiltScene:
     checks = (np.indices((4, 4)).sum(0) % 2)[..., None] * np.ones(3) * 0.6 + 0.2
     boxes = d.material(Material("diffuse", checks.astype(np.float32)))
     flip = np.diag([1.0, 1.0, -1.0, 1.0])
-    here, glass = (object_path(np.array([0.1, 0.6, 7.5]), MOVE, np.array([0.3, 1, 0]), 0.2),
-                   np.array([0, 0, 0.04]))
+    here = object_path(np.array([0.1, 0.6, 7.5]), MOVE, np.array([0.3, 1, 0]), 0.2)
+    glass = np.array([0, 0, 0.04])
     through = object_path(np.zeros(3), 2 * glass, np.array([0.0, 1, 0]), 0.0)
     d.movers += [lambda t: through(t) @ flip @ here(t) if virtual else here(t)]
     d.movers += [lambda t: translation(*(glass * (t - 3.5)))]

@@ -24,8 +24,8 @@ def test_training_s_seeds_are_refused() -> None:
 
 
 def test_scenes_may_show_what_they_have() -> None:
-    plain, metal = Description("room"), Description("room", [Material("conductor")],
-                                                    movers=[lambda t: np.eye(4)])
+    plain = Description("room")
+    metal = Description("room", [Material("conductor")], movers=[lambda t: np.eye(4)])
     assert {name for name, trait in TRAITS.items() if trait.has(metal)} == {"moving", "metal"}
     assert not any(trait.has(plain) for trait in TRAITS.values())
 

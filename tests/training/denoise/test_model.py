@@ -58,7 +58,7 @@ def test_what_lies_beyond_the_edge_is_the_mirrored_picture() -> None:
 
 
 @pytest.mark.parametrize("scale", SIZES)
-def test_any_scale(scale: float) -> None:
+def test_the_network_gives_every_output_size(scale: float) -> None:
     inputs = frame(1)
     with torch.no_grad():
         output, state, reprojected = small_model()(inputs, empty_state(inputs, *SIZES[scale]))
@@ -115,8 +115,9 @@ def test_bad_planes_give_a_finite_picture(bad: float) -> None:
 def test_general_upsampling_equals_the_short_cut_at_scale_2(size: tuple[int, int]) -> None:
     torch.manual_seed(0)
     h, w = size
-    radiance, weights, jitter = (torch.rand(2, 3, h, w), torch.rand(2, 9, 4, h, w) + 0.1,
-                                 torch.rand(2, 2) - 0.5)
+    radiance = torch.rand(2, 3, h, w)
+    weights = torch.rand(2, 9, 4, h, w) + 0.1
+    jitter = torch.rand(2, 2) - 0.5
     general = ops.upsample_any(radiance, weights, jitter, 2 * h, 2 * w)
     torch.testing.assert_close(general, ops.upsample_double(radiance, weights, jitter))
     controls = ops.interpolate_any(weights, 2 * h, 2 * w)

@@ -56,8 +56,8 @@ def test_speckle_at_the_render_size_survives_where_planes_are_exact():
 def test_light_of_a_lamp_that_fades_costs_more_than_noise():
     reference = torch.full((1, 3, 32, 32), 0.2)
     reference[..., 4:12, 4:12] = 20.0
-    faded, noisy = reference.clone(), reference + 0.02 * torch.randn(1, 3, 32, 32,
-                                                                     generator=torch.Generator())
+    faded = reference.clone()
+    noisy = reference + 0.02 * torch.randn(1, 3, 32, 32, generator=torch.Generator())
     faded[..., 4:12, 4:12] = 10.0
     assert light_loss(reference, reference) < 1e-6
     assert light_loss(faded, reference) > 20 * light_loss(noisy, reference)

@@ -35,8 +35,8 @@ def images(rng, count, size=(64, 96)):
 def test_the_reference_s_noise_is_taken_out():
     rng = np.random.default_rng(1)
     picture, noisy = images(rng, 8)
-    exact, measured = Errors(picture, picture, 1.0), Errors(noisy[:2].mean(0), noisy[2:4].mean(0),
-                                                            1.0)
+    exact = Errors(picture, picture, 1.0)
+    measured = Errors(noisy[:2].mean(0), noisy[2:4].mean(0), 1.0)
     assert exact.noise == {"seen": 0, "relmse": 0}
     for key, value in exact(noisy[7]).items():
         assert measured(noisy[7])[key] == pytest.approx(value, rel=0.02), key

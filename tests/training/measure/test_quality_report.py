@@ -59,8 +59,9 @@ def written(tmp_path: Path, results: Path, *blocks: str, options: tuple[str, ...
     """Blocks of a document after the tool has run over it; what is around them has to be as it
     was."""
     doc = tmp_path / "doc.md"
-    head, between, foot = ("# Title\n\nBy hand.\n\n", "\nMore by hand, without a newline",
-                           "\nThe end")
+    head = "# Title\n\nBy hand.\n\n"
+    between = "\nMore by hand, without a newline"
+    foot = "\nThe end"
     inner = "\nold\n<!-- end -->\n" + between.rstrip() + "\n\n"
     doc.write_text(head + "".join(f"<!-- table: {block} -->{inner}" for block in blocks) + foot)
     arguments = [str(results), "--doc", str(doc), "--images", str(tmp_path / "images"), "--models",
@@ -291,12 +292,12 @@ def test_the_document_has_known_markers_and_its_pictures():
 @pytest.mark.parametrize(("value", "form", "text"),
                          [(-0.001, "+.2f", "+0.00"), (-1.236, "+.2f", "-1.24"),
                           (None, ".2f", "-"), (-0.04, ".1f", "0.0")])
-def test_numbers(value, form, text):
+def test_numbers_are_written_in_their_form(value, form, text):
     assert document.number(value, form) == text
 
 
 @pytest.mark.parametrize(("name", "text"),
                          [("m-int8-guides-alone", "postfx m int8 with guides, no history"),
                           ("oidn-high-accumulated", "OIDN high + accumulation"), ("l", "postfx l")])
-def test_names(name, text):
+def test_methods_are_named_in_words(name, text):
     assert document.method_title(name) == text

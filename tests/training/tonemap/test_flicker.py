@@ -76,11 +76,13 @@ def test_how_fast_light_is_followed_is_measured() -> None:
     pytest.param("local", "garage", marks=pytest.mark.soak)])
 def test_looks_flicker_no_more_than_the_nearest_static_curve(shared_dir: Path, tag: str,
                                                              name: str) -> None:
-    folder, look, mapper, other = (shared_dir / "sequences" / name, LOOKS[tag], Mapper(tag),
-                                   Mapper(tag))
+    folder = shared_dir / "sequences" / name
+    look = LOOKS[tag]
+    mapper = Mapper(tag)
+    other = Mapper(tag)
     frames = list(exposed_frames(folder))
-    light, shown = [frame[Role.COLOUR] for frame in frames], [mapper.follow(frame)
-                                                              for frame in frames]
+    light = [frame[Role.COLOUR] for frame in frames]
+    shown = [mapper.follow(frame) for frame in frames]
     stops = {"static": nearest_exposure(look.view, light, shown), "view": look.gain}
 
     def view(name: str) -> object:

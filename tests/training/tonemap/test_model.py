@@ -126,8 +126,8 @@ def test_shipped_models_are_those_on_their_cards() -> None:
 
 def test_training_form_of_slicing_equals_the_kernels() -> None:
     torch.manual_seed(2)
-    shaped, guide = (shape(torch.rand(2, 3, 37, 53) * 4, *default_shaper(exposure=1.3)),
-                     network.Guide()())
+    shaped = shape(torch.rand(2, 3, 37, 53) * 4, *default_shaper(exposure=1.3))
+    guide = network.Guide()()
     grid = torch.randn(2, 16, 16, 8, 12)
     dense = network.slice_grid_dense(shaped, guide, grid)
     torch.testing.assert_close(dense, network.slice_grid(shaped, guide, grid), atol=1e-5, rtol=0)

@@ -47,8 +47,9 @@ def book_row(rng: np.random.Generator, width: float, room: float, depth: float) 
             x += rng.uniform(0.05, 0.3)
             continue
         thick, tall = rng.uniform(0.012, 0.05), rng.uniform(0.55, 0.93) * room
-        deep, inset, name = (rng.uniform(0.7, 0.95) * depth, rng.uniform(0, 0.02),
-                             int(rng.integers(len(BOOKS))))
+        deep = rng.uniform(0.7, 0.95) * depth
+        inset = rng.uniform(0, 0.02)
+        name = int(rng.integers(len(BOOKS)))
         if rng.random() < 0.05 and x < width - 0.16:
             lean = rotation(np.array([0, 0, 1.0]), rng.uniform(0.1, 0.3))
             book = solids.boxes([-thick, 0, -deep], [0, 0.9 * tall, -inset]).transform(lean)

@@ -30,7 +30,7 @@ from training.datagen.scenes.materials import Material, random_material
 from training.datagen.scenes.meshes import Mesh, merge, quad
 
 Facts = dict[str, Any]
-"""Of a file or of a thing in it, by their names."""
+"""Facts of a file, or of a thing in it, by their names."""
 
 # glTF ---------------------------------------------------------------------------------------------
 # The part of glTF 2.0 that static scenes need: nodes, meshes, base colours and their textures.
@@ -359,8 +359,8 @@ def draw_view(facts: Facts, rng: np.random.Generator, own: float = 0.6, shift: f
     target = rng.uniform(low, high)
     if not facts["around"] or rng.random() < inside:
         return rng.uniform(low, high), target
-    size, angle = (np.linalg.norm(np.subtract(facts["high"], facts["low"])),
-                   rng.uniform(0, 2 * np.pi))
+    size = np.linalg.norm(np.subtract(facts["high"], facts["low"]))
+    angle = rng.uniform(0, 2 * np.pi)
     reach = size * rng.uniform(0.15, 0.6) * np.array([np.cos(angle), rng.uniform(0.1, 0.7),
                                                       np.sin(angle)])
     return target + reach, target

@@ -20,8 +20,10 @@ X = np.array([1.0, 0, 0])
 
 def bookcase(rng: np.random.Generator) -> Thing:
     """Shelves full of books, boxes and small things; with or without a back."""
-    w, d, h, levels = (rng.uniform(0.35, 1.1), rng.uniform(0.22, 0.36), rng.uniform(0.8, 2.3),
-                       int(rng.integers(2, 7)))
+    w = rng.uniform(0.35, 1.1)
+    d = rng.uniform(0.22, 0.36)
+    h = rng.uniform(0.8, 2.3)
+    levels = int(rng.integers(2, 7))
     slot, t = str(rng.choice(["trim", "wood", "wood", "lacquer"])), rng.uniform(0.015, 0.03)
     heights = np.linspace(0.06, h - t, levels + 1)
     low = [[-w, 0, 0], [w - t, 0, 0], [-w + t, 0.06, 0], *[[-w + t, y, 0.006] for y in heights]]
@@ -44,14 +46,15 @@ def cabinet(rng: np.random.Generator, width: float | None = None, height: float 
     """A chest, sideboard or wardrobe: panelled doors or drawers with handles."""
     w = (width or rng.uniform(0.7, 2.0)) / 2
     h, d = height or rng.uniform(0.5, 1.0), depth or rng.uniform(0.38, 0.55)
-    slot, columns = (slot or str(rng.choice(["trim", "lacquer", "wood"])),
-                     max(1, round(2 * w / rng.uniform(0.4, 0.65))))
+    slot = slot or str(rng.choice(["trim", "lacquer", "wood"]))
+    columns = max(1, round(2 * w / rng.uniform(0.4, 0.65)))
     drawers = int(rng.integers(2, 5)) if h < 1.2 else 1
     rows = [drawers if rng.random() < 0.45 else 1 for _ in range(columns)]
     profile = solids.frame_profile(rng, rng.uniform(0.02, 0.05), rng.uniform(0.004, 0.014))
     plain, knob = rng.random() < 0.35, rng.random() < 0.5
-    parts, handles = [solids.boxes([[-w, plinth, 0], [-w + 0.03, 0, 0]],
-                                   [[w, h, d], [w - 0.03, plinth, d - 0.05]])], []
+    parts = [solids.boxes([[-w, plinth, 0], [-w + 0.03, 0, 0]],
+                          [[w, h, d], [w - 0.03, plinth, d - 0.05]])]
+    handles = []
     for k, count in enumerate(rows):
         x0 = -w + 2 * w * k / columns
         for door in panel_grid(x0 + 0.002, plinth + 0.004, x0 + 2 * w / columns - 0.002, h - 0.004,

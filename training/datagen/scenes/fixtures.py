@@ -155,8 +155,8 @@ def stairs(rng: np.random.Generator, rise: float, steps: int, width: float) -> T
             line = np.array([[0, 0.0], [go * steps, rise - 0.04], [go * steps, rise - 0.3],
                              [0.3, -0.0]])
             made.append((_plate(line, z, z + 0.04), "trim"))
-    foot, end = np.array([0.5 * go, h, width - 0.05]), np.array([go * (steps - 0.5), rise,
-                                                                 width - 0.05])
+    foot = np.array([0.5 * go, h, width - 0.05])
+    end = np.array([go * (steps - 0.5), rise, width - 0.05])
     high = rng.uniform(0.85, 0.95)
     bars = rail_between(rng, foot, end, baluster(rng, high), high, rng.uniform(0.09, 0.16))
     made.append((meshes.merge(bars[:-1]), str(rng.choice(["trim", "metal", "wood"]))))
@@ -185,8 +185,10 @@ def _plate(line: np.ndarray, z0: float, z1: float) -> Mesh:
 
 def rack(rng: np.random.Generator) -> Thing:
     """A shop's shelves with rows of like goods."""
-    w, d, h, levels = (rng.uniform(0.8, 1.6), rng.uniform(0.35, 0.5), rng.uniform(1.3, 2.1),
-                       int(rng.integers(3, 6)))
+    w = rng.uniform(0.8, 1.6)
+    d = rng.uniform(0.35, 0.5)
+    h = rng.uniform(1.3, 2.1)
+    levels = int(rng.integers(3, 6))
     heights = np.linspace(0.12, h, levels)
     low = [[-w, 0, 0.0], [w - 0.03, 0, 0.0], *[[-w, y - 0.025, 0.0] for y in heights]]
     high = [[-w + 0.03, h, d], [w, h, d], *[[w, y, d] for y in heights]]
@@ -217,8 +219,9 @@ def boxes_pile(rng: np.random.Generator) -> Thing:
     """Cartons on top of one another, as in attics."""
     made, y, size = [], 0.0, rng.uniform(0.25, 0.4)
     for _ in range(int(rng.integers(1, 4))):
-        w, h, d = (size * rng.uniform(0.7, 1), size * rng.uniform(0.6, 1.2),
-                   size * rng.uniform(0.7, 1))
+        w = size * rng.uniform(0.7, 1)
+        h = size * rng.uniform(0.6, 1.2)
+        d = size * rng.uniform(0.7, 1)
         turn = rotation(Y, rng.normal(0, 0.2))
         body = solids.boxes([-w, y, -d], [w, y + h, d]).transform(turn)
         flap = solids.boxes([-w, y + h, -d], [w, y + h + 0.004, -0.02]).transform(turn)

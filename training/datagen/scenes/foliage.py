@@ -108,8 +108,9 @@ def fern(rng: np.random.Generator) -> list[Any]:
     """Arching fronds with leaflets on both sides."""
     parts = []
     for turn in rng.uniform(0, 2 * np.pi, int(rng.integers(6, 14))):
-        t, reach, tall = np.linspace(0, 1,
-                                     18)[:, None], rng.uniform(0.3, 0.6), rng.uniform(0.4, 0.9)
+        t = np.linspace(0, 1, 18)[:, None]
+        reach = rng.uniform(0.3, 0.6)
+        tall = rng.uniform(0.4, 0.9)
         out = np.array([np.cos(turn), 0, np.sin(turn)])
         spine = t * reach * out + (tall * np.sin(0.8 * np.pi * t)) * [0, 1, 0]
         side = np.cross(out, [0, 1, 0])
@@ -178,8 +179,8 @@ def railing(rng: np.random.Generator) -> list[Any]:
     count, h, radius = int(rng.integers(10, 40)), rng.uniform(0.5, 1.1), rng.uniform(0.004, 0.015)
     t = np.linspace(-1, 1, count)
     curve = rng.uniform(0, 1.5) * (rng.random() < 0.5)
-    x, z = (rng.uniform(0.5, 1.3) * (np.sin(curve * t) / curve if curve else t),
-            0.6 * np.cos(curve * t) - 0.6)
+    x = rng.uniform(0.5, 1.3) * (np.sin(curve * t) / curve if curve else t)
+    z = 0.6 * np.cos(curve * t) - 0.6
     top = np.stack([x, np.full(count, h), z], 1)
     bars = [tube(np.stack([p * [1, 0, 1], p]), radius, 6) for p in top]
     return [(meshes.merge(bars), "main"), (tube(top, 2.5 * radius + 0.008, 8), "second"),

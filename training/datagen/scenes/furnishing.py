@@ -49,7 +49,7 @@ def brick_wall(house: House) -> None:
 
 
 def tile_walls(house: House) -> None:
-    """The same tiles on all walls, up to some height."""
+    """All walls tiled alike, up to some height."""
     high, seed = house.rng.uniform(1.2, house.size[1]), int(house.rng.integers(1 << 30))
     for side in house.sides:
         for a, b in between(side.width, side.holes, 0.15, high, 0.12):
@@ -94,32 +94,47 @@ def _place(house: House, thing: Thing, matrix: np.ndarray) -> bool:
     return True
 
 
+PLACING_TRIES = 10
+"""Places that are tried for a thing before it is left out."""
+
+
 def furnish(house: House, kind: Kind) -> None:
-    rng, (w, _, depth) = house.rng, house.size
+    """Put things of a kind of room along the walls, into the middle and below windows."""
+    rng = house.rng
     for index in rng.permutation(len(kind.walls))[: int(rng.integers(4, 11))]:
-        thing = kind.walls[index](rng)
-        for _ in range(10):
-            side = house.sides[int(rng.integers(4))]
-            x = rng.uniform(0.3, side.width - 0.3)
-            if _blocked(side, thing, x) or not _place(house, thing,
-                                                      side.matrix @ translation(x, 0, 0.04)):
-                continue
-            break
+        _place_at_wall(house, kind.walls[index](rng))
     for index in rng.permutation(len(kind.middle))[: int(rng.integers(2, 6))]:
-        thing = kind.middle[index](rng)
-        for _ in range(10):
-            spot = translation(rng.uniform(-0.35, 0.35) * w, 0, rng.uniform(-0.35, 0.35) * depth)
-            turn = rotation(Y, float(rng.choice(4)) * np.pi / 2 + rng.normal(0, 0.08))
-            if _place(house, thing, spot @ turn):
-                break
+        _place_in_middle(house, kind.middle[index](rng))
     for side in house.sides[:4]:
-        for hole in (h for h in side.holes
-                     if h.kind == "window" and h.y0 > 0.65 and rng.random() < 0.35):
-            _place(house, fixtures.radiator(rng),
-                   side.matrix @ translation((hole.x0 + hole.x1) / 2, 0, 0.0))
-        for hole in (h for h in side.holes
-                     if h.kind == "window" and h.y0 > 0.2 and rng.random() < 0.4):
-            house.put(_sill(house, hole), side.matrix)
+        windows = [hole for hole in side.holes if hole.kind == "window"]
+        for hole in windows:
+            if hole.y0 > 0.65 and rng.random() < 0.35:
+                middle = (hole.x0 + hole.x1) / 2
+                _place(house, fixtures.radiator(rng), side.matrix @ translation(middle, 0, 0.0))
+        for hole in windows:
+            if hole.y0 > 0.2 and rng.random() < 0.4:
+                house.put(_sill(house, hole), side.matrix)
+
+
+def _place_at_wall(house: House, thing: Thing) -> None:
+    """Place a thing before a wall, away from its openings, if there is room."""
+    for _ in range(PLACING_TRIES):
+        side = house.sides[int(house.rng.integers(4))]
+        x = house.rng.uniform(0.3, side.width - 0.3)
+        if _blocked(side, thing, x):
+            continue
+        if _place(house, thing, side.matrix @ translation(x, 0, 0.04)):
+            return
+
+
+def _place_in_middle(house: House, thing: Thing) -> None:
+    """Place a thing away from the walls, about parallel to them, if there is room."""
+    rng, (w, _, depth) = house.rng, house.size
+    for _ in range(PLACING_TRIES):
+        spot = translation(rng.uniform(-0.35, 0.35) * w, 0, rng.uniform(-0.35, 0.35) * depth)
+        turn = rotation(Y, float(rng.choice(4)) * np.pi / 2 + rng.normal(0, 0.08))
+        if _place(house, thing, spot @ turn):
+            return
 
 
 def _sill(house: House, hole: Opening) -> Thing:
@@ -177,8 +192,8 @@ def _pictures(house: House, side: Side, a: float, b: float) -> None:
     count = int(rng.integers(1, 4)) if b - a > 1.5 else 1
     size = np.minimum(rng.uniform(0.25, 0.8, 2), [(b - a) / count - 0.1, 0.85])
     for x in a + (np.arange(count) + 0.5) * (b - a) / count:
-        picture, spot = (clutter.picture_frame(rng, size[0], size[1], "art"),
-                         side.matrix @ translation(x, y, 0.02))
+        picture = clutter.picture_frame(rng, size[0], size[1], "art")
+        spot = side.matrix @ translation(x, y, 0.02)
         if _clear(house, spot[:3, 3], 0.5 * size[0], y - 0.5 * size[1]):
             house.put(picture, spot)
     house.sights.append((side.matrix @ np.array([(a + b) / 2, y, 0, 1]))[:3])

@@ -24,8 +24,10 @@ def _at(mesh: Mesh, x: float, y: float, z: float) -> Mesh:
 
 
 def table(rng: np.random.Generator) -> Thing:
-    w, d, h, leg = (rng.uniform(0.5, 1.0), rng.uniform(0.35, 0.6), rng.uniform(0.4, 0.8),
-                    rng.uniform(0.015, 0.05))
+    w = rng.uniform(0.5, 1.0)
+    d = rng.uniform(0.35, 0.6)
+    h = rng.uniform(0.4, 0.8)
+    leg = rng.uniform(0.015, 0.05)
     parts: Thing = [(meshes.box([-w, h, -d], [w, h + 0.05, d]), "main")]
     for x in (-w + leg, w - leg):
         for z in (-d + leg, d - leg):

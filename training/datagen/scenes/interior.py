@@ -185,8 +185,8 @@ def _sheets(house: House, sides: list[Side], gap: float) -> None:
     """Shallow boxes outside the windows of each wall, open towards them, that shine inwards; half
     of them are darker below a horizon."""
     rng = house.rng
-    bright, cut = (lights.tint(rng, 0.03) * rng.uniform(4, 12),
-                   rng.uniform(0.2, 0.6) if rng.random() < 0.5 else 0.0)
+    bright = lights.tint(rng, 0.03) * rng.uniform(4, 12)
+    cut = rng.uniform(0.2, 0.6) if rng.random() < 0.5 else 0.0
     dim = bright * rng.uniform(0.15, 0.7) * lights.tint(rng, 0.03)
     for start, end, radiance in ((0.0, cut, dim), (cut, 1.0, bright)):
         if end > start:

@@ -107,8 +107,9 @@ class Cut:
 def flicker(rng: np.random.Generator) -> Callable[[float], float]:
     """A light's strength over the frames, 0.15 to 1: a slow wave, on and off, or at random like a
     flame."""
-    kind, rate, phase = (str(rng.choice(["wave", "switch", "flame"])), rng.uniform(0.2, 1.5),
-                         rng.uniform(0, 2 * np.pi))
+    kind = str(rng.choice(["wave", "switch", "flame"]))
+    rate = rng.uniform(0.2, 1.5)
+    phase = rng.uniform(0, 2 * np.pi)
     low, seed = rng.uniform(0.15, 0.7), int(rng.integers(1 << 30))
 
     def strength(frame: float) -> float:
@@ -214,8 +215,9 @@ def hanging(rng: np.random.Generator, top: float, height: float, normal: np.ndar
     """Cloth hanging from `top` that air moves along `normal` (3,), more at its foot; waves run
     through it."""
     reach = float(np.clip(0.03 * np.exp(rng.normal(0, 0.7)), 0.004, 0.12))
-    rate, phase, side = (rng.uniform(0.15, 0.9), rng.uniform(0, 2 * np.pi),
-                         np.cross(normal, [0.0, 1, 0]))
+    rate = rng.uniform(0.15, 0.9)
+    phase = rng.uniform(0, 2 * np.pi)
+    side = np.cross(normal, [0.0, 1, 0])
     along, down = rng.uniform(1.0, 5.0), rng.uniform(0.5, 3.0)
 
     def move(v: np.ndarray, time: float) -> np.ndarray:

@@ -226,8 +226,8 @@ def _pattern(rng: np.random.Generator) -> Material:
 def _body(rng: np.random.Generator, size: float) -> tuple[meshes.Mesh, np.ndarray, np.ndarray]:
     """A body that hairs grow on, and many roots (N, 3) with their directions (N, 3): a head, a roll
     or a mat."""
-    count, kind = (int(np.exp(rng.uniform(np.log(300), np.log(5000)))),
-                   str(rng.choice(["head", "roll", "mat", "tuft"])))
+    count = int(np.exp(rng.uniform(np.log(300), np.log(5000))))
+    kind = str(rng.choice(["head", "roll", "mat", "tuft"]))
     if kind == "head":
         body = meshes.blob(0.5 * size, rng, 0.2).transform(meshes.translation(0, 0.5 * size, 0))
         pick = rng.integers(len(body.vertices), size=count)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -68,6 +68,7 @@ def bars(low: np.ndarray, edge: np.ndarray, hole: tuple[float, float, float, flo
 
 
 def room(rng: np.random.Generator, maps: Environments) -> Draft:
+    """A room of random size and furniture, with one kind of light."""
     d = Description("room")
     w, h, depth = rng.uniform(3, 8), rng.uniform(2.3, 4), rng.uniform(3, 9)
     calm = rng.random() < 0.3
@@ -80,22 +81,7 @@ def room(rng: np.random.Generator, maps: Environments) -> Draft:
           .scaled_uvs(rng.uniform(0.3, 1.2)), floor)
     d.add(meshes.quad([-w / 2, h, -depth / 2], [w, 0, 0], [0, 0, depth]), plain)
     light = str(rng.choice(list(LIGHTS), p=list(LIGHTS.values())))
-    openings = light in ("windows", "small", "both")
-    corners = np.array([[-w / 2, 0, -depth / 2], [w / 2, 0, -depth / 2], [w / 2, 0, depth / 2],
-                        [-w / 2, 0, depth / 2]])
-    sides = 0 if not openings else 1 if light == "small" else int(rng.integers(1, 3))
-    opened = set(rng.choice(4, sides, replace=False))
-    uv, outside = rng.uniform(0.3, 1.2), []
-    for side in range(4):
-        low, edge = corners[side], corners[(side + 1) % 4] - corners[side]
-        holes = _windows(rng, h, light == "small") if side in opened else []
-        for part in wall(low, edge, h, holes):
-            d.add(part.scaled_uvs(uv), other if side == 1 else plain if side == 0 else walls)
-        outside += [_outside(low, edge, hole) for hole in holes]
-        panes = int(rng.choice([0, 1, 2, 3]))
-        for hole in holes:
-            for bar in bars(low, edge, hole, panes) if panes else []:
-                d.add(bar, pale)
+    outside = _add_walls(d, rng, (w, h, depth), light, (plain, other, walls, walls), pale)
     if outside and rng.random() < 0.5:
         d.emit(meshes.merge(outside), lights.tint(rng) * rng.uniform(4, 12))
     elif outside:
@@ -118,6 +104,36 @@ def room(rng: np.random.Generator, maps: Environments) -> Draft:
         return eye, target
 
     return Draft(d, view)
+
+
+def _add_walls(d: Description, rng: np.random.Generator, size: tuple[float, float, float],
+               light: str, materials: Sequence[int], bar_material: int) -> list[meshes.Mesh]:
+    """Add four walls, some of them with windows if these light the room; returns sheets outside the
+    windows. size: width, height and depth; materials: of each wall."""
+    w, h, depth = size
+    corners = np.array([[-w / 2, 0, -depth / 2], [w / 2, 0, -depth / 2], [w / 2, 0, depth / 2],
+                        [-w / 2, 0, depth / 2]])
+    if light not in ("windows", "small", "both"):
+        opened_sides = 0
+    elif light == "small":
+        opened_sides = 1
+    else:
+        opened_sides = int(rng.integers(1, 3))
+    opened = set(rng.choice(4, opened_sides, replace=False))
+    uv_scale = rng.uniform(0.3, 1.2)
+    outside = []
+    for side in range(4):
+        low = corners[side]
+        edge = corners[(side + 1) % 4] - low
+        holes = _windows(rng, h, light == "small") if side in opened else []
+        for part in wall(low, edge, h, holes):
+            d.add(part.scaled_uvs(uv_scale), materials[side])
+        outside += [_outside(low, edge, hole) for hole in holes]
+        panes = int(rng.choice([0, 1, 2, 3]))
+        for hole in holes if panes else []:
+            for bar in bars(low, edge, hole, panes):
+                d.add(bar, bar_material)
+    return outside
 
 
 def _outside(low: np.ndarray, edge: np.ndarray,
@@ -213,8 +229,9 @@ def sample_room() -> Description:
             d.add(part, material)
         for bar in bars(low, edge, window, 3) if side in (1, 3) else []:
             d.add(bar, white)
-    d.environment, d.environment_turn, d.environment_gain = (sky(np.random.default_rng(5)), 200.0,
-                                                             12.0)
+    d.environment = sky(np.random.default_rng(5))
+    d.environment_turn = 200.0
+    d.environment_gain = 12.0
     _furnish_sample(d, rng, white, blue)
     return d
 

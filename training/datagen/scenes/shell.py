@@ -110,8 +110,8 @@ def build(house: House) -> None:
 def _coffers(house: House) -> None:
     """Mouldings in fields on the ceiling."""
     rng, (w, h, depth) = house.rng, house.size
-    pitch, rim = rng.uniform(0.6, 1.6), solids.frame_profile(rng, rng.uniform(0.03, 0.1),
-                                                             rng.uniform(0.01, 0.06))
+    pitch = rng.uniform(0.6, 1.6)
+    rim = solids.frame_profile(rng, rng.uniform(0.03, 0.1), rng.uniform(0.01, 0.06))
     columns, rows = (max(1, round((size - 0.5) / pitch)) for size in (w, depth))
     fields = joinery.panel_grid(0.3 - w / 2, 0.3 - depth / 2, w / 2 - 0.3, depth / 2 - 0.3, columns,
                                 rows, 0.12)
@@ -150,8 +150,8 @@ def _wall(house: House, side: Side, gable: bool) -> None:
 
 def dress(house: House) -> None:
     """Blinds and curtains: the same kind for all windows, some of them moving."""
-    kind, rng = str(house.rng.choice(["none", "blind", "curtain", "sheer"],
-                                     p=[0.42, 0.18, 0.3, 0.1])), house.rng
+    kind = str(house.rng.choice(["none", "blind", "curtain", "sheer"], p=[0.42, 0.18, 0.3, 0.1]))
+    rng = house.rng
     for side in (s for s in house.sides if not s.slope):
         for hole in (h for h in side.holes if h.kind == "window"):
             if rng.random() < 0.4:
@@ -206,8 +206,8 @@ def _behind(house: House, side: Side, hole: Opening) -> None:
     """A passage behind a door or an arch; most have a window at their far end."""
     rng, z, top = house.rng, -house.style.thick, side.height
     length = 0.4 if hole.kind == "door" and rng.random() < 0.3 else rng.uniform(1.2, 3.0)
-    a, b = max(hole.x0 - rng.uniform(0.05, 0.8), 0.0), min(hole.x1 + rng.uniform(0.05, 0.8),
-                                                           side.width)
+    a = max(hole.x0 - rng.uniform(0.05, 0.8), 0.0)
+    b = min(hole.x1 + rng.uniform(0.05, 0.8), side.width)
     end = []
     if length > 1 and rng.random() < 0.65:
         end = [Opening(0.12, float(rng.choice([0.05, 0.9])), b - a - 0.12, min(2.1, top - 0.2))]

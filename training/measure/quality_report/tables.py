@@ -263,7 +263,8 @@ def scales(results: Results) -> str:
 
 
 def equal_rays(results: Results) -> str:
-    """As many light paths spent at half and at full size, against the best of OIDN at full size."""
+    """Table of as many light paths spent at half and at full size, against the best of OIDN at full
+    size."""
     facts = results.validation()
     if not facts["equal_rays"]:
         raise Missing("the validation set was not measured both ways with OIDN")
@@ -307,8 +308,8 @@ def convergence(results: Results, *names: str) -> str:
         for scale, method in dict.fromkeys((row["scale"], row["method"])
                                            for row in found if row["method"] != "input"):
             own = [row for row in found if (row["scale"], row["method"]) == (scale, method)]
-            least, most = min(own, key=lambda row: row["gain"]), max(own,
-                                                                     key=lambda row: row["samples"])
+            least = min(own, key=lambda row: row["gain"])
+            most = max(own, key=lambda row: row["samples"])
             rows.append([view, f"{scale}x", _told(method),
                          f"{number(least['gain'], '+.2f')} dB at {least['samples']}",
                          f"{number(most['gain'], '+.2f')} dB at {most['samples']}"])

@@ -75,10 +75,10 @@ def set_up(scene: bpy.types.Scene, size: tuple[int, int], crop: tuple[int, int])
     render.use_sequencer = False
     render.use_border = True
     render.use_crop_to_border = True
-    render.border_min_x, render.border_max_x = (0.5 - 0.5 * crop[0] / size[0],
-                                                0.5 + 0.5 * crop[0] / size[0])
-    render.border_min_y, render.border_max_y = (0.5 - 0.5 * crop[1] / size[1],
-                                                0.5 + 0.5 * crop[1] / size[1])
+    render.border_min_x = 0.5 - 0.5 * crop[0] / size[0]
+    render.border_max_x = 0.5 + 0.5 * crop[0] / size[0]
+    render.border_min_y = 0.5 - 0.5 * crop[1] / size[1]
+    render.border_max_y = 0.5 + 0.5 * crop[1] / size[1]
     render.image_settings.media_type = "MULTI_LAYER_IMAGE"
     render.image_settings.file_format = "OPEN_EXR_MULTILAYER"
     render.image_settings.color_depth = "16"

@@ -84,9 +84,10 @@ class Library:
         if pick is not None and len(roots) == 1 and len(roots[0].children) > pick:
             roots = list(roots[0].children)
             for item in roots:
-                item.matrix_parent_inverse, item.parent, item.matrix_world = (
-                    Matrix(), None, item.matrix_world.copy()
-                )
+                world = item.matrix_world.copy()
+                item.matrix_parent_inverse = Matrix()
+                item.parent = None
+                item.matrix_world = world
         if pick is not None and len(roots) > pick:
             kept = {roots[i] for i in rng.choice(len(roots), pick, replace=False)}
             for item in [o for o in made if root_of(o) not in kept]:
@@ -178,8 +179,9 @@ def room(library: Library, frames: int, rng: Rng, dark: bool = False) -> Shot:
     """A furnished box lit by a window, a door ajar, lamps or strips; ``dark``: no light reaches
     most of it directly."""
     w, d, h = rng.uniform(3, 7), rng.uniform(3, 8), rng.uniform(2.3, 3.4)
-    wall, floor, ceiling = (parts.material(rng, "rough"), parts.material(rng),
-                            parts.material(rng, "rough"))
+    wall = parts.material(rng, "rough")
+    floor = parts.material(rng)
+    ceiling = parts.material(rng, "rough")
     if rng.random() < 0.6:
         wall.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (*[
             rng.uniform(0.5, 0.85)

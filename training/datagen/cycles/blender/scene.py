@@ -65,8 +65,9 @@ def keyframe(item: bpy.types.Object, first: Matrix, last: Matrix, frames: int) -
     if turns[0].dot(turns[1]) < 0:
         turns[1].negate()
     for frame, pose, turn in zip((0, frames), (first, last), turns, strict=True):
-        item.location, item.rotation_quaternion, item.scale = (pose.to_translation(), turn,
-                                                               pose.to_scale())
+        item.location = pose.to_translation()
+        item.rotation_quaternion = turn
+        item.scale = pose.to_scale()
         for path in ("location", "rotation_quaternion", "scale"):
             item.keyframe_insert(path, frame=frame)
     make_linear(item)
@@ -111,8 +112,8 @@ def move_camera(camera: bpy.types.Object, target: Place, frames: int, width: int
         camera.rotation_mode = "QUATERNION"
         for frame in range(-1, frames + 2):
             pose = look(eye, target + rng.normal(0, 1, 3) * angle * distance / frames)
-            camera.location, camera.rotation_quaternion = (pose.to_translation(),
-                                                           pose.to_quaternion())
+            camera.location = pose.to_translation()
+            camera.rotation_quaternion = pose.to_quaternion()
             for path in ("location", "rotation_quaternion"):
                 camera.keyframe_insert(path, frame=frame)
         make_linear(camera)
@@ -223,8 +224,8 @@ def colour_of(rng: Rng) -> Colour:
         return (float(rng.uniform(0.7, 0.9)),) * 3
     if pick < 0.2:
         return (float(rng.uniform(0.01, 0.05)),) * 3
-    value, dull = (rng.uniform(0.1, 0.85),
-                   rng.uniform(0.3, 1) if rng.random() < 0.6 else rng.uniform(0, 0.3))
+    value = rng.uniform(0.1, 0.85)
+    dull = rng.uniform(0.3, 1) if rng.random() < 0.6 else rng.uniform(0, 0.3)
     hue = rng.random(3)
     hue = hue / hue.max()
     red, green, blue = (float(x) for x in value * (dull + (1 - dull) * hue))
@@ -397,8 +398,8 @@ def empty_volume(name: str) -> tuple[bpy.types.Material, bpy.types.Node]:
     made.use_nodes = True
     tree = made.node_tree
     tree.nodes.clear()
-    shade, out = (tree.nodes.new("ShaderNodeVolumePrincipled"),
-                  tree.nodes.new("ShaderNodeOutputMaterial"))
+    shade = tree.nodes.new("ShaderNodeVolumePrincipled")
+    out = tree.nodes.new("ShaderNodeOutputMaterial")
     tree.links.new(shade.outputs[0], out.inputs["Volume"])
     return made, shade
 
@@ -415,9 +416,8 @@ def volume_material(rng: Rng, density: float, wisps: float = 0.0) -> bpy.types.M
         noise, at = tree.nodes.new("ShaderNodeTexNoise"), tree.nodes.new("ShaderNodeTexCoord")
         noise.inputs["Scale"].default_value = wisps
         spread = tree.nodes.new("ShaderNodeMapRange")
-        spread.inputs["From Min"].default_value, spread.inputs["From Max"].default_value = (
-            rng.uniform(0.4, 0.55), 0.75
-        )
+        spread.inputs["From Min"].default_value = rng.uniform(0.4, 0.55)
+        spread.inputs["From Max"].default_value = 0.75
         spread.inputs["To Max"].default_value = 3 * density
         tree.links.new(at.outputs["Object"], noise.inputs["Vector"])
         tree.links.new(noise.outputs[0], spread.inputs[0])
@@ -460,17 +460,15 @@ def smoke_material(rng: Rng, half: np.ndarray, density: float, heat: float,
     both.operation = "MULTIPLY"
     tree.links.new(noise.outputs[0], both.inputs[0])
     tree.links.new(inner.outputs[0], both.inputs[1])
-    spread.inputs["From Min"].default_value, spread.inputs["From Max"].default_value = (rng.uniform(
-        0.15, 0.4
-    ), 0.7)
+    spread.inputs["From Min"].default_value = rng.uniform(0.15, 0.4)
+    spread.inputs["From Max"].default_value = 0.7
     spread.inputs["To Max"].default_value = density
     tree.links.new(both.outputs[0], spread.inputs[0])
     tree.links.new(spread.outputs[0], shade.inputs["Density"])
     if heat:
         hot = tree.nodes.new("ShaderNodeMapRange")
-        hot.inputs["From Min"].default_value, hot.inputs["From Max"].default_value = (rng.uniform(
-            0.35, 0.5
-        ), 0.7)
+        hot.inputs["From Min"].default_value = rng.uniform(0.35, 0.5)
+        hot.inputs["From Max"].default_value = 0.7
         hot.inputs["To Max"].default_value = heat
         tree.links.new(both.outputs[0], hot.inputs[0])
         tree.links.new(hot.outputs[0], shade.inputs["Emission Strength"])
@@ -732,8 +730,8 @@ def fur(rng: Rng, item: bpy.types.Object, count: int, length: float) -> None:
     made.use_nodes = True
     tree = made.node_tree
     tree.nodes.clear()
-    shade, out = (tree.nodes.new("ShaderNodeBsdfHairPrincipled"),
-                  tree.nodes.new("ShaderNodeOutputMaterial"))
+    shade = tree.nodes.new("ShaderNodeBsdfHairPrincipled")
+    out = tree.nodes.new("ShaderNodeOutputMaterial")
     shade.parametrization = "COLOR"
     shade.inputs["Color"].default_value = (*np.clip(np.array(colour_of(rng)), 0.02, 0.9), 1)
     tree.links.new(shade.outputs[0], out.inputs["Surface"])
@@ -741,8 +739,8 @@ def fur(rng: Rng, item: bpy.types.Object, count: int, length: float) -> None:
     system = item.modifiers.new("fur", "PARTICLE_SYSTEM").particle_system.settings
     system.type, system.count, system.hair_length = "HAIR", count, length
     system.material = len(item.data.materials)
-    system.brownian_factor, system.factor_random = (rng.uniform(0, 0.05),
-                                                    rng.uniform(0, 0.3) * length)
+    system.brownian_factor = rng.uniform(0, 0.05)
+    system.factor_random = rng.uniform(0, 0.3) * length
     system.child_type = "INTERPOLATED"
     system.rendered_child_count = int(rng.integers(4, 12))
     system.clump_factor = rng.uniform(-0.2, 0.6)

@@ -86,9 +86,8 @@ def shoot(scene: bpy.types.Scene, path: Path, frame: int, size: tuple[int, int],
     """Render one frame into an EXR file. With an ``error``, pixels whose noise is below it get
     fewer samples."""
     scene.cycles.use_adaptive_sampling = error > 0
-    scene.cycles.adaptive_threshold, scene.cycles.adaptive_min_samples = (error, round(
-        LEAST_HALF_SHARE * spp
-    ))
+    scene.cycles.adaptive_threshold = error
+    scene.cycles.adaptive_min_samples = round(LEAST_HALF_SHARE * spp)
     scene.render.resolution_x, scene.render.resolution_y = size
     scene.render.resolution_percentage = 100
     scene.cycles.samples, scene.cycles.seed = spp, seed
