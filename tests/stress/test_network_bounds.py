@@ -32,6 +32,8 @@ WIDER = dict.fromkeys((("denoise_upscale.s.1x", "greatest"), ("denoise_upscale.l
                       (5e-5, 2e-5))
 """Network and VALUES -> the same, where sums are largest: all features at their greatest at once,
 as in no frame. What rounding makes of them depends on the order in which a processor sums, too."""
+GPU_WIDER = {"denoise_upscale.xl": 2}
+"""Network -> factor on its bounds on a GPU: its second filter's logits are larger than others'."""
 GPU_BOUNDS = {"fp32": (5e-3, 4e-3), "fp16": (5e-3, 4e-3), "tone": (5e-4, 2e-4)}
 """The same on a GPU, which multiplies in TensorFloat-32 where a CPU does in float32, and in halves
 in fp16, on random features; LOUDER times as much on others, which make logits large."""
@@ -134,7 +136,7 @@ def test_error_of_networks(name: str) -> None:
 @pytest.mark.parametrize("name",
                          [name for name in (*DENOISERS, *TONE_MAPPERS) if kind(name) in GPU_BOUNDS])
 def test_error_of_networks_on_a_gpu(name: str, gpu: Device) -> None:
-    most, mean = GPU_BOUNDS[kind(name)]
+    most, mean = (bound * GPU_WIDER.get(name, 1) for bound in GPU_BOUNDS[kind(name)])
     louder = {values: 1 if values == "random" else LOUDER for values in VALUES}
     check(name, {values: (more * most, more * mean) for values, more in louder.items()},
           gpu.placement.provider)

@@ -42,6 +42,7 @@ from postfx.exposure import ExposureMeter
 from postfx.frame import ROLES, Frame, Role
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.passes.denoise.planes import shows_volume
+from postfx.pixel_filter import find_stddev
 from postfx.system import usable_cores
 from training.denoise.checkpoint import PREFIX, load_weights
 from training.denoise.dataset import ABSENT
@@ -215,6 +216,11 @@ def read_examples(arguments: argparse.Namespace, blanks_volumes: bool,
     other = read_sequence(
         arguments.references or arguments.halves, profile=arguments.profile, motion="auto",
         **values)
+    first = shot.read(shot.numbers[0])
+    if arguments.model == "xl" and find_stddev(first[Role.COLOUR], first.planes):
+        raise OptionError(f"{shot.pattern}: the renderer's pixel filter spreads noise over several "
+                          "pixels, as xl never sees it: render with a box filter, or give "
+                          "--model m")
     found = targets_of(Reader(shot, blanks_volumes, device), other)
     if arguments.halves:
         found += targets_of(Reader(other.first_view(), blanks_volumes, device), shot)

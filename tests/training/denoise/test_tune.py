@@ -165,6 +165,11 @@ def test_the_command_says_what_is_wrong(tmp_path: Path, monkeypatch, capsys):
                            ([shot, "--references", shot], "nowhere to write")):
         assert main(["tune", *words]) == 2
         assert message in capsys.readouterr().err
+    monkeypatch.setattr(tune, "find_stddev", lambda colour, planes: 0.5)
+    monkeypatch.setattr("sys.argv", ["tune", shot, "--references", shot, *out])
+    assert tune.main() == 2
+    error = capsys.readouterr().err
+    assert "pixel filter" in error and "--model m" in error and error.count("\n") == 1
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main(["tune", shot, "--references", shot, *out]) == 2
     error = capsys.readouterr().err

@@ -6,9 +6,9 @@ For each kind and frame writes DIR/KIND/noisy.SPP.####.exr and DIR/KIND/referenc
 in the middle of the picture, and DIR/KIND/half.SPP.####.exr: the same crop at half the size, with
 the rays of a full size of a quarter of the samples. With --second it also writes
 DIR/KIND/second.####.exr, references with other noise: with two, the noise of references leaves the
-figures (postfx/tools/bench/metrics.py). With --take, all pictures have other noise than those of another
-take. Where motion is blurred, Blender 5 writes no vectors, and so these files have none. Goes on
-after a scene that fails; keeps files that exist.
+figures (postfx/tools/bench/metrics.py). With --take, all pictures have other noise than those of
+another take. Where motion is blurred, Blender 5 writes no vectors, and so these files have none.
+Goes on after a scene that fails; keeps files that exist.
 """
 
 from __future__ import annotations
