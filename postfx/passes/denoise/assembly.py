@@ -263,25 +263,25 @@ class Frames:
         # counts
         moves = keep and not work.still or last["history"] is left["next_history"]
         masked = keep and self._reactive
-        record = partial(self._record, commands, seen, targets, moves, masked, band, kept, layers)
+        now = frozenset({"moves"} if moves else ()) | frozenset({"masked"} if masked else ())
+        record = partial(self._record, commands, seen, targets, now, band, kept, layers)
         if layers:  # whose tensors are many
             record()
         else:
-            commands.repeat((self, self.model, moves, masked, band, kept, *seen.values(),
+            commands.repeat((self, self.model, now, band, kept, *seen.values(),
                              *picture.values()), record)
         return picture["output"]
 
     def _record(self, commands: CommandBuffer, seen: Mapping[str, Tensor], targets: Targets,
-                moves: bool, masked: bool, band: Band | None, kept: Rows,
+                now: frozenset[str], band: Band | None, kept: Rows,
                 layers: Sequence[Layer]) -> None:
         words = frozenset({"reactive"} if self._reactive else ())
         run_steps(commands, FRAME_NEEDS, seen, words)
         if band is None and self._whole:
-            self._whole.encode(commands, self._window, self.model, seen, targets, moves, masked,
-                               layers)
+            self._whole.encode(commands, self._window, self.model, seen, targets, now, layers)
         for some in [band] if band else self._bands:
-            self._encode_tiles(commands, some, seen, targets, masked, kept if band else some.own,
-                               layers)
+            self._encode_tiles(commands, some, seen, targets, now | {"moves"},
+                               kept if band else some.own, layers)
 
     def rows(self, band: Band | None, cells: np.ndarray | None) -> Rows:
         """The rows of the output that are written by a frame, or by some tiles of it, as far as
@@ -295,17 +295,17 @@ class Frames:
         return window.rows, window.columns
 
     def _encode_tiles(self, commands: CommandBuffer, band: Band, seen: Mapping[str, Tensor],
-                      targets: Targets, masked: bool, kept: Rows,
+                      targets: Targets, now: frozenset[str], kept: Rows,
                       layers: Sequence[Layer]) -> None:
         window = band.tiles[0].window
         graph, direct = (self._graphs[window.rows, window.columns],
                          self._assembly.direct(band, targets, kept))
-        if direct:
-            graph.encode(commands, window, self.model, seen, direct, True, masked, layers)
-            return
-        for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles, targets), strict=True):
-            graph.encode(commands, tile.window, self.model, seen, slot, True, masked, layers)
-        self._assembly.encode(commands, band, targets, kept)
+        slots = [direct] if direct else self._assembly.slots(band.tiles, targets)
+        for tile, slot in zip(band.tiles, slots, strict=True):
+            lasting = None if self._bands or layers else tile.lasting
+            graph.encode(commands, tile.window, self.model, seen, slot, now, layers, lasting)
+        if not direct:
+            self._assembly.encode(commands, band, targets, kept)
 
     def _make(self, shape: Shape) -> Shape:
         """Make a graph ready for windows of a size, or somewhat larger ones if there were others
