@@ -1,7 +1,7 @@
 """How far a window's edge reaches: the largest difference to the whole frame, by the halo.
 
     python -m training.measure.halo SEQUENCE ... --halos 48 56 72 [--model s] [--scale 2] [--guides]
-        [--centred] [--in-use] [--frames 1]
+        [--centred] [--in-use] [--frames 1] [--history 48]
 
 Denoises the first frame or frames of each sequence (a pattern such as samples/room/noisy.####.exr),
 whole and masked but for their top rows, in windows that end exactly a halo below these rows. Prints
@@ -9,8 +9,8 @@ the largest difference where strength is 1, in [0, 1] of (x / (1 + x))^(1 / 2.2)
 With guides the frame's own planes, repeated, stand in for sharp ones. `halo_of` in
 postfx/passes/denoise/models.py has the halos in use. With --in-use they stay, and the given ones
 only say where windows end; two networks in a row, which centred samples get, have two of them.
-Several frames in a row go on from the history that windows leave: see HISTORY_REACH_PX in
-postfx/passes/denoise/tiling.py.
+Several frames in a row go on from the history that windows leave, in --history rows around what is
+denoised, by default HISTORY_REACH_PX of postfx/passes/denoise/tiling.py.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ import numpy as np
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, Role, read_sequence
 from postfx.frame import GUIDE_ROLES
 from postfx.passes.denoise import assembly as windows
+from postfx.passes.denoise import tiling
 from postfx.passes.denoise.tiling import SIDE_MULTIPLE, STRENGTH_REACH_PX
 
 GAMMA = 1 / 2.2
@@ -106,8 +107,10 @@ def main(words: Sequence[str] | None = None) -> None:
                         help="samples lie at the centres of pixels: frames have no jitter")
     parser.add_argument("--in-use", action="store_true", help="keep the networks' own halos")
     parser.add_argument("--frames", type=int, default=1, help="in a row, the first ones")
+    parser.add_argument("--history", type=int, default=tiling.HISTORY_REACH_PX, help="rows")
     parser.add_argument("--halos", type=int, nargs="+", required=True, help="render pixels")
     given = parser.parse_args(words)
+    tiling.HISTORY_REACH_PX = given.history
     options: dict[str, object] = {"model": given.model, "scale": given.scale}
     for pattern in given.sequences:
         frames = list(itertools.islice(read_sequence(pattern), given.frames))
@@ -123,7 +126,8 @@ def main(words: Sequence[str] | None = None) -> None:
         found = (f"{halo}: {difference(frames, whole, exposure, options, halo, given.in_use):.1e}"
                  for halo in given.halos)
         name = f"{given.model} {given.scale}x{' guides' * given.guides}{' centred' * given.centred}"
-        name += f", {given.frames} frames" * (given.frames > 1)
+        if given.frames > 1:
+            name += f", {given.frames} frames, {given.history} rows of history"
         print(f"{name}, {pattern}: {', '.join(found)}", flush=True)
 
 

@@ -196,8 +196,8 @@ CELL = 2 * STRENGTH_REACH_PX
 """Side in render pixels of the squares that are active or not."""
 HISTORY_REACH_PX = 48
 """Rows above and below what is denoised that leave a history to the next frame, with networks of
-filters and without guides. With it their later frames, too, differ by less than 1e-3 from the whole
-frame's (docs/lab/denoiser.md), and so far something may move from frame to frame."""
+filters and without guides. So far something may move from frame to frame, and later frames differ
+from the whole frame's by no more than with a history in all rows (docs/lab/denoiser.md)."""
 COARSE = 4
 """Side, in such squares, of the larger squares that boxes are searched by."""
 TILE_SIDE = COARSE * CELL
