@@ -52,6 +52,7 @@ from postfx.interpolate.parts import (
     follow_picture,
     light_parts,
 )
+from postfx.interpolate.thin import MOST_APART_SHARE, where_flow_is_right
 from postfx.interpolate.timing import (
     Sparks,
     camera_between,
@@ -610,6 +611,22 @@ class Between:
         return [way for motion in motions if (way := find(*motion[:2])) is not None]
 
     @cached_property
+    def _where_flow_is_right(self) -> np.ndarray | None:
+        """How much the picture by estimated motion counts in place of that by vectors (h, w, 1),
+        where these lead a thin thing nowhere right; None where they do not."""
+        ways = self._ways
+        if (ways is None or not ways.vectors_fit or ways.apart > MOST_APART_SHARE
+                or not self._both_have(Role.DEPTH)):
+            return None
+        estimated = self._enlarge(self._estimated[0]), self._estimated_back
+        found = where_flow_is_right(self._small, self._cells_of(self.after), estimated)
+        if found is None:
+            return None
+        rows, columns = (np.minimum(np.arange(side) // self._scale, count - 1)
+                         for side, count in zip(self._size, self._grid, strict=True))
+        return found[rows[:, None], columns][..., None]
+
+    @cached_property
     def _paths(self) -> tuple[paths.Paths, paths.Paths]:
         has_depth, later = self._has_depth, self._later
         if (later is not None and (not has_depth or later.reset or any(
@@ -749,12 +766,12 @@ class Between:
     def _weigh(self, t: float, made: Pair, planes: dict[Role | str, Pair]) -> Pair:
         """The picture of a time and planes that are mixed like it, by all ways as they count;
         `made` along paths. planes: those of both frames."""
-        shares = self._shares
-        if shares == BY_VECTORS:
+        shares, by_flow = self._shares, self._where_flow_is_right
+        if shares == BY_VECTORS and by_flow is None:
             return made
         stacked = self._stack(planes)
         ways = [made, made, (_mean_at(self._pictures, t), _mean_at(stacked, t)), made]
-        if shares[1] or shares[3]:
+        if shares[1] or shares[3] or by_flow is not None:
             flowing = self._without_vectors._compose(t, 0.0, stacked, self._stack({}))[0]
             ways[1] = flowing[0], flowing[1]
         if shares[3]:
@@ -764,6 +781,9 @@ class Between:
             if share:
                 picture += np.float32(share) * way[0]
                 mixed += np.float32(share) * way[1]
+        if by_flow is not None:
+            picture += by_flow * (ways[1][0] - picture)
+            mixed += by_flow * (ways[1][1] - mixed)
         return picture, mixed
 
     def _over_shot(self, t: float, planes: dict[Role | str, Pair]) -> Pair:
