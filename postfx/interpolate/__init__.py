@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cached_property, partial
+from numbers import Real
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -155,6 +156,7 @@ class Between:
         if overlay not in OVERLAYS:
             raise FrameError(f"overlay '{overlay}' between frames: use {' or '.join(OVERLAYS)}")
         for frame in (before, after):
+            _require_frame(frame)
             if Role.COLOUR not in frame or frame.encoding != "scene-linear":
                 raise FrameError(f"frame {frame.number} ({frame.source or 'of no file'}) has no "
                                  "scene-linear colour: interpolate before the display transform")
@@ -180,7 +182,8 @@ class Between:
 
         Raises FrameError for another time.
         """
-        if not (0 <= t <= 1 and -1 <= previous <= t):
+        is_time = isinstance(t, Real) and isinstance(previous, Real)
+        if not (is_time and 0 <= t <= 1 and -1 <= previous <= t):
             raise FrameError(f"time {t} with motion to {previous}: give 0 <= t <= 1 and -1 <= "
                              "previous <= t")
         nearer = self.before if t < 0.5 else self.after
@@ -870,7 +873,8 @@ class Interpolator:
 
     def push(self, frame: Frame, delta: float = 1.0) -> None:
         """Take the next frame, `delta` after the one before it, in any unit of time above 0."""
-        if not delta > 0:
+        _require_frame(frame)
+        if not (isinstance(delta, Real) and delta > 0):
             raise FrameError(f"frame {frame.number} comes {delta} after the one before: give a "
                              "time above 0")
         is_cut = self._detector(frame)
@@ -935,3 +939,10 @@ def _finite(plane: np.ndarray) -> np.ndarray:
     found: np.ndarray = np.nan_to_num(plane, nan=0, posinf=0, neginf=0).clip(-MOST_COUNTED_LIGHT,
                                                                              MOST_COUNTED_LIGHT)
     return found
+
+
+def _require_frame(frame: object) -> None:
+    """FrameError for anything else."""
+    if not isinstance(frame, Frame):
+        raise FrameError(f"frames between are made of postfx.Frame, not {type(frame).__name__}: "
+                         "give Frame({'colour': array})")
