@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import re
 from collections.abc import Callable
@@ -34,6 +35,9 @@ DISPLAYS = {
 _NOTE = re.compile(r"^#\s*postfx: input=(.+), output=(\S+)$", re.MULTILINE)
 _HEAD = 4096
 """Bytes at the beginning of a file in which a note of ours stands."""
+_ODD_LINE = re.compile(rb"^.*\b(?:nan|inf)\b.*$", re.MULTILINE | re.IGNORECASE)
+_ODD = re.compile(r"[-+]?(nan|inf)", re.IGNORECASE)
+_NUMBER = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)?", re.IGNORECASE)
 
 
 class Transform(NamedTuple):
@@ -85,11 +89,12 @@ def file_transform(text: str) -> Transform:
     if not os.path.isfile(path):
         raise ColourError(f"{path}: no such look-up table: check the path and its rights")
     try:
-        with open(path, "rb") as head:
-            note = _NOTE.search(head.read(_HEAD).decode("utf-8", "replace"))
+        content = Path(path).read_bytes()
     except OSError as error:
         raise ColourError(f"{path}: look-up table cannot be read: {error.strerror}; check its "
                           "rights") from error
+    _check_numbers(path, content)
+    note = _NOTE.search(content[:_HEAD].decode("utf-8", "replace"))
     space, output = note.groups() if note else (None, "srgb")
     space, output = given.get("input", space), given.get("output", output)
     if space is None:
@@ -104,6 +109,21 @@ def file_transform(text: str) -> Transform:
     own, table = config.convert(INTERCHANGE, space), config.look_up(file)
     return Transform(lambda x: _run(lambda light: table(own(light)), x, path),
                      parse_display(output), f"{Path(path).name}, takes {space}")
+
+
+def _check_numbers(path: str, content: bytes) -> None:
+    """ColourError for a table that OpenColorIO takes for another one or for none: with numbers that
+    are not finite, or a mark before its first word."""
+    if content.startswith(codecs.BOM_UTF8):
+        raise ColourError(f"{path}: begins with a byte order mark: save it as UTF-8 without one")
+    for line in _ODD_LINE.findall(content):
+        words = line.decode("ascii", "replace").split()
+        is_told = words[0].startswith(("#", "TITLE"))
+        # DOMAIN_MAX stands before its numbers
+        if not is_told and all(_ODD.fullmatch(word) or _NUMBER.fullmatch(word)
+                               for word in words[len(words) > 3:]):
+            raise ColourError(f"{path}: has the numbers '{' '.join(words)[:60]}': a look-up table "
+                              "of finite ones is needed")
 
 
 def convert(light: np.ndarray, source: str, target: str) -> np.ndarray:

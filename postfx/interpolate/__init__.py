@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cached_property, partial
+from numbers import Real
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -52,6 +53,7 @@ from postfx.interpolate.parts import (
     follow_picture,
     light_parts,
 )
+from postfx.interpolate.thin import MOST_APART_SHARE, where_flow_is_right
 from postfx.interpolate.timing import (
     Sparks,
     camera_between,
@@ -171,6 +173,7 @@ class Between:
         if overlay not in OVERLAYS:
             raise FrameError(f"overlay '{overlay}' between frames: use {' or '.join(OVERLAYS)}")
         for frame in (before, after):
+            _require_frame(frame)
             if Role.COLOUR not in frame or frame.encoding != "scene-linear":
                 raise FrameError(f"frame {frame.number} ({frame.source or 'of no file'}) has no "
                                  "scene-linear colour: interpolate before the display transform")
@@ -208,7 +211,8 @@ class Between:
 
         Raises FrameError for another time.
         """
-        if not (0 <= t <= 1 and -1 <= previous <= t):
+        is_time = isinstance(t, Real) and isinstance(previous, Real)
+        if not (is_time and 0 <= t <= 1 and -1 <= previous <= t):
             raise FrameError(f"time {t} with motion to {previous}: give 0 <= t <= 1 and -1 <= "
                              "previous <= t")
         nearer = self.before if t < 0.5 else self.after
@@ -654,6 +658,22 @@ class Between:
         return [way for motion in motions if (way := find(*motion[:2])) is not None]
 
     @cached_property
+    def _where_flow_is_right(self) -> np.ndarray | None:
+        """How much the picture by estimated motion counts in place of that by vectors (h, w, 1),
+        where these lead a thin thing nowhere right; None where they do not."""
+        ways = self._ways
+        if (ways is None or not ways.vectors_fit or ways.apart > MOST_APART_SHARE
+                or not self._both_have(Role.DEPTH)):
+            return None
+        estimated = self._enlarge(self._estimated[0]), self._estimated_back
+        found = where_flow_is_right(self._small, self._cells_of(self.after), estimated)
+        if found is None:
+            return None
+        rows, columns = (np.minimum(np.arange(side) // self._scale, count - 1)
+                         for side, count in zip(self._size, self._grid, strict=True))
+        return found[rows[:, None], columns][..., None]
+
+    @cached_property
     def _paths(self) -> tuple[paths.Paths, paths.Paths]:
         """Paths of cells of both frames through the time between."""
         has_depth = self._has_depth
@@ -801,12 +821,12 @@ class Between:
     def _weigh(self, t: float, made: Pair, planes: dict[Role | str, Pair]) -> Pair:
         """The picture of a time and planes that are mixed like it, by all ways as they count;
         `made` along paths. planes: those of both frames."""
-        shares = self._shares
-        if shares == BY_VECTORS:
+        shares, by_flow = self._shares, self._where_flow_is_right
+        if shares == BY_VECTORS and by_flow is None:
             return made
         stacked = self._stack(planes)
         ways = [made, made, (_mean_at(self._pictures, t), _mean_at(stacked, t)), made]
-        if shares[1] or shares[3]:
+        if shares[1] or shares[3] or by_flow is not None:
             flowing = self._without_vectors._compose(t, 0.0, stacked, self._stack({}))[0]
             ways[1] = flowing[0], flowing[1]
         if shares[3]:
@@ -816,6 +836,9 @@ class Between:
             if share:
                 picture += np.float32(share) * way[0]
                 mixed += np.float32(share) * way[1]
+        if by_flow is not None:
+            picture += by_flow * (ways[1][0] - picture)
+            mixed += by_flow * (ways[1][1] - mixed)
         return picture, mixed
 
     def _over_shot(self, t: float, planes: dict[Role | str, Pair]) -> Pair:
@@ -902,7 +925,8 @@ class Interpolator:
 
     def push(self, frame: Frame, delta: float = 1.0) -> None:
         """Take the next frame, `delta` after the one before it, in any unit of time above 0."""
-        if not delta > 0:
+        _require_frame(frame)
+        if not (isinstance(delta, Real) and delta > 0):
             raise FrameError(f"frame {frame.number} comes {delta} after the one before: give a "
                              "time above 0")
         is_cut = self._detector(frame)
@@ -976,3 +1000,10 @@ def _finite(plane: np.ndarray) -> np.ndarray:
     found: np.ndarray = np.nan_to_num(plane, nan=0, posinf=0, neginf=0).clip(-MOST_COUNTED_LIGHT,
                                                                              MOST_COUNTED_LIGHT)
     return found
+
+
+def _require_frame(frame: object) -> None:
+    """FrameError for anything else."""
+    if not isinstance(frame, Frame):
+        raise FrameError(f"frames between are made of postfx.Frame, not {type(frame).__name__}: "
+                         "give Frame({'colour': array})")

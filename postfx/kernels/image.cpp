@@ -8,7 +8,10 @@ constexpr int MARGIN = 5;  // pixels beside a row, so that no tap lies outside
 constexpr float EVEN = 1e-3f;
 constexpr int BEHIND = 4;  // numbers after a row, which are read with its last pixel
 
-// Whether the result has twice the columns, evenly: all even ones lie alike, and all odd ones.
+FN Long floor_to_whole(float x) { return Long(floor_of(x)); }
+
+// Whether the result has twice the columns, evenly: all even ones lie alike, and so do all odd ones,
+// which lie less than two pixels after them.
 static bool doubles(const Places& columns, Long w) {
     if (columns.size[0] != 2 * w) return false;
     for (int side = 0; side < 2; side++) {
@@ -18,7 +21,8 @@ static bool doubles(const Places& columns, Long w) {
             if (!(size_of<float>(off) <= EVEN)) return false;
         }
     }
-    return true;
+    const Long between = floor_to_whole(columns.at[1]) - floor_to_whole(columns.at[0]);
+    return between == 0 || between == 1;
 }
 
 // Whether the result's columns are the picture's own.
@@ -28,7 +32,12 @@ static bool stays(const Places& columns, Long w) {
     return same;
 }
 
-FN Long floor_to_whole(float x) { return Long(floor_of(x)); }
+// Rows begin where a vector of their numbers is read from one line of the cache.
+FN Long whole_vectors(Long count) { return (count + WIDE - 1) / WIDE * WIDE; }
+FN float* first_vector(float* at) {
+    const Long beyond = Long((__UINTPTR_TYPE__)at % sizeof(Wide));
+    return at && beyond ? at + (Long(sizeof(Wide)) - beyond) / Long(sizeof(float)) : at;
+}
 
 struct Resampler {
     Picture image;
@@ -37,24 +46,24 @@ struct Resampler {
     bool twice, still;
     Room<float> room, weights;
     Room<int> index;
-    float *value, *low, *high, *least, *most, *sides[2];
+    float* const lines_at;
+    float *value, *least, *most, *sides[2];
     Long numbers[TAPS], bounded[2];
 
     Resampler(const Picture& image, const Places& rows, const Places& columns)
         : image(image), rows(rows), columns(columns), h(image.size[0]), w(image.size[1]),
           channels(image.size[2]), width(columns.size[0]),
-          size((w + 2 * MARGIN) * channels + BEHIND), twice(doubles(columns, w)),
-          still(stays(columns, w)), room((TAPS + 5) * size + 2 * (w * channels + BEHIND)),
-          weights(TAPS * width), index(width), numbers{-1, -1, -1, -1}, bounded{-1, -1} {
+          size(whole_vectors((w + 2 * MARGIN) * channels + BEHIND)), twice(doubles(columns, w)),
+          still(stays(columns, w)), room(WIDE + (TAPS + 5) * size),
+          weights(TAPS * width), index(width), lines_at(first_vector(room.at)),
+          numbers{-1, -1, -1, -1}, bounded{-1, -1} {
         if (!*this) return;
-        for (Long i = 0; i < (TAPS + 5) * size; i++) room.at[i] = 0.0f;
-        value = room.at + TAPS * size;
-        low = value + size;
-        high = low + size;
-        least = high + size;
+        for (Long i = 0; i < (TAPS + 3) * size; i++) lines_at[i] = 0.0f;
+        value = lines_at + TAPS * size;
+        least = value + size;
         most = least + size;
         sides[0] = most + size;
-        sides[1] = sides[0] + w * channels + BEHIND;
+        sides[1] = sides[0] + size;
         for (Long x = 0; x < width && !twice; x++) {
             const Long left = floor_to_whole(columns.at[x]);
             const Taps taps = catmull_rom(columns.at[x] - float(left));
@@ -65,7 +74,7 @@ struct Resampler {
     }
     explicit operator bool() const { return bool(room) && bool(weights) && bool(index); }
 
-    float* line(Long row) const { return room.at + row % TAPS * size; }
+    float* line(Long row) const { return lines_at + row % TAPS * size; }
 
     // A row with its first and last pixel repeated in the margins.
     void clean(Long row) const {
@@ -103,16 +112,13 @@ struct Resampler {
         if (bounded[0] == near[1] && bounded[1] == near[2]) return;
         bounded[0] = near[1];
         bounded[1] = near[2];
-        across(0, size, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
-            const F b = load<F>(lines[1] + i), c = load<F>(lines[2] + i);
-            store<F>(low + i, smaller<F>(b, c));
-            store<F>(high + i, larger<F>(b, c));
-        });
         across(0, size - channels, PIXELS(auto one, Long i) {
             typedef decltype(one) F;
-            store<F>(least + i, smaller<F>(load<F>(low + i), load<F>(low + channels + i)));
-            store<F>(most + i, larger<F>(load<F>(high + i), load<F>(high + channels + i)));
+            const float *upper = lines[1] + i, *lower = lines[2] + i;
+            const F b = load<F>(upper), c = load<F>(lower), next_b = load<F>(upper + channels),
+                    next_c = load<F>(lower + channels);
+            store<F>(least + i, smaller<F>(smaller<F>(b, c), smaller<F>(next_b, next_c)));
+            store<F>(most + i, larger<F>(larger<F>(b, c), larger<F>(next_b, next_c)));
         });
     }
 
@@ -122,20 +128,35 @@ struct Resampler {
         const V found = sum_of_taps<V>(taps, a, b, c, d), held = found > under ? found : under;
         return held < over ? held : over;
     }
+    // Both of two columns from the same numbers; those of the second begin `LATER` pixels after.
+    template <int LATER> FN_MEMBER void find_twice(Long left, const Taps* taps) const {
+        const Long first = channels * (MARGIN + left - 1), one_more = channels;
+        across(0, w * channels, PIXELS(auto one, Long i) {
+            typedef decltype(one) F;
+            const float *at = value + first + i, *under = least + first + one_more + i,
+                        *over = most + first + one_more + i;
+            const F a = load<F>(at), b = load<F>(at + one_more), c = load<F>(at + 2 * one_more),
+                    d = load<F>(at + 3 * one_more), low_end = load<F>(under),
+                    high_end = load<F>(over);
+            store<F>(sides[0] + i, sample<F>(taps[0], a, b, c, d, low_end, high_end));
+            if constexpr (LATER == 0) {
+                store<F>(sides[1] + i, sample<F>(taps[1], a, b, c, d, low_end, high_end));
+            } else {
+                store<F>(sides[1] + i, sample<F>(taps[1], b, c, d, load<F>(at + 4 * one_more),
+                                                 load<F>(under + one_more),
+                                                 load<F>(over + one_more)));
+            }
+        });
+    }
     void put_twice(float* out) const {
+        Long lefts[2];
+        Taps taps[2];
         for (int side = 0; side < 2; side++) {
-            const Long left = floor_to_whole(columns.at[side]);
-            const Taps taps = catmull_rom(columns.at[side] - float(left));
-            const Long first = channels * (MARGIN + left - 1), second = first + channels;
-            across(0, w * channels, PIXELS(auto one, Long i) {
-                typedef decltype(one) F;
-                const float* at = value + first + i;
-                store<F>(sides[side] + i,
-                         sample<F>(taps, load<F>(at), load<F>(at + channels),
-                                   load<F>(at + 2 * channels), load<F>(at + 3 * channels),
-                                   load<F>(least + second + i), load<F>(most + second + i)));
-            });
+            lefts[side] = floor_to_whole(columns.at[side]);
+            taps[side] = catmull_rom(columns.at[side] - float(lefts[side]));
         }
+        if (lefts[1] == lefts[0]) find_twice<0>(lefts[0], taps);
+        else find_twice<1>(lefts[0], taps);
         if (channels == 1) {
             across(0, w, PIXELS(auto one, Long x) {
                 typedef decltype(one) F;

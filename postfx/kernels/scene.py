@@ -17,6 +17,15 @@ from postfx.compiled.library import Rows
 from postfx.kernels import Blocks, Kernel
 
 CAMERA_NUMBERS = 16
+# Where they are: its axes, its place, tangents of half the field of view, jitter in pixels.
+CAMERA_LEFT = slice(0, 3)
+CAMERA_UP = slice(3, 6)
+CAMERA_FORWARD = slice(6, 9)
+CAMERA_PLACE = slice(9, 12)
+CAMERA_TANGENT_ACROSS = 12
+CAMERA_TANGENT_DOWN = 13
+CAMERA_JITTER_X = 14
+CAMERA_JITTER_Y = 15
 BOX_NUMBERS = 4
 POINT = 9
 """Numbers of a point."""

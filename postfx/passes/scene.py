@@ -16,7 +16,14 @@ import numpy as np
 
 from postfx.errors import FrameError, ModelError, PassOptionError
 from postfx.frame import DEPTH_MISS, TOLD, Frame, FrameSpec, Role
-from postfx.kernels.occlusion import CAMERA, FIND_SURFACE, HORIZONS, SMOOTH_OCCLUSION
+from postfx.kernels.occlusion import (
+    CAMERA,
+    FIND_SURFACE,
+    HORIZONS,
+    RADIUS,
+    SMOOTH_OCCLUSION,
+    TANGENTS,
+)
 from postfx.kernels.scene import (
     BOX_NUMBERS,
     CAMERA_NUMBERS,
@@ -215,12 +222,13 @@ class Occlusion(_Linear):
         far[middle] = depth
         camera[:] = turn
         # the network has learnt from normals that are turned
-        camera[:9] = np.eye(3, dtype=np.float32).ravel()
-        normal[middle] = normals[0] @ turn[:9].reshape(3, 3) if normals and turn[:9].any() \
-            else _normals_of(depth[..., 0], turn[10:])
-        camera[9] = self.options["radius"] or _usual_radius(depth)
-        camera[10] *= np.float32(raw.shape[1] / depth.shape[1])  # a larger picture shows more
-        camera[11] *= np.float32(raw.shape[0] / depth.shape[0])
+        camera[:RADIUS] = np.eye(3, dtype=np.float32).ravel()
+        axes = turn[:RADIUS].reshape(3, 3)
+        normal[middle] = (normals[0] @ axes if normals and axes.any()
+                          else _normals_of(depth[..., 0], turn[TANGENTS:]))
+        camera[RADIUS] = self.options["radius"] or _usual_radius(depth)
+        larger = np.divide(raw.shape[1::-1], depth.shape[1::-1])
+        camera[TANGENTS:] *= larger.astype(np.float32)  # a larger picture shows more
         surface = np.empty((*raw.shape, 4), np.float32)
         height = len(raw)
         in_bands(height, FIND_SURFACE.rows, normal, far, camera, surface)

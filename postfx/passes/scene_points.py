@@ -9,6 +9,14 @@ import numpy as np
 
 from postfx.errors import ModelError
 from postfx.kernels.scene import (
+    CAMERA_FORWARD,
+    CAMERA_JITTER_X,
+    CAMERA_JITTER_Y,
+    CAMERA_LEFT,
+    CAMERA_PLACE,
+    CAMERA_TANGENT_ACROSS,
+    CAMERA_TANGENT_DOWN,
+    CAMERA_UP,
     FIND_POINTS,
     LAMP_REFLECTANCE,
     POINT,
@@ -60,11 +68,13 @@ def places_of(camera: np.ndarray, depth: np.ndarray) -> np.ndarray:
         and jitter.
     """
     height, width = depth.shape[:2]
-    across = (1 - 2 * (np.arange(width, dtype=np.float32) + 0.5 + camera[14]) / width) * camera[12]
-    down = (1 - 2 * (np.arange(height, dtype=np.float32) + 0.5 + camera[15]) / height) * camera[13]
-    along = down[:, None] * camera[3:6] + camera[6:9]
-    rays = across[None, :, None] * camera[:3] + along[:, None]
-    return np.asarray(camera[9:12] + depth * rays, np.float32)
+    columns = np.arange(width, dtype=np.float32) + 0.5 + camera[CAMERA_JITTER_X]
+    rows = np.arange(height, dtype=np.float32) + 0.5 + camera[CAMERA_JITTER_Y]
+    across = (1 - 2 * columns / width) * camera[CAMERA_TANGENT_ACROSS]
+    down = (1 - 2 * rows / height) * camera[CAMERA_TANGENT_DOWN]
+    along = down[:, None] * camera[CAMERA_UP] + camera[CAMERA_FORWARD]
+    rays = across[None, :, None] * camera[CAMERA_LEFT] + along[:, None]
+    return np.asarray(camera[CAMERA_PLACE] + depth * rays, np.float32)
 
 
 def points_of(

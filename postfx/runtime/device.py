@@ -123,7 +123,7 @@ class Device:
         explicit_barriers: bool = False,
     ) -> None:
         if threads is not None and not (isinstance(threads, int) and threads >= 1):
-            raise DeviceError(f"a device needs at least 1 thread, not {threads}")
+            raise DeviceError(f"a device needs at least 1 thread, not {threads!r}")
         self._arguments = (name, threads, compiled_kernels, kernels, memory, graphs, provider,
                            explicit_barriers)
         self.threads = threads or usable_cores()

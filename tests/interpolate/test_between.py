@@ -407,6 +407,20 @@ def test_alpha_is_mixed_and_ids_are_not(scene):
     assert found[Role.ALPHA].min() >= 0 and found[Role.ALPHA].max() <= 1 + 1e-6
 
 
+@pytest.mark.parametrize("wrong", [
+    lambda one: Between(one, np.ones((4, 4, 3), np.float32)),
+    lambda one: Between(one, one).frame([0.5]),
+    lambda one: Between(one, one).frame(None),
+    lambda one: Between(one, one).frame("0.5"),
+    lambda one: Interpolator().push(3),
+    lambda one: Interpolator().push(one, None),
+    lambda one: Interpolator().push(one, [1.0]),
+])
+def test_what_is_no_frame_or_no_time_is_told(scene, wrong):
+    with pytest.raises(FrameError, match="give "):
+        wrong(scene(0))
+
+
 def test_a_stream_gives_frames_at_times_of_its_own(scene):
     stream = Interpolator()
     with pytest.raises(FrameError, match="push two frames first"):

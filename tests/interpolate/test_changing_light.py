@@ -314,17 +314,17 @@ def test_where_vectors_do_not_fit_light_does_not_change_along_them_either():
     assert psnr(found, wanted) > psnr(flow, wanted) - 0.1
 
 
-def wire(time: float, vectors: bool, step: float = 5.0, seed: int = 3) -> Frame:
-    """A line of one pixel in front of a wall that stands still, with vectors of what covers most of
-    a pixel."""
+def wire(time: float, vectors: bool, step: float = 5.0, seed: int = 3, pan: float = 0.0) -> Frame:
+    """A line of one pixel in front of a wall that stands still or pans, with vectors of what covers
+    most of a pixel."""
     size = 6
     y, x = (np.mgrid[:HEIGHT * size, :WIDTH * size] + 0.5) / size
     cover = np.abs((x - 30 - step * time) - (y - 40) * 0.3) / np.hypot(1, 0.3) < 0.5
     cover = cover.reshape(HEIGHT, size, WIDTH, size).mean((1, 3))[..., None]
-    planes = {Role.COLOUR: texture(X, Y, seed) * (1 - cover) + 0.02 * cover}
+    planes = {Role.COLOUR: texture(X + pan * time, Y, seed) * (1 - cover) + 0.02 * cover}
     if vectors:
         planes[Role.DEPTH] = np.where(cover > 0.3, 3.0, 10.0)
-        planes[Role.MOTION] = np.where(cover > 0.3, (-step, 0.0), (0.0, 0.0))
+        planes[Role.MOTION] = np.where(cover > 0.3, (-step, 0.0), (pan, 0.0))
     return Frame({role: plane.astype(np.float32) for role, plane in planes.items()},
                  number=int(time))
 
@@ -374,6 +374,23 @@ def test_vectors_of_one_pixel_for_none_beside_a_wire(step, seed, where, count):
     mean = (wire(2, False, step, seed)[Role.COLOUR] + wire(3, False, step, seed)[Role.COLOUR]) / 2
     best = max(psnr(flow, wanted), psnr(mean, wanted))
     assert psnr(last.frame(0.5)[Role.COLOUR], wanted) > best - 0.05
+
+
+@pytest.mark.parametrize("told", [(1.0, 1.0), (0.0, 0.0), (5.0, 0.0)])
+def test_wrong_vectors_of_a_wire_before_a_wall_that_pans(told):
+    """What is left of the wall is spread over the picture, and hid that the wire goes elsewhere: up
+    to 6.1 dB below estimated motion."""
+    def at(time):
+        found = wire(time, True, pan=-1)
+        on_wire = found[Role.DEPTH] < 5
+        found.planes[Role.MOTION] = np.where(on_wire, told, (-1.0, 0.0)).astype(np.float32)
+        return found
+
+    wanted = wire(2.5, False, pan=-1)[Role.COLOUR]
+    flow = Between(*(wire(time, False, pan=-1) for time in (2, 3))).frame(0.5)[Role.COLOUR]
+    mean = (wire(2, False, pan=-1)[Role.COLOUR] + wire(3, False, pan=-1)[Role.COLOUR]) / 2
+    best = max(psnr(flow, wanted), psnr(mean, wanted))
+    assert psnr(Between(at(2), at(3)).frame(0.5)[Role.COLOUR], wanted) > best - 0.1
 
 
 @pytest.mark.parametrize("none", [np.nan, 1e10, -65504.0, -999.0, 200.0])

@@ -8,6 +8,7 @@ import pytest
 
 from postfx.kernels import Kernel
 from postfx.kernels.scene import (
+    CAMERA_PLACE,
     FARTHEST_PLACE,
     FIND_POINTS,
     LAMP_REFLECTANCE,
@@ -48,7 +49,7 @@ def wanted_points(camera: np.ndarray, box: np.ndarray, depth: np.ndarray,
                   normal: np.ndarray) -> np.ndarray:
     """By places in the world, (height * width, 9)."""
     place = np.clip((places_of(camera, depth) - box[:3]) / box[3], -FARTHEST_PLACE, FARTHEST_PLACE)
-    ray = places_of(camera, np.ones_like(depth)) - camera[9:12]
+    ray = places_of(camera, np.ones_like(depth)) - camera[CAMERA_PLACE]
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     mirrored = ray - 2 * (ray * normal).sum(-1, keepdims=True) * normal
     return np.concatenate([place, normal, mirrored], -1).reshape(-1, POINT)

@@ -210,6 +210,23 @@ def test_a_look_up_table_must_say_what_it_takes(tmp_path: Path) -> None:
         View(view=f"{path},input=ACEScct")
 
 
+@pytest.mark.parametrize(("before", "line", "message"), [
+    ("", "nan 1 1", "numbers 'nan 1 1'"),
+    ("", "1 -Inf 1", "numbers '1 -Inf 1'"),
+    ("DOMAIN_MAX nan 1 1\n", "1 1 1", "numbers 'DOMAIN_MAX nan 1 1'"),
+    ("\ufeff", "1 1 1", "byte order mark"),
+])
+def test_a_look_up_table_holds_finite_numbers(tmp_path: Path, before: str, line: str,
+                                              message: str) -> None:
+    """OpenColorIO takes them: pictures came out darker, or brighter, without a word."""
+    path = tmp_path / "film.cube"
+    path.write_text(f"{before}LUT_3D_SIZE 2\n" + "0 0 0\n" * 7 + line, encoding="utf-8")
+    with pytest.raises(ColourError, match=message):
+        View(view=f"{path},input=ACEScct")
+    path.write_text("TITLE \"nan inf\"\n# inf 1 1\nLUT_3D_SIZE 2\n" + "0 0 0\n1 1 1\n" * 4)
+    View(view=f"{path},input=ACEScct")
+
+
 @pytest.mark.parametrize(("text", "display", "message"), [
     ("ocio:kodak", "srgb", "no view 'kodak': use one of: ACES 2.0 - SDR"),
     ("ocio:hdr 1000", "pq", r"several views are 'hdr 1000': use one of: .*P3 D65.*Rec.2020"),

@@ -1,19 +1,22 @@
 """How far a window's edge reaches: the largest difference to the whole frame, by the halo.
 
     python -m training.measure.halo SEQUENCE ... --halos 48 56 72 [--model s] [--scale 2] [--guides]
-        [--centred] [--in-use]
+        [--centred] [--in-use] [--frames 1] [--history 48]
 
-Denoises the first frame of each sequence (a pattern such as samples/room/noisy.####.exr), whole and
-masked but for its top rows, in windows that end exactly a halo below these rows. Prints the largest
-difference where strength is 1, in [0, 1] of (x / (1 + x))^(1 / 2.2) of exposed light. With guides
-the frame's own planes, repeated, stand in for sharp ones. `halo_of` in
+Denoises the first frame or frames of each sequence (a pattern such as samples/room/noisy.####.exr),
+whole and masked but for their top rows, in windows that end exactly a halo below these rows. Prints
+the largest difference where strength is 1, in [0, 1] of (x / (1 + x))^(1 / 2.2) of exposed light.
+With guides the frame's own planes, repeated, stand in for sharp ones. `halo_of` in
 postfx/passes/denoise/models.py has the halos in use. With --in-use they stay, and the given ones
 only say where windows end; two networks in a row, which centred samples get, have two of them.
+Several frames in a row go on from the history that windows leave, in --history rows around what is
+denoised, by default HISTORY_REACH_PX of postfx/passes/denoise/tiling.py.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -24,6 +27,7 @@ import numpy as np
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, Role, read_sequence
 from postfx.frame import GUIDE_ROLES
 from postfx.passes.denoise import assembly as windows
+from postfx.passes.denoise import tiling
 from postfx.passes.denoise.tiling import SIDE_MULTIPLE, STRENGTH_REACH_PX
 
 GAMMA = 1 / 2.2
@@ -61,26 +65,34 @@ def rows_for(halo: int, height: int) -> list[int]:
 
 
 def difference(
-    frame: Frame, whole: np.ndarray, exposure: float, options: dict[str, object], halo: int,
-    in_use: bool = False
+    frames: Sequence[Frame], whole: Sequence[np.ndarray], exposure: float,
+    options: dict[str, object], halo: int, in_use: bool = False
 ) -> float:
-    """The largest of some windows, which have this halo, or those in use. ValueError where a frame
-    is too low for any."""
+    """The largest of some windows, which have this halo, or those in use. ValueError where frames
+    are too low for any."""
     device, found = Device("cpu"), []
-    for rows in rows_for(halo, frame[Role.COLOUR].shape[0]):
+    for rows in rows_for(halo, frames[0][Role.COLOUR].shape[0]):
         with nullcontext() if in_use else mock.patch.object(windows, "halo_of", lambda _: halo):
-            instance = DenoiseUpscale(**options)  # type: ignore[arg-type]
-            part = Pipeline([instance], device, exposure=np.log2(exposure))
-            colour = part(masked(frame, rows))[Role.COLOUR]
+            part = pipeline(options, exposure, device)
+            colours = [part(masked(frame, rows))[Role.COLOUR] for frame in frames]
         if not any("strength is 0 there" in skip.why for skip in part.explain().skips):
             continue
-        scale = len(colour) // frame[Role.COLOUR].shape[0]
-        error = np.abs(seen(colour, exposure) - seen(whole, exposure))
-        found.append(float(error[:(rows - STRENGTH_REACH_PX) * scale].max()))
+        for colour, wanted in zip(colours, whole, strict=True):
+            scale = len(colour) // frames[0][Role.COLOUR].shape[0]
+            error = np.abs(seen(colour, exposure) - seen(wanted, exposure))
+            found.append(float(error[:(rows - STRENGTH_REACH_PX) * scale].max()))
     if not found:
-        rows = frame[Role.COLOUR].shape[0]
+        rows = frames[0][Role.COLOUR].shape[0]
         raise ValueError(f"a frame of {rows} rows has no window with a halo of {halo}")
     return max(found)
+
+
+def pipeline(options: dict[str, object], exposure: float | None, device: Device) -> Pipeline:
+    """A new denoiser; without an exposure it finds its own."""
+    instance = DenoiseUpscale(**options)  # type: ignore[arg-type]
+    if exposure is None:
+        return Pipeline([instance], device)
+    return Pipeline([instance], device, exposure=np.log2(exposure))
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -94,20 +106,28 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--centred", action="store_true",
                         help="samples lie at the centres of pixels: frames have no jitter")
     parser.add_argument("--in-use", action="store_true", help="keep the networks' own halos")
+    parser.add_argument("--frames", type=int, default=1, help="in a row, the first ones")
+    parser.add_argument("--history", type=int, default=tiling.HISTORY_REACH_PX, help="rows")
     parser.add_argument("--halos", type=int, nargs="+", required=True, help="render pixels")
     given = parser.parse_args(words)
+    tiling.HISTORY_REACH_PX = given.history
     options: dict[str, object] = {"model": given.model, "scale": given.scale}
     for pattern in given.sequences:
-        frame = next(iter(read_sequence(pattern)))
-        frame = guided(frame, given.scale) if given.guides else frame
-        frame = replace(frame, jitter=(0.0, 0.0)) if given.centred else frame
-        way = Pipeline([DenoiseUpscale(**options)], Device("cpu"))  # type: ignore[arg-type]
-        whole = way(frame)[Role.COLOUR]
-        exposed = way.exposure_factor
-        assert exposed is not None, "a pass ran"
-        found = (f"{halo}: {difference(frame, whole, exposed, options, halo, given.in_use):.1e}"
+        frames = list(itertools.islice(read_sequence(pattern), given.frames))
+        frames = [guided(frame, given.scale) for frame in frames] if given.guides else frames
+        if given.centred:
+            frames = [replace(frame, jitter=(0.0, 0.0)) for frame in frames]
+        exposed = pipeline(options, None, Device("cpu"))
+        exposed(frames[0])
+        exposure = exposed.exposure_factor
+        assert exposure is not None, "a pass ran"
+        way = pipeline(options, exposure, Device("cpu"))
+        whole = [way(frame)[Role.COLOUR].copy() for frame in frames]
+        found = (f"{halo}: {difference(frames, whole, exposure, options, halo, given.in_use):.1e}"
                  for halo in given.halos)
         name = f"{given.model} {given.scale}x{' guides' * given.guides}{' centred' * given.centred}"
+        if given.frames > 1:
+            name += f", {given.frames} frames, {given.history} rows of history"
         print(f"{name}, {pattern}: {', '.join(found)}", flush=True)
 
 

@@ -259,25 +259,25 @@ class Frames:
         # counts
         moves = keep and not work.still or last["history"] is left["next_history"]
         masked = keep and self._reactive
-        record = partial(self._record, commands, seen, targets, moves, masked, work, kept, layers)
+        now = frozenset({"moves"} if moves else ()) | frozenset({"masked"} if masked else ())
+        record = partial(self._record, commands, seen, targets, now, work, kept, layers)
         if layers:  # whose tensors are many
             record()
         else:
-            commands.repeat((self, work.model, moves, masked, band, kept, *seen.values(),
+            commands.repeat((self, work.model, now, band, kept, *seen.values(),
                              *picture.values()), record)
         return picture["output"]
 
     def _record(self, commands: CommandBuffer, seen: Mapping[str, Tensor], targets: Targets,
-                moves: bool, masked: bool, work: Work, kept: Rows,
-                layers: Sequence[Layer]) -> None:
+                now: frozenset[str], work: Work, kept: Rows, layers: Sequence[Layer]) -> None:
         words = frozenset({"reactive"} if self._reactive else ())
         run_steps(commands, FRAME_NEEDS, seen, words)
         if work.band is None and self._whole:
-            self._whole.encode(commands, self._window, work.model, seen, targets, moves, masked,
-                               layers)
+            self._whole.encode(commands, self._window, work.model, seen, targets, now, layers)
         for band in [work.band] if work.band else self._bands:
             rows = kept if work.band else band.own
-            self._encode_tiles(commands, work.model, band, seen, targets, masked, rows, layers)
+            self._encode_tiles(commands, work.model, band, seen, targets, now | {"moves"}, rows,
+                               layers)
 
     def rows(self, band: Band | None, cells: np.ndarray | None) -> Rows:
         """The rows of the output that are written by a frame, or by some tiles of it, as far as
@@ -291,17 +291,18 @@ class Frames:
         return window.rows, window.columns
 
     def _encode_tiles(self, commands: CommandBuffer, model: str, band: Band,
-                      seen: Mapping[str, Tensor], targets: Targets, masked: bool, kept: Rows,
+                      seen: Mapping[str, Tensor], targets: Targets, now: frozenset[str],
+                      kept: Rows,
                       layers: Sequence[Layer]) -> None:
         window = band.tiles[0].window
         graph, direct = (self._graphs[window.rows, window.columns],
                          self._assembly.direct(band, targets, kept))
-        if direct:
-            graph.encode(commands, window, model, seen, direct, True, masked, layers)
-            return
-        for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles, targets), strict=True):
-            graph.encode(commands, tile.window, model, seen, slot, True, masked, layers)
-        self._assembly.encode(commands, band, targets, kept)
+        slots = [direct] if direct else self._assembly.slots(band.tiles, targets)
+        for tile, slot in zip(band.tiles, slots, strict=True):
+            lasting = None if self._bands or layers else tile.lasting
+            graph.encode(commands, tile.window, model, seen, slot, now, layers, lasting)
+        if not direct:
+            self._assembly.encode(commands, band, targets, kept)
 
     def _make(self, shape: Shape) -> Shape:
         """Make a graph ready for windows of a size, or somewhat larger ones if there were others

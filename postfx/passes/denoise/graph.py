@@ -271,13 +271,14 @@ ENLARGE: Steps = (
     step(CODES_UNSCALED, "unscaled coded"),
     step(BLEND_PICTURE, "given", picture="head picture", controls="head controls"),
     step(OPEN_ERROR, "error", log_error="head error"))
-WINDOW_STEPS: Table = {
+BEFORE_ENLARGING: Table = {
     "prepare": PREPARE,
     "pack": PACK_STEPS,
     "network": (step(None, over="network"),),
     "open": OPEN_STEPS,
-    "filter": ACCUMULATE_AND_FILTER,
-    "upsample": ENLARGE}
+    "filter": ACCUMULATE_AND_FILTER}
+ENLARGING: Table = {"upsample": ENLARGE}
+WINDOW_STEPS: Table = {**BEFORE_ENLARGING, **ENLARGING}
 CLASSIC_STEPS: Table = {
     "prepare": (step(DILATE), step(KEEP, "masked"), step(GATHER, light="smooth 0")),
     "filter": tuple(

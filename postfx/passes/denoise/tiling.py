@@ -116,13 +116,26 @@ class Window:
                          .astype(np.float32) for size, coarse, first in sides)
         return rows, columns
 
+    def out_rows_of(self, rows: Rows) -> Rows:
+        """At output size and counted from its first row there, some of its rows. The last ones
+        reach to its end."""
+        first, last = (at - self.out.top
+                       for at in self.frame.output_rows((self.top + rows[0], self.top + rows[1])))
+        return first, self.out.rows if rows[1] == self.rows else last
+
+    def place(self, skipped: int = 0) -> np.ndarray:
+        """What kernels know of where it lies, (8,): its first row and column, the frame's size, and
+        both at output size, without so many `skipped` rows of the output."""
+        frame, out = self.frame, self.out
+        return np.array([self.top, self.left, frame.h, frame.w, out.top + skipped, out.left,
+                         frame.height, frame.width], np.float32)
+
     def places(self) -> dict[str, np.ndarray]:
         """Arrays that describe the window to the kernels, by name; those of a pyramid level have
         its number behind."""
         frame, out = self.frame, self.out
         values: dict[str, Any] = {
-            "window": [self.top, self.left, frame.h, frame.w, out.top, out.left, frame.height,
-                       frame.width],
+            "window": self.place(),
             "part_rows": _counted(self.top, self.rows, frame.h),
             "part_columns": _counted(self.left, self.columns, frame.w),
             "seen_rows": _mirrored(self.padded_size[0], min(self.rows, frame.h - self.top)),
@@ -181,6 +194,10 @@ STRENGTH_REACH_PX = 2
 
 CELL = 2 * STRENGTH_REACH_PX
 """Side in render pixels of the squares that are active or not."""
+HISTORY_REACH_PX = 48
+"""Rows above and below what is denoised that leave a history to the next frame, with networks of
+filters and without guides. So far something may move from frame to frame, and later frames differ
+from the whole frame's by no more than with a history in all rows (docs/lab/denoiser.md)."""
 COARSE = 4
 """Side, in such squares, of the larger squares that boxes are searched by."""
 TILE_SIDE = COARSE * CELL
@@ -206,6 +223,13 @@ class Tile:
 
     window: Window
     inner: Box
+
+    @property
+    def lasting(self) -> Rows:
+        """Of the window, the rows that leave a history to the next frame: see HISTORY_REACH_PX."""
+        first, last = (self.inner.top - self.window.top - HISTORY_REACH_PX,
+                       self.inner.top + self.inner.rows - self.window.top + HISTORY_REACH_PX)
+        return max(0, first // CELL * CELL), min(self.window.rows, whole_steps(last, CELL))
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,9 @@ from postfx.kernels.denoise.network_io import SOME
 from postfx.kernels.denoise.prepare import means_size
 from postfx.passes.denoise.graph import (
     ALPHA,
+    BEFORE_ENLARGING,
     CLASSIC_STEPS,
+    ENLARGING,
     LAYER_STEPS,
     NO_WORDS,
     OVER_NOTHING,
@@ -51,7 +53,7 @@ from postfx.passes.denoise.network import (
     seen_by,
     upload,
 )
-from postfx.passes.denoise.tiling import PYRAMID_LEVELS, Band, Window
+from postfx.passes.denoise.tiling import PYRAMID_LEVELS, Band, Rows, Window, rows_of
 from postfx.runtime import CommandBuffer, Device, PipelineState, Tensor
 
 # Words for what ends a window.
@@ -160,6 +162,8 @@ class WindowGraph:
         for state in states.values():
             check_bindings(state)
         self._places: LRUCache[Window, dict[str, Tensor]] = LRUCache(MOST_PLACES)
+        self._places_of_rows: LRUCache[tuple[Window, int], Tensor] = LRUCache(MOST_PLACES)
+        self._clear = device.host_state("clear", (), ("state", "history", "output"), _clear)
         self._may = SOMETIMES - (NO_WORDS if reactive else {"masked"})
         new = device.heap.transient
         between = self._between = cache(new)  # of several networks only one runs in a frame
@@ -178,32 +182,64 @@ class WindowGraph:
         self._layer_buffers: dict[int, dict[str, Tensor]] = {}
 
     def encode(self, commands: CommandBuffer, window: Window, model: str,
-               tensors: Mapping[str, Tensor], targets: Targets, moves: bool, masked: bool,
-               layers: Sequence[Layer] = ()) -> None:
+               tensors: Mapping[str, Tensor], targets: Targets, now: frozenset[str],
+               layers: Sequence[Layer] = (), lasting: Rows | None = None) -> None:
         """Record the work on a window of this graph's size.
 
         Args:
             tensors: the frame's planes, its history and whatever exists once a frame, by the
                 kernels' names.
             targets: what is written. The expected error is, where there is a place for it.
-            moves: whether the last output has to be warped to this frame. If not, it is read as it
-                is, in a window of the whole frame, because it is in place already or does not
-                matter.
-            masked: whether the reactive masks of this frame and the last say how much of the
-                history each pixel keeps. If not, one number says it for all.
+            now: 'moves' where the last output has to be warped to this frame: if not, it is read as
+                it is, in a window of the whole frame, because it is in place already or does not
+                matter. 'masked' where the reactive masks of this frame and the last say how much of
+                the history each pixel keeps: if not, one number says it for all.
             layers: what is filtered beside the picture.
+            lasting: rows that leave a history, if not all do. Only these are enlarged, where
+                kernels run by rows. Networks that give the picture or read guides leave one in all
+                rows: they see farther.
         """
         picture, way = targets[THE_PICTURE], self._ways[model]
-        now = {"moves": moves, "masked": masked, ERROR: ERROR in picture}
-        words = frozenset(word for word, holds in now.items() if holds)
-        own = {} if masked else {"keep": tensors["keep"]}
-        own |= {} if moves else {"warped": tensors["history"]}
+        words = way.words | now | frozenset({ERROR} & picture.keys())
+        own = {} if "masked" in now else {"keep": tensors["keep"]}
+        own |= {} if "moves" in now else {"warped": tensors["history"]}
         buffers = ChainMap(own, self._place(window), dict(picture), dict(way.buffers),
                            dict(tensors))
-        run_steps(commands, way.steps, buffers, words | way.words, way.over, way.half)
+        near = PLAIN in words or UNSCALED_KIND in words
+        if near and self._device.runs_rows and lasting not in (None, (0, self._window.rows)):
+            run_steps(commands, BEFORE_ENLARGING, buffers, words, way.over, way.half)
+            some = buffers.new_child(self._of_rows(window, lasting, buffers))
+            run_steps(commands, ENLARGING, some, words, way.over, way.half)
+            self._clear_beside(commands, window, lasting, picture)
+        else:
+            run_steps(commands, way.steps, buffers, words, way.over, way.half)
         at_once = window == Window.whole(window.frame) and not self._device.scratch
-        for some in _together(layers, TOGETHER if at_once else 1):
-            self._encode_layers(commands, some, way, buffers, targets)
+        for group in _together(layers, TOGETHER if at_once else 1):
+            self._encode_layers(commands, group, way, buffers, targets)
+
+    def _of_rows(self, window: Window, rows: Rows,
+                 buffers: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """What kernels need to enlarge these rows alone: their part of what has the output's size,
+        and where it lies."""
+        first, last = window.out_rows_of(rows)
+        sized = {name: rows_of(buffers[name], (first, last))
+                 for name in ("warped", "output", "next_history")}
+        place = self._places_of_rows.get_or_make((window, first), lambda: upload(
+            self._device.heap, "window", window.place(first)))
+        return {**sized, "window": place}
+
+    def _clear_beside(self, commands: CommandBuffer, window: Window, rows: Rows,
+                      picture: Mapping[str, Tensor]) -> None:
+        """Record that there is nothing beside some rows of what a window writes. At their edges the
+        next frame finds a pixel less, as the output's pixels around a known one must be known,
+        too."""
+        for first, last in ((0, rows[0]), (rows[1], self._window.rows)):
+            if first < last:
+                known = max(0, first - 1), min(self._window.rows, last + 1)
+                out = window.out_rows_of((first, last))
+                commands.run(self._clear, "upsample", state=rows_of(picture["next_state"], known),
+                             history=rows_of(picture["next_history"], out),
+                             output=rows_of(picture["output"], out))
 
     def _encode_layers(self, commands: CommandBuffer, layers: Sequence[Layer], way: Way,
                        buffers: ChainMap[str, Tensor], targets: Targets) -> None:
@@ -362,6 +398,11 @@ def _share(layer: Layer, i: int, stacks: Mapping[str, Tensor], next_part: Tensor
            **{name: some_of(stacks[name], 3 * i, 3) for name in ("filtered 0", "radiance")},
            "factor": one_of(stacks["factor"], i) if divided else factor}
     return Each(frozenset({"divided"} if divided else ()), own)
+
+
+def _clear(*arrays: np.ndarray) -> None:
+    for values in arrays:
+        values.fill(0)
 
 
 def _shaded(radiance: Tensor) -> Tensor:
