@@ -640,8 +640,8 @@ class Job:
             skips.append(Skip("denoise_upscale", "--no-denoise"))
         else:
             if partner:
-                words = _with_filter(partner, denoising.get("pixel_filter", "auto"))
-                passes.append(create("partner", of=words))
+                passes.append(create("partner", of=partner,
+                                     pixel_filter=denoising.get("pixel_filter", "auto")))
             passes.append(create("denoise_upscale", **denoising, **parts))
         passes += [create("both_ways", **parts)] if both_ways else []
         if denoising is not None and partner:
@@ -729,14 +729,6 @@ def announce_run_up(check: Callable[[], None],
         told = first
 
     return before_frame
-
-
-def _with_filter(partner: str, pixel_filter: float | str) -> str:
-    """The words of a partner: Open Image Denoise undoes the same pixel filter as the denoiser."""
-    name, _, options = partner.partition(",")
-    if name != "oidn" or "pixel_filter=" in options or pixel_filter == "auto":
-        return partner
-    return f"{partner},pixel_filter={pixel_filter}"
 
 
 def _outputs(arguments: argparse.Namespace, sequence: Sequence) -> OutputFiles | None:

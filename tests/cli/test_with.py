@@ -35,7 +35,7 @@ def test_open_image_denoise_runs_too_and_files_and_words_say_so(postfx: Callable
     assert set(done.json["passes"]) == {"partner", "denoise_upscale", "mix_partner"}
     assert f"with oidn (pyoidn {oidn.version()})" in done.err
     facts = json.loads(header(noise / "out/a.0003.exr"))
-    assert facts["settings"]["with"] == "oidn" and facts["passes"]["partner"] == {"of": "oidn"}
+    assert facts["settings"]["with"] == "oidn" and facts["passes"]["partner"]["of"] == "oidn"
     (run,) = json.loads((noise / "out/postfx.manifest.json").read_text())["runs"].values()
     assert run["versions"]["pyoidn"] == oidn.version()
     plain = postfx(*RUN, "-o", "plain/a.####.exr")

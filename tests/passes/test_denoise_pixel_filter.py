@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import postfx
-from postfx import DenoiseUpscale, Device, Frame, Oidn, Pipeline, Role
+from postfx import DenoiseUpscale, Device, Frame, Oidn, Partner, Pipeline, Role
 from postfx.errors import PassOptionError
 from postfx.frame import Part
 from postfx.passes import Pass
@@ -166,3 +166,16 @@ def test_open_image_denoise_sees_noise_that_is_independent() -> None:
                           for given in ("auto", find_stddev(light_of(1)), "none"))
     assert psnr(found) > psnr(left) + LEAST_GAIN_DB
     np.testing.assert_array_equal(found, named)
+
+
+@pytest.mark.parametrize(("words", "alone"), (
+    ("denoise_upscale,model=l,scale=1", {"pixel_filter": STDDEV}),
+    ("denoise_upscale,model=l,scale=1,pixel_filter=none", {"pixel_filter": "none"}),
+))
+def test_a_partner_undoes_the_same_filter_unless_its_own_words_name_one(
+    words: str, alone: dict[str, object]
+) -> None:
+    pipeline = Pipeline([Partner(of=words, pixel_filter=STDDEV)], Device("cpu", threads=2),
+                        exposure=0.0, cuts="none")
+    beside = np.array(pipeline(frame())[Role.PARTNER])
+    np.testing.assert_array_equal(beside, picture(chain("l", **alone), frame()))
