@@ -406,7 +406,7 @@ class Report:
         """The report in a few lines."""
         lines = [f"{self.frames} of {_frames(self.total)} in {self.seconds:.1f} s{self._speed()}"]
         if kernels := self.preparation.kernels:
-            lines.append(f"compiled {kernels} files of kernels in "
+            lines.append(f"compiled {kernels} file{'s' * (kernels > 1)} of kernels in "
                          f"{self.preparation.compile_seconds:.1f} s, which is not in these times; "
                          "they are kept for the next run")
         lines += [f"ran      {name}: {median(times):.1f} ms a frame"

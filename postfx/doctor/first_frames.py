@@ -72,6 +72,7 @@ class FirstFrames:
         self._channels, self._enable, self._on_gpu, self._copies = (channels or {}, enable or {},
                                                                     on_gpu, copies)
         self._seen, self._kept, self._size = 0, list[Frame](), (0, 0)
+        self._is_black = True  # all that was seen
         self.is_done = False
 
     def look(self, frame: Frame, is_alone: bool = False) -> list[str]:
@@ -84,6 +85,9 @@ class FirstFrames:
         self._seen += 1
         self.is_done = self._seen >= MOST_SEEN
         found = self._of_first(frame, is_alone) if self._seen == 1 else []
+        self._is_black = self._is_black and not np.any(frame.planes.get(Role.COLOUR, False))
+        if self._is_black and self._seen == (1 if is_alone else COMPARED_FRAMES):
+            found.append(plane_checks.black_colour(self._seen))
         if self._kept and (frame.reset or _size(frame) != self._size):
             self._kept.clear()
         planes = {role: self._keep(plane)

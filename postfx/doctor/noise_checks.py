@@ -20,6 +20,6 @@ def check_pixel_filter(material: Material) -> Iterator[Finding]:
                 f"standard deviation of {stddev:.2f} pixels makes it")
     yield info(Role.COLOUR, "noise-spread", evidence,
                "the renderer adds each sample to several pixels",
-               "nothing to do with 'xl' and 'l': they see frames without that filter, and it is "
-               "applied to their picture (--pixel-filter none leaves it); other denoisers leave "
-               "such noise, unless a box filter of one pixel renders the frames")
+               "none needed with xl, l and oidn: they see frames without that filter, and it is "
+               "applied to their picture (--pixel-filter none leaves it); for s and m render with "
+               "a box filter")

@@ -79,6 +79,16 @@ def test_planes_that_the_renderer_could_write_are_told_and_cheap_ones_are_not(ro
     assert said(bare) == []  # as nobody knows where
 
 
+def test_black_frames_are_told_but_not_those_before_a_shot_fades_in(room):
+    black = [replace(one, planes={**one.planes, Role.COLOUR: 0 * one[Role.COLOUR]})
+             for one in room]
+    (line,) = said(black)
+    assert line.startswith("AOV colour, frame 3: black in all 3 frames") and "beauty pass" in line
+    assert said([*black[:2], room[2]]) == [] and said(black[:1]) == []
+    (line,) = FirstFrames().look(black[0], is_alone=True)
+    assert line.startswith("AOV colour, frame 1: black in the frame; ")
+
+
 def test_it_ends_by_itself(room):
     looker = FirstFrames()
     for number in range(MOST_SEEN + 1):
