@@ -113,7 +113,9 @@ class Job:
         self._relax = device.memory.relax
         self.outputs = _outputs(arguments, self.sequence)
         refuse_layer(arguments, self.outputs)
-        self.skips: list[Skip] = []
+        self.skips = ([Skip(f"{' '.join(arguments.yielded)} of --preset {arguments.preset}",
+                            "other options that are given do not go with it")]
+                      if arguments.yielded else [])
         self._smooth = arguments.exposure == SMOOTH_MODE
         policy = OnError(arguments.on_error)
         if policy is OnError.STOP and not (arguments.explain or arguments.skip_existing):
@@ -145,8 +147,10 @@ class Job:
         self._parts = self._find_parts()
         enlarges = (denoising is not None
                     and enlargement(self._first_spec, denoising) > 1)
-        self._partner = (None if covered or arguments.strength == 0
-                         else find_partner(getattr(arguments, "with"), enlarges))
+        runs_alone = covered or denoising is None or arguments.strength == 0
+        self._partner, lack = ((None, None) if runs_alone
+                               else find_partner(getattr(arguments, "with"), enlarges))
+        self.skips += [Skip("Open Image Denoise", lack)] if lack else []
         passes, skips = self._passes(denoising, self._backwards is not None, self._partner)
         self.skips += skips
         # it has its own

@@ -63,6 +63,8 @@ def test_the_preset_for_final_frames_takes_it_where_it_is_installed(
     monkeypatch.setattr(oidn, "find_spec", lambda name: None)
     alone = postfx(*given)
     assert alone.code == 0 and "runs oidn" not in alone.out and "both_ways" in alone.out
+    assert "skips   Open Image Denoise: it is not installed" in alone.out
+    assert "Open Image Denoise" not in postfx(*given, "--with", "none").out
 
 
 @needs_oidn
@@ -73,6 +75,7 @@ def test_the_preset_for_final_frames_leaves_it_out_where_they_are_enlarged(
     given = (*RUN[:2], *size, "--preset", "final", "--explain")
     told = postfx(*given).out
     assert "runs oidn" not in told and "both_ways" in told
+    assert "skips   Open Image Denoise: frames are enlarged" in told
     assert "network xl at the render's size first, then " in told
     assert "runs oidn" in postfx(*given, "--with", "oidn").out
 
