@@ -100,6 +100,13 @@ def test_a_plan_says_which_network_runs(postfx, shot, options, said):
     assert line.endswith(f"; {said}")
 
 
+def test_a_network_in_no_folder_is_told_by_its_file(postfx, shot):
+    shot(1)
+    done = postfx(*RUN, "--model", "nets/mine.onnx")
+    assert done.code == 2
+    assert "error: model 'nets/mine.onnx': no such file: check the path and its rights" in done.err
+
+
 def test_frames_that_are_too_large_for_it_take_the_usual_one(postfx, shot, tmp_path, monkeypatch):
     shot(1)
     monkeypatch.setattr(models, "usable_memory", lambda: 1 << 20)

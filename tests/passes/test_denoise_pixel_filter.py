@@ -75,6 +75,8 @@ def test_its_width_may_be_given() -> None:
     notes = DenoiseUpscale(model="xl", pixel_filter=told).reflect(frame().spec).notes
     (note,) = (note for note in notes if "pixel filter" in note)
     assert note == f"a pixel filter of {told:.2f} px is undone before it and applied again"
+    step = DenoiseUpscale(model="xl", pixel_filter=told)
+    assert not [one for one in step.remarks(frame().spec) if "pixel filter" in one]
     with pytest.raises(PassOptionError, match="pixel filter 'wide'"):
         DenoiseUpscale(pixel_filter="wide")
 
@@ -84,6 +86,9 @@ def test_networks_that_know_such_noise_see_it(options: dict) -> None:
     found, left = (picture(chain(**options, pixel_filter=given), frame())
                    for given in (STDDEV, "none"))
     np.testing.assert_array_equal(found, left)
+    step = DenoiseUpscale(**options, pixel_filter=STDDEV)
+    (remark,) = [one for one in step.remarks(frame().spec) if "pixel filter" in one]
+    assert remark.startswith("a pixel filter of 0.50 px stays in the noise: network xl undoes it")
 
 
 def test_independent_noise_is_left_as_it_is() -> None:

@@ -257,6 +257,9 @@ class DenoiseUpscale(Pass):
         else:
             found += enlarging_remarks(self._tag)
             found += self._one_stage_remarks(spec)
+        if self._given_stddev and not self.undone_stddev(spec):
+            found.append(f"a pixel filter of {self._given_stddev:.2f} px stays in the noise: "
+                         "network xl undoes it, and l at the render's size")
         return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
 
     def accumulates(self, spec: FrameSpec) -> bool:
