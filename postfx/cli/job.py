@@ -71,6 +71,7 @@ from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
 from postfx.passes.denoise import NO_HISTORY_REMARK, DenoiseUpscale
+from postfx.passes.denoise.models import USUAL_NETWORK
 from postfx.passes.denoise.options import enlargement
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
@@ -213,6 +214,10 @@ class Job:
             if choice.lack:
                 self.skips.append(Skip("the best network", choice.lack))
             given["model"] = choice.network
+        elif "model" not in given:
+            bound = "--memory" if self._arguments.budget is None else "--budget"
+            self.skips.append(Skip("the best network", f"{bound} takes {USUAL_NETWORK} unless "
+                                                       "--model names another"))
         return {**given, "pixel_filter": choose_pixel_filter(self.sequence, self.first, given)}
 
     def _has_plain_albedo(self) -> bool:

@@ -100,6 +100,14 @@ def test_a_plan_says_which_network_runs(postfx, shot, options, said):
     assert line.endswith(f"; {said}")
 
 
+@pytest.mark.parametrize("bound", (("--budget", "5000"), ("--memory", "2G")))
+def test_a_bound_says_that_it_takes_a_smaller_network(postfx, shot, bound):
+    shot(1)
+    told = f"skips   the best network: {bound[0]} takes m unless --model names another"
+    assert told in postfx(*RUN, *bound, "--explain").out
+    assert "the best network" not in postfx(*RUN, *bound, "--model", "s", "--explain").out
+
+
 def test_a_network_in_no_folder_is_told_by_its_file(postfx, shot):
     shot(1)
     done = postfx(*RUN, "--model", "nets/mine.onnx")
