@@ -164,8 +164,8 @@ class DenoiseUpscale(Pass):
 
     Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a strength outside 0
     to 1, a budget that is not above 0, a model that is chosen automatically and an error that no
-    network predicts, FrameError for a frame whose output would not be 1 to 3 times as large,
-    GuideError for guides of another size than the output's.
+    network predicts, FrameError for a frame whose output would not be 1 to 3 times as large or
+    whose colour is not scene-linear, GuideError for guides of another size than the output's.
     """
 
     name: ClassVar[str] = "denoise_upscale"
@@ -218,6 +218,9 @@ class DenoiseUpscale(Pass):
         return not has_networks() and "/" not in tag and CLASSIC in family(tag) and not self._parts
 
     def reflect(self, spec: FrameSpec) -> Reflection:
+        if spec.encoding != "scene-linear":
+            raise FrameError(f"{spec.source or 'frame'}: colour is {spec.encoding}, and the "
+                             "denoiser takes scene-linear light: let it run before tone mapping")
         carried = passthrough_roles(spec)
         size = self._output_size(spec)
         self._check_error(spec)
