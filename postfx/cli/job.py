@@ -540,8 +540,12 @@ class Job:
         # It loads the doctor, which other verbs need not wait for.
         from postfx.doctor.first_frames import FirstFrames
 
+        leaves_filters = any(isinstance(step.instance, DenoiseUpscale)
+                             and step.instance.leaves_filters(self.plan.input)
+                             for step in self.plan.steps)
         return FirstFrames(self._channels, self._enable,
-                           not self.pipeline.device.memory.host_visible)
+                           not self.pipeline.device.memory.host_visible,
+                           leaves_filters=leaves_filters)
 
     def _tell(self, texts: Iterable[str], tell: Callable[[str], None]) -> None:
         """Tell at once what is to be mended, and again at the end of a long run."""

@@ -30,7 +30,6 @@ OF_ONE_FRAME: tuple[Check, ...] = (
     geometry_checks.check_normal_encoding,
     geometry_checks.check_roughness_range,
     motion_checks.check_motion_coded,
-    noise_checks.check_pixel_filter,
 )
 """Checks that take no more than one frame."""
 
@@ -61,6 +60,7 @@ class FirstFrames:
         enable: role -> where the user switches the plane on in the renderer.
         on_gpu: whether frames are denoised there, where light outside the gamut is cut.
         copies: whether the arrays of a frame may hold another one by the next call.
+        leaves_filters: whether what a pixel filter did to the noise stays.
 
     Attributes:
         is_done: whether no further frame is looked at.
@@ -68,11 +68,13 @@ class FirstFrames:
 
     def __init__(self, channels: Mapping[Role, str] | None = None,
                  enable: Mapping[Role, str] | None = None,
-                 on_gpu: bool = False, copies: bool = False) -> None:
+                 on_gpu: bool = False, copies: bool = False,
+                 leaves_filters: bool = False) -> None:
         self._channels, self._enable, self._on_gpu, self._copies = (channels or {}, enable or {},
                                                                     on_gpu, copies)
         self._seen, self._kept, self._size = 0, list[Frame](), (0, 0)
         self._is_black = True  # all that was seen
+        self._leaves_filters = leaves_filters
         self.is_done = False
 
     def look(self, frame: Frame, is_alone: bool = False) -> list[str]:
@@ -102,7 +104,9 @@ class FirstFrames:
         return [self._line(one, frame) for one in most_important_first(found) if self._matters(one)]
 
     def _of_first(self, frame: Frame, is_alone: bool) -> list[Finding]:
-        found = [finding for check in OF_ONE_FRAME for finding in check(Material([frame]))]
+        checks = (*OF_ONE_FRAME,
+                  *((noise_checks.check_pixel_filter,) if self._leaves_filters else ()))
+        found = [finding for check in checks for finding in check(Material([frame]))]
         held = {role: plane for role, plane in frame.planes.items()
                 if not self._channels or role in self._channels}
         # motion may be estimated
@@ -119,7 +123,7 @@ class FirstFrames:
         return window.copy() if self._copies else window
 
     def _matters(self, one: Finding) -> bool:
-        return (one.level is not Level.INFO
+        return (one.level is not Level.INFO or one.code == noise_checks.SPREAD
                 or (self._on_gpu and one.code == plane_checks.OUTSIDE_GAMUT))
 
     def _line(self, one: Finding, frame: Frame) -> str:

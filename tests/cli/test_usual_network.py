@@ -60,6 +60,9 @@ def test_a_run_undoes_the_pixel_filter_that_the_noise_tells(postfx, tmp_path, sp
     assert used == (pytest.approx(0.5, rel=0.1) if spread else "none")
     explained = postfx(*RUN, "--explain").out
     assert ("a pixel filter of 0.5" in explained or "a pixel filter of 0.4" in explained) == spread
+    for words, is_told in ((("--model", "s"), spread),
+                           (("--model", "s", "--pixel-filter", "none"), False)):
+        assert ("as a gaussian pixel filter" in postfx(*RUN, *words).err) == is_told
     assert "pixel filter" not in postfx(*RUN, "--pixel-filter", "none", "--explain").out
     assert "a pixel filter of 0.45 px" in postfx(*RUN, "--pixel-filter", "0.45", "--explain").out
 

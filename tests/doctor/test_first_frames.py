@@ -55,10 +55,13 @@ def test_the_unit_of_a_large_picture_is_that_of_all_of_it(room, monkeypatch):
     assert said(room) == []
 
 
-def test_noise_that_a_pixel_filter_spreads_needs_no_mending(room):
-    """A run undoes the filter and says so at its end."""
+def test_noise_that_a_pixel_filter_spreads_is_told_where_it_stays(room):
+    """Else a run undoes the filter and says so at its end."""
     spread = {Role.COLOUR: filtered(room[0][Role.COLOUR], room[0])}
-    assert said([replace(room[0], planes={**room[0].planes, **spread})]) == []
+    frames = [replace(room[0], planes={**room[0].planes, **spread})]
+    assert said(frames) == said(room[:1], leaves_filters=True) == []
+    (line,) = said(frames, leaves_filters=True)
+    assert "as a gaussian pixel filter" in line and "none needed with xl, l and oidn" in line
 
 
 def test_one_seed_is_told(room):

@@ -655,8 +655,17 @@ class DenoiseUpscale(Pass):
     def undone_stddev(self, spec: FrameSpec) -> float:
         """The standard deviation, in pixels, of the pixel filter that is undone in frames of a
         spec, as far as the option tells; 0 for none."""
-        sees = self._has_first_stage(spec) or gives_picture(model_of(self._tag, self._ending(spec)))
-        return self._given_stddev or 0.0 if sees and self.strength else 0.0
+        return self._given_stddev or 0.0 if self._undoes_filters(spec) else 0.0
+
+    def leaves_filters(self, spec: FrameSpec) -> bool:
+        """Whether frames of a spec are denoised with what a pixel filter did to their noise, though
+        no option says so."""
+        return (self._given_stddev is None and self.strength > 0
+                and not self._undoes_filters(spec))
+
+    def _undoes_filters(self, spec: FrameSpec) -> bool:
+        return self.strength > 0 and (self._has_first_stage(spec)
+                                      or gives_picture(model_of(self._tag, self._ending(spec))))
 
     def _pixel_filter_notes(self, spec: FrameSpec) -> list[str]:
         """What becomes of a pixel filter whose width is known."""
