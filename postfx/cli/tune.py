@@ -11,14 +11,14 @@ from postfx.cli.options import Option, Options, Section, parse_number, parse_pos
 from postfx.cli.run_options import FILES, INPUT, RUN
 
 DESCRIPTION = """\
-Adapt the network s to a shot. It learns from clean renders of a few frames (--references), or,
-without any, from a second render of the same frames with another seed (--halves): each is the
-target of the other. A quarter of the targets is held back to measure the gain. Below 0.1 dB nothing
-is written, and the exit code is 1.
+Adapt a network to a shot: xl, the default of 'postfx run', or a smaller one. It learns from clean
+renders of a few frames (--references), or, without any, from a second render of the same frames
+with another seed (--halves): each is the target of the other. A quarter of the targets is held back
+to measure the gain. Where nothing is gained there, nothing is written, and the exit code is 1.
 
 The result is FILE.onnx and its card, which 'postfx run --model FILE.onnx' takes at the render's
-size. Needs a checkout of postfx and its extra 'train', which brings PyTorch; runs on the CPU, or on
-a GPU where there is one.
+size. Needs a checkout of postfx and its extra 'train', which brings PyTorch. Runs on a GPU where
+PyTorch finds one: there 5 minutes are enough. On a CPU take --model s.
 """
 EXAMPLES = """\
 examples:
@@ -38,6 +38,8 @@ TUNE = Options(Section("", (
            help="INPUT rendered again with another seed and as many samples"),
     Option(flag="--output", short="-o", metavar="FILE.onnx",
            help="network to write, with its card beside it"),
+    Option(flag="--model", choices=("xl", "m", "s"), default="xl",
+           help="network to begin with (default: xl)"),
     Option(flag="--minutes", metavar="M", type=parse_number, default=10.0,
            help="minutes of training (default: 10)"),
     Option(flag="--steps", metavar="N", type=parse_positive,
@@ -46,6 +48,8 @@ TUNE = Options(Section("", (
            help="seed of all random choices (default: 0)"),
     Option(flag="--frames", metavar="RANGE", help="frames of the shot, e.g. 1-100"),
     Option(flag="--overwrite", help="replace a network that is there"),
+    Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto",
+           help="where to train (default: auto, a GPU where PyTorch finds one)"),
     RUN["--profile"],
     *FILES,
     Option(flag="--json", help="print one JSON object"),

@@ -86,6 +86,8 @@ def weights_of(path: Path) -> dict[str, Tensor]:
     found = {t.name.removesuffix(HALF): torch.from_numpy(numpy_helper.to_array(t).astype("float32"))
              for t in lower_constants(onnx.load(path)).graph.initializer}
     stored = {name: values for name, values in found.items() if "." in name or name == "rest"}
+    if "judge.0.weight" in stored:  # a network that gives the picture
+        return {PREFIX + name: values.contiguous() for name, values in stored.items()}
     if "fine.weight" not in stored:
         raise ValueError(f"{path}: no weights of the fine head: take the float32 model, as "
                          "denoise_upscale.m.onnx")

@@ -1,15 +1,15 @@
 """What `postfx tune` gains on a shot, on frames of which it has seen no clean pixel.
 
-    python -m training.measure.tune_shot WORK NAME NOISY --references REFERENCES [--clean 1] \\
-        [--minutes 10]
+    python -m training.measure.tune_shot WORK NAME NOISY --references REFERENCES [--clean 2] \\
+        [--model xl] [--minutes 10]
     python -m training.measure.tune_shot WORK NAME NOISY --references REFERENCES --halves OTHER \\
-        [--minutes 10]
+        [--model xl] [--minutes 10]
 
-Without --halves the network learns from tiles of 32 pixels of the references of the frames --clean,
+Without --halves the network learns from tiles of 16 pixels of the references of the frames --clean,
 at random places, 3 % of the shot's pixels, and is judged on the other frames. With --halves it
 learns from a second render alone, and is judged on all frames. References of twice the size are
-averaged. Prints PSNR in dB and FLIP of `s` and of the tuned network, which runs over the whole
-shot. A network that is in WORK is not trained again.
+averaged. Prints PSNR in dB and FLIP of the network as it ships and tuned, over the whole shot. A
+network that is in WORK is not trained again.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from postfx.frame import Role
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_channels
 
-TILE = 32
+TILE = 16
+"""Side of the clean tiles, pixels."""
 SAMPLES = 1024
 """Samples that the plane of counts gives to clean pixels; only whether there are any matters."""
 SEED = 3
@@ -61,10 +62,11 @@ def write_tiles(references: dict[int, np.ndarray], count: int, folder: Path) -> 
     return f"{folder}/clean.####.exr"
 
 
-def tune(noisy: str, target: list[str], network: Path, minutes: float) -> dict[str, Any]:
+def tune(noisy: str, target: list[str], network: Path,
+         given: argparse.Namespace) -> dict[str, Any]:
     """Run `postfx tune`; returns what it tells."""
     words = [sys.executable, "-m", "training.denoise.tune", noisy, *target, "-o", str(network),
-             "--minutes", str(minutes), "--json"]
+             "--model", given.model, "--minutes", str(given.minutes), "--json"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     if done.returncode > 1:
         raise SystemExit(done.stderr)
@@ -94,17 +96,18 @@ def main() -> None:
     parser.add_argument("noisy", help="pattern of the shot's frames")
     parser.add_argument("--references", required=True, help="pattern of their references")
     parser.add_argument("--halves", help="pattern of a second render")
-    parser.add_argument("--clean", default="1",
-                        help="frames with clean tiles, by commas (default: 1)")
+    parser.add_argument("--clean", default="2",
+                        help="frames with clean tiles, by commas (default: 2)")
     parser.add_argument("--share", type=float, default=0.03,
                         help="of clean pixels in the shot (default: 0.03)")
+    parser.add_argument("--model", default="xl", choices=("xl", "m", "s"))
     parser.add_argument("--minutes", type=float, default=10)
     given = parser.parse_args()
     shot = read_sequence(given.noisy)
     clean = read_sequence(given.references)
     height, width = shot.read(shot.numbers[0])[Role.COLOUR].shape[:2]
     references = {number: reference_of(clean, number, height) for number in shot.numbers}
-    folder = given.work / f"{given.name}{'_halves' * bool(given.halves)}"
+    folder = given.work / f"{given.name}_{given.model}{'_halves' * bool(given.halves)}"
     folder.mkdir(parents=True, exist_ok=True)
     if given.halves:
         target = ["--halves", given.halves]
@@ -116,14 +119,15 @@ def main() -> None:
         references = {number: colour for number, colour in references.items() if number not in seen}
     network = folder / "tuned.onnx"
     facts = (json.loads(network.with_suffix(".json").read_text())["training"] if network.exists()
-        else tune(given.noisy, target, network, given.minutes))
-    before = score(shot, references, "s.fp32").mean(axis=0)
+        else tune(given.noisy, target, network, given))
+    shipped = given.model if given.model == "xl" else f"{given.model}.fp32"
+    before = score(shot, references, shipped).mean(axis=0)
     after = score(shot, references, str(network)).mean(axis=0) if network.exists() else before
     print(f"{given.name} from {facts['target']}: {facts['steps']} steps in {facts['minutes']:.1f} "
           f"minutes, held back {facts['gain_db']:+.2f} dB, "
-          f"{'written' if network.exists() else 'not written'}; {len(references)} frames: s "
-          f"{before[0]:.2f} dB {before[1]:.4f}, tuned {after[0]:.2f} dB {after[1]:.4f}, gain "
-          f"{after[0] - before[0]:+.2f} dB", flush=True)
+          f"{'written' if network.exists() else 'not written'}; {len(references)} frames: "
+          f"{given.model} {before[0]:.2f} dB {before[1]:.4f}, tuned {after[0]:.2f} dB "
+          f"{after[1]:.4f}, gain {after[0] - before[0]:+.2f} dB", flush=True)
 
 
 if __name__ == "__main__":

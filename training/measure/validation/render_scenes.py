@@ -6,8 +6,9 @@ For each kind and frame writes DIR/KIND/noisy.SPP.####.exr and DIR/KIND/referenc
 in the middle of the picture, and DIR/KIND/half.SPP.####.exr: the same crop at half the size, with
 the rays of a full size of a quarter of the samples. With --second it also writes
 DIR/KIND/second.####.exr, references with other noise: with two, the noise of references leaves the
-figures (postfx/bench/metrics.py). Where motion is blurred, Blender 5 writes no vectors, and so
-these files have none. Goes on after a scene that fails; keeps files that exist.
+figures (postfx/bench/metrics.py). With --take, all pictures have other noise than those of another
+take. Where motion is blurred, Blender 5 writes no vectors, and so these files have none. Goes on
+after a scene that fails; keeps files that exist.
 """
 
 from __future__ import annotations
@@ -39,9 +40,10 @@ class Shot:
     samples: int
     half: bool = False
 
-    def seed(self) -> int:
-        """Another seed for every file, the same in every run."""
-        return zlib.crc32(f"{self.path.parent.name}/{self.path.name}".encode()) & 0x3FFFFFFF
+    def seed(self, take: int) -> int:
+        """Another seed for every file and take, the same in every run."""
+        words = f"{self.path.parent.name}/{self.path.name}" + f"/{take}" * bool(take)
+        return zlib.crc32(words.encode()) & 0x3FFFFFFF
 
 
 def use_device(scene: bpy.types.Scene, device: str) -> None:
@@ -109,14 +111,16 @@ def shots(folder: Path, args: argparse.Namespace) -> list[Shot]:
     return found
 
 
-def render_shot(scene: bpy.types.Scene, shot: Shot, size: tuple[int, int], blurred: bool) -> None:
+def render_shot(scene: bpy.types.Scene, shot: Shot, args: argparse.Namespace,
+                blurred: bool) -> None:
     reference = shot.path.name.startswith(REFERENCES)
     scene.render.use_motion_blur = blurred
     choose_passes(scene.view_layers[0], reference, not blurred and not reference)
     scale = 2 if shot.half else 1
-    scene.render.resolution_x, scene.render.resolution_y = size[0] // scale, size[1] // scale
+    width, height = args.size
+    scene.render.resolution_x, scene.render.resolution_y = width // scale, height // scale
     scene.render.resolution_percentage = 100
-    scene.cycles.samples, scene.cycles.seed = shot.samples, shot.seed()
+    scene.cycles.samples, scene.cycles.seed = shot.samples, shot.seed(args.take)
     scene.frame_set(shot.frame)
     part = shot.path.with_name(f"part-{shot.path.name}")
     scene.render.filepath = str(part)
@@ -136,7 +140,7 @@ def render_kind(kind: str, args: argparse.Namespace) -> None:
     set_up(scene, args.size, args.crop)
     for shot in missing:
         start = time.monotonic()
-        render_shot(scene, shot, args.size, blurred)
+        render_shot(scene, shot, args, blurred)
         print(f"{kind} {shot.path.name} {time.monotonic() - start:.2f} s", flush=True)
 
 
@@ -166,6 +170,8 @@ def main() -> int:
     parser.add_argument("--reference", type=int, default=1024, help="0: no references")
     parser.add_argument("--second", type=int, default=0,
                         help="samples of further references with other noise; default 0: none")
+    parser.add_argument("--take", type=int, default=0,
+                        help="a number for other noise in all pictures; default 0")
     parser.add_argument("--frames", type=frame_numbers, default=[1, 2, 3], help="default 1-3")
     parser.add_argument("--size", type=pair, default=(640, 360), help="default 640x360")
     parser.add_argument("--crop", type=pair, default=(320, 180), help="default 320x180")
