@@ -236,8 +236,9 @@ class Check(bpy.types.Operator):
         found = [one for one in json.loads(done.stdout)["findings"] if one["level"] != "info"]
         context.scene.postfx.findings = "\n".join(f"{one['role']}: {one['cause']}; {one['fix']}"
                                                   for one in found)
-        self.report({"WARNING"} if found else {"INFO"}, f"postfx: {len(found)} findings" if found
-                    else "postfx found no mistake in the passes")
+        many = "s" if len(found) > 1 else ""
+        self.report({"WARNING"} if found else {"INFO"}, f"postfx: {len(found)} finding{many}"
+                    if found else "postfx found no mistake in the passes")
         return {"FINISHED"}
 
 

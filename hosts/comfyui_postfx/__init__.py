@@ -143,7 +143,7 @@ class Denoise:
         return {"required": {
             "frames": (FRAMES,),
             "scale": ("FLOAT", {"default": 1.0, "min": 1.0, "max": 3.0, "step": 0.25}),
-            "model": (["m", "s", "l", "xl"],),
+            "model": (["m", "s", "l", "xl"], {"tooltip": "s is the fastest, xl the cleanest"}),
             "strength": ("FLOAT", {"default": 1.0, "min": 0.0, "max": 1.0, "step": 0.05})}}
 
     def add(self, frames: Shot, scale: float, model: str, strength: float) -> tuple[Shot]:

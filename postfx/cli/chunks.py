@@ -133,6 +133,7 @@ def cut_up(words: Words[str], given: argparse.Namespace, size: int,
     from postfx.cli.run_options import RUN
     from postfx.files import with_slashes
     from postfx.io.pattern import format_frames
+    from postfx.io.writer import ExistingFiles, OutputFiles
     from postfx.passes.registry import create
     from postfx.runs.schedule import make_chunks
 
@@ -141,6 +142,7 @@ def cut_up(words: Words[str], given: argparse.Namespace, size: int,
         # whose errors belong here, not on a farm
         create("denoise_upscale", **RUN.values_for("denoiser", given))
     sequence = _open(given, frames or given.frames)
+    OutputFiles(given.output, sequence, ExistingFiles.OVERWRITE)  # whose errors do, too
     chunks = list(make_chunks(sequence, size, _frames_ahead(given, sequence)))
     own = [] if given.preroll is not None else ["--preroll", "auto"]
     own += [] if given.overwrite or given.skip_existing else ["--skip-existing"]

@@ -109,11 +109,15 @@ class Default(NamedTuple):
 def complete(options: Options, presets: Mapping[str, Mapping[str, Any]]) -> Any:
     """What fills in arguments that are not given, for `Parser.complete`. The arguments then have
     `filled`, the names of those that files set, `defaults`, the same as words of a command line,
-    and `default_files`."""
+    `default_files`, and `yielded`, words of the preset that do not go with what is given."""
 
     def fill_in(arguments: argparse.Namespace, given: set[str]) -> None:
         found = read_defaults(options)
-        given |= {*options.fill(arguments, given, presets.get(arguments.preset, {}))}
+        asked = presets.get(arguments.preset, {})
+        more = options.fill(arguments, given, asked)
+        arguments.yielded = _words(options, {name: value for name, value in asked.items()
+                                             if name not in {*given, *more}})
+        given |= {*more}
         filled = options.fill(arguments, given,
                               {name: default.value for name, default in found.items()})
         arguments.defaults = [word for name in filled for word in found[name].words]

@@ -180,7 +180,7 @@ def _plane_line(plane: dict[str, Any], source: str = "") -> str:
     from postfx.io.profile import NAME_SOURCES
 
     values = "no value" if plane["min"] is None else f"{plane['min']:.4g} .. {plane['max']:.4g}"
-    signed = plane["role"] in ("motion", "normal")
+    signed = plane["role"] in ("motion", "normal", "denoising_normal")
     counts = (("misses", "misses"), ("non_finite", "not finite"),
               *(() if signed else (("negative", "negative"),)))
     odd = [f"{plane[key]} {words}" for key, words in counts if plane[key]]

@@ -71,6 +71,7 @@ from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
 from postfx.passes.denoise import NO_HISTORY_REMARK, DenoiseUpscale
+from postfx.passes.denoise.models import USUAL_NETWORK
 from postfx.passes.denoise.options import enlargement
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
@@ -109,6 +110,9 @@ class Job:
         device = Device(**self._values("device"))
         self._relax = device.memory.relax
         self.skips: list[Skip] = []
+        if arguments.yielded:
+            self.skips.append(Skip(f"{' '.join(arguments.yielded)} of --preset {arguments.preset}",
+                                   "other options that are given do not go with it"))
         policy = OnError(arguments.on_error)
 
         # What is read and written.
@@ -207,11 +211,14 @@ class Job:
         return bool(self._arguments.both_ways) and self._arguments.strength != 0
 
     def _find_partner(self, denoising: dict[str, Any] | None) -> str | None:
-        """The other denoiser that runs beside ours, None for none. denoising: options of ours."""
-        if self._arguments.strength == 0:
+        """The other denoiser that runs beside ours, None for none. denoising: options of ours, None
+        where it does not run."""
+        if denoising is None or self._arguments.strength == 0:
             return None
-        enlarges = denoising is not None and enlargement(self._first_spec, denoising) > 1
-        return find_partner(getattr(self._arguments, "with"), enlarges)
+        enlarges = enlargement(self._first_spec, denoising) > 1
+        partner, lack = find_partner(getattr(self._arguments, "with"), enlarges)
+        self.skips += [Skip("Open Image Denoise", lack)] if lack else []
+        return partner
 
     def _explain_first_frame(self) -> None:
         """Make the plan by the first frame's files, and settle what of them is written again."""
@@ -241,6 +248,10 @@ class Job:
             if choice.lack:
                 self.skips.append(Skip("the best network", choice.lack))
             given["model"] = choice.network
+        elif "model" not in given:
+            bound = "--memory" if self._arguments.budget is None else "--budget"
+            self.skips.append(Skip("the best network", f"{bound} takes {USUAL_NETWORK} unless "
+                                                       "--model names another"))
         return {**given, "pixel_filter": choose_pixel_filter(self.sequence, self.first, given)}
 
     def _has_plain_albedo(self) -> bool:
@@ -570,8 +581,12 @@ class Job:
         # It loads the doctor, which other verbs need not wait for.
         from postfx.doctor.first_frames import FirstFrames
 
+        leaves_filters = any(isinstance(step.instance, DenoiseUpscale)
+                             and step.instance.leaves_filters(self.plan.input)
+                             for step in self.plan.steps)
         return FirstFrames(self._channels, self._enable,
-                           not self.pipeline.device.memory.host_visible)
+                           not self.pipeline.device.memory.host_visible,
+                           leaves_filters=leaves_filters)
 
     def _tell(self, texts: Iterable[str], tell: Callable[[str], None]) -> None:
         """Tell at once what is to be mended, and again at the end of a long run."""
@@ -680,8 +695,8 @@ class Job:
             skips.append(Skip("denoise_upscale", "--no-denoise"))
         else:
             if partner:
-                words = _with_filter(partner, denoising.get("pixel_filter", "auto"))
-                passes.append(create("partner", of=words))
+                passes.append(create("partner", of=partner,
+                                     pixel_filter=denoising.get("pixel_filter", "auto")))
             passes.append(create("denoise_upscale", **denoising, **parts))
         passes += [create("both_ways", **parts)] if both_ways else []
         if denoising is not None and partner:
@@ -767,14 +782,6 @@ def announce_run_up(check: Callable[[], None],
         told = first
 
     return before_frame
-
-
-def _with_filter(partner: str, pixel_filter: float | str) -> str:
-    """The words of a partner: Open Image Denoise undoes the same pixel filter as the denoiser."""
-    name, _, options = partner.partition(",")
-    if name != "oidn" or "pixel_filter=" in options or pixel_filter == "auto":
-        return partner
-    return f"{partner},pixel_filter={pixel_filter}"
 
 
 def _outputs(arguments: argparse.Namespace, sequence: Sequence) -> OutputFiles | None:

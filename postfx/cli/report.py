@@ -17,6 +17,7 @@ from postfx.exposure import ExposureMeter, measure
 from postfx.frame import Frame, Role
 from postfx.io.writer import check_folder
 from postfx.kernels.image import resample
+from postfx.passes.composite import NO_OVERLAY
 from postfx.pipeline import Pipeline
 from postfx.tools.report.frame_log import Comparison, FrameLog, Look, References, measure_errors
 from postfx.tools.report.page import write_report
@@ -96,10 +97,12 @@ class RunReport:
         inspected = {view or "": self._inspect(numbers, view) for view in self._views or (None,)}
         report = dataclasses.replace(report, page=str(self._path))
         name = Path(str(self._sequence.pattern)).name
+        skips = [skip for skip in report.skips if skip.why != NO_OVERLAY]
+        told = dataclasses.replace(report, skips=skips).as_dict()
         write_report(self._path, f"postfx report: {name}", self._log,
                      {view: one.facts() for view, one in inspected.items()},
                      {view: contact_sheet(one.frames[0]) for view, one in inspected.items()},
-                     {**report.as_dict(), "plan": plan})
+                     {**told, "plan": plan})
         return report
 
     def _follows(self, number: int) -> bool:

@@ -220,21 +220,23 @@ def _find_network(tag: str) -> str:
     return tag
 
 
-def find_partner(words: str, enlarges: bool) -> str | None:
-    """The pass that --with names, and its options; None for none, and for auto where Open Image
-    Denoise is not installed, or where frames are enlarged: there mixtures are worse than the
-    network `xl` alone. OptionError for any other word that is no pass."""
+def find_partner(words: str, enlarges: bool) -> tuple[str | None, str | None]:
+    """The pass that --with names, and its options, or None for none; and why auto, which is Open
+    Image Denoise, takes none. Where frames are enlarged, mixtures are worse than the network `xl`
+    alone. OptionError for any other word that is no pass."""
     from postfx.oidn import is_installed
     from postfx.passes.registry import names
 
     if words == "auto":
-        return "oidn" if is_installed() and not enlarges else None
+        lack = ("frames are enlarged (--with oidn runs it all the same)" if enlarges
+                else None if is_installed() else "it is not installed")
+        return (None, lack) if lack else ("oidn", None)
     name = words.partition(",")[0]
     if name.isidentifier() and name not in (*names(), "none"):
         raise OptionError(f"--with {name}{suggest(name, (*names(), 'auto', 'none')) or ':'} give "
                           "oidn, auto, none or a pass of your own ('postfx run --passes' lists "
                           "them)")
-    return None if words == "none" else words
+    return (None if words == "none" else words), None
 
 
 def _list_passes() -> str:

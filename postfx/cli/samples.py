@@ -219,9 +219,8 @@ class SamplesJob:
                  f"in the mean, then about {psnr(found.after):.1f} dB, and {found.done:.0%} of the "
                  "tiles are done"]
         if found.uniform > found.more > 0:
-            known = found.hours is not None
-            hours = (f": {found.hours:.2f} in place of {found.uniform_hours:.2f} hours" if known
-                     else "")
+            hours = ("" if found.hours is None or found.uniform_hours is None else
+                     f": {_duration(found.hours)} in place of {_duration(found.uniform_hours)}")
             lines.append(f"saves    {1 - found.more / found.uniform:.0%} of the samples that the "
                          f"same error would need everywhere ({found.uniform:.1f} a pixel){hours}")
         lines += (["wrote    "
@@ -308,3 +307,10 @@ class SamplesJob:
             raise MissingPlaneError(f"{frame.source}: its header does not say how many samples a "
                                     "pixel it has: give --samples N")
         return samples * len(self._halves)
+
+
+def _duration(hours: float) -> str:
+    """'40 s', '25 min' or '3.2 hours'."""
+    if hours < 1 / 30:
+        return f"{3600 * hours:.0f} s"
+    return f"{60 * hours:.0f} min" if hours < 2 else f"{hours:.1f} hours"

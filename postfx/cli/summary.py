@@ -20,6 +20,7 @@ from postfx.frame import Frame, Role
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
 from postfx.masks.cryptomatte import Coverage
+from postfx.passes.composite import NO_OVERLAY
 from postfx.plan import Plan, Skip, from_files
 from postfx.repair import Fireflies
 from postfx.streams import make_printable, styled
@@ -408,7 +409,7 @@ class Report:
         """The report in a few lines."""
         lines = [f"{self.frames} of {_frames(self.total)} in {self.seconds:.1f} s{self._speed()}"]
         if kernels := self.preparation.kernels:
-            lines.append(f"compiled {kernels} files of kernels in "
+            lines.append(f"compiled {kernels} file{'s' * (kernels > 1)} of kernels in "
                          f"{self.preparation.compile_seconds:.1f} s, which is not in these times; "
                          "they are kept for the next run")
         lines += [f"ran      {name}: {median(times):.1f} ms a frame"
@@ -461,14 +462,17 @@ class Report:
         return lines + ([f"failed   {_frames(more)} more, see --json"] if more > 0 else [])
 
     def _skipped_by_reason(self) -> list[tuple[str, str]]:
-        """Planes together, since they share a reason; of frames the first few."""
+        """Planes together, since they share a reason; of frames the first few. That there is no
+        overlay needs no line."""
         planes = [
             item.what.removeprefix("AOV ").strip("'")
             for item in self.skips if item.what.startswith("AOV ")
         ]
         frames = [item for item in self.skips if item.what.startswith("frame ")]
         passes = [item
-                  for item in self.skips if not item.what.startswith(("AOV ", "guide ", "frame "))]
+                  for item in self.skips
+                  if not item.what.startswith(("AOV ", "guide ", "frame "))
+                  and item.why != NO_OVERLAY]
         rows = [(item.what, item.why) for item in passes + frames[:SHOWN_FRAMES]]
         rows += [("AOVs " + ", ".join(planes), "no pass reads them")] if planes else []
         more = len(frames) - SHOWN_FRAMES

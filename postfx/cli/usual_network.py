@@ -18,6 +18,7 @@ from postfx.passes.denoise.models import (
     model_of,
     takes_best,
     usual_network,
+    validate_tag,
 )
 from postfx.passes.denoise.options import enlargement
 from postfx.pixel_filter import find_stddev, parse_stddev
@@ -59,7 +60,8 @@ def choose_pixel_filter(sequence: Sequence, first: int,
     named = parse_stddev(given)
     if named is not None:
         return named or "none"
-    if not gives_picture(model_of(str(options.get("model", USUAL_NETWORK)), UNSCALED)):
+    tag = validate_tag(str(options.get("model", USUAL_NETWORK)))
+    if not gives_picture(model_of(tag, UNSCALED)):
         return given
     earliest = next(filter(sequence.holds, sequence.present()), first)
     stddevs = (_find_stddev(sequence.reader(), number)

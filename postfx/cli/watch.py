@@ -116,8 +116,10 @@ def _make_job(arguments: argparse.Namespace, pattern: Pattern, first: int) -> Jo
                            ("--report", given.report), ("--capture", given.capture),
                            ("--explain", given.explain)):
         if is_given:
-            raise OptionError(f"{flag} needs all frames, but watch knows only those written so "
-                              "far: leave it out")
+            whose = "" if not given.preset or flag.split()[0] in " ".join(words) else (
+                f" of --preset {given.preset}")
+            raise OptionError(f"{flag}{whose} needs all frames, but watch knows only those written "
+                              "so far: leave it out")
     given.run_up = given.run_up or 0
     given.fast_look = True
     if not given.no_denoise:

@@ -30,7 +30,6 @@ OF_ONE_FRAME: tuple[Check, ...] = (
     geometry_checks.check_normal_encoding,
     geometry_checks.check_roughness_range,
     motion_checks.check_motion_coded,
-    noise_checks.check_pixel_filter,
 )
 """Checks that take no more than one frame."""
 
@@ -61,6 +60,7 @@ class FirstFrames:
         enable: role -> where the user switches the plane on in the renderer.
         on_gpu: whether frames are denoised there, where light outside the gamut is cut.
         copies: whether the arrays of a frame may hold another one by the next call.
+        leaves_filters: whether what a pixel filter did to the noise stays.
 
     Attributes:
         is_done: whether no further frame is looked at.
@@ -68,12 +68,15 @@ class FirstFrames:
 
     def __init__(self, channels: Mapping[Role, str] | None = None,
                  enable: Mapping[Role, str] | None = None,
-                 on_gpu: bool = False, copies: bool = False) -> None:
+                 on_gpu: bool = False, copies: bool = False,
+                 leaves_filters: bool = False) -> None:
         self._channels = channels or {}
         self._enable = enable or {}
         self._on_gpu = on_gpu
         self._copies = copies
         self._seen, self._kept, self._size = 0, list[Frame](), (0, 0)
+        self._is_black = True  # all that was seen
+        self._leaves_filters = leaves_filters
         self.is_done = False
 
     def look(self, frame: Frame, is_alone: bool = False) -> list[str]:
@@ -86,6 +89,9 @@ class FirstFrames:
         self._seen += 1
         self.is_done = self._seen >= MOST_SEEN
         found = self._of_first(frame, is_alone) if self._seen == 1 else []
+        self._is_black = self._is_black and not np.any(frame.planes.get(Role.COLOUR, False))
+        if self._is_black and self._seen == (1 if is_alone else COMPARED_FRAMES):
+            found.append(plane_checks.black_colour(self._seen))
         if self._kept and (frame.reset or _size(frame) != self._size):
             self._kept.clear()
         planes = {role: self._keep(plane)
@@ -100,7 +106,9 @@ class FirstFrames:
         return [self._line(one, frame) for one in most_important_first(found) if self._matters(one)]
 
     def _of_first(self, frame: Frame, is_alone: bool) -> list[Finding]:
-        found = [finding for check in OF_ONE_FRAME for finding in check(Material([frame]))]
+        checks = (*OF_ONE_FRAME,
+                  *((noise_checks.check_pixel_filter,) if self._leaves_filters else ()))
+        found = [finding for check in checks for finding in check(Material([frame]))]
         held = {role: plane for role, plane in frame.planes.items()
                 if not self._channels or role in self._channels}
         read = replace(frame, planes=held)  # without motion that was estimated
@@ -117,7 +125,7 @@ class FirstFrames:
         return window.copy() if self._copies else window
 
     def _matters(self, one: Finding) -> bool:
-        return (one.level is not Level.INFO
+        return (one.level is not Level.INFO or one.code == noise_checks.SPREAD
                 or (self._on_gpu and one.code == plane_checks.OUTSIDE_GAMUT))
 
     def _line(self, one: Finding, frame: Frame) -> str:

@@ -80,6 +80,7 @@ class DepthScale(NamedTuple):
         length: length of the longer of the two motions.
         factor: factor on the cameras' motion that fits the stored motion best.
         rest: difference that remains with `factor`.
+        axes: of `CAMERA_AXES`, those by which the cameras come nearest to the stored motion.
     """
 
     scale: float
@@ -88,6 +89,7 @@ class DepthScale(NamedTuple):
     length: float
     factor: float
     rest: float
+    axes: np.ndarray
 
 
 def is_hit(depth: np.ndarray) -> np.ndarray:
@@ -234,10 +236,10 @@ def motion_of_camera(before: Frame, now: Frame) -> np.ndarray | None:
         return None
     if now.world_to_camera is None or before.world_to_camera is None:
         return None
-    points = smooth_points(now[Role.DEPTH])
+    points, fit = smooth_points(now[Role.DEPTH]), fit_depth_scale(before, now)
+    axes = CAMERA_AXES[0] if fit is None else fit.axes
     try:
-        cameras = (_world_to_clip(now, now.world_to_camera, now.fov_x),
-                   _world_to_clip(before, before.world_to_camera, before.fov_x))
+        cameras = _world_to_clip(now, axes), _world_to_clip(before, axes)
         motion = motion_from_depth(now[Role.DEPTH], *cameras, now.jitter)
     except IntegrationError:  # a matrix of zeros, or an angle that no camera has
         return None
@@ -266,23 +268,29 @@ def explain_by_camera(frame: Frame, fit: Fit) -> np.ndarray | None:
 
 
 def fit_depth_scale(before: Frame, now: Frame) -> DepthScale | None:
-    """The factor on depth with which the cameras explain the stored motion best; None without
-    cameras or surfaces."""
+    """The factor on depth with which the cameras explain the stored motion best, by the axes that
+    they have likely; None without cameras or surfaces."""
     if now.fov_x is None or before.fov_x is None or Role.DEPTH not in now or Role.MOTION not in now:
         return None
-    points, (width, height) = smooth_points(now[Role.DEPTH]), (now.spec.width, now.spec.height)
+    points = smooth_points(now[Role.DEPTH])
     if (now.world_to_camera is None or before.world_to_camera is None
         or points.rows.size < FEWEST_FITTED_POINTS):
         return None
+    chosen = Points(points.rows[:SCALE_POINTS], points.columns[:SCALE_POINTS])
     try:
-        clip = _world_to_clip(now, now.world_to_camera, now.fov_x)
-        eye, directions = view_rays(width, height, clip, now.jitter)
-        earlier = _world_to_clip(before, before.world_to_camera, before.fov_x)
+        fits = [_fit_depth_scale(before, now, axes, chosen) for axes in CAMERA_AXES]
     except IntegrationError:  # a matrix of zeros, or an angle that no camera has
         return None
-    chosen = points.rows[:SCALE_POINTS], points.columns[:SCALE_POINTS]
+    return min(fits, key=lambda fit: min(fit.error, fit.error_as_it_is, fit.rest))
+
+
+def _fit_depth_scale(before: Frame, now: Frame, axes: np.ndarray, chosen: Points) -> DepthScale:
+    """The same for cameras with these axes, by some points."""
+    width, height = now.spec.width, now.spec.height
+    clip, earlier = _world_to_clip(now, axes), _world_to_clip(before, axes)
+    eye, directions = view_rays(width, height, clip, now.jitter)
     way = directions[chosen] * now[Role.DEPTH][chosen].astype(np.float64)
-    at = np.stack([chosen[1], chosen[0]], -1) + 0.5 + np.asarray(now.jitter)
+    at = np.stack([chosen.columns, chosen.rows], -1) + 0.5 + np.asarray(now.jitter)
     stored = now[Role.MOTION][chosen]
 
     def motion(scale: float) -> np.ndarray:
@@ -299,17 +307,21 @@ def fit_depth_scale(before: Frame, now: Frame) -> DepthScale | None:
     rest = _typical_length(factor * camera - stored)
     length = max(_typical_length(stored), _typical_length(camera))
     scale = 1.0 if as_it_is < RIGHT_SCALE_ERROR * length else float(min(DEPTH_SCALES, key=error))
-    return DepthScale(scale, error(scale), as_it_is, length, factor, rest)
+    return DepthScale(scale, error(scale), as_it_is, length, factor, rest, axes)
 
 
 def _typical_length(vectors: np.ndarray) -> float:
     return float(np.median(lengths_of(vectors)))
 
 
-def _world_to_clip(frame: Frame, world_to_camera: np.ndarray, fov_x: float) -> np.ndarray:
-    to_clip = perspective(fov_x, frame.spec.width, frame.spec.height, right="-x", up="+y",
-                          forward="+z", pixel_aspect=pixel_aspect(frame.metadata))
-    matrix: np.ndarray = world_to_camera @ to_clip
+def _world_to_clip(frame: Frame, axes: np.ndarray) -> np.ndarray:
+    """Of the frame's camera, which it must know, with axes of `CAMERA_AXES`. Raises
+    IntegrationError for an angle that no camera has."""
+    assert frame.world_to_camera is not None and frame.fov_x is not None
+    x, y, z = ("-" if sign < 0 else "+" for sign in np.diag(axes) * (1, -1, 1))
+    to_clip = perspective(frame.fov_x, frame.spec.width, frame.spec.height, right=f"{x}x",
+                          up=f"{y}y", forward=f"{z}z", pixel_aspect=pixel_aspect(frame.metadata))
+    matrix: np.ndarray = frame.world_to_camera @ to_clip
     return matrix
 
 

@@ -9,6 +9,9 @@ from postfx.doctor.material import Material
 from postfx.frame import Role
 from postfx.pixel_filter import find_stddev
 
+SPREAD = "noise-spread"
+"""Code of the finding that a pixel filter spread the noise."""
+
 
 def check_pixel_filter(material: Material) -> Iterator[Finding]:
     """Noise that the renderer's pixel filter spreads over several pixels."""
@@ -18,8 +21,8 @@ def check_pixel_filter(material: Material) -> Iterator[Finding]:
         return
     evidence = ("noise of pixels beside each other is alike, as a gaussian pixel filter with a "
                 f"standard deviation of {stddev:.2f} pixels makes it")
-    yield info(Role.COLOUR, "noise-spread", evidence,
+    yield info(Role.COLOUR, SPREAD, evidence,
                "the renderer adds each sample to several pixels",
-               "nothing to do with 'xl' and 'l': they see frames without that filter, and it is "
-               "applied to their picture (--pixel-filter none leaves it); other denoisers leave "
-               "such noise, unless a box filter of one pixel renders the frames")
+               "none needed with xl, l and oidn: they see frames without that filter, and it is "
+               "applied to their picture (--pixel-filter none leaves it); for s and m render with "
+               "a box filter")

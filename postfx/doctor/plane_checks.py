@@ -17,6 +17,7 @@ from postfx.doctor.material import Material
 from postfx.exposure import measure
 from postfx.frame import ALBEDOS, Frame, Role
 from postfx.kernels.statistics import OUTSIDE, light_outside
+from postfx.motion import MOTION_SOURCES
 from postfx.sampling import local_mean
 
 _MAY_BE = {role: re.compile(words, re.IGNORECASE) for role, words in {
@@ -82,6 +83,8 @@ def check_missing_planes(material: Material) -> Iterator[Finding]:
         where = material.enable.get(role, "")
         fix = (f"switch it on: {where}" if where
                else "render it, or name it in a profile (--profile FILE.toml)")
+        if role is Role.MOTION and {*MOTION_SOURCES} & material.first.planes.keys():
+            fix += "; until then it is estimated from other AOVs"
         alone = role is Role.MOTION and not material.pairs
         level = warning if (cost.least + cost.most) / 2 >= MATTERS_DB and not alone else info
         yield level(role, f"missing-{role.replace('_', '-')}", evidence,
@@ -584,6 +587,14 @@ def _header_exposure(frame: Frame) -> float:
     return exposure if exposure is not None and math.isfinite(exposure) else 0.0
 
 
+def black_colour(frames: int) -> Finding:
+    """What is to be said of frames, as many as these, none of which has light."""
+    count = f"all {frames} frames" if frames > 1 else "the frame"
+    return warning(Role.COLOUR, "colour-black", f"black in {count}",
+                   "lights off, or another layer's colour",
+                   "check that the colour AOV is the beauty pass")
+
+
 def check_exposure_mismatch(material: Material) -> Iterator[Finding]:
     """An exposure in the header that differs from metering, which brings the picture to mid
     grey."""
@@ -591,9 +602,7 @@ def check_exposure_mismatch(material: Material) -> Iterator[Finding]:
     measured = {frame.number: measure(frame[Role.COLOUR]) for frame in frames}
     metered = {number: ev for number, ev in measured.items() if ev is not None}
     if frames and not metered:
-        yield warning(Role.COLOUR, "colour-black", f"black in all of {len(frames)} frames",
-                      "lights off, or another layer's colour",
-                      "check that the colour AOV is the beauty pass")
+        yield black_colour(len(frames))
     yield from _exposure_jumps(frames, metered)
     headers = {frame.number: frame.exposure for frame in frames if frame.exposure is not None}
     if any(not math.isfinite(value) for value in headers.values()):

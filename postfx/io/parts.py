@@ -100,15 +100,20 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
                size: tuple[int, int]) -> dict[str, FoundPart]:
     """The parts by the names of their layers, of those that have the colour's size.
 
-    Raises MissingPlaneError for a layer that is not there, OptionError for one of ids.
+    Raises MissingPlaneError for a layer that is not there, OptionError for one of ids. 'auto' takes
+    what is there; a warning of the layout says if that is nothing.
     """
     found: dict[str, FoundPart] = {}
     for name in options.names:
         matches = _by_profile(index, layout, "*" if name == AUTO_PARTS else name)
         if not matches and name != AUTO_PARTS:
             matches = _by_name(index, name)
-        if not matches:
-            raise _missing_error(name, index, layout, path)
+        if not matches and name == AUTO_PARTS:
+            layout.warnings.append("--aov auto: no light groups or passes are known by profile "
+                                   f"{layout.profile.name}; if there are any, name them, as "
+                                   "--aov key,fill")
+        elif not matches:
+            raise _missing_error(name, index, path)
         taken = {part.channels for part in found.values()}
         found |= {layer: part for layer, part in matches.items() if part.channels not in taken}
     for name, kind in options.planes:
@@ -117,7 +122,7 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
             channels = _channels(index, layer,
                                  LETTERS_BY_KIND.get(kind, (*COLOUR_LETTERS, *NUMBER_LETTERS)))
             if not channels:
-                raise _missing_error(name, index, layout, path, f"--aov-denoise {kind}={name}")
+                raise _missing_error(name, index, path, f"--aov-denoise {kind}={name}")
             found = {other: part for other, part in found.items() if part.channels != channels}
             found[layer] = FoundPart(Part(layer, kind), channels)
     return {name: part for name, part in found.items() if _size(part.channels) == size}
@@ -181,14 +186,9 @@ def _size(channels: tuple[Channel, ...]) -> tuple[int, int]:
     return area.width, area.height
 
 
-def _missing_error(
-    name: str, index: ChannelIndex, layout: Layout, path: str, option: str = "--aov"
-) -> MissingPlaneError:
+def _missing_error(name: str, index: ChannelIndex, path: str,
+                   option: str = "--aov") -> MissingPlaneError:
     held = "; ".join(index.contents()[:SHOWN_LAYERS]) or "nothing"
-    if name == AUTO_PARTS:
-        return MissingPlaneError(f"{path}: --aov auto: profile {layout.profile.name} knows none of "
-                                 "its layers as light groups or passes: name them (--aov "
-                                 f"key,fill); it holds {held}")
     return MissingPlaneError(f"{path}: no layer '{name}' for {option}: it holds {held}")
 
 

@@ -402,7 +402,7 @@ def _code_pixels(frame: Frame, display: Display | None, opaque: bool, straight: 
     def convert(rows: slice) -> np.ndarray:
         codes = colour[rows] if display else SRGB.encode(colour[rows])
         if straight:
-            codes = _divide_by_alpha(codes, frame[Role.ALPHA][rows], display or SRGB_DISPLAY)
+            codes = _divide_by_alpha(codes, frame[Role.ALPHA][rows], display or SRGB_DISPLAY, depth)
         if not opaque:
             codes = np.concatenate([codes, frame[Role.ALPHA][rows]], axis=2)
         return quantise(codes, depth, dither, frame.number, rows.start)
@@ -410,10 +410,12 @@ def _code_pixels(frame: Frame, display: Display | None, opaque: bool, straight: 
     return convert
 
 
-def _divide_by_alpha(codes: np.ndarray, alpha: np.ndarray, display: Display) -> np.ndarray:
+def _divide_by_alpha(codes: np.ndarray, alpha: np.ndarray, display: Display,
+                     depth: int) -> np.ndarray:
     """Codes (h, w, 3) of light without alpha (h, w, 1) in it, as PNG wants them (PNG specification,
-    6.2)."""
-    partly = (alpha[..., 0] > 0) & (alpha[..., 0] < 1)
+    6.2). Where alpha is less than half a step of its `depth` in bits, and written as 0, they stay:
+    there it divides noise, which programs that ignore alpha would show."""
+    partly = (alpha[..., 0] >= 0.5 / (2**depth - 1)) & (alpha[..., 0] < 1)
     found = np.array(codes)
     found[partly] = display.encode(light_of(codes[partly], display) / alpha[partly])
     return found

@@ -21,6 +21,8 @@ from postfx.runtime import CommandBuffer, Device, Tensor
 
 LATEST = 64
 """How many of the last frames' times count."""
+NO_OVERLAY = "there is no overlay"
+"""Why nothing is composited, in nearly all shots."""
 
 
 class Overlay(Pass):
@@ -51,7 +53,7 @@ class Overlay(Pass):
             return None
         larger = Role.OVERLAY in spec.guide_roles
         return ("the overlay has the output's size, and nothing enlarges the colour" if larger
-                else "there is no overlay")
+                else NO_OVERLAY)
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         self._over = {Role.COLOUR: OVER} | ({Role.ALPHA: OVER_ALPHA} if spec.has(Role.ALPHA)

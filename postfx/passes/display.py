@@ -25,7 +25,7 @@ from postfx.kernels.colour import (
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.passes.registry import create
 from postfx.plan import Skip
-from postfx.runtime import CommandBuffer, Device, Library, Tensor
+from postfx.runtime import CommandBuffer, Device, Tensor
 from postfx.workers import Workers
 
 THREAD_ROWS = 32
@@ -270,8 +270,9 @@ def make_display_passes(
 
 def _find_look(tag: str) -> str:
     """The tag or file of a network; ColourError that lists all looks for any other word."""
-    tags = [name.removeprefix("tonemap.")
-            for name in Library().names() if name.startswith("tonemap.")]
+    from postfx.passes.tonemap import looks_by_name  # which loads what views do without
+
+    tags = looks_by_name()
     if tag not in tags and not tag.endswith(".onnx"):
         looks = [*tags, *VIEWS]
         raise ColourError(f"no look '{tag}'{suggest(tag, looks) or ':'} there are "

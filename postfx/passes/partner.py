@@ -19,7 +19,7 @@ from postfx.kernels.partner import MIX_PARTNER
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.passes.composite import PartShares
 from postfx.passes.denoise.models import UNSCALED, denoises_first, gives_picture, model_of
-from postfx.passes.registry import BUILT_IN, make_asked, parse_pass, plug_ins
+from postfx.passes.registry import BUILT_IN, load, make_asked, parse_pass, plug_ins
 from postfx.runtime import CommandBuffer, Device
 
 LASTING = 0.3
@@ -55,6 +55,8 @@ class Partner(Pass):
     Options:
         of: the other pass and its options, as in 'oidn' or 'oidn,quality=fast': any pass that
             leaves a picture of the frame's size, in scene-linear light.
+        pixel_filter: as for `postfx.DenoiseUpscale`; for a pass that has this option, too, unless
+            its own words name one.
 
     All other planes stay as they are. Frames that only give a history are left out where the other
     pass has none. Raises OptionError for words that name no pass, FrameError for a pass that
@@ -63,14 +65,18 @@ class Partner(Pass):
 
     name: ClassVar[str] = "partner"
 
-    def __init__(self, *, of: str = "oidn", **unknown: Never) -> None:
-        super().__init__(of=of, **unknown)
+    def __init__(self, *, of: str = "oidn", pixel_filter: float | str = "auto",
+                 **unknown: Never) -> None:
+        super().__init__(of=of, pixel_filter=pixel_filter, **unknown)
         asked = parse_pass(of, "--with")
         if asked.before or asked.after:
             raise PassOptionError(f"partner '{of}' runs before the upscaler: leave before= and "
                                   "after= out")
-        if asked.name == "oidn":
+        own = load(asked.name).defaults
+        if own.get("alpha") is True:
             asked.options.setdefault("alpha", "false")  # the upscaler denoises it
+        if "pixel_filter" in own:
+            asked.options.setdefault("pixel_filter", str(pixel_filter))
         self._own = make_asked(asked)
 
     def __copy__(self) -> Partner:

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple, Never
 
 import numpy as np
 
-from postfx.errors import PassOptionError
+from postfx.errors import PassOptionError, suggest
 from postfx.frame import FrameSpec, Role
 from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE, form_of
@@ -40,6 +40,23 @@ def find_model(tag: str) -> tuple[Library, str]:
     if tag.endswith(".onnx"):
         return Library(Path(tag).parent), Path(tag).stem
     return Library(), f"tonemap.{tag}"
+
+
+def looks_by_name() -> list[str]:
+    """Names of the looks that come with postfx."""
+    return [name.removeprefix("tonemap.")
+            for name in Library().names() if name.startswith("tonemap.")]
+
+
+def _check_look(look: str) -> None:
+    """Raise PassOptionError for a look that is not there, by name or as a file."""
+    looks = looks_by_name()
+    if look.endswith(".onnx"):
+        if not Path(look).is_file():
+            raise PassOptionError(f"look '{look}': no such file: check the path and its rights")
+    elif look not in looks:
+        raise PassOptionError(f"no look '{look}'{suggest(look, looks) or ':'} give "
+                              f"{', '.join(looks)}, or a file of a model")
 
 
 def shaper(library: Library, model: str) -> Shaper:
@@ -135,7 +152,8 @@ class ToneMap(Pass):
             (``postfx.kernels.tonemap``), and none at the first frame and at cuts. Still pictures do
             not change; 0 ignores earlier frames.
 
-    Colour comes out sRGB-encoded in [0, 1]. Raises PassOptionError for a keep outside [0, 1).
+    Colour comes out sRGB-encoded in [0, 1]. Raises PassOptionError for a look that is not there and
+    a keep outside [0, 1).
     """
 
     name: ClassVar[str] = "tonemap"
@@ -144,6 +162,7 @@ class ToneMap(Pass):
 
     def __init__(self, look: str = "aces2", *, keep: float | None = None, **unknown: Never) -> None:
         super().__init__(look=look, keep=keep, **unknown)
+        _check_look(str(look))
         if keep is not None and not 0 <= self._number("keep", keep) < 1:
             raise PassOptionError(f"pass '{self.name}' keeps 0 to below 1 of the last grid, not "
                                   f"{keep}")

@@ -244,6 +244,10 @@ def test_the_plane_error_of_a_file_counts(tmp_path: Path, capsys):
     (region,) = facts["frames"][0]["regions"]
     assert region | {"samples": 0} == {"x": 0, "y": 32, "width": 32, "height": 32, "samples": 0}
     assert region["samples"] == 4 * MOST_SAMPLES_FACTOR
+    for seconds, told in (("0.5", " s in place of "), ("900", " min in place of "),
+                          ("9000", " hours in place of ")):
+        assert main([*words[:2], "-o", f"{tmp_path}/{seconds}.exr", "--seconds", seconds]) == 0
+        assert told in capsys.readouterr().out
     assert main([*words[:2], "--profile", "generic", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["frames"] == facts["frames"]
     with ImageFile(tmp_path / "map/0001.exr") as file:

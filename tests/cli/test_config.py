@@ -57,6 +57,14 @@ def test_a_preset_gives_way_to_an_option_that_it_does_not_go_with(places, words)
     RUN.refuse_conflicts(given)
 
 
+def test_a_run_says_what_of_a_preset_gave_way(postfx, shot):
+    shot(1)
+    given = ("run", "in/shot.####.exr", "--preset", "final", "--explain")
+    assert ("skips   --both-ways --with auto of --preset final: other options that are given do "
+            "not go with it") in postfx(*given, "--memory", "4G").out
+    assert "of --preset" not in postfx(*given, "--model", "m", "--with", "none").out
+
+
 def test_files_are_weaker_the_farther_away_they_are(places):
     put(places["machine"], 'model = "s"\ncompression = "piz"\nbits = 32')
     put(places["user"], 'compression = "dwaa:45"\nbits = 16\noverwrite = true')

@@ -150,6 +150,17 @@ def test_left_out_frames_are_not_neighbours(inspect):
     assert inspect(ROOM, "--frames", "1-7x2")[1]["examined"] == [1]
 
 
+def test_normals_below_0_are_nothing_to_be_told(write_exr, capsys):
+    names = (*(f"ViewLayer.Combined.{one}" for one in "RGB"),
+             *(f"ViewLayer.{kind}Normal.{one}" for kind in ("", "Denoising ") for one in "XYZ"))
+    path = write_exr("a.exr", {name: np.full((16, 16), -0.5 if "Normal" in name else 0.5)
+                               for name in names})
+    main(["inspect", str(path)])
+    lines = [line for line in capsys.readouterr().out.splitlines()
+             if line.startswith(("normal", "denoising_normal"))]
+    assert len(lines) == 2 and all(line.endswith("-0.5 .. -0.5") for line in lines)
+
+
 def test_pictures_of_every_plane(inspect, tmp_path):
     code, found = inspect(ROOM, "--frames", "2", "--pictures", tmp_path / "look")
     written = {Path(path).stem for path in found["pictures"]}

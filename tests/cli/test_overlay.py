@@ -113,6 +113,8 @@ def test_what_is_skipped_is_told(postfx, shot, write_exr):
     assert "compositing for 2 frames in overlay: the overlay is 0 there; which takes" in line
     write_exr("plain.exr", {c: np.ones((20, 30)) for c in "RGB"})
     assert "skips   overlay: there is no overlay" in postfx("run", "plain.exr", "--explain").out
+    done = postfx("run", "plain.exr", "-o", "out.exr", "--model", "s")
+    assert done.code == 0 and "overlay" not in done.err
 
 
 def test_alpha_is_that_of_both(postfx, shot, tmp_path):

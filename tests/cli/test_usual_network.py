@@ -60,6 +60,9 @@ def test_a_run_undoes_the_pixel_filter_that_the_noise_tells(postfx, tmp_path, sp
     assert used == (pytest.approx(0.5, rel=0.1) if spread else "none")
     explained = postfx(*RUN, "--explain").out
     assert ("a pixel filter of 0.5" in explained or "a pixel filter of 0.4" in explained) == spread
+    for words, is_told in ((("--model", "s"), spread),
+                           (("--model", "s", "--pixel-filter", "none"), False)):
+        assert ("as a gaussian pixel filter" in postfx(*RUN, *words).err) == is_told
     assert "pixel filter" not in postfx(*RUN, "--pixel-filter", "none", "--explain").out
     assert "a pixel filter of 0.45 px" in postfx(*RUN, "--pixel-filter", "0.45", "--explain").out
 
@@ -98,6 +101,21 @@ def test_a_plan_says_which_network_runs(postfx, shot, options, said):
     (line,) = [line for line in postfx(*RUN, *options, "--explain").out.splitlines()
                if ": reads " in line and "denoise_upscale" in line]
     assert line.endswith(f"; {said}")
+
+
+@pytest.mark.parametrize("bound", (("--budget", "5000"), ("--memory", "2G")))
+def test_a_bound_says_that_it_takes_a_smaller_network(postfx, shot, bound):
+    shot(1)
+    told = f"skips   the best network: {bound[0]} takes m unless --model names another"
+    assert told in postfx(*RUN, *bound, "--explain").out
+    assert "the best network" not in postfx(*RUN, *bound, "--model", "s", "--explain").out
+
+
+def test_a_network_in_no_folder_is_told_by_its_file(postfx, shot):
+    shot(1)
+    done = postfx(*RUN, "--model", "nets/mine.onnx")
+    assert done.code == 2
+    assert "error: model 'nets/mine.onnx': no such file: check the path and its rights" in done.err
 
 
 def test_frames_that_are_too_large_for_it_take_the_usual_one(postfx, shot, tmp_path, monkeypatch):

@@ -82,6 +82,7 @@ def test_what_does_not_come_is_left_out(postfx, render, noise):
 
 @pytest.mark.parametrize(("words", "message"), [
     (("--", "--both-ways"), "--both-ways needs all frames"),
+    (("--", "--preset", "final"), "--both-ways of --preset final needs all frames"),
     (("--", "--sacle", "2"), "did you mean --scale?"),
     (("--idle", "x"), "'x' is not a number from 0"),
 ])

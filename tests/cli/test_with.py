@@ -35,7 +35,7 @@ def test_open_image_denoise_runs_too_and_files_and_words_say_so(postfx: Callable
     assert set(done.json["passes"]) == {"partner", "denoise_upscale", "mix_partner"}
     assert f"with oidn (pyoidn {oidn.version()})" in done.err
     facts = json.loads(header(noise / "out/a.0003.exr"))
-    assert facts["settings"]["with"] == "oidn" and facts["passes"]["partner"] == {"of": "oidn"}
+    assert facts["settings"]["with"] == "oidn" and facts["passes"]["partner"]["of"] == "oidn"
     (run,) = json.loads((noise / "out/postfx.manifest.json").read_text())["runs"].values()
     assert run["versions"]["pyoidn"] == oidn.version()
     plain = postfx(*RUN, "-o", "plain/a.####.exr")
@@ -63,6 +63,8 @@ def test_the_preset_for_final_frames_takes_it_where_it_is_installed(
     monkeypatch.setattr(oidn, "find_spec", lambda name: None)
     alone = postfx(*given)
     assert alone.code == 0 and "runs oidn" not in alone.out and "both_ways" in alone.out
+    assert "skips   Open Image Denoise: it is not installed" in alone.out
+    assert "Open Image Denoise" not in postfx(*given, "--with", "none").out
 
 
 @needs_oidn
@@ -73,6 +75,7 @@ def test_the_preset_for_final_frames_leaves_it_out_where_they_are_enlarged(
     given = (*RUN[:2], *size, "--preset", "final", "--explain")
     told = postfx(*given).out
     assert "runs oidn" not in told and "both_ways" in told
+    assert "skips   Open Image Denoise: frames are enlarged" in told
     assert "network xl at the render's size first, then " in told
     assert "runs oidn" in postfx(*given, "--with", "oidn").out
 

@@ -160,6 +160,15 @@ def test_without_colour(diagnose):
             in codes(diagnose([Frame({Role.DEPTH: np.ones((20, 20, 1), np.float32)})])))
 
 
+def test_motion_that_is_missing_is_estimated_meanwhile_where_it_can_be(diagnose):
+    for kept, is_estimated in ((Role.NORMAL, True), (Role.DEPTH, False)):
+        frames = [random((40, 48), number) for number in (1, 2)]
+        for frame in frames:
+            frame.planes = {role: frame.planes[role] for role in (Role.COLOUR, kept)}
+        (found,) = [finding for finding in diagnose(frames) if finding.code == "missing-motion"]
+        assert ("until then it is estimated" in found.fix) == is_estimated
+
+
 @pytest.mark.parametrize("value", [0.0, 2.0, np.nan, np.inf, -1.0, DEPTH_MISS])
 def test_pictures_of_anything(value):
     for role in Role:

@@ -55,10 +55,13 @@ def test_the_unit_of_a_large_picture_is_that_of_all_of_it(room, monkeypatch):
     assert said(room) == []
 
 
-def test_noise_that_a_pixel_filter_spreads_needs_no_mending(room):
-    """A run undoes the filter and says so at its end."""
+def test_noise_that_a_pixel_filter_spreads_is_told_where_it_stays(room):
+    """Else a run undoes the filter and says so at its end."""
     spread = {Role.COLOUR: filtered(room[0][Role.COLOUR], room[0])}
-    assert said([replace(room[0], planes={**room[0].planes, **spread})]) == []
+    frames = [replace(room[0], planes={**room[0].planes, **spread})]
+    assert said(frames) == said(room[:1], leaves_filters=True) == []
+    (line,) = said(frames, leaves_filters=True)
+    assert "as a gaussian pixel filter" in line and "none needed with xl, l and oidn" in line
 
 
 def test_one_seed_is_told(room):
@@ -77,6 +80,16 @@ def test_planes_that_the_renderer_could_write_are_told_and_cheap_ones_are_not(ro
     (line,) = said(bare, enable=enable)
     assert "AOV normal: " in line and "fix: switch it on: Data > Normal" in line
     assert said(bare) == []  # as nobody knows where
+
+
+def test_black_frames_are_told_but_not_those_before_a_shot_fades_in(room):
+    black = [replace(one, planes={**one.planes, Role.COLOUR: 0 * one[Role.COLOUR]})
+             for one in room]
+    (line,) = said(black)
+    assert line.startswith("AOV colour, frame 3: black in all 3 frames") and "beauty pass" in line
+    assert said([*black[:2], room[2]]) == [] and said(black[:1]) == []
+    (line,) = FirstFrames().look(black[0], is_alone=True)
+    assert line.startswith("AOV colour, frame 1: black in the frame; ")
 
 
 def test_it_ends_by_itself(room):

@@ -213,9 +213,20 @@ def test_plain_layers_are_light_by_name(tmp_path: Path) -> None:
     path = write(tmp_path / "a.exr", {"": frame[Role.COLOUR], "key": 0.5 * frame[Role.COLOUR]})
     read_frame = read_sequence(str(path), aov="key").read(1)
     np.testing.assert_array_equal(read_frame.parts["key"], 0.5 * frame[Role.COLOUR])
-    with pytest.raises(MissingPlaneError,
-                       match="--aov auto: profile generic knows none of its layers"):
-        read_sequence(str(path), aov="auto").open(1)
+    with pytest.raises(MissingPlaneError, match="no layer 'fill' for --aov: it holds"):
+        read_sequence(str(path), aov="fill").open(1)
+
+
+def test_a_run_goes_on_where_auto_finds_no_parts_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = write(tmp_path / "a.exr", {"": noisy(1, *SIZE)[Role.COLOUR]})
+    files = [tmp_path / "auto.exr", tmp_path / "plain.exr"]
+    for out, options in zip(files, (("--aov", "auto"), ()), strict=True):
+        assert main(["run", str(source), "-o", str(out), "--model", "s", *options]) == 0
+    assert capsys.readouterr().err.count("warning  --aov auto: no light groups or passes") == 1
+    auto, plain = map(read, files)
+    np.testing.assert_array_equal(layer(auto, ""), layer(plain, ""))
 
 
 @pytest.mark.parametrize(("text", "message"), [

@@ -143,6 +143,18 @@ def test_transparent_pictures_keep_alpha(frame, tmp_path):
     np.testing.assert_allclose(with_alpha[0, 0], [0.25, 0.25, 0.25, 0.5], atol=0.005)
 
 
+@pytest.mark.parametrize("bits", [8, 16])
+def test_png_shows_no_noise_where_alpha_is_next_to_nothing(frame, tmp_path, bits):
+    """Programs that ignore alpha, as those that make videos, would show it as bright dots."""
+    frame.planes[Role.ALPHA][:, :8] = 0.4 / (2**bits - 1)
+    frame.planes[Role.COLOUR][:, :8] = 0.05 * frame[Role.ALPHA][:, :8]
+    config = oiio.ImageSpec()
+    config["oiio:UnassociatedAlpha"] = 1
+    name = str(write_frame(tmp_path / "a.png", frame, bits=bits, dither="none"))
+    stored = oiio.ImageInput.open(name, config).read_image("float")
+    assert not stored[:, :8].any() and stored[:, 8:].all()
+
+
 @pytest.mark.parametrize("encoding", ["scene-linear", "srgb", "rec709", "pq"])
 def test_png_holds_light_without_alpha_in_it(frame, tmp_path, encoding):
     frame.planes[Role.ALPHA][:] = np.linspace(0, 1, 16, dtype=np.float32)[:, None]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import postfx
-from postfx import DenoiseUpscale, Device, Frame, Oidn, Pipeline, Role
+from postfx import DenoiseUpscale, Device, Frame, Oidn, Partner, Pipeline, Role
 from postfx.errors import PassOptionError
 from postfx.frame import Part
 from postfx.passes import Pass
@@ -75,6 +75,8 @@ def test_its_width_may_be_given() -> None:
     notes = DenoiseUpscale(model="xl", pixel_filter=told).reflect(frame().spec).notes
     (note,) = (note for note in notes if "pixel filter" in note)
     assert note == f"a pixel filter of {told:.2f} px is undone before it and applied again"
+    step = DenoiseUpscale(model="xl", pixel_filter=told)
+    assert not [one for one in step.remarks(frame().spec) if "pixel filter" in one]
     with pytest.raises(PassOptionError, match="pixel filter 'wide'"):
         DenoiseUpscale(pixel_filter="wide")
 
@@ -84,6 +86,9 @@ def test_networks_that_know_such_noise_see_it(options: dict) -> None:
     found, left = (picture(chain(**options, pixel_filter=given), frame())
                    for given in (STDDEV, "none"))
     np.testing.assert_array_equal(found, left)
+    step = DenoiseUpscale(**options, pixel_filter=STDDEV)
+    (remark,) = [one for one in step.remarks(frame().spec) if "pixel filter" in one]
+    assert remark.startswith("a pixel filter of 0.50 px stays in the noise: network xl undoes it")
 
 
 def test_independent_noise_is_left_as_it_is() -> None:
@@ -166,3 +171,16 @@ def test_open_image_denoise_sees_noise_that_is_independent() -> None:
                           for given in ("auto", find_stddev(light_of(1)), "none"))
     assert psnr(found) > psnr(left) + LEAST_GAIN_DB
     np.testing.assert_array_equal(found, named)
+
+
+@pytest.mark.parametrize(("words", "alone"), (
+    ("denoise_upscale,model=l,scale=1", {"pixel_filter": STDDEV}),
+    ("denoise_upscale,model=l,scale=1,pixel_filter=none", {"pixel_filter": "none"}),
+))
+def test_a_partner_undoes_the_same_filter_unless_its_own_words_name_one(
+    words: str, alone: dict[str, object]
+) -> None:
+    pipeline = Pipeline([Partner(of=words, pixel_filter=STDDEV)], Device("cpu", threads=2),
+                        exposure=0.0, cuts="none")
+    beside = np.array(pipeline(frame())[Role.PARTNER])
+    np.testing.assert_array_equal(beside, picture(chain("l", **alone), frame()))

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.errors import PassOptionError
+from postfx.errors import FrameError, PassOptionError
 from postfx.frame import Frame, FrameSpec, Role
+from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.display import Display
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
-from postfx.runtime import Device, ModelError
+from postfx.runtime import Device
 from postfx.system import models_dir
 
 SPEC = FrameSpec(160, 90, [Role.COLOUR])
@@ -222,8 +223,19 @@ def test_options_that_cannot_be_are_refused(device: Device) -> None:
     for keep in (-0.1, 1.0):
         with pytest.raises(PassOptionError, match="keep"):
             ToneMap(keep=keep)
-    with pytest.raises(ModelError, match="tonemap.sepia"):
-        ToneMap(look="sepia").compile(device, SPEC)
+    with pytest.raises(PassOptionError, match="look 'looks/tonemap.sepia.onnx': no such file"):
+        ToneMap(look="looks/tonemap.sepia.onnx")
+
+
+def test_a_look_that_is_not_there_is_told_where_the_pass_is_made() -> None:
+    with pytest.raises(PassOptionError, match="no look 'aces3': did you mean aces2.* agx, auto"):
+        ToneMap("aces3")
+
+
+def test_the_denoiser_refuses_a_picture_that_is_tone_mapped() -> None:
+    light = Frame({Role.COLOUR: np.ones((24, 32, 3), np.float32)})
+    with pytest.raises(FrameError, match="colour is srgb, and the denoiser takes scene-linear"):
+        Pipeline([ToneMap(), DenoiseUpscale(model="s")], Device("cpu"))(light)
 
 
 def test_display_encodes_exposed_light_and_cuts_it_at_one(device: Device) -> None:

@@ -153,6 +153,11 @@ def test_curves_times_planes_and_roles_are_there(tab):
     ran = tab.value("document.getElementById('ran').innerText")
     assert ("denoise_upscale" in ran and "EXR output stays scene-linear" in ran and "3 of 3 "
             "frames" in ran)
+    assert "there is no overlay" not in ran and "undid" not in ran
+    tab.value("(data.run.pixel_filter = 0.5, document.querySelector('#ran table').remove(), "
+              "drawRun())")
+    assert "undid\tpixel filter\t0.50 px before denoising" in tab.value(
+        "document.getElementById('ran').innerText")
     assert tab.value("[...document.querySelectorAll('#sheet img')].every(one => one.naturalWidth "
                      "=== 320)")
     assert "albedo.R, albedo.G, albedo.B" in tab.value("document.getElementById('roles').innerText")

@@ -165,8 +165,8 @@ class DenoiseUpscale(Pass):
 
     Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a strength outside 0
     to 1, a budget that is not above 0, a model that is chosen automatically and an error that no
-    network predicts, FrameError for a frame whose output would not be 1 to 3 times as large,
-    GuideError for guides of another size than the output's.
+    network predicts, FrameError for a frame whose output would not be 1 to 3 times as large or
+    whose colour is not scene-linear, GuideError for guides of another size than the output's.
     """
 
     name: ClassVar[str] = "denoise_upscale"
@@ -219,6 +219,9 @@ class DenoiseUpscale(Pass):
         return not has_networks() and "/" not in tag and CLASSIC in family(tag) and not self._parts
 
     def reflect(self, spec: FrameSpec) -> Reflection:
+        if spec.encoding != "scene-linear":
+            raise FrameError(f"{spec.source or 'frame'}: colour is {spec.encoding}, and the "
+                             "denoiser takes scene-linear light: let it run before tone mapping")
         self._check_error(spec)
         self._check_enlargement(spec)
         carried = passthrough_roles(spec)
@@ -269,6 +272,9 @@ class DenoiseUpscale(Pass):
         else:
             found += enlarging_remarks(self._tag)
             found += self._one_stage_remarks(spec)
+        if self._given_stddev and not self.undone_stddev(spec):
+            found.append(f"a pixel filter of {self._given_stddev:.2f} px stays in the noise: "
+                         "network xl undoes it, and l at the render's size")
         return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
 
     def accumulates(self, spec: FrameSpec) -> bool:
@@ -682,8 +688,17 @@ class DenoiseUpscale(Pass):
     def undone_stddev(self, spec: FrameSpec) -> float:
         """The standard deviation, in pixels, of the pixel filter that is undone in frames of a
         spec, as far as the option tells; 0 for none."""
-        sees = self._has_first_stage(spec) or gives_picture(model_of(self._tag, self._ending(spec)))
-        return self._given_stddev or 0.0 if sees and self.strength else 0.0
+        return self._given_stddev or 0.0 if self._undoes_filters(spec) else 0.0
+
+    def leaves_filters(self, spec: FrameSpec) -> bool:
+        """Whether frames of a spec are denoised with what a pixel filter did to their noise, though
+        no option says so."""
+        return (self._given_stddev is None and self.strength > 0
+                and not self._undoes_filters(spec))
+
+    def _undoes_filters(self, spec: FrameSpec) -> bool:
+        return self.strength > 0 and (self._has_first_stage(spec)
+                                      or gives_picture(model_of(self._tag, self._ending(spec))))
 
     def _pixel_filter_notes(self, spec: FrameSpec) -> list[str]:
         """A note that a pixel filter of known width is undone; none if it is not."""

@@ -112,8 +112,8 @@ def _table(facts: dict[str, Any]) -> Any:
 
     gpu = facts["device"] != "cpu"
     sizes = ["x".join(map(str, facts[key])) for key in ("render_size", "output_size")]
-    title = (f"{sizes[0]} to {sizes[1]}, {len(facts['sequence']['frames'])} frames, "
-             f"{facts['device']}")
+    frames = len(facts["sequence"]["frames"])
+    title = f"{sizes[0]} to {sizes[1]}, {frames} frame{'s' * (frames > 1)}, {facts['device']}"
     table = Table(title=f"{title}, {facts['threads']} threads, median of {facts['runs']} runs",
                   header_style="bold")
     table.add_column("method", no_wrap=True)

@@ -1,5 +1,7 @@
 const VERDICTS = { error: "there are errors", warning: "there are warnings" };
 
+const countFrames = count => `${count} frame${count === 1 ? "" : "s"}`;
+
 function row(table, cells, head = false) {
   const line = element("tr", table);
   for (const cell of cells) {
@@ -26,7 +28,7 @@ function drawSummary() {
 
 function drawFindings() {
   const table = document.getElementById("findings"), { examined } = data.facts, findings = allFindings();
-  if (!findings.length) element("caption", table, `None, in ${examined.length} frames that were looked at.`, "note");
+  if (!findings.length) element("caption", table, `None, in ${countFrames(examined.length)} that ${examined.length === 1 ? "was" : "were"} looked at.`, "note");
   else row(table, ["", "what", "evidence", "likely cause and fix"], true);
   for (const finding of findings) {
     const level = element("td", null, finding.level, `level ${finding.level}`), cause = element("td", null, finding.cause);
@@ -73,13 +75,14 @@ function drawRun() {
   if (!run) { place.remove(); return; }
   if (run.error) element("p", place, `The run ended early: ${run.error}`, "bad");
   const ms = run.ms_per_frame, speed = ms ? `, ${ms.median.toFixed(0)} ms a frame in the passes (${ms.min.toFixed(0)} to ${ms.max.toFixed(0)})` : "";
-  element("p", place, `${run.frames} of ${facts.frames.count} frames in ${run.seconds.toFixed(1)} s${speed}.`);
+  element("p", place, `${run.frames} of ${countFrames(facts.frames.count)} in ${run.seconds.toFixed(1)} s${speed}.`);
   const table = element("table", place);
   row(table, ["", "what", "time, choice or reason"], true);
   for (const [name, time] of Object.entries(run.passes)) {
-    const chosen = Object.entries(run.chosen[name] || {}).map(([model, count]) => `; ${model} for ${count} frames`).join("");
+    const chosen = Object.entries(run.chosen[name] || {}).map(([model, count]) => `; ${model} for ${countFrames(count)}`).join("");
     row(table, ["ran", name, `${time.toFixed(2)} ms a frame${chosen}`]);
   }
+  if (run.pixel_filter) row(table, ["undid", "pixel filter", `${run.pixel_filter.toFixed(2)} px before denoising, and applied to the picture`]);
   for (const { what, why } of run.skipped) row(table, ["skipped", what, why]);
   for (const warning of [...run.warnings, ...facts.warnings.filter(text => !run.warnings.includes(text))]) row(table, ["warning", "", warning]);
   if (run.cuts.length) row(table, ["cuts", "", `found at ${run.cuts.join(", ")}`]);
