@@ -125,7 +125,7 @@ class FirstFrames:
         return window.copy() if self._copies else window
 
     def _matters(self, one: Finding) -> bool:
-        return (one.level is not Level.INFO or one.code == noise_checks.SPREAD
+        return (one.level is not Level.INFO or one.code == noise_checks.NOISE_SPREAD_CODE
                 or (self._on_gpu and one.code == plane_checks.OUTSIDE_GAMUT))
 
     def _line(self, one: Finding, frame: Frame) -> str:

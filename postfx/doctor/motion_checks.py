@@ -45,7 +45,7 @@ TELLING_SCORE = 0.05
 ALIKE_SCORE_RATIO = 1.03
 ALIKE_COLOUR_SCORE_RATIO = 1.15
 
-SEARCHED_PX = 12
+TRIED_MOTION_PX = 12
 """Pixels each way that a picture without motion is moved by."""
 MOVED_SCORE_RATIO = 0.75
 """It has moved if that scores below this part of the score where it is."""
@@ -258,7 +258,7 @@ def _by_camera(warped: PairScores) -> str:
 
 def _by_picture(warped: PairScores) -> str:
     """Evidence that the picture as a whole has moved; '' if it has not."""
-    offsets = list(product(range(-SEARCHED_PX, SEARCHED_PX + 1), repeat=2))
+    offsets = list(product(range(-TRIED_MOTION_PX, TRIED_MOTION_PX + 1), repeat=2))
     scores = {at: score_offset(warped.features, np.add(at, warped.jitter)) for at in offsets}
     best = min(scores, key=lambda at: scores[at])
     enough = min(MOVED_SCORE_RATIO * scores[0, 0], RELATED_SCORE_RATIO * warped.unrelated)

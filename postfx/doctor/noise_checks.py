@@ -9,7 +9,7 @@ from postfx.doctor.material import Material
 from postfx.frame import Role
 from postfx.pixel_filter import find_stddev
 
-SPREAD = "noise-spread"
+NOISE_SPREAD_CODE = "noise-spread"
 """Code of the finding that a pixel filter spread the noise."""
 
 
@@ -21,7 +21,7 @@ def check_pixel_filter(material: Material) -> Iterator[Finding]:
         return
     evidence = ("noise of pixels beside each other is alike, as a gaussian pixel filter with a "
                 f"standard deviation of {stddev:.2f} pixels makes it")
-    yield info(Role.COLOUR, SPREAD, evidence,
+    yield info(Role.COLOUR, NOISE_SPREAD_CODE, evidence,
                "the renderer adds each sample to several pixels",
                "none needed with xl, l and oidn: they see frames without that filter, and it is "
                "applied to their picture (--pixel-filter none leaves it); for s and m render with "

@@ -11,7 +11,7 @@ from postfx.sampling import bilinear, is_inside, local_mean
 
 COMPARED_CELLS = 1
 """Around a cell whose misfit is measured."""
-LEAST_OFF = np.float32(0.05)
+LEAST_WRONG = np.float32(0.05)
 """Misfit of wrong vectors, in toned light, at least."""
 FAR_OFF = np.float32(2)
 """The same, in that of estimated motion."""
@@ -19,7 +19,7 @@ LEADS_APART_CELLS = np.float32(0.5)
 """Cells by which both differ."""
 SIDE_CELLS = 3
 """Cells beside a thin thing where what is behind it is seen."""
-NEARER = np.float32(0.9)
+IN_FRONT = np.float32(0.9)
 """Depth of a thin thing, in that behind it, at most."""
 MOST_APART_SHARE = 0.3
 """Share of the pixels at which vectors and estimated motion differ, up to which such things are
@@ -55,7 +55,7 @@ def where_flow_is_right(small: tuple[np.ndarray, np.ndarray],
     along = _misfit(before, after, x + motion[..., 0], y + motion[..., 1])
     flowing = _misfit(before, after, x + back[..., 0], y + back[..., 1])
     apart = np.abs(motion - back).max(-1) > LEADS_APART_CELLS
-    found = (thin & (along > LEAST_OFF) & (along > FAR_OFF * flowing) & apart
+    found = (thin & (along > LEAST_WRONG) & (along > FAR_OFF * flowing) & apart
              & is_inside(before, x + back[..., 0], y + back[..., 1]))
     if not found.any() or found.sum() < LEAST_WRONG * thin.sum():
         return None
@@ -68,7 +68,7 @@ def where_flow_is_right(small: tuple[np.ndarray, np.ndarray],
 
 def _is_thin(depth: np.ndarray) -> np.ndarray:
     """Cells (rows, columns) in front of what is on both sides of them."""
-    behind, found = NEARER * np.pad(depth, SIDE_CELLS, mode="edge"), np.zeros(depth.shape, bool)
+    behind, found = IN_FRONT * np.pad(depth, SIDE_CELLS, mode="edge"), np.zeros(depth.shape, bool)
     rows, columns = depth.shape
     for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
         sides = [behind[SIDE_CELLS * (1 + way * down):, SIDE_CELLS * (1 + way * across):]
