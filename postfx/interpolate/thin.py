@@ -11,7 +11,7 @@ from postfx.sampling import bilinear, is_inside, local_mean
 
 COMPARED_CELLS = 1
 """Around a cell whose misfit is measured."""
-LEAST_WRONG = np.float32(0.05)
+LEAST_WRONG_MISFIT = np.float32(0.05)
 """Misfit of wrong vectors, in toned light, at least."""
 FAR_OFF = np.float32(2)
 """The same, in that of estimated motion."""
@@ -24,7 +24,7 @@ IN_FRONT = np.float32(0.9)
 MOST_APART_SHARE = 0.3
 """Share of the pixels at which vectors and estimated motion differ, up to which such things are
 looked for: 0.42 and more in six rendered sequences, up to 0.29 of drawn wires."""
-LEAST_WRONG = 0.25
+LEAST_WRONG_SHARE = 0.25
 """Share of the thin things' cells that must have wrong vectors: up to 0.1 at the edge of a disc
 with right ones, 0.29 and more of wires with wrong ones."""
 AROUND_CELLS = 2
@@ -55,9 +55,9 @@ def where_flow_is_right(small: tuple[np.ndarray, np.ndarray],
     along = _misfit(before, after, x + motion[..., 0], y + motion[..., 1])
     flowing = _misfit(before, after, x + back[..., 0], y + back[..., 1])
     apart = np.abs(motion - back).max(-1) > LEADS_APART_CELLS
-    found = (thin & (along > LEAST_WRONG) & (along > FAR_OFF * flowing) & apart
+    found = (thin & (along > LEAST_WRONG_MISFIT) & (along > FAR_OFF * flowing) & apart
              & is_inside(before, x + back[..., 0], y + back[..., 1]))
-    if not found.any() or found.sum() < LEAST_WRONG * thin.sum():
+    if not found.any() or found.sum() < LEAST_WRONG_SHARE * thin.sum():
         return None
     led = np.abs(np.stack([motion[found], back[found]])).max(-1)
     reach = min(math.ceil(float(np.quantile(led, LED_SHARE))), MOST_REACH_CELLS) + AROUND_CELLS
