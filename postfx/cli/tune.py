@@ -18,7 +18,7 @@ to measure the gain. Where nothing is gained there, nothing is written, and the 
 
 The result is FILE.onnx and its card, which 'postfx run --model FILE.onnx' takes at the render's
 size. Needs a checkout of postfx and its extra 'train', which brings PyTorch. Runs on a GPU where
-PyTorch finds one: there 5 minutes are enough. On a CPU take --model s.
+PyTorch finds one: there 5 minutes are enough. On a CPU ten minutes gain less.
 """
 EXAMPLES = """\
 examples:

@@ -65,6 +65,9 @@ FRAMES_BEFORE = 2
 """Frames of history that an example has, where the shot has them."""
 FRAMES_WITH_GRADIENT = 2
 """Last frames of an example through which gradients flow."""
+MOST_READ_PX = 64e6
+"""Pixels of the frames that are held of a sequence, each some 100 bytes, where that leaves as many
+targets as are split by frames."""
 WINDOW_PX = 128
 BATCH = 4
 """Windows a step."""
@@ -165,6 +168,10 @@ class Reader:
             self._continues[number] = Role.MOTION in frame and not frame.reset
         return self._inputs[number]
 
+    def pixels(self) -> int:
+        """Pixels of the first frame."""
+        return self.inputs(self.sequence.numbers[0]).colour[0, 0].numel()
+
     def continues(self, number: int) -> bool:
         """Whether a frame goes on from the one before it."""
         self.inputs(number)
@@ -193,7 +200,8 @@ def exposed(light: Tensor, exposure: float) -> Tensor:
 def targets_of(reader: Reader, target: Sequence) -> list[Example]:
     """Examples whose targets are another sequence's frames of the same numbers."""
     shot, found = reader.sequence, []
-    for number in (one for one in shot.numbers if target.holds(one)):
+    numbers = [one for one in shot.numbers if target.holds(one)]
+    for number in choose_targets(numbers, reader.pixels()):
         with target.open(number) as files:
             has_counts = Role.SAMPLE_COUNT in files.layout.planes
         held = target.read(number, [Role.COLOUR, *[Role.SAMPLE_COUNT] * has_counts])
@@ -205,6 +213,15 @@ def targets_of(reader: Reader, target: Sequence) -> list[Example]:
         raise OptionError(f"{target.pattern}: has none of the frames {shot.pattern}: number them "
                           "alike")
     return found
+
+
+def choose_targets(numbers: list[int], pixels: int) -> list[int]:
+    """Frames of so many pixels, evenly over the shot, that fit into memory with their history."""
+    count = max(round(MOST_READ_PX / (pixels * (FRAMES_BEFORE + 1))), KEPT)
+    if len(numbers) <= count:
+        return numbers
+    places = np.linspace(0, len(numbers) - 1, count).round().astype(int)
+    return [numbers[place] for place in places]
 
 
 def read_examples(arguments: argparse.Namespace, blanks_volumes: bool,

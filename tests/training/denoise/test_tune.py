@@ -62,7 +62,7 @@ def test_a_gain_is_written_as_a_network_that_runs(tmp_path: Path, monkeypatch, c
 def test_more_steps_gain_on_what_was_held_back(tmp_path: Path, monkeypatch, capsys):
     shot, clean = write_shot(tmp_path, "noisy", 0.5, 1, 5), write_shot(tmp_path, "clean", 0.0, 2, 5)
     monkeypatch.setattr(tune, "RATE", 3e-4)
-    words = (shot, "--references", clean, "-o", str(tmp_path / "shot.onnx"), "--steps", "25",
+    words = (shot, "--references", clean, "-o", str(tmp_path / "shot.onnx"), "--steps", "15",
              "--model", "s")
     code, facts = run_tune(monkeypatch, capsys, *words)
     assert code == 0 and facts["gain_db"] > 0.3 and facts["held_back"] == 1
@@ -97,6 +97,15 @@ def test_what_was_held_back_is_not_trained_on():
     held, seen = ({one.number for one in part} for part in (by_frame.held, by_frame.seen))
     assert held == {2, 6} and seen == set(range(9)) - held
     assert all(one.known.all() for one in by_frame.held)
+
+
+def test_of_long_shots_as_many_frames_are_read_as_memory_holds():
+    numbers = [*range(1, 301)]
+    assert tune.choose_targets(numbers, 320 * 180) == numbers
+    chosen = tune.choose_targets(numbers, 1920 * 1080)
+    assert 4 < len(chosen) < 20 and chosen[0] == 1 and chosen[-1] == 300
+    assert len(tune.choose_targets(numbers, 15360 * 8640)) == tune.KEPT
+    assert tune.choose_targets([7, 9], 15360 * 8640) == [7, 9]
 
 
 def test_references_of_tiles_count_where_they_have_samples():
