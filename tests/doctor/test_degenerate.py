@@ -190,3 +190,12 @@ def test_pictures_of_one_row_or_column_are_metered(diagnose, size):
     frames = [Frame({Role.COLOUR: np.full((*size, 3), 0.3, np.float32)}, number)
               for number in (1, 2)]
     assert "colour-black" not in codes(diagnose(frames), "warning")
+
+
+def test_material_without_a_plane_keeps_all_else_that_is_known_of_it() -> None:
+    known = Material([filled(0.5, (4, 6))], enable={Role.DEPTH: "Z"}, measured=[1, 7],
+                     other_layers=["AO.R"], whole=(60, 40))
+    left = known.without({Role.NORMAL})
+    assert Role.NORMAL not in left.first and Role.DEPTH in left.first
+    assert (left.enable, left.measured, left.other_layers, left.whole) == (
+        known.enable, known.measured, known.other_layers, known.whole)
