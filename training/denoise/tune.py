@@ -139,8 +139,7 @@ def inputs_of(frame: Frame, blanks_volumes: bool, device: torch.device) -> Input
         plane = frame[role] if held else np.full((height, width, ROLES[role].channels), value,
                                                  np.float32)
         planes[name] = as_planes(plane, device)
-    colour = torch.nan_to_num(as_planes(frame[Role.COLOUR], device)).clamp(min=0)
-    return Inputs(colour=colour, **planes,
+    return Inputs(colour=as_planes(frame[Role.COLOUR], device), **planes,
                   jitter=torch.tensor([frame.jitter], dtype=torch.float32, device=device))
 
 
@@ -257,7 +256,7 @@ def known_pixels(target: Frame) -> np.ndarray:
 def cut(inputs: Inputs, rows: slice, columns: slice, exposure: float) -> Inputs:
     """A window of a frame, exposed."""
     planes = {name: getattr(inputs, name)[..., rows, columns] for name in ABSENT}
-    colour = (inputs.colour[..., rows, columns] * exposure).clamp(max=BRIGHTEST)
+    colour = exposed(inputs.colour[..., rows, columns], exposure)
     return Inputs(colour=colour, **planes, jitter=inputs.jitter)
 
 
@@ -304,7 +303,7 @@ def seen_error(result: Tensor, target: Tensor, at: Tensor) -> Tensor:
 
 
 def display_slope(light: Tensor) -> Tensor:
-    """The derivative of `display`."""
+    """The derivative of `display`: of x / (1 + x), and of the sRGB curve (IEC 61966-2-1)."""
     light = light.clamp(min=DARKEST)
     shown = light / (1 + light)
     coded = torch.where(shown <= 0.0031308, 12.92, 1.055 / 2.4 * shown ** (1 / 2.4 - 1))
@@ -330,6 +329,9 @@ class Split:
                      for one, limit in pairs if one.number in back]
         seen = [pair for pair in pairs if not self._by_frame or pair[0].number not in back]
         self.seen = [replace(one, known=self._part(one, limit, held=False)) for one, limit in seen]
+        if not any(one.known.any() for one in self.held):
+            raise FrameError("the pixels of the targets that count are too few, or lie in too few "
+                             "columns, to hold a quarter back: give more clean tiles or frames")
         self._limits = [limit for _, limit in seen]
         self._places = [torch.nonzero(one.known[0, 0]).cpu() for one in self.seen]
         is_sparse = sum(float(one.known.mean()) for one in self.seen) < SPARSE * len(self.seen)
@@ -405,25 +407,27 @@ class Measure:
 
     def __init__(self, split: Split, model: Denoiser, is_noisy: bool) -> None:
         self._windows, self._is_noisy = split.held_windows(), is_noisy
-        with torch.no_grad():
-            self._at = [run(model, one).output for one in self._windows]
-        self._first = self._errors(model)
+        self._at = self._results(model)
+        self._first = self._errors(self._at)
         first = float(self._first.mean())
         self._before = max(first - self._noise(), LEAST_SHARE * first)
 
     def __call__(self, model: Denoiser) -> Score:
-        change = self._first - self._errors(model)
+        change = self._first - self._errors(self._results(model))
         spread = float(change.std(ddof=1)) / len(change) ** 0.5 if len(change) > 1 else np.inf
         mean = float(change.mean())
         gain = -10 * np.log10(max(1 - mean / self._before, LEAST_SHARE))
         return Score(float(gain), mean / max(spread, 1e-12))
 
     @torch.no_grad()
-    def _errors(self, model: Denoiser) -> np.ndarray:
-        """The error of each window."""
+    def _results(self, model: Denoiser) -> list[Tensor]:
+        """What a network makes of each window."""
+        return [run(model, one).output for one in self._windows]
+
+    def _errors(self, results: list[Tensor]) -> np.ndarray:
+        """The error of each window's result."""
         errors = []
-        for one, light in zip(self._windows, self._at, strict=True):
-            result = run(model, one).output
+        for one, light, result in zip(self._windows, self._at, results, strict=True):
             squared = (seen_error(result, one.target, light) if self._is_noisy
                        else (display(result) - display(one.target)).square())
             errors.append(_mean(squared, one.known))

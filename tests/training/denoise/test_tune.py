@@ -99,6 +99,13 @@ def test_what_was_held_back_is_not_trained_on():
     assert all(one.known.all() for one in by_frame.held)
 
 
+def test_pixels_of_one_column_are_too_few_to_hold_some_back():
+    known = torch.zeros(1, 1, 48, 64)
+    known[..., 5] = 1
+    with pytest.raises(postfx.PostfxError, match="too few columns"):
+        tune.Split([example(1, known)])
+
+
 def test_of_long_shots_as_many_frames_are_read_as_memory_holds():
     numbers = [*range(1, 301)]
     assert tune.choose_targets(numbers, 320 * 180) == numbers
