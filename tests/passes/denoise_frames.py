@@ -6,8 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from postfx.frame import GUIDE_ROLES, Frame, Role
+from postfx.passes.denoise.assembly import Frames
+from postfx.passes.denoise.history import History, Turn
+from postfx.passes.denoise.window import Work
+from postfx.runtime import CommandBuffer, Tensor
 
 PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO,
           Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
@@ -48,3 +53,23 @@ def flat(number: int, value: float, height: int = 24, width: int = 40, **kept: A
 
 
 _CHANNELS = {Role.DEPTH: 1, Role.ROUGHNESS: 1, Role.ALPHA: 1, Role.MOTION: 2}
+
+
+def watch_histories(monkeypatch: pytest.MonkeyPatch) -> list[list[Any]]:
+    """A list that gets a row for each frame from now on: its network, and the state that the last
+    frame left, before the history turns to that network and after."""
+    kept: list[list[Any]] = []
+    encode, turn = Frames.encode, History.turn
+
+    def begin(frames: Frames, commands: CommandBuffer, planes: Any, work: Work,
+              *rest: Any) -> Tensor:
+        kept.append([work.model, frames._history.next["next_state"].download()])
+        return encode(frames, commands, planes, work, *rest)
+
+    def go_on(history: History, *given: Any) -> Turn:
+        kept[-1].append(history.next["next_state"].download())
+        return turn(history, *given)
+
+    monkeypatch.setattr(Frames, "encode", begin)
+    monkeypatch.setattr(History, "turn", go_on)
+    return kept

@@ -14,14 +14,11 @@ from postfx.errors import PassOptionError
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise import models as model_names
-from postfx.passes.denoise.assembly import Frames
-from postfx.passes.denoise.history import History, Turn
 from postfx.passes.denoise.models import UNSCALED, halo_of, model_of, seamless
-from postfx.passes.denoise.window import Work
 from postfx.pipeline import Pipeline
-from postfx.runtime import CommandBuffer, Device, Library, Tensor
+from postfx.runtime import Device, Library
 from postfx.system import models_dir
-from tests.passes.denoise_frames import guided, noisy
+from tests.passes.denoise_frames import guided, noisy, watch_histories
 
 FILES = {"s": "s", "s.1x": "s.int8", "m": "s.int8", "m.1x": "s", "m.guides": "m.guides", "l": "s",
          "own": "s"}
@@ -165,19 +162,7 @@ def changing() -> list[Frame]:
 @pytest.mark.usefixtures("models")
 def test_the_history_goes_on_to_the_render_size_and_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """All but the hidden state, which another network could not read."""
-    pipeline, kept = chain(size=OUTPUT), []
-    encode, turn = Frames.encode, History.turn
-
-    def begin(frames: Frames, commands: CommandBuffer, planes: dict, work: Work, *rest) -> Tensor:
-        kept.append([work.model, frames._history.next["next_state"].download()])
-        return encode(frames, commands, planes, work, *rest)
-
-    def go_on(history: History, *given) -> Turn:
-        kept[-1].append(history.next["next_state"].download())
-        return turn(history, *given)
-
-    monkeypatch.setattr(Frames, "encode", begin)
-    monkeypatch.setattr(History, "turn", go_on)
+    pipeline, kept = chain(size=OUTPUT), watch_histories(monkeypatch)
     for frame in changing():
         begun = chain(size=OUTPUT)(frame)[Role.COLOUR]
         assert np.array_equal(pipeline(frame)[Role.COLOUR], begun) == (frame.number == 0)

@@ -8,14 +8,11 @@ import pytest
 from postfx.errors import PassOptionError
 from postfx.frame import Role
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.assembly import Frames
-from postfx.passes.denoise.history import History, Turn
 from postfx.passes.denoise.models import Ladder, cost, family
 from postfx.passes.denoise.options import RenderSize
-from postfx.passes.denoise.window import Work
 from postfx.pipeline import Pipeline
-from postfx.runtime import CommandBuffer, Device, Tensor
-from tests.passes.denoise_frames import noisy
+from postfx.runtime import Device
+from tests.passes.denoise_frames import noisy, watch_histories
 
 COSTS = (1.0, 3.5, 5.0)
 
@@ -150,31 +147,20 @@ def test_a_budget_of_nothing_is_an_error(budget: float) -> None:
 
 def test_the_history_goes_on_with_the_other_network(monkeypatch: pytest.MonkeyPatch) -> None:
     """All but the hidden state, which it could not read."""
-    chain, kept = Pipeline([upscaler := DenoiseUpscale(budget=1000)], Device("cpu", threads=2),
-                           exposure=0.0), []
-    encode, turn = Frames.encode, History.turn
-
-    def begin(frames: Frames, commands: CommandBuffer, planes: dict, work: Work, *rest) -> Tensor:
-        kept.append([frames._history.next["next_state"].download()])
-        return encode(frames, commands, planes, work, *rest)
-
-    def go_on(history: History, *given) -> Turn:
-        kept[-1].append(history.next["next_state"].download())
-        return turn(history, *given)
-
-    monkeypatch.setattr(Frames, "encode", begin)
-    monkeypatch.setattr(History, "turn", go_on)
+    kept = watch_histories(monkeypatch)
+    chain = Pipeline([upscaler := DenoiseUpscale(budget=1000)], Device("cpu", threads=2),
+                     exposure=0.0)
     chosen = []
     for number in range(1, 8):
         chain(noisy(number))
         chosen.append(upscaler.choice)
     at = chosen.index("m")
     assert chosen == ["s"] * at + ["m"] * (7 - at)
-    before, after = kept[at]
+    _, before, after = kept[at]
     np.testing.assert_array_equal(after[..., :4], before[..., :4])
     assert before[..., 3].max() > 1 and before[..., 4:].any() and not after[..., 4:].any()
     unchanged = [i for i in range(7) if i != at]
-    assert all(np.array_equal(*kept[i]) for i in unchanged)
+    assert all(np.array_equal(*kept[i][1:]) for i in unchanged)
 
 
 def test_strength_0_runs_no_network_and_chooses_none() -> None:
