@@ -119,7 +119,7 @@ def test_the_kernels_compute_what_onnx_runtime_does(
         np.testing.assert_allclose(opened[name].host_view(), value, rtol=0.02, atol=2e-3)
 
 
-@pytest.mark.parametrize("tag", ["s.fp16", "m.fp16", "l.fp16", "s.fp16.1x", "m.fp16.1x"])
+@pytest.mark.parametrize("tag", ["s.fp16", "m.fp16", "l.fp16", "xl.fp16", "s.fp16.1x", "m.fp16.1x"])
 def test_networks_in_half_precision_are_read_whole(tag: str) -> None:
     library, name = Library(), f"denoise_upscale.{tag}"
     layers = read_layers(library.load(name), library.path(name).parent)
@@ -170,7 +170,7 @@ def test_other_networks_stay_with_onnx_runtime(change: Callable[[onnx.GraphProto
 
 @pytest.mark.gpu
 @pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
-@pytest.mark.parametrize("tag", ["s.fp16", "m.fp16", "l.fp16"])
+@pytest.mark.parametrize("tag", ["s.fp16", "m.fp16", "l.fp16", "xl.fp16"])
 def test_a_gpu_computes_what_onnx_runtime_does_there(tag: str,
                                                      monkeypatch: pytest.MonkeyPatch) -> None:
     """At 960x544, where all blocks of threads are at work at once; prints both times."""

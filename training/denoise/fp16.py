@@ -4,11 +4,13 @@ of the float32 one.
     python -m training.denoise.fp16 denoise_upscale.m
     python -m training.denoise.fp16 denoise_upscale.m.guides
     python -m training.denoise.fp16 denoise_upscale.m.1x
+    python -m training.denoise.fp16 denoise_upscale.xl.1x
 
 The exported network stores its weights in half precision and casts them. Here the arithmetic is in
-half precision, too, and the weights are references into that file (ONNX external data), which must
-lie beside this one. Inputs are packed and heads raw (see below); all work on colour stays float32.
-It is not faster on a CPU.
+half precision, too, and weights are references into that file (ONNX external data), which must lie
+beside this one. Inputs are packed and heads raw (see below); all work on colour stays float32. A
+network that gives the picture keeps its inputs and outputs (`fp16_picture.py`). It is not faster on
+a CPU.
 """
 
 from __future__ import annotations
@@ -32,8 +34,16 @@ from postfx.kernels.denoise.network_io import (
     opened_shape,
     width,
 )
-from postfx.passes.denoise.network import CHANNELS, FEATURE_PARTS, PACKED, PHASED_FINE, RAW
+from postfx.passes.denoise.network import (
+    CHANNELS,
+    FEATURE_PARTS,
+    PACKED,
+    PHASED_FINE,
+    PICTURE,
+    RAW,
+)
 from postfx.runtime import Library
+from training.denoise.fp16_picture import halve_picture
 from training.denoise.quantise import variant_name
 from training.export import (
     MODELS,
@@ -209,7 +219,7 @@ def make_fp16(name: str, folder: Path) -> dict[str, Any]:
     library = Library(folder)
     source, path = library.path(name), folder / f"{variant_name(name, PRECISION)}.onnx"
     whole = lower_constants(onnx.load(source))
-    model = halve(whole)
+    model = halve_picture(whole) if is_picture(whole) else halve(whole)
     error = difference(model, whole)
     share_weights(model, source)
     write_model(model, path)
@@ -218,15 +228,21 @@ def make_fp16(name: str, folder: Path) -> dict[str, Any]:
             "weights": {source.name: hashlib.sha256(source.read_bytes()).hexdigest()},
             "parity": {"max_relative_error": float(f"{error:.2g}"),
                        "against": f"{name} in float32"}}
-    align = 2 ** computed_levels(model.graph)
-    alike = {output: told
-             for output, told in card.get("outputs", {}).items() if told.get("constant")}
-    card |= {"inputs": _listed(model.graph.input, align),
-             "outputs": _listed(model.graph.output, align) | alike}
+    if not is_picture(whole):
+        align = 2 ** computed_levels(model.graph)
+        alike = {output: told
+                 for output, told in card.get("outputs", {}).items() if told.get("constant")}
+        card |= {"inputs": _listed(model.graph.input, align),
+                 "outputs": _listed(model.graph.output, align) | alike}
     for other in ("quality", "recipe"):  # measured in float32; of the float32 network
         card.pop(other, None)
     write_card(path, card | known_recipe(path.with_suffix(".json")))
     return card
+
+
+def is_picture(model: onnx.ModelProto) -> bool:
+    """Whether a network gives the picture itself."""
+    return any(value.name == PICTURE for value in model.graph.output)
 
 
 def _listed(values: Iterable[onnx.ValueInfoProto], align: int) -> dict[str, Any]:
@@ -250,9 +266,12 @@ def difference(model: onnx.ModelProto, wanted: onnx.ModelProto,
     reads = {value.name: random.random(
         (1, value.type.tensor_type.shape.dim[1].dim_value, *size), np.float32
     ) * 2 - 0.5 for value in wanted.graph.input}
-    whole = {"features": np.concatenate([reads[part] for part in FEATURE_PARTS], 1), **reads}
-    packed = {f"{PACKED}{name}": pack(value)
-              for name, value in whole.items() if name not in FEATURE_PARTS}
+    if is_picture(wanted):
+        packed = reads
+    else:
+        whole = {"features": np.concatenate([reads[part] for part in FEATURE_PARTS], 1), **reads}
+        packed = {f"{PACKED}{name}": pack(value)
+                  for name, value in whole.items() if name not in FEATURE_PARTS}
     found = [open_head(name.removeprefix(RAW), head) if name.startswith(RAW) else head
              for name, head in _run(model, packed).items()]
     exact = [open_phases(head) if name == PHASED_FINE else head
