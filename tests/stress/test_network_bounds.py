@@ -32,6 +32,9 @@ WIDER = dict.fromkeys((("denoise_upscale.s.1x", "greatest"), ("denoise_upscale.l
                       (5e-5, 2e-5))
 """Network and VALUES -> the same, where sums are largest: all features at their greatest at once,
 as in no frame. What rounding makes of them depends on the order in which a processor sums, too."""
+WIDER |= {(f"denoise_upscale.{tag}.fp16.1x", values): (5e-3, 1e-3)
+          for tag in ("l", "xl") for values in ("greatest", "fireflies")}
+"""Their planes are rounded between convolutions, too, where those of others are on a GPU alone."""
 GPU_WIDER = {"denoise_upscale.xl": 2}
 """Network -> factor on its bounds on a GPU: its second filter's logits are larger than others'."""
 GPU_BOUNDS = {"fp32": (5e-3, 4e-3), "fp16": (5e-3, 4e-3), "tone": (5e-4, 2e-4)}
