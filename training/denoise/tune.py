@@ -8,7 +8,8 @@ It trains at the render's size on windows of a few frames, whose history the rec
 in the product; the last frame's target is a reference, or the other render. Noise of a target
 averages out, as in Noise2Noise (Lehtinen et al., 2018), where errors of linear light are squared.
 They are weighed by the slope of the display curve at the result, so that they are errors of what is
-seen.
+seen. From two renders, each window takes every pixel of one of them at random, and the target takes
+it of the other: so a network never sees the same noise twice, and hardly learns it by heart.
 
 References may hold tiles only: with a plane of sample counts, pixels with less than half of the
 most samples do not count. Where such tiles are small, windows are smaller, and there are more of
@@ -28,7 +29,8 @@ import random
 import sys
 import time
 from contextlib import redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +105,8 @@ class Example:
     follows: of each, whether the history goes on there.
     exposure: factor of the light of all frames; the target is exposed.
     known: 1 where the target counts, else 0, (1, 1, height, width).
+    twins: the same frames of the other render, the last of which is the target; empty where pixels
+        cannot be swapped.
     """
 
     number: int
@@ -111,6 +115,7 @@ class Example:
     exposure: float
     target: Tensor
     known: Tensor
+    twins: list[Inputs] = field(default_factory=list)
 
 
 @dataclass
@@ -178,17 +183,21 @@ class Reader:
 
     def example(self, number: int, light: Tensor, known: Tensor) -> Example:
         """A frame whose target has this light, as rendered."""
-        numbers = [*self.sequence.before(number, FRAMES_BEFORE), number]
+        numbers = self.history(number)
         frames = [self.inputs(one) for one in numbers]
         if light.shape != frames[-1].colour.shape:
             raise FrameError(f"{self.sequence.pattern}: frame {number} and its target have "
                              "different sizes: render both at the same size")
-        # all have as many frames: the oldest one again, without a history
-        lacking = FRAMES_BEFORE + 1 - len(numbers)
-        follows = [False] * (lacking + 1) + [self.continues(one) for one in numbers[1:]]
+        follows = [one != before and self.continues(one)
+                   for before, one in pairwise([numbers[0], *numbers])]
         exposure = self._exposures[number]
-        return Example(number, [frames[0]] * lacking + frames, follows, exposure,
-                       exposed(light, exposure), known)
+        return Example(number, frames, follows, exposure, exposed(light, exposure), known)
+
+    def history(self, number: int) -> list[int]:
+        """A frame and those before it, the oldest first: all examples have as many frames, so the
+        oldest one again where the shot lacks some."""
+        numbers = [*self.sequence.before(number, FRAMES_BEFORE), number]
+        return numbers[:1] * (FRAMES_BEFORE + 1 - len(numbers)) + numbers
 
 
 def exposed(light: Tensor, exposure: float) -> Tensor:
@@ -233,14 +242,31 @@ def read_examples(arguments: argparse.Namespace, blanks_volumes: bool,
         arguments.references or arguments.halves, profile=arguments.profile, motion="auto",
         **values)
     first = shot.read(shot.numbers[0])
-    if arguments.model == "xl" and find_stddev(first[Role.COLOUR], first.planes):
+    spread = find_stddev(first[Role.COLOUR], first.planes)
+    if arguments.model == "xl" and spread:
         raise OptionError(f"{shot.pattern}: the renderer's pixel filter spreads noise over several "
                           "pixels, as xl never sees it: render with a box filter, or give "
                           "--model m")
-    found = targets_of(Reader(shot, blanks_volumes, device), other)
+    reader = Reader(shot, blanks_volumes, device)
+    found = targets_of(reader, other)
     if arguments.halves:
-        found += targets_of(Reader(other.first_view(), blanks_volumes, device), shot)
+        second = Reader(other.first_view(), blanks_volumes, device)
+        opposite = targets_of(second, shot)
+        if not spread:  # noise of neighbours that belongs together must stay together
+            add_twins(found, reader, second)
+            add_twins(opposite, second, reader)
+        found += opposite
     return found
+
+
+def add_twins(examples: list[Example], reader: Reader, other: Reader) -> None:
+    """Give examples of one render the same frames of the other one, where that has all of them.
+    Then a pixel counts where it is finite in both."""
+    for one in examples:
+        numbers = other.history(one.number)
+        if numbers == reader.history(one.number):
+            one.twins = [other.inputs(number) for number in numbers]
+            one.known = one.known * one.frames[-1].colour.isfinite().all(1, keepdim=True)
 
 
 def known_pixels(target: Frame) -> np.ndarray:
@@ -349,7 +375,7 @@ class Split:
         """Windows around random pixels that count."""
         chosen = [generator.randrange(len(self.seen)) for _ in range(self._batch)]
         return windows_of([(self.seen[one], self._places[one], self._limits[one])
-                           for one in chosen], self._window, generator)
+                           for one in chosen], self._window, generator, swaps=True)
 
     def held_windows(self) -> list[Windows]:
         """Windows around random pixels that are held back, the same in every call."""
@@ -369,8 +395,11 @@ def _held_column(example: Example) -> int:
 
 
 def windows_of(sources: list[tuple[Example, Tensor, int]], most_side: int,
-               generator: random.Random) -> Windows:
-    """A window of each example around one of its places (P, 2), to the left of a column."""
+               generator: random.Random, swaps: bool = False) -> Windows:
+    """A window of each example around one of its places (P, 2), to the left of a column.
+
+    swaps: whether pixels are swapped between the two renders, where all examples have both.
+    """
     side = min(most_side, *(min(one.known.shape[-2], limit) for one, _, limit in sources))
     cuts: list[tuple[Example, slice, slice]] = []
     for one, places, limit in sources:
@@ -386,7 +415,23 @@ def windows_of(sources: list[tuple[Example, Tensor, int]], most_side: int,
                             device=device)[:, None, None, None] for time in times]
     target = torch.cat([one.target[..., rows, columns] for one, rows, columns in cuts])
     known = torch.cat([one.known[..., rows, columns] for one, rows, columns in cuts])
+    if swaps and all(one.twins for one, _, _ in cuts):
+        twins = [stack([cut(one.twins[time], rows, columns, one.exposure)
+                        for one, rows, columns in cuts]) for time in times]
+        frames, target = swap_pixels(frames, twins)
     return Windows(frames, follows, target, known)
+
+
+def swap_pixels(frames: list[Inputs], twins: list[Inputs]) -> tuple[list[Inputs], Tensor]:
+    """Frames with each pixel of one of two renders at random, all of its planes together; and the
+    light of what the last frame has of neither."""
+    mixed = []
+    for own, other in zip(frames, twins, strict=True):
+        kept = torch.rand_like(own.colour[:, :1]) < 0.5
+        planes = {name: torch.where(kept, getattr(own, name), getattr(other, name))
+                  for name in ("colour", *ABSENT)}
+        mixed.append(Inputs(**planes, jitter=own.jitter))
+    return mixed, torch.where(kept, other.colour, own.colour)
 
 
 @dataclass(frozen=True)

@@ -134,6 +134,61 @@ def test_references_of_tiles_count_where_they_have_samples():
         assert losses[2] > losses[0] + 0.01
 
 
+def read_halves(shot: str, other: str) -> list[tune.Example]:
+    words = [shot, "--halves", other, "-o", "x.onnx", "--model", "s"]
+    parser = tune.Parser(prog="tune")
+    tune.TUNE.add_to(parser)
+    return tune.read_examples(parser.parse_args(words), False, torch.device("cpu"))
+
+
+def write_even(folder: Path, name: str, light: float) -> str:
+    """Two frames of even light."""
+    for number in (1, 2):
+        write_channels(folder / f"{name}.{number:04}.exr",
+                       {letter: np.full((48, 64), light) for letter in "RGB"})
+    return f"{folder}/{name}.####.exr"
+
+
+def test_each_pixel_is_of_one_render_and_its_target_of_the_other(tmp_path: Path):
+    """What is held back stays as it is."""
+    found = read_halves(write_even(tmp_path, "a", 0.25), write_even(tmp_path, "b", 0.75))
+    split = tune.Split(found)
+    windows = split.draw(tune.random.Random(1))
+    colour, target = windows.frames[-1].colour, windows.target
+    brighter = colour > target
+    assert 0.4 < brighter.float().mean() < 0.6
+    ratio = torch.where(brighter, colour / target, target / colour)
+    torch.testing.assert_close(ratio, torch.full_like(ratio, 3.0))
+    for held in split.held_windows():
+        assert len(held.frames[-1].colour.unique()) == len(held.target.unique()) == 1
+
+
+def test_swapped_pixels_lose_nothing():
+    torch.manual_seed(2)
+    sizes = {"colour": 3} | {name: 1 for name in tune.ABSENT}
+
+    def render() -> list[tune.Inputs]:
+        return [tune.Inputs(**{name: torch.rand(2, count, 8, 9) for name, count in sizes.items()},
+                            jitter=torch.zeros(2, 2)) for _ in range(2)]
+
+    own, other = render(), render()
+    frames, target = tune.swap_pixels(own, other)
+    torch.testing.assert_close(frames[-1].colour + target, own[-1].colour + other[-1].colour)
+    kept = [(mixed.colour == mine.colour).all(1) for mixed, mine in zip(frames, own, strict=True)]
+    for mixed, mine, mask in zip(frames, own, kept, strict=True):
+        assert torch.equal((mixed.depth == mine.depth)[:, 0], mask)
+        assert 0.3 < mask.float().mean() < 0.7
+    assert not torch.equal(*kept)
+
+
+def test_frames_that_the_other_render_lacks_are_not_swapped(tmp_path: Path):
+    shot = write_shot(tmp_path, "a", 0.3, 1, count=3)
+    other = write_shot(tmp_path, "b", 0.3, 2, count=3)
+    Path(other.replace("####", "0002")).unlink()
+    found = read_halves(shot, other)
+    assert {(one.number, bool(one.twins)) for one in found} == {(1, True), (3, False)}
+
+
 def test_the_default_network_learns_all_but_how_much_of_the_history_counts():
     model, _ = tune.load_model("xl")
     one = example(1, torch.ones(1, 1, 48, 64))
