@@ -629,21 +629,23 @@ class Flow:
     def _input(self, name: str, array: np.ndarray) -> Tensor:
         """A plane as a tensor: on the last frame's memory, so that its commands are known again,
         where that is the plane's, or the plane is copied: to a GPU, or because it is small."""
-        last = self._inputs.get(name)
+        last = self._inputs.pop(name, None)  # which is no input any more if something fails here
         is_away = not self._device.memory.host_visible
-        if last and not is_away and not last.released:
-            if (last.start, last.shape) == (address(array), array.shape):
-                return last  # it keeps its memory alive, so that nothing else can lie there
+        if last and not is_away and (last.start, last.shape) == (address(array), array.shape):
+            self._inputs[name] = last
+            return last  # it keeps its memory alive, so that nothing else can lie there
         if last and last.allocation.borrowed:
             last.release()
         copy = None
         if is_away or (last and array.nbytes <= SMALL_COPY_BYTES):
             copy = self._copies.get_or_make((name, array.shape),
                                             partial(self._device.heap.tensor, name, array.shape))
-        found = copy if copy and not is_away else self._device.wrap(name, array, copy)
-        self._inputs[name] = found
-        if found is copy:
+        if copy and not is_away:
+            found = copy
             found.upload(array)
+        else:
+            found = self._device.wrap(name, array, copy)
+        self._inputs[name] = found
         return found
 
     def _run(self, steps: Sequence[Step], resident: ResidentFrame) -> None:

@@ -310,7 +310,7 @@ class Job:
             return ExposureUsed(mode, self._is_exposed)
         frame = own.read(self.first, (Role.COLOUR,), ())
         used = {self.first: ExposureMeter(mode)(frame)}
-        return ExposureUsed(mode, True, used, {self.first: frame.exposure_factor or 1.0})
+        return ExposureUsed(mode, True, used, {self.first: frame.exposure or 0.0})
 
     @property
     def _is_exposed(self) -> bool:
@@ -680,7 +680,7 @@ class Job:
             paths.append(str(path))
         if used is not None:
             self._exposure.multipliers[number] = used
-            self._exposure.lit[number] = done.source.exposure_factor or 1.0
+            self._exposure.lit_ev[number] = done.source.exposure or 0.0
         self._written, self._frames = self._written + paths, self._frames + 1
         progress.advance(" ".join(paths), self._watch.seconds - self._preparation.compile_seconds)
         if self._arguments.verbose:
