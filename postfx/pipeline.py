@@ -215,7 +215,9 @@ class Pipeline:
         if self._checks and not self.device.scratch:
             self._look(frame, plan)
         run = self._run_up_to(frame, plan) if self._begins else frame
-        result = self._run(run, plan, is_unusable(frame, self.bad_pixels), frame)
+        run_flow = self._run_widened if self._wide else self._flow.run
+        result = run_flow(run, plan, self.exposure_factor, is_unusable(frame, self.bad_pixels),
+                          frame)
         self._begins = False
         self.timings = dict(self._flow.timings)
         self.noticed = tuple([text for step in plan.steps for text in step.instance.notices])
@@ -231,16 +233,14 @@ class Pipeline:
                  for name, view in frame.views.items()}
         return result.copy_with(views=views)
 
-    def _run(self, frame: Frame, plan: Plan, unusable: bool, given: Frame) -> Frame:
-        """The frame that comes out, of the one that is run; of a panorama, with what lies beyond
-        its edges."""
-        assert self.exposure_factor is not None
-        if self._wide is None:
-            return self._flow.run(frame, plan, self.exposure_factor, unusable, given)
+    def _run_widened(self, frame: Frame, plan: Plan, exposure_factor: float, unusable: bool,
+                     given: Frame) -> Frame:
+        """`Flow.run` of a panorama, with what lies beyond its edges."""
+        assert self._wide is not None, "a panorama's plan has a margin"
         wide, margin = self._wide
         run = widen(frame, margin)
         whole = run if frame is given else widen(given, margin)
-        found = self._flow.run(run, wide, self.exposure_factor, unusable, whole)
+        found = self._flow.run(run, wide, exposure_factor, unusable, whole)
         return crop(found, given, plan)
 
     def _goes_around(self, frame: Frame) -> bool:
