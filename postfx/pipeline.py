@@ -215,7 +215,9 @@ class Pipeline:
         if self._checks and not self.device.scratch:
             self._look(frame, plan)
         run = self._run_up_to(frame, plan) if self._begins else frame
-        result = self._run(run, plan, is_unusable(frame, self.bad_pixels), frame)
+        run_flow = self._run_widened if self._wide else self._flow.run
+        result = run_flow(run, plan, self.exposure_factor, is_unusable(frame, self.bad_pixels),
+                          frame)
         self._begins = False
         self.timings = dict(self._flow.timings)
         self.noticed = tuple([text for step in plan.steps for text in step.instance.notices])
@@ -231,16 +233,14 @@ class Pipeline:
                  for name, view in frame.views.items()}
         return result.copy_with(views=views)
 
-    def _run(self, frame: Frame, plan: Plan, unusable: bool, given: Frame) -> Frame:
-        """The frame that comes out, of the one that is run; of a panorama, with what lies beyond
-        its edges."""
-        assert self.exposure_factor is not None
-        if self._wide is None:
-            return self._flow.run(frame, plan, self.exposure_factor, unusable, given)
+    def _run_widened(self, frame: Frame, plan: Plan, exposure_factor: float, unusable: bool,
+                     given: Frame) -> Frame:
+        """`Flow.run` of a panorama, with what lies beyond its edges."""
+        assert self._wide is not None, "a panorama's plan has a margin"
         wide, margin = self._wide
         run = widen(frame, margin)
         whole = run if frame is given else widen(given, margin)
-        found = self._flow.run(run, wide, self.exposure_factor, unusable, whole)
+        found = self._flow.run(run, wide, exposure_factor, unusable, whole)
         return crop(found, given, plan)
 
     def _goes_around(self, frame: Frame) -> bool:
@@ -629,21 +629,23 @@ class Flow:
     def _input(self, name: str, array: np.ndarray) -> Tensor:
         """A plane as a tensor: on the last frame's memory, so that its commands are known again,
         where that is the plane's, or the plane is copied: to a GPU, or because it is small."""
-        last = self._inputs.get(name)
+        last = self._inputs.pop(name, None)  # which is no input any more if something fails here
         is_away = not self._device.memory.host_visible
-        if last and not is_away and not last.released:
-            if (last.start, last.shape) == (address(array), array.shape):
-                return last  # it keeps its memory alive, so that nothing else can lie there
+        if last and not is_away and (last.start, last.shape) == (address(array), array.shape):
+            self._inputs[name] = last
+            return last  # it keeps its memory alive, so that nothing else can lie there
         if last and last.allocation.borrowed:
             last.release()
         copy = None
         if is_away or (last and array.nbytes <= SMALL_COPY_BYTES):
             copy = self._copies.get_or_make((name, array.shape),
                                             partial(self._device.heap.tensor, name, array.shape))
-        found = copy if copy and not is_away else self._device.wrap(name, array, copy)
-        self._inputs[name] = found
-        if found is copy:
+        if copy and not is_away:
+            found = copy
             found.upload(array)
+        else:
+            found = self._device.wrap(name, array, copy)
+        self._inputs[name] = found
         return found
 
     def _run(self, steps: Sequence[Step], resident: ResidentFrame) -> None:

@@ -17,6 +17,7 @@ from enum import Enum
 from functools import lru_cache
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from postfx.colour import luminance
 from postfx.frame import ALBEDOS, Role
@@ -130,12 +131,11 @@ class RepeatDetector:
 
 def squares(plane: np.ndarray) -> np.ndarray:
     """(rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX, channels) of a plane (height, width,
-    channels)."""
-    rows, down = _places(plane.shape[0], MOST_SQUARE_ROWS)
-    columns, right = _places(plane.shape[1], MOST_SQUARE_COLUMNS)
-    cut = plane[down][:, right].reshape(rows, REPEAT_SIDE_PX, columns, REPEAT_SIDE_PX, -1)
-    found: np.ndarray = cut.swapaxes(1, 2)
-    return found
+    channels), a copy."""
+    rows = _places(plane.shape[0], MOST_SQUARE_ROWS)
+    columns = _places(plane.shape[1], MOST_SQUARE_COLUMNS)
+    anywhere = sliding_window_view(plane, (REPEAT_SIDE_PX, REPEAT_SIDE_PX), (0, 1))
+    return np.moveaxis(anywhere[rows[:, None], columns], 2, -1)
 
 
 def _mean_lengths(motion: np.ndarray) -> np.ndarray:
@@ -146,12 +146,9 @@ def _mean_lengths(motion: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(8)
-def _places(side: int, most: int) -> tuple[int, np.ndarray]:
-    """How many squares there are along a side, and the indices of their pixels, which are shared:
-    do not change them."""
-    count = min(side // REPEAT_SIDE_PX, most)
-    first = np.linspace(0, side - REPEAT_SIDE_PX, count).astype(int)
-    return count, (first[:, None] + np.arange(REPEAT_SIDE_PX)).ravel()
+def _places(side: int, most: int) -> np.ndarray:
+    """The first pixels of the squares along a side. They are shared: do not change them."""
+    return np.linspace(0, side - REPEAT_SIDE_PX, min(side // REPEAT_SIDE_PX, most)).astype(int)
 
 
 def laplacian(light: np.ndarray) -> np.ndarray:

@@ -203,11 +203,12 @@ def measure_frame() -> dict[str, str]:
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()), \
             contextlib.redirect_stderr(io.StringIO()):
         watch = watch_run(Path(folder), *OUTPUTS["EXR"])
+    parts = {part: watch.count_functions(part) for part in PARTS_OF_A_PATH}
     return {
         "files on a steady frame's path": f"{len(counted(watch.found))}",
         "functions on a steady frame's path": f"{watch.count_functions()}",
-        **{f"functions on it in {part}": f"{watch.count_functions(part)}"
-           for part in PARTS_OF_A_PATH},
+        **{f"functions on it in {part}": f"{count}" for part, count in parts.items()},
+        "functions on it beside these": f"{watch.count_functions() - sum(parts.values())}",
         "calls of a steady frame": f"{watch.count_calls():.0f}",
         "calls of it in io/": f"{watch.count_calls('io/'):.0f}",
     }

@@ -68,9 +68,8 @@ class Faults:
     """Goes on after frames that fail, as far as the policy allows, and keeps a list of them.
 
     With SKIP such a frame has no output. With COPY a stand-in makes it; where the picture itself
-    cannot be read, there is none either. The frame after it begins without a history, as its motion
-    leads to one that the passes have not seen. An output that cannot be written stops the run
-    whatever the policy: the next ones would fail as well.
+    cannot be read, there is none either. An output that cannot be written stops the run whatever
+    the policy: the next ones would fail as well.
 
     Attributes:
         found: what failed so far.
@@ -78,17 +77,7 @@ class Faults:
 
     def __init__(self, policy: OnError, standin: Standin | None = None) -> None:
         self._policy, self._standin = policy, standin
-        self._is_after_fault = False
         self.found: list[Fault] = []
-
-    def read(self, number: int, wanted: bool, read: Callable[[], Frame]) -> Frame | None:
-        """A frame; None when it cannot be read and the run goes on. Those that are not `wanted` do
-        not count."""
-        frame = self.attempt(number, wanted, read)
-        if frame is not None and self._is_after_fault:
-            frame.reset = True
-        self._is_after_fault = frame is None
-        return frame
 
     def attempt(self, number: int, wanted: bool, work: Callable[[], Result]) -> Result | None:
         """The result of `work` on a frame; None if it failed and the run goes on. Failures of
@@ -189,22 +178,20 @@ class Stop:
 
     The first signal calls `tell` with a line for the user; a second one raises Interrupted at once,
     wherever that is.
+
+    Attributes:
+        signal: that asked the run to end after this frame; None as long as none did.
     """
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell = tell
-        self._asked: int | None = None
+        self.signal: int | None = None
         self._before: dict[int, Handler] = {}
-
-    @property
-    def is_requested(self) -> bool:
-        """Whether the run shall end after this frame."""
-        return self._asked is not None
 
     def check(self) -> None:
         """Between two frames: raises Interrupted when the run shall end."""
-        if self._asked is not None:
-            raise Interrupted(self._asked)
+        if self.signal is not None:
+            raise Interrupted(self.signal)
 
     def __enter__(self) -> Stop:
         if threading.current_thread() is threading.main_thread():
@@ -216,7 +203,7 @@ class Stop:
             signal.signal(number, handler)
 
     def _request_stop(self, number: int, _: FrameType | None) -> None:
-        if self.is_requested:
+        if self.signal is not None:
             raise Interrupted(number)
-        self._asked = number
+        self.signal = number
         self._tell("stopping when this frame is finished; a second signal stops at once")

@@ -310,7 +310,7 @@ class Job:
             return ExposureUsed(mode, self._is_exposed)
         frame = own.read(self.first, (Role.COLOUR,), ())
         used = {self.first: ExposureMeter(mode)(frame)}
-        return ExposureUsed(mode, True, used, {self.first: frame.exposure_factor or 1.0})
+        return ExposureUsed(mode, True, used, {self.first: frame.exposure or 0.0})
 
     @property
     def _is_exposed(self) -> bool:
@@ -497,10 +497,14 @@ class Job:
         if self._page:
             self._page.choose([work.number for work in run.works if work.write])
         capturing = self._capture.around if self._capture else nullcontext
-        # whether the passes have not seen the frame before, as looking ahead of it failed
+        # whether the passes have not seen the frame before, as it could not be read, or as looking
+        # ahead of it failed
         is_unseen = False
         with WriteBehind() as behind:
             for work, frame in read_ahead(run.works, partial(self._read, run)):
+                if frame is not None:
+                    frame.reset = frame.reset or is_unseen
+                is_unseen = frame is None
                 if work.checkpoint:
                     if frame is not None:  # else the next one begins without a history
                         run.recall(work, frame)
@@ -508,12 +512,11 @@ class Job:
                 if frame is not None:
                     if self._looker and not self._looker.is_done:  # at once, not after a night
                         self._tell(self._looker.look(frame, self._is_still), progress.note)
-                    frame.reset = frame.reset or is_unseen
                     if self._backwards:
                         ahead = partial(self._look_ahead, self._backwards, frame, work.write, stop,
                                         progress)
                         frame = self._faults.attempt(work.number, work.write, ahead)
-                    is_unseen = frame is None
+                        is_unseen = frame is None
                 with capturing(work.number):
                     done = None if frame is None else self._process(work, frame, progress.note)
                 if done is None and work.write:
@@ -522,7 +525,7 @@ class Job:
                     if self._page:
                         self._page.add(done)
                     behind.put(partial(self._write, run, done, progress))
-                run.end_frame(work.number, behind.wait, stop.is_requested)
+                run.end_frame(work.number, behind.wait, is_last=stop.signal is not None)
                 stop.check()
 
     def _remarks(self) -> list[str]:
@@ -605,7 +608,7 @@ class Job:
     def _read(self, run: Run, work: Work) -> Frame | None:
         read = partial(self._read_checked, run, work.number)
         if work.number in self.sequence.numbers:
-            return self._faults.read(work.number, work.write, read)
+            return self._faults.attempt(work.number, work.write, read)
         try:
             return read()
         except PostfxError as error:  # of a frame that nobody asked for
@@ -677,7 +680,7 @@ class Job:
             paths.append(str(path))
         if used is not None:
             self._exposure.multipliers[number] = used
-            self._exposure.lit[number] = done.source.exposure_factor or 1.0
+            self._exposure.lit_ev[number] = done.source.exposure or 0.0
         self._written, self._frames = self._written + paths, self._frames + 1
         progress.advance(" ".join(paths), self._watch.seconds - self._preparation.compile_seconds)
         if self._arguments.verbose:

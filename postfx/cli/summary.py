@@ -218,14 +218,18 @@ class ExposureUsed:
         is_applied: whether it is in the pixels, as in pictures; else it was only a hint to the
             denoiser.
         multipliers: frame number -> multiplier.
-        lit: multipliers of the same frames that their headers ask for, 1 where they ask for
-            nothing.
+        lit_ev: stops that the headers of the same frames ask for, 0 where they ask for nothing.
     """
 
     mode: str = "auto"
     is_applied: bool = False
     multipliers: dict[int, float] = field(default_factory=dict)
-    lit: dict[int, float] = field(default_factory=dict)
+    lit_ev: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def ev(self) -> dict[int, float]:
+        """Frame number -> stops."""
+        return {number: log2(value) for number, value in self.multipliers.items()}
 
     @property
     def is_metered(self) -> bool:
@@ -234,33 +238,31 @@ class ExposureUsed:
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
-        ev = [round(log2(value), 4) for value in self.multipliers.values()]
+        ev = [round(stops, 4) for stops in self.ev.values()]
         return {"mode": self.mode, "metered": self.is_metered, "applied": self.is_applied,
                 "ev": [min(ev), max(ev)] if ev else None, "multipliers": self.multipliers}
 
     def __str__(self) -> str:
         how = _HOW.get(self.mode, "as given")
         if not self.is_metered:
-            return f"{_stops(self.multipliers)}, {how}"
-        known = "" if set(self.lit.values()) <= {1.0} else ", by the header"
-        return (f"{_stops(self.multipliers)}, {how} (as it was lit: {_stops(self.lit)}{known}, "
-                "with --exposure lit)")
+            return f"{_describe_stops(self.ev)}, {how}"
+        known = ", by the header" if any(self.lit_ev.values()) else ""
+        return (f"{_describe_stops(self.ev)}, {how} (as it was lit: "
+                f"{_describe_stops(self.lit_ev)}{known}, with --exposure lit)")
 
     def warnings(self) -> list[str]:
         """That a dark scene comes out bright, which nobody may have wanted."""
-        more = [log2(value / self.lit.get(number, 1.0))
-                for number, value in self.multipliers.items()]
+        more = [stops - self.lit_ev.get(number, 0.0) for number, stops in self.ev.items()]
         if not (self.is_applied and self.is_metered and more and median(more) >= NIGHT_EV):
             return []
         return [f"metering shows this {median(more):.1f} EV brighter than it was lit: a night shot "
                 "comes out as day; --exposure lit keeps the light"]
 
 
-def _stops(multipliers: Mapping[int, float]) -> str:
-    """'+1.2 EV' or '+1.2 to +1.9 EV'."""
-    ev = sorted(f"{log2(value):+.1f}" for value in multipliers.values())
-    ev.sort(key=float)
-    return f"{ev[0]} EV" if ev[0] == ev[-1] else f"{ev[0]} to {ev[-1]} EV"
+def _describe_stops(ev: Mapping[int, float]) -> str:
+    """Stops of frames: '+1.2 EV' or '+1.2 to +1.9 EV'."""
+    least, most = (f"{pick(ev.values()):+.1f}" for pick in (min, max))
+    return f"{least} EV" if least == most else f"{least} to {most} EV"
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ import ctypes
 import struct
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,25 +61,21 @@ class BoundRows:
         self._name, self._function = name, function
         self._words, self._arrays = [0, 0, *words], tuple(arrays)
         self._packed_words = struct.pack(f"={len(words)}Q", *words)
-        self._edges: Sequence[int] = ()
-        self._blocks = np.empty((0, 0), np.int64)
 
     def __call__(self, first: int, last: int) -> None:
         if self._function(_PAIR.pack(first, last) + self._packed_words, None):
             raise failure_of(self._name)
 
     def blocks(self, edges: Sequence[int]) -> np.ndarray:
-        """The words (bands, count) of each band between two edges."""
-        if self._edges != edges:
-            blocks = np.empty((len(edges) - 1, len(self._words)), np.int64)
-            blocks[:] = self._words
-            blocks[:, 0], blocks[:, 1] = edges[:-1], edges[1:]
-            self._edges, self._blocks = edges, blocks
-        return self._blocks
+        """The words (bands, count) of each band between two edges: the first two are its rows."""
+        blocks = np.empty((len(edges) - 1, len(self._words)), np.int64)
+        blocks[:] = self._words
+        blocks[:, 0], blocks[:, 1] = edges[:-1], edges[1:]
+        return blocks
 
-    def explain(self, edges: Sequence[int]) -> None:
+    def explain(self, blocks: np.ndarray) -> None:
         """Raises the error of a band that failed."""
-        for first, last in pairwise(edges):
+        for first, last in blocks[:, :2].tolist():
             self(first, last)
         raise failure_of(self._name)
 

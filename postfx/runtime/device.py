@@ -11,7 +11,7 @@ import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -178,25 +178,23 @@ class Device:
     def _helpers(self) -> Helpers:
         return Helpers(max(1, self.threads - 1))
 
-    def divide(self, rows: Callable[[int, int], None], first: int, last: int,
-               least: int = MINIMUM_ROWS) -> None:
-        """Run `rows(first, last)` in bands of at least `least` rows over the threads of this
-        device."""
+    def divided(self, rows: Callable[[int, int], None], first: int, last: int,
+                least: int = MINIMUM_ROWS) -> Callable[[], None]:
+        """A function that runs `rows(first, last)` in bands of at least `least` rows over the
+        threads of this device."""
         count = min(self.threads, (last - first) // least)
         if count < 2:
-            rows(first, last)
-            return
+            return partial(rows, first, last)
         edges = [first + (last - first) * band // count for band in range(count + 1)]
         if isinstance(rows, BoundRows):
-            self._helpers.run(rows, edges)
-        else:
-            self._helpers.work([Band(rows, *edge) for edge in pairwise(edges)])
+            return partial(self._helpers.run, rows, rows.blocks(edges))
+        return partial(self._helpers.work, [Band(rows, *edge) for edge in pairwise(edges)])
 
     def divide_planes(self, rows: Callable[[int, int], None], count: int, nbytes: int) -> None:
         """Divide the host's work on planes, see `postfx.planes.Divide`: among the threads, or
         within a memory budget into pieces, whose planes are let go of."""
         if self.scratch is None:
-            self.divide(rows, 0, count, 1)
+            self.divided(rows, 0, count, 1)()
             return
         for first, last in self.scratch.pieces(count, nbytes // count):
             rows(first, last)

@@ -56,7 +56,8 @@ class StateDevice(TensorDevice, Protocol):
     @property
     def gpu(self) -> CudaMemory | None: ...
 
-    def divide(self, rows: Callable[[int, int], None], first: int, last: int) -> None: ...
+    def divided(self, rows: Callable[[int, int], None], first: int,
+                last: int) -> Callable[[], None]: ...
 
     def compute_state(self, kernel: Kernel) -> State: ...
 
@@ -239,12 +240,12 @@ class CompiledComputeState(ComputeState):
         rows = bind_rows(self._rows, [tensor.host_view() for tensor in tensors])
         count, scratch = self._extent(tensors)[0], self.device.scratch
         if scratch is None:
-            return partial(self.device.divide, rows, 0, count)
+            return self.device.divided(rows, 0, count)
         row_bytes = sum(tensor.nbytes for tensor in tensors) // max(1, count)
 
         def run_in_pieces() -> None:
             for first, last in scratch.pieces(count, row_bytes):
-                self.device.divide(rows, first, last)
+                self.device.divided(rows, first, last)()
 
         return run_in_pieces
 

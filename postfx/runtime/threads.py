@@ -191,9 +191,8 @@ class Helpers:
             if failure is not None:
                 raise failure
 
-    def run(self, rows: BoundRows, edges: Sequence[int]) -> None:
-        """Run compiled rows in bands between the edges, the first one in this thread."""
-        blocks = rows.blocks(edges)
+    def run(self, rows: BoundRows, blocks: np.ndarray) -> None:
+        """Run compiled rows in these blocks of theirs, the first one in this thread."""
         words, (bands, size) = blocks.ctypes.data, blocks.shape
         with self._lock:
             if self._native.hand_out(self._rows[0], rows.entry, words, size, bands):
@@ -203,7 +202,7 @@ class Helpers:
             self._wait(bands - 1)
             failed |= int(self._board[:bands - 1, STATUS].any())
         if failed:
-            rows.explain(edges)
+            rows.explain(blocks)
 
     def _wait(self, count: int) -> None:
         """Until the first helpers are done with their bands."""

@@ -15,6 +15,7 @@ from postfx.cli.main import main
 from postfx.errors import ReadError, WriteError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence, read_sequence
+from postfx.runs.manifest import load_manifest
 from tests.files.conftest import names
 from tests.files.exr_files import picture, write_studio
 
@@ -108,28 +109,24 @@ def test_smooth_exposure_leaves_broken_frames_out(postfx, shot, tmp_path: Path) 
     assert main([*arguments, "--overwrite"]) == 2
 
 
-def light(number: int) -> Frame:
-    return Frame({Role.COLOUR: np.ones((2, 2, 3), np.float32)}, number)
-
-
 def fail(error: Exception) -> Frame:
     raise error
 
 
-def test_the_frame_after_a_failed_one_begins_without_a_history() -> None:
-    faults = Faults(OnError.SKIP)
-    first = faults.read(1, True, lambda: light(1))
-    failed = faults.read(2, True, lambda: fail(ReadError("broken")))
-    after = faults.read(3, True, lambda: light(3))
-    later = faults.read(4, True, lambda: light(4))
-    assert failed is None and (first.reset, after.reset, later.reset) == (False, True, False)
-    assert [fault.frame for fault in faults.found] == [2]
+def test_the_frame_after_a_failed_one_begins_without_a_history(postfx, broken, shot,
+                                                               tmp_path: Path) -> None:
+    """Frame 3 can be read, but not be processed: nothing but the run knows that it is none."""
+    shot(5)
+    assert postfx(*RUN, "--on-error", "skip").code == EXIT_FAULTS
+    outputs = load_manifest(tmp_path / "out").outputs
+    starts = {output.frame: output.starts for output in outputs.values() if output.sha256}
+    assert starts == {1: False, 4: True, 5: False}
 
 
 def test_frames_that_only_fill_the_history_are_not_counted() -> None:
     faults = Faults(OnError.SKIP)
-    assert faults.read(1, False, lambda: fail(ReadError("broken"))) is None and not faults.found
-    assert faults.read(2, True, lambda: light(2)).reset
+    assert faults.attempt(1, False, lambda: fail(ReadError("broken"))) is None
+    assert not faults.found
 
 
 @pytest.mark.parametrize(("policy", "error"), [(OnError.STOP, ReadError("x")),

@@ -20,6 +20,7 @@ from postfx.frame import Frame, Role
 from postfx.interpolate import Between
 from postfx.neural import Grid, Learner, Network
 from postfx.runtime import Device
+from postfx.runtime.threads import Helpers
 from tests.kernels.foreign import Call
 
 SIZE = (48, 64)
@@ -81,7 +82,7 @@ def _recording() -> Iterator[list[Call]]:
 
     enter_rows: Callable[..., None] = Rows.__call__
     enter_bound: Callable[..., None] = BoundRows.__call__
-    blocks: Callable[..., np.ndarray] = BoundRows.blocks
+    run: Callable[..., None] = Helpers.run
 
     def rows(self: Any, first: int, last: int, *arrays: np.ndarray) -> None:
         keep(self.name, first, last, arrays)
@@ -91,14 +92,14 @@ def _recording() -> Iterator[list[Call]]:
         keep(self._name, first, last, self._arrays)
         enter_bound(self, first, last)
 
-    def of_threads(self: Any, edges: Sequence[int]) -> np.ndarray:
-        keep(self._name, edges[0], edges[-1], self._arrays)
-        return blocks(self, edges)
+    def of_threads(self: Any, rows: Any, blocks: np.ndarray) -> None:
+        keep(rows._name, blocks[0, 0].item(), blocks[-1, 1].item(), rows._arrays)
+        run(self, rows, blocks)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Rows, "__call__", rows)
         patch.setattr(BoundRows, "__call__", bound)
-        patch.setattr(BoundRows, "blocks", of_threads)
+        patch.setattr(Helpers, "run", of_threads)
         found: list[Call] = []
         yield found
         found += calls.values()

@@ -73,7 +73,7 @@ def test_handlers_are_put_back():
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     with Stop(lambda _: None) as stop:
         signal.raise_signal(signal.SIGTERM)
-        assert stop.is_requested
+        assert stop.signal == signal.SIGTERM
         with pytest.raises(Interrupted) as caught:
             stop.check()
         assert caught.value.exit_code == 143

@@ -59,7 +59,7 @@ def test_every_row_is_worked_on_once(header: Path, pause: float, times: int) -> 
         helpers.work(bands_of(count_rows, [0, 11, 12, 30, 40], counts))
         assert (counts == done).all()
         time.sleep(pause)
-        helpers.run(bound, [0, 11, 12, 30, 40])
+        helpers.run(bound, bound.blocks([0, 11, 12, 30, 40]))
         assert (compiled_counts == done).all()
 
 
@@ -95,9 +95,9 @@ def test_compiled_rows_that_fail_are_an_error_and_the_next_work_is_done(header: 
     failing, counting = (bind_rows(Rows(name, header), [counts]) for name in ("fail", "count"))
     for _ in range(3):
         with pytest.raises(RuntimeError, match="kernel fail failed, probably for want of memory"):
-            helpers.run(failing, [0, 4, 8])
+            helpers.run(failing, failing.blocks([0, 4, 8]))
     before = counts.copy()
-    helpers.run(counting, [0, 4, 8])
+    helpers.run(counting, counting.blocks([0, 4, 8]))
     assert (counts == before + 1).all()
 
 

@@ -523,7 +523,9 @@ class DenoiseUpscale(Pass):
         if stddev and cells is not None:
             cells = grown(cells, SPREAD_MARGIN_PX)
         lit = ready.lit_cells(frame) if cells is None and Role.MOTION not in frame else None
-        band, cells = self._band(frame, ready, cells, lit)
+        band = None
+        if cells is not None or lit is not None:
+            band, cells = self._band(frame, ready, cells, lit)
         gain = frame.exposure_factor / self._exposure if keep else 1.0
         if not self._wider and ready.is_outside(frame):
             self._widen(keep)
@@ -545,16 +547,16 @@ class DenoiseUpscale(Pass):
         """The tiles that the network runs on, None for all of the frame; and the active cells,
         grown to whole tiles where these are judged as a whole.
 
-        cells: those that are denoised, lit: those that show light, None where that is not known.
+        One of the two is given: `cells`, those that are denoised, or `lit`, those that show light.
         """
-        judged = cells is not None and ready.may_restore(frame)
-        active = cells if lit is None else lit
-        band = None if active is None else ready.frames.layout(active, judged)
-        if band and lit is not None:
-            band = band.over(frame.spec.height)  # cells without light are written, too
-        if cells is not None and judged:
-            cells = whole_tiles(cells)
-        return band, cells
+        if cells is None:
+            assert lit is not None, "one of them is given"
+            band = ready.frames.layout(lit)
+            # cells without light are written, too
+            return band and band.over(frame.spec.height), None
+        judged = ready.may_restore(frame)
+        band = ready.frames.layout(cells, judged)
+        return band, whole_tiles(cells) if judged else cells
 
     def _choose(self, frame: ResidentFrame, ready: ReadyNetwork) -> str:
         """The tag of a frame's network: by the budget; another one for what is enlarged as it
