@@ -43,6 +43,7 @@ from postfx.frame import ROLES, Frame, Role
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.passes.denoise.planes import shows_volume
 from postfx.pixel_filter import find_stddev
+from postfx.repeats import is_same_render
 from postfx.system import usable_cores
 from training.denoise.checkpoint import PREFIX, load_weights
 from training.denoise.dataset import ABSENT
@@ -204,7 +205,11 @@ def targets_of(reader: Reader, target: Sequence) -> list[Example]:
         with target.open(number) as files:
             has_counts = Role.SAMPLE_COUNT in files.layout.planes
         held = target.read(number, [Role.COLOUR, *[Role.SAMPLE_COUNT] * has_counts])
-        device = reader.inputs(number).colour.device
+        colour = reader.inputs(number).colour
+        if is_same_render(held[Role.COLOUR], colour[0].permute(1, 2, 0).cpu().numpy()):
+            raise FrameError(f"{held.source}: is the same render as its frame of {shot.pattern}, "
+                             "noise included: give another render of it")
+        device = colour.device
         light = as_planes(held[Role.COLOUR], device)
         known = as_planes(known_pixels(held)[..., None], device)
         found.append(reader.example(number, light, known))
