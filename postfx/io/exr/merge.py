@@ -111,7 +111,8 @@ def merge_renders(
     not say it; None for those that do.
 
     Raises ReadError for a file that is broken, is no OpenEXR file or does not tell its samples,
-    FrameError where files are not of one frame or hold the same noise, WriteError where the result cannot be written.
+    FrameError where files are not of one frame or hold the same noise, WriteError where the result
+    cannot be written.
     """
     with ExitStack() as stack:
         given: Sequence[int | None] = samples or [None] * len(paths)

@@ -56,6 +56,7 @@ from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES, passthrough_rol
 from postfx.passes.denoise.primaries import widen_history
 from postfx.passes.denoise.reflections import Cameras, can_follow
 from postfx.passes.denoise.savings import (
+    JITTERED,
     NO_HISTORY,
     NOTHING_MOVES,
     REPEATED_NOISE,
@@ -529,6 +530,8 @@ class DenoiseUpscale(Pass):
             self._widen(keep)
         still = keep and gain == 1 and frame.is_blank(Role.MOTION)
         camera, reasons = None, list[Reason]()
+        if ready.first and ready.first.is_jittered:
+            reasons.append(JITTERED)
         if ready.reflections:
             camera, why = self._cameras.step(frame, keep and not still)
             reasons += [(UNFOLLOWED_REFLECTIONS, why)] if why else []
