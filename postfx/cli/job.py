@@ -630,7 +630,7 @@ class Job:
         for text in passes.noticed:
             self._tell([f"frame {work.number}: {text}"], tell)
         milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
-        milliseconds -= sum(passes.ahead)
+        milliseconds -= passes.run_up_ms
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0
         done = FrameResult(frame, result, passes.exposure_factor, passes.cut, milliseconds,
