@@ -298,13 +298,13 @@ class Interpolation:
 
         with self._sequence.open(frame.number) as files:
             layers = files.unread()
-        ways = "--aov NAMES makes layers of light"
+        ways = "--aov NAMES makes those of light"
         if self._arguments.planes:
             mattes = tuple(str(text) for name, text in frame.metadata.items()
                            if name.startswith(CRYPTOMATTE) and name.endswith("/name"))
             layers = [layer for layer in layers if not layer.startswith(mattes)]
         else:
-            ways += ", --planes Cryptomattes"
+            ways += ", --planes Cryptomattes, nothing the others"
         if layers:
             held = "; ".join(layers[:SHOWN_LAYERS]) + "; ..." * (len(layers) > SHOWN_LAYERS)
             self._sequence.warn(f"new frames lack {held}: {ways}")

@@ -164,8 +164,8 @@ def test_layers_that_new_frames_lack_are_told(scene, tmp_path, capsys, more):
     assert main(["interpolate", source, "-o", f"{tmp_path}/out/", "--overwrite", "--json",
                  "--aov", "key,fill", *more]) == 0
     assert [one for one in json.loads(capsys.readouterr().out)["warnings"] if "lack" in one] == [
-        "new frames lack id.V: --aov NAMES makes layers of light"
-        + ", --planes Cryptomattes" * (not more)]
+        "new frames lack id.V: --aov NAMES makes those of light"
+        + ", --planes Cryptomattes, nothing the others" * (not more)]
 
 
 def test_light_groups_of_new_frames_add_up_to_the_picture(scene, tmp_path):

@@ -29,7 +29,9 @@ import sys
 import time
 from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import torch
@@ -592,7 +594,8 @@ def write(checkpoint: dict[str, object], path: Path) -> None:
     """Write the network and its card."""
     path.parent.mkdir(parents=True, exist_ok=True)
     notes = {key: value for key, value in checkpoint["notes"].items() if key != "written"}  # type: ignore[attr-defined]
-    with redirect_stdout(sys.stderr):  # PyTorch tells its steps there
+    with redirect_stdout(StringIO()), catch_warnings():  # PyTorch tells its own steps
+        simplefilter("ignore", FutureWarning)
         difference = export_trunk(load_trunk(checkpoint), path)
     made = card({**checkpoint, "notes": notes}, path.stem, difference, {})
     made |= {"name": path.stem,

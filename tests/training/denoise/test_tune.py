@@ -186,7 +186,8 @@ def test_the_command_says_what_is_wrong(tmp_path: Path, monkeypatch, capsys):
     shot = write_shot(tmp_path, "noisy", 0.3, 1)
     out = ["-o", str(tmp_path / "shot.onnx")]
     for words, message in (([shot, *out], "nothing to learn from"),
-                           ([shot, "--references", shot], "nowhere to write")):
+                           ([shot, "--references", shot], "nowhere to write"),
+                           ([shot, "--references", shot, "-o", "net"], "net: is no network's")):
         assert main(["tune", *words]) == 2
         assert message in capsys.readouterr().err
     monkeypatch.setattr(tune, "find_stddev", lambda colour, planes: 0.5)
