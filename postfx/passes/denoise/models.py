@@ -124,6 +124,9 @@ def validate_tag(model: str, library: Library | None = None) -> str:
         if not os.path.isfile(path):
             raise ModelError(f"model '{model}': no such file: check the path and its rights; "
                              "'postfx models' lists those that need none")
+        if not path.with_suffix(".json").is_file():
+            raise ModelError(f"model '{model}': its card {path.stem}.json is not beside it: copy "
+                             "both files")
         return str(path.absolute())
     if library is None or model == CLASSIC:
         check_is_there(model)
