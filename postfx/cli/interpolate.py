@@ -283,6 +283,9 @@ class Interpolation:
                 if not self._is_told:
                     self._is_told = True
                     self._warn_of_left_out(frame)
+                    if any(frame.jitter):
+                        self._sequence.warn("frames are jittered, which the output does not tell: "
+                                            "run 'postfx run' first, and interpolate its frames")
                 if self._arguments.planes:
                     frame = with_cryptomattes(frame)
                 self._first = self._first or frame.metadata
