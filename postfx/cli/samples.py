@@ -223,9 +223,9 @@ class SamplesJob:
                      f": {_duration(found.hours)} in place of {_duration(found.uniform_hours)}")
             lines.append(f"saves    {1 - found.more / found.uniform:.0%} of the samples that the "
                          f"same error would need everywhere ({found.uniform:.1f} a pixel){hours}")
-        lines += (["wrote    "
-                   f"{self._outputs.path(self.tiles[0].number)}" + " ..." * (len(self.tiles) > 1)]
-            if self._outputs else [])
+        if self._outputs:
+            first, last = (self._outputs.path(self.tiles[at].number) for at in (0, -1))
+            lines.append(f"wrote    {first}" + f" ... {last}" * (last != first))
         return "\n".join(lines)
 
     def _outlook(self) -> Outlook:

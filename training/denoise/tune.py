@@ -184,8 +184,10 @@ class Reader:
         numbers = [*self.sequence.before(number, FRAMES_BEFORE), number]
         frames = [self.inputs(one) for one in numbers]
         if light.shape != frames[-1].colour.shape:
-            raise FrameError(f"{self.sequence.pattern}: frame {number} and its target have "
-                             "different sizes: render both at the same size")
+            size, other = (f"{plane.shape[-1]}x{plane.shape[-2]}"
+                           for plane in (frames[-1].colour, light))
+            raise FrameError(f"{self.sequence.pattern}: frame {number} has {size} pixels, its "
+                             f"target {other}: render both at the same size")
         # all have as many frames: the oldest one again, without a history
         lacking = FRAMES_BEFORE + 1 - len(numbers)
         follows = [False] * (lacking + 1) + [self.continues(one) for one in numbers[1:]]
