@@ -61,6 +61,19 @@ _OTHER_WORDS = {"color": Role.COLOUR, "opaque_color": Role.OPAQUE_COLOUR,
                 "albedo": Role.DIFFUSE_ALBEDO}
 
 
+def find_role(word: Role | str, kind: str = "plane", where: str = "") -> Role:
+    """The role that a word names; FrameError that suggests one where it names none.
+
+    kind, where: for the message: what the role is of, such as 'guide' and ' of frame 3'.
+    """
+    try:
+        return Role(word)
+    except ValueError:
+        hint = suggest(str(word), Role) or ":"
+        raise FrameError(f"{kind} '{word}'{where} has no meaning here{hint} roles are "
+                         f"{', '.join(Role)}") from None
+
+
 class RoleInfo(NamedTuple):
     """Convention of one role: channel count, unit, space, range and direction."""
 
@@ -209,7 +222,7 @@ class GuideSpec:
     source: str | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        wanted = {Role(role) for role in self.roles}
+        wanted = {find_role(role, "guide") for role in self.roles}
         for role in wanted - set(OUTPUT_SIZE_ROLES):
             raise GuideError(f"plane '{role}' cannot be a guide: those are "
                              f"{', '.join(OUTPUT_SIZE_ROLES)}")
@@ -317,7 +330,7 @@ def _order_planes(
     planes: Mapping[Role, int] | Iterable[Role | str | tuple[Role, int]]
 ) -> tuple[tuple[Role, int], ...]:
     items = planes.items() if isinstance(planes, Mapping) else [_pair(item) for item in planes]
-    held = {Role(role): int(channels) for role, channels in items}
+    held = {find_role(role): int(channels) for role, channels in items}
     for role, channels in held.items():
         if channels != ROLES[role].channels:
             raise FrameError(f"plane '{role}' has {channels} channels: it needs "
@@ -326,7 +339,10 @@ def _order_planes(
 
 
 def _pair(item: Role | str | tuple[Role, int]) -> tuple[Role, int]:
-    return (Role(item), ROLES[Role(item)].channels) if isinstance(item, str) else item
+    if not isinstance(item, str):
+        return item
+    role = find_role(item)
+    return role, ROLES[role].channels
 
 
 @dataclass(frozen=True)
@@ -563,12 +579,7 @@ class Frame:
         return checked
 
     def _role(self, role: Role | str, kind: str) -> Role:
-        try:
-            return Role(role)
-        except ValueError:
-            hint = suggest(str(role), Role) or ":"
-            raise FrameError(f"{kind} '{role}' of frame {self._name()} has no meaning here{hint} "
-                             f"roles are {', '.join(Role)}") from None
+        return find_role(role, kind, f" of frame {self._name()}")
 
     def _check(self, role: Role, plane: np.ndarray, kind: str) -> np.ndarray:
         if kind == "guide" and role not in OUTPUT_SIZE_ROLES:

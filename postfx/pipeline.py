@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -96,6 +97,7 @@ class Pipeline:
         plan: the plan of the last frame, None before the first.
         timings: pass name -> milliseconds on the device, of the last frame.
         ahead: milliseconds on the device of each frame that was run up to the last one.
+        run_up_ms: milliseconds that these frames took in all, with reading them; 0 without any.
         exposure: stops used for the last frame; None before the first and when no pass ran.
         exposure_factor: likewise, what its light was multiplied by.
         cut: whether the last frame was found to begin another shot.
@@ -135,6 +137,7 @@ class Pipeline:
         self.bad_pixels: dict[Role, int] = {}
         self.noticed: tuple[str, ...] = ()
         self.ahead: tuple[float, ...] = ()
+        self.run_up_ms = 0.0
         self._meter = exposure if callable(exposure) else ExposureMeter(exposure)
         self._detector = CutDetector() if cuts == "auto" else None
         self._run_up = run_up
@@ -194,6 +197,7 @@ class Pipeline:
         before = self.plan if not (self._begins or frame.reset) else None
         plan = self._make_plan(frame.spec, self._goes_around(frame))
         self.ahead = ()
+        self.run_up_ms = 0.0
         if self._checks and before and before is not plan:
             self._tell_changed_planes(frame.number, before, plan)
         if not plan.steps:
@@ -282,6 +286,7 @@ class Pipeline:
         own = self._of_view(name)
         result = own(frame)
         self.ahead += own.ahead
+        self.run_up_ms += own.run_up_ms
         self.timings = {step: self.timings.get(step, 0.0) + own.timings.get(step, 0.0)
                         for step in {**self.timings, **own.timings}}
         self.bad_pixels = {role: self.bad_pixels.get(role, 0) + own.bad_pixels.get(role, 0)
@@ -342,6 +347,7 @@ class Pipeline:
             spec = spec_of(tensors, sharp, encoding)
             plan = self._make_plan(spec)
             self.ahead = ()
+            self.run_up_ms = 0.0
             self.cut = reset
             self.bad_pixels = {}
             if reset:
@@ -494,7 +500,12 @@ class Pipeline:
             return frame
         plan = self._wide[0] if self._wide else plan
         steps = plan.accumulating_steps()
-        return self._run_up(frame, partial(self._run_ahead, plan, steps)) if steps else frame
+        if not steps:
+            return frame
+        begin = time.perf_counter()
+        found = self._run_up(frame, partial(self._run_ahead, plan, steps))
+        self.run_up_ms = (time.perf_counter() - begin) * 1000
+        return found
 
     def _run_ahead(self, plan: Plan, steps: Sequence[Step], frame: Frame) -> None:
         """Run a frame only for the history, as far as passes profit from it."""

@@ -62,6 +62,12 @@ ONE_SEED = ("the same random seed in every frame",
 """The likely cause, and the fix."""
 
 
+def is_same_render(first: np.ndarray, second: np.ndarray) -> bool:
+    """Whether two pictures (height, width, channels) are one render, which tells nothing of its
+    noise: all their pixels are equal, and not all of one colour."""
+    return bool((first != first[:1, :1]).any()) and np.array_equal(first, second, equal_nan=True)
+
+
 class RepeatDetector:
     """Tells of each frame whether it has the noise of the frame before, where things are slow.
 

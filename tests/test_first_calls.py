@@ -12,7 +12,7 @@ import pytest
 
 import postfx
 from postfx.cli.main import main
-from postfx.errors import DeviceError, FrameError, PassOptionError, WriteError
+from postfx.errors import DeviceError, FrameError, PassOptionError, SequenceError, WriteError
 
 PICTURE = np.zeros((8, 8, 3), np.float32)
 
@@ -55,6 +55,23 @@ def test_options_of_other_types_are_refused_in_one_line(options, said):
 def test_a_pipeline_runs_on_a_device(device):
     with pytest.raises(DeviceError, match="runs on a device, not on .*: give its name"):
         postfx.Pipeline([postfx.ToneMap()], device)
+
+
+@pytest.mark.parametrize("kind", [postfx.RunUp, postfx.Backwards])
+def test_what_looks_ahead_takes_a_sequence(kind):
+    with pytest.raises(SequenceError, match="takes a postfx.Sequence, not str: give read_sequ"):
+        kind("shot.####.exr")
+
+
+def test_a_word_that_is_no_role_is_told_with_the_one_that_is_meant(write_exr, tmp_path):
+    write_exr("shot.0001.exr", {name: np.zeros((8, 8)) for name in "RGB"})
+    shot = postfx.read_sequence(str(tmp_path / "shot.####.exr"))
+    for call in (lambda: shot.read(1, ["colur"]), lambda: shot.read(1, guides=["colur"]),
+                 lambda: postfx.FrameSpec(8, 8, ["colur"]),
+                 lambda: postfx.Frame({"colur": PICTURE}),
+                 lambda: postfx.read_sequence(str(tmp_path), without=["colur"])):
+        with pytest.raises(FrameError, match="'colur'.* has no meaning here: did you mean colour"):
+            call()
 
 
 def test_a_pipeline_is_called_with_a_frame():

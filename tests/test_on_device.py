@@ -217,7 +217,7 @@ WRONG = [
     ({"color": PLANES[Role.COLOUR][..., :2]}, {},
      r"plane 'colour' is \(36, 48, 2\) float32: it needs \(height, width"),
     ({"colour": PLANES[Role.COLOUR].astype("f8")}, {}, "plane 'colour' is .* float64: it needs"),
-    ({"colours": PLANES[Role.COLOUR]}, {}, "plane 'colours' has no meaning here: roles are colour"),
+    ({"colours": PLANES[Role.COLOUR]}, {}, "plane 'colours' has no meaning here: did you mean"),
     ({"colour": There(PLANES[Role.COLOUR])}, {},
      "cannot be read from There: it is in the memory of cuda:0, the device is the host"),
     ({}, {}, "a frame needs at least one plane"),

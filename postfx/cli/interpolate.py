@@ -283,6 +283,9 @@ class Interpolation:
                 if not self._is_told:
                     self._is_told = True
                     self._warn_of_left_out(frame)
+                    if any(frame.jitter):
+                        self._sequence.warn("frames are jittered, which the output does not tell: "
+                                            "run 'postfx run' first, and interpolate its frames")
                 if self._arguments.planes:
                     frame = with_cryptomattes(frame)
                 self._first = self._first or frame.metadata
@@ -298,13 +301,13 @@ class Interpolation:
 
         with self._sequence.open(frame.number) as files:
             layers = files.unread()
-        ways = "--aov NAMES makes layers of light"
+        ways = "--aov NAMES makes those of light"
         if self._arguments.planes:
             mattes = tuple(str(text) for name, text in frame.metadata.items()
                            if name.startswith(CRYPTOMATTE) and name.endswith("/name"))
             layers = [layer for layer in layers if not layer.startswith(mattes)]
         else:
-            ways += ", --planes Cryptomattes"
+            ways += ", --planes Cryptomattes, nothing the others"
         if layers:
             held = "; ".join(layers[:SHOWN_LAYERS]) + "; ..." * (len(layers) > SHOWN_LAYERS)
             self._sequence.warn(f"new frames lack {held}: {ways}")

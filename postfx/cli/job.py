@@ -547,8 +547,9 @@ class Job:
         return list(dict.fromkeys([others[0], others[len(others) // 2], others[-1]]))
 
     def _planes_of_later_frames(self, numbers: list[int]) -> list[str]:
-        """A warning for planes that the first frame lacks and these have, or the reverse: the plan
-        is made for the first."""
+        """A warning for planes that the first frame has and these lack, or else the reverse: the
+        plan is made for the first."""
+        spare: list[str] = []
         for number in numbers:
             try:
                 with self.sequence.reader().open(number) as files:
@@ -562,17 +563,17 @@ class Job:
                 more.add(Role.MOTION)
             fewer = {role for role in self.plan.planes if role in self._channels} - planes
             fewer.discard(Role.MOTION)
-            if more:
-                names = " and ".join(sorted(map(str, more)))
-                return [f"frame {self.first} has no {names}, but frame {number} has: no frame "
-                        "uses what is not in all; render it for every frame, or choose frames "
-                        "that have it (--frames)"]
             if fewer:
-                names = " and ".join(sorted(map(str, fewer)))
+                names = ", ".join(sorted(map(str, fewer)))
                 return [f"frame {number} has no {names}, but frame {self.first} has: frame "
                         f"{number} cannot be denoised; render it again, or choose other frames "
                         "(--frames)"]
-        return []
+            if more and not spare:
+                names = ", ".join(sorted(map(str, more)))
+                spare = [f"frame {self.first} has no {names}, but frame {number} has: no frame "
+                         "uses what is not in all; render it for every frame, or choose frames "
+                         "that have it (--frames)"]
+        return spare
 
     @cached_property
     def _looker(self) -> FirstFrames | None:
@@ -633,7 +634,7 @@ class Job:
         for text in passes.noticed:
             self._tell([f"frame {work.number}: {text}"], tell)
         milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
-        milliseconds -= sum(passes.ahead)
+        milliseconds -= passes.run_up_ms
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0
         done = FrameResult(frame, result, passes.exposure_factor, passes.cut, milliseconds,

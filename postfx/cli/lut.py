@@ -80,12 +80,13 @@ def execute(arguments: argparse.Namespace) -> int:
     made = f"Look '{look}' on {len(frames[::2])} of the frames {arguments.input}, made by postfx"
     table.write(path, [made])
     found = table.measure(path, others)
-    table.write(path, [made, f"Against the look itself, on {len(others)} frames: {found}"])
+    measured = f"{len(others)} frame{'s' * (len(others) > 1)}"
+    table.write(path, [made, f"Against the look itself, on {measured}: {found}"])
     facts = {"output": str(path), "size": arguments.size, "display": table.output,
              "frames": len(frames[::2]), "measured_on": len(others), "psnr": found.psnr,
              "delta_e_itp": found.mean, "delta_e_itp_99": found.most}
     lines = [f"wrote    {path}: {arguments.size}x{arguments.size}x{arguments.size}, ACEScct to "
              f"{table.output}",
-             f"error    against the look itself, on {len(others)} frames: {found}"]
+             f"error    against the look itself, on {measured}: {found}"]
     print(json.dumps(facts) if arguments.json else "\n".join(lines))
     return 0

@@ -108,6 +108,10 @@ FILES_WRITTEN = Section("files that are written", (
 ))
 
 
+SHOWN_PARTS = 3
+"""Light groups and passes that one line names."""
+
+
 def explain_kept(
     arguments: argparse.Namespace, files: FrameFiles, size: tuple[int, int],
     views: Iterable[FrameFiles] = ()
@@ -135,11 +139,24 @@ def explain_kept(
     if not others:
         return "", []
     if colour.size == size:
-        return f"keeps   {count} bit for bit (--keep none leaves them out)", []
+        return (f"keeps   {count} bit for bit (--keep none leaves them out)",
+                _noisy(arguments, files))
     if arguments.keep == "all":
         return (f"keeps   {count}, enlarged by the nearest pixel, without the render's own colour",
                 [])
     return "", [Skip(count, "they have the render's size; --keep all enlarges them")]
+
+
+def _noisy(arguments: argparse.Namespace, files: FrameFiles) -> list[Skip]:
+    """What is kept beside a denoised picture that no longer adds up to it."""
+    from postfx.plan import Skip
+
+    if arguments.aov or arguments.no_denoise or arguments.strength == 0:
+        return []
+    layers = files.known_parts()
+    more = f" and {len(layers) - SHOWN_PARTS} more" if len(layers) > SHOWN_PARTS else ""
+    return [Skip(f"{', '.join(layers[:SHOWN_PARTS])}{more}",
+                 "kept as noisy as they are; --aov auto denoises them, too")] if layers else []
 
 
 # Logs and resuming

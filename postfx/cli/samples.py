@@ -223,9 +223,9 @@ class SamplesJob:
                      f": {_duration(found.hours)} in place of {_duration(found.uniform_hours)}")
             lines.append(f"saves    {1 - found.more / found.uniform:.0%} of the samples that the "
                          f"same error would need everywhere ({found.uniform:.1f} a pixel){hours}")
-        lines += (["wrote    "
-                   f"{self._outputs.path(self.tiles[0].number)}" + " ..." * (len(self.tiles) > 1)]
-            if self._outputs else [])
+        if self._outputs:
+            first, last = (self._outputs.path(self.tiles[at].number) for at in (0, -1))
+            lines.append(f"wrote    {first}" + f" ... {last}" * (last != first))
         return "\n".join(lines)
 
     def _outlook(self) -> Outlook:
@@ -236,8 +236,9 @@ class SamplesJob:
     def _frames(self) -> Iterator[tuple[Frame, np.ndarray, np.ndarray]]:
         """Each frame, its denoised colour (its own where that is not needed) and the expected
         error."""
-        from postfx.errors import MissingPlaneError
+        from postfx.errors import FrameError, MissingPlaneError
         from postfx.frame import Role
+        from postfx.repeats import is_same_render
         from postfx.tools.adaptive.estimate import estimate_error, estimate_from_halves, mean_frame
 
         denoisers: list[Any] = []
@@ -256,6 +257,9 @@ class SamplesJob:
                             for denoise, render in zip(denoisers, renders, strict=False)]
             if len(renders) > 1:
                 halves = renders[0][Role.COLOUR], renders[1][Role.COLOUR]
+                if is_same_render(*halves):
+                    raise FrameError(f"{renders[1].source}: has the same noise as "
+                                     f"{frame.source}: render it with another seed")
                 error = estimate_from_halves(halves, (denoised[0], denoised[1], denoised[2]),
                                              self._meter(frame), self._arguments.tile)
                 self.sources.add("two halves of the samples")
@@ -284,14 +288,18 @@ class SamplesJob:
         return found
 
     def _make_denoiser(self, sequence: Sequence) -> Any:
+        from postfx.cli.usual_network import choose_network
         from postfx.passes.denoise import DenoiseUpscale
         from postfx.pipeline import Pipeline
         from postfx.runtime import Device
         from postfx.temporal.reverse_order import RunUp
 
-        options = SAMPLE_OPTIONS.values_for("denoiser", self._arguments)
-        return Pipeline([DenoiseUpscale(scale=1.0, **options)], Device(self._arguments.device),
-                        run_up=RunUp(sequence))
+        device = Device(self._arguments.device)
+        options = {"scale": 1.0, **SAMPLE_OPTIONS.values_for("denoiser", self._arguments)}
+        if "model" not in options:
+            with sequence.open(sequence.numbers[0]) as files:
+                options["model"] = choose_network(files.spec(), options, device).network
+        return Pipeline([DenoiseUpscale(**options)], device, run_up=RunUp(sequence))
 
     def _samples(self, frame: Frame) -> Any:
         """Samples of each pixel, or of all; a half has half of them."""

@@ -72,8 +72,10 @@ def execute(arguments: argparse.Namespace) -> int:
     if not (arguments.references or arguments.halves):
         raise OptionError("nothing to learn from: give --references with clean frames, or --halves "
                           "with a second render")
-    if not arguments.output or not arguments.output.endswith(".onnx"):
+    if not arguments.output:
         raise WriteError("nowhere to write: give -o FILE.onnx")
+    if not arguments.output.endswith(".onnx"):
+        raise WriteError(f"{arguments.output}: is no network's name: name it FILE.onnx")
     if Path(arguments.output).exists() and not arguments.overwrite:
         raise OutputExistsError(f"{arguments.output}: is already there: give --overwrite")
     if find_spec("torch") is None or find_spec("training") is None:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 from postfx.streams import make_printable
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from postfx.runs.manifest import Verification
 
 DESCRIPTION = """\
@@ -27,7 +29,8 @@ examples:
   postfx verify out/ || postfx run shot/noisy.####.exr -o out/clean.####.exr --skip-existing
 
 exit codes: 0 all files are complete and unaltered; 1 files are altered, missing, unfinished or
-unknown; 2 there is no manifest, or it cannot be read
+unknown, or with --frames their runs had differing settings; 2 there is no manifest, or it cannot be
+read
 """
 MOST_LISTED_FILES = 10
 MEANINGS = {
@@ -60,18 +63,20 @@ def execute(arguments: argparse.Namespace) -> int:
                           "they hold, e.g. 1-200")
     found = (verify(folders[0]) if arguments.frames is None
              else verify_together(folders, parse_frames(arguments.frames)))
+    kinds = [kind for kind in MEANINGS if kind != "differing" or arguments.frames is not None]
     print(json.dumps(found.as_dict()) if arguments.json
-          else "\n".join(map(make_printable, _lines(found))))
+          else "\n".join(map(make_printable, _lines(found, kinds))))
     return 0 if found.is_well else 1
 
 
-def _lines(found: Verification) -> list[str]:
+def _lines(found: Verification, kinds: Sequence[str]) -> list[str]:
+    """The result for people, of the kinds of faults that were looked for."""
     lines = []
-    for kind, meaning in MEANINGS.items():
+    for kind in kinds:
         names = getattr(found, kind)
-        lines += [f"{kind:<11}{name}: {meaning}" for name in names[:MOST_LISTED_FILES]]
+        lines += [f"{kind:<11}{name}: {MEANINGS[kind]}" for name in names[:MOST_LISTED_FILES]]
         lines += ([f"{kind:<11}{len(names) - MOST_LISTED_FILES} more"]
                   if len(names) > MOST_LISTED_FILES else [])
     ended = [f"run {run} was {state}" for run, state in found.runs.items() if state != "finished"]
-    counts = ", ".join(f"{len(getattr(found, kind))} {kind}" for kind in ("whole", *MEANINGS))
+    counts = ", ".join(f"{len(getattr(found, kind))} {kind}" for kind in ("whole", *kinds))
     return [*lines, *ended, counts]

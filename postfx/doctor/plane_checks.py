@@ -75,20 +75,19 @@ def check_missing_planes(material: Material) -> Iterator[Finding]:
     for role, cost in COSTS.items():
         if role in material.first or role in material.first.guides:
             continue
-        evidence = (f"not in the file; without it results were {cost.least:.2f} to {cost.most:.2f} "
-                    "dB worse")
         maybe = [name for name in material.other_layers
                  if role in _MAY_BE and _MAY_BE[role].search(name)][:MOST_LISTED]
-        evidence += f"; in the file, but not read: {'; '.join(maybe)}" if maybe else ""
+        held = f"in the file, but not read: {'; '.join(maybe)}" if maybe else "not in the file"
+        evidence = (f"{held}; without it results were {cost.least:.2f} to {cost.most:.2f} dB worse")
         where = material.enable.get(role, "")
+        cause = "another name, or a kind that is not read" if maybe else "not rendered, or renamed"
         fix = (f"switch it on: {where}" if where
                else "render it, or name it in a profile (--profile FILE.toml)")
         if role is Role.MOTION and {*MOTION_SOURCES} & material.first.planes.keys():
             fix += "; until then it is estimated from other AOVs"
         alone = role is Role.MOTION and not material.pairs
         level = warning if (cost.least + cost.most) / 2 >= MATTERS_DB and not alone else info
-        yield level(role, f"missing-{role.replace('_', '-')}", evidence,
-                    "not rendered, or named otherwise", fix)
+        yield level(role, f"missing-{role.replace('_', '-')}", evidence, cause, fix)
 
 
 MANY_PERCENT = 50.0

@@ -22,7 +22,7 @@ from postfx.io.facts import merge_headers, read_facts
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import GuideLayout, Layout, Match
 from postfx.io.masks import LeftAlone
-from postfx.io.parts import read_parts
+from postfx.io.parts import find_known_parts, read_parts
 from postfx.io.read_options import ReadOptions
 from postfx.io.read_plan import (
     Choice,
@@ -360,6 +360,11 @@ class FrameFiles(ExitStack):
     def unread(self) -> list[str]:
         """Layers of the frame's files that no plane, part or guide is read from: 'AO.R,G,B'."""
         return find_unread(self.plan, self.layout)
+
+    def known_parts(self) -> list[str]:
+        """Layers of the frame's files that are light groups or passes by their profile, whether
+        they are read or not."""
+        return find_known_parts(self.plan.index, self.layout)
 
     def unread_motion(self) -> dict[str, tuple[Channel, ...]]:
         """Layers of the colour's size whose names suggest motion, and their channels; none where

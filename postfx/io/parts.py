@@ -128,6 +128,13 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
     return {name: part for name, part in found.items() if _size(part.channels) == size}
 
 
+def find_known_parts(index: ChannelIndex, layout: Layout) -> list[str]:
+    """Layers that 'auto' would take: light groups and passes by their profile."""
+    found = _by_profile(index, layout, "*")
+    factors = {part.factor for part in found.values()}
+    return [layer for layer in found if layer not in factors]
+
+
 def _by_name(index: ChannelIndex, name: str) -> dict[str, FoundPart]:
     """Layers of light by name. Channels that go by two, as those of a layer b beside a channel B
     do, are one part, by the name that was given."""

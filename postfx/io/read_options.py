@@ -10,7 +10,7 @@ from os import PathLike
 from typing import Any
 
 from postfx.errors import SequenceError
-from postfx.frame import Role
+from postfx.frame import Role, find_role
 from postfx.io.convert import DepthOption, parse_depth
 from postfx.io.parts import PartOptions, parse_parts
 from postfx.io.pattern import Source
@@ -101,7 +101,7 @@ class ReadOptions:
             raise SequenceError(f"planes {self.planes!r}: give a list of "
                                 f"{', '.join(Role)}") from None
         self._keep("cuts", None if self.cuts is None else frozenset(self.cuts))
-        self._keep("without", frozenset(map(Role, self.without)))
+        self._keep("without", frozenset(find_role(role) for role in self.without))
 
     def _keep(self, name: str, value: object) -> None:
         """Replace an option by a form of it that can be looked at more than once."""

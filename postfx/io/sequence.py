@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec
 import numpy as np
 
 from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError, suggest
-from postfx.frame import LOG, Frame, Role
+from postfx.frame import LOG, Frame, Role, find_role
 from postfx.io.colours import ColourSpace, InputColours, parse_colourspace
 from postfx.io.frame_reader import READ_ALL, FrameFiles
 from postfx.io.pattern import (
@@ -334,13 +334,14 @@ class Sequence:
     ) -> Frame:
         """One frame with the wanted planes and guides (None: those of the constructor, or all).
 
-        Raises MissingFrameError, MissingPlaneError, GuideError or ReadError.
+        Raises MissingFrameError, MissingPlaneError, GuideError or ReadError; FrameError for a word
+        that is no role.
         """
         return self._read(
             number,
             self._last,
-            None if planes is None else tuple(map(Role, planes)),
-            None if guides is None else tuple(map(Role, guides)),
+            None if planes is None else tuple(find_role(role) for role in planes),
+            None if guides is None else tuple(find_role(role, "guide") for role in guides),
         )
 
     def begins_shot(self, number: int) -> bool:

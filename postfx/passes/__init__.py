@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from postfx.errors import FrameError, NotCompiledError, PassOptionError, suggest
-from postfx.frame import ROLES, FrameSpec, GuideSpec, Role
+from postfx.frame import ROLES, FrameSpec, GuideSpec, Role, find_role
 from postfx.planes import is_blank
 from postfx.runtime.memory import follow_torch
 
@@ -181,11 +181,7 @@ def share_planes(device: Device, kind: str, planes: Mapping[Role | str, Any],
     """
     found, waits = {}, False
     for name, plane in planes.items():
-        try:
-            role = Role(name)
-        except ValueError:
-            raise FrameError(f"{kind} '{name}' has no meaning here: roles are "
-                             f"{', '.join(Role)}") from None
+        role = find_role(name, kind)
         before = last.get(role)
         if before and before.is_on(plane):
             found[role], waits = before, waits or not device.memory.host_visible

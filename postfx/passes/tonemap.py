@@ -18,6 +18,7 @@ from postfx.kernels.colour import APPLY_CUBE, form_of
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH_GRID
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import CommandBuffer, Device, Library, ModelError, PipelineState, Tensor
+from postfx.runtime.models import check_card_beside
 
 # Where a look's card says nothing
 _KEEP = 0.6
@@ -54,6 +55,7 @@ def _check_look(look: str) -> None:
     if look.endswith(".onnx"):
         if not Path(look).is_file():
             raise PassOptionError(f"look '{look}': no such file: check the path and its rights")
+        check_card_beside(Path(look))
     elif look not in looks:
         raise PassOptionError(f"no look '{look}'{suggest(look, looks) or ':'} give "
                               f"{', '.join(looks)}, or a file of a model")

@@ -109,6 +109,13 @@ class Library:
         return content
 
 
+def check_card_beside(path: Path) -> None:
+    """ModelError where a model's file has lost its card, without which a pass would guess."""
+    if not path.with_suffix(".json").is_file():
+        raise ModelError(f"model '{path}': its card {path.stem}.json is not beside it: copy both "
+                         "files")
+
+
 @lru_cache(_CARDS)
 def _read_card(path: Path, version: tuple[int, int, int]) -> dict[str, Any]:
     """A card of a version of its file. Raises ModelError, OSError, ValueError."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from postfx.cuts import CutDetector
-from postfx.errors import PostfxError
+from postfx.errors import PostfxError, SequenceError
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.files import read_ahead, read_patiently
 from postfx.frame import Frame, FrameSpec, GuideSpec, Role
@@ -70,6 +70,7 @@ class RunUp:
     def __init__(self, sequence: Sequence, frames: int = RUN_UP, cuts: str = "auto",
                  prepare: Callable[[Frame], Frame] = lambda frame: frame,
                  view: str | None = None) -> None:
+        _check_is_sequence(sequence, "RunUp")
         self._view = view
         self._sequence = sequence
         self._frames = frames
@@ -196,6 +197,7 @@ class Backwards:
                  exposure: str | float | ExposureMeter | SmoothExposure = "auto",
                  cuts: str = "auto", prepare: Callable[[Frame], Frame] = lambda frame: frame,
                  wrap: str = "auto", **options: Any) -> None:
+        _check_is_sequence(sequence, "Backwards")
         self._of_view: Callable[[str], Backwards] = lambda view: Backwards(
             sequence.reader(view), device, exposure, cuts, prepare, wrap, **options)
         self._views: dict[str, Backwards] = {}
@@ -349,3 +351,10 @@ class Backwards:
         follows = index > 0 and self._sequence.before(number, 1) == [self._numbers[index - 1]]
         frame.reset = frame.reset or not follows
         return frame
+
+
+def _check_is_sequence(given: object, name: str) -> None:
+    """SequenceError where a class of this name is given something else."""
+    if not isinstance(given, Sequence):
+        raise SequenceError(f"{name} takes a postfx.Sequence, not {type(given).__name__}: give "
+                            "read_sequence('shot/noisy.####.exr')")

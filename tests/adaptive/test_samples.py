@@ -275,6 +275,8 @@ def test_two_halves_of_a_shot_are_one_with_all_samples(tmp_path: Path, capsys):
     assert "with --halves three" in capsys.readouterr().err
     assert main([*words, "--error", names[0]]) == 2
     assert "both tell the error" in capsys.readouterr().err
+    assert main(["samples", names[0], "--halves", names[0], "--model", "s", "--json"]) == 2
+    assert "has the same noise as" in capsys.readouterr().err
 
 
 def test_a_shot_is_denoised_and_planned_with_pictures_and_a_mask(tmp_path: Path, capsys):

@@ -209,8 +209,8 @@ def test_layers_that_are_not_read_are_listed_and_may_be_what_is_missing(inspect,
     assert sorted(found["unread"]) == ["AO.R,G,B", "normals.X,Y,Z", "zDepth.Z"]
     missing = {finding["role"]: finding["evidence"]
                for finding in found["findings"] if "missing" in finding["code"]}
-    assert missing["normal"].endswith("in the file, but not read: normals.X,Y,Z")
-    assert missing["depth"].endswith("in the file, but not read: zDepth.Z")
+    assert missing["normal"].startswith("in the file, but not read: normals.X,Y,Z; ")
+    assert missing["depth"].startswith("in the file, but not read: zDepth.Z; ")
     assert "not read" not in missing["diffuse_albedo"]
     main(["inspect", str(path)])
     assert "unread   AO.R,G,B; normals.X,Y,Z; zDepth.Z\n" in capsys.readouterr().out

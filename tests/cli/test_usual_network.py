@@ -36,6 +36,14 @@ def test_a_run_takes_the_best_network(postfx, shot, tmp_path, options, network):
     assert f"; network {tag}" in postfx(*RUN, *options, "--explain").out
 
 
+def test_where_samples_pay_is_told_for_the_same_network(postfx, shot):
+    shot(1)
+    words = ("samples", "in/shot.####.exr", "--samples", "4", "--device", "cpu", "--json")
+    usual, best, small = (json.loads(postfx(*words, *model).out)["frames"]
+                          for model in ((), ("--model", "xl"), ("--model", "s")))
+    assert usual == best != small
+
+
 def spread_noise(folder, *numbers, spread=True):
     """Frames of grey noise in a folder, after a gaussian pixel filter."""
     folder.mkdir()

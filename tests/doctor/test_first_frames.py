@@ -182,6 +182,20 @@ def test_a_run_tells_at_once_of_planes_that_later_frames_lack(write_exr, tmp_pat
     assert "has no diffuse_albedo" not in capsys.readouterr().err
 
 
+def test_a_plane_that_a_frame_lacks_matters_more_than_one_that_it_has(write_exr, tmp_path, capsys):
+    from postfx.cli.main import main
+
+    random = np.random.default_rng(3)
+    for number in (1, 2, 3):
+        planes = {name: random.random((24, 32), np.float32) for name in "RGB"}
+        own = "depth.Z" if number == 1 else "roughness.Y"
+        write_exr(f"in/shot.{number:04d}.exr", planes | {own: random.random((24, 32), np.float32)})
+    assert main(["run", str(tmp_path / "in"), "-o", str(tmp_path / "out/"), "--model", "s",
+                 "--device", "cpu"]) == 2
+    told = capsys.readouterr().err
+    assert "frame 2 has no depth, but frame 1 has: frame 2 cannot be denoised" in told
+
+
 def test_a_still_needs_no_motion_and_hears_each_warning_once(write_exr, tmp_path, capsys):
     from postfx.cli.main import main
 

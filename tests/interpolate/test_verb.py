@@ -155,6 +155,14 @@ def write_groups(scene, folder: Path, key_light: tuple[float, ...] = (1, 1, 1)) 
     return f"{folder}/in/"
 
 
+def test_jittered_frames_are_told_to_be_denoised_first(write_exr, tmp_path, capsys):
+    for number in (1, 2):
+        planes = {name: np.full((32, 48), 0.1 * number) for name in "RGB"}
+        write_exr(f"in/a.{number:04d}.exr", planes, postfx__jitter=(0.25, -0.25))
+    assert main(["interpolate", str(tmp_path / "in"), "-o", f"{tmp_path}/out/"]) == 0
+    assert "frames are jittered, which the output does not tell" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("more", [[], ["--planes"]])
 def test_layers_that_new_frames_lack_are_told(scene, tmp_path, capsys, more):
     source = write_groups(scene, tmp_path)
@@ -164,8 +172,8 @@ def test_layers_that_new_frames_lack_are_told(scene, tmp_path, capsys, more):
     assert main(["interpolate", source, "-o", f"{tmp_path}/out/", "--overwrite", "--json",
                  "--aov", "key,fill", *more]) == 0
     assert [one for one in json.loads(capsys.readouterr().out)["warnings"] if "lack" in one] == [
-        "new frames lack id.V: --aov NAMES makes layers of light"
-        + ", --planes Cryptomattes" * (not more)]
+        "new frames lack id.V: --aov NAMES makes those of light"
+        + ", --planes Cryptomattes, nothing the others" * (not more)]
 
 
 def test_light_groups_of_new_frames_add_up_to_the_picture(scene, tmp_path):

@@ -217,17 +217,26 @@ def test_what_only_one_render_has_is_kept_or_named(tmp_path: Path):
                             f"{two.name}: has no key: taken from the others"]
 
 
-def test_the_same_noise_twice_is_named(tmp_path: Path):
-    paths = [write(tmp_path / f"{i}.exr", noisy(1), {"postfx:spp": 4}) for i in range(2)]
-    (note,) = merge_renders(paths, tmp_path / "out.exr").notes
-    assert note.endswith(f"has the same noise as {paths[0]}: render it with another seed")
+def test_the_same_noise_twice_is_refused(tmp_path: Path, capsys):
+    paths = [write(tmp_path / f"{i}.exr", noisy(seed), {"postfx:spp": 4})
+             for i, seed in enumerate((1, 2, 1))]
+    assert main(["merge", *map(str, paths), "-o", str(tmp_path / "out.exr")]) == 2
+    assert (f"{paths[2]}: has the same noise as {paths[0]}: render it with another seed"
+            in capsys.readouterr().err)
+    assert not (tmp_path / "out.exr").exists()
+
+
+def test_pictures_of_one_colour_have_no_noise_and_are_merged(tmp_path: Path):
+    black = {name: np.zeros(SIZE, np.float32) for name in "RGB"}
+    paths = [write(tmp_path / f"{i}.exr", black, {"postfx:spp": 4}) for i in range(2)]
+    assert merge_renders(paths, tmp_path / "out.exr").samples == 8
 
 
 def test_what_cannot_be_merged_is_refused_in_one_line(tmp_path: Path):
     one = write(tmp_path / "one.exr", noisy(1), {"postfx:spp": 4})
     small = write(tmp_path / "small.exr", noisy(1, size=(4, 4)), {"postfx:spp": 4})
     made = write(tmp_path / "made.exr", noisy(1), {"postfx:spp": 4, "postfx:picture": "R,G,B"})
-    silent = write(tmp_path / "silent.exr", noisy(1))
+    silent = write(tmp_path / "silent.exr", noisy(2))
     for other, kind, words in ((small, FrameError, "4x4 pixels, that of .*one.exr 16x12"),
                                (made, ReadError, "is a picture that postfx made"),
                                (silent, ReadError, "give --samples with a number for each file")):
@@ -251,7 +260,8 @@ MORE = ("beachball/singlepart.0001.exr", "crow/crow_zip_half.exr")
 @pytest.mark.parametrize("name", [
     pytest.param(name, marks=pytest.mark.soak if name in MORE else []) for name in NAMES])
 def test_files_of_others_merged_with_themselves_stay_as_they_are(shared_dir: Path, tmp_path: Path,
-                                                                 name: str):
+                                                                 name: str, monkeypatch):
+    monkeypatch.setattr("postfx.io.exr.merge.is_same_render", lambda *_: False)
     path = shared_dir / "exr" / name
     merged = merge_renders([path, path], tmp_path / "out.exr", [4, 12])
     before, after = ImageFile(path), ImageFile(merged.path)

@@ -115,6 +115,16 @@ def test_cycles_passes_are_found_multiplied_denoised_and_divided_again(cycles: P
         assert min(plane.min() for plane in part.values()) >= 0
 
 
+@pytest.mark.parametrize(("words", "told"), [
+    ((), True), (("--aov", "auto"), False), (("--strength", "0"), False),
+    (("--keep", "none"), False)])
+def test_parts_that_stay_noisy_are_told(cycles: Path, tmp_path: Path, capsys, words, told) -> None:
+    run = ["run", str(cycles), "-o", str(tmp_path / "out.0001.exr"), "--model", "s", "--explain"]
+    assert main([*run, *words]) == 0
+    found = capsys.readouterr().out
+    assert ("Combined_key" in found and "more: kept as noisy as they are" in found) == told
+
+
 def test_a_frame_of_blender_adds_up_by_groups_and_by_passes(tmp_path: Path) -> None:
     """Rendered by Cycles of Blender 5.0 at 2 samples a pixel: three lights, a world, fog, metal,
     plastic, glass, and a lamp. Reflections of glass cross into where nothing is of glass."""

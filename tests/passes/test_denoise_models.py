@@ -166,6 +166,12 @@ def test_networks_that_cannot_be(nets: Path, model: str, library: str | None, me
         DenoiseUpscale(model=model, library=nets / library if library else None)
 
 
+def test_a_network_in_a_file_needs_its_card(nets: Path, tmp_path: Path) -> None:
+    alone = shutil.copy(next(nets.glob("*.onnx")), tmp_path / "alone.onnx")
+    with pytest.raises(ModelError, match="its card alone.json is not beside it: copy both files"):
+        DenoiseUpscale(model=str(alone))
+
+
 def test_a_file_that_is_no_denoiser(tmp_path: Path) -> None:
     toys.make_library(tmp_path)
     with pytest.raises(ModelError,

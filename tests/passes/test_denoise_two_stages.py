@@ -264,6 +264,8 @@ def test_a_shipped_network_for_mixtures_has_no_other_frames(
         chosen.append(whole.passes[0].choice)
         kept.append({name: np.array(value) for name, value in (whole.history() or {}).items()})
     assert chosen == ["xl in two stages", "l", "xl in two stages", "xl in two stages"]
+    assert ("the first of two stages for 1 frame in denoise_upscale" in
+            [skip.what for skip in whole.savings()])
     assert_same(wanted[:1], [by_own])
     for at in (0, 1):
         again = chain()

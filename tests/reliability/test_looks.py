@@ -133,3 +133,9 @@ def test_little_that_makes_more_than_the_machine_has(refused, operator):
     used = {name: INGREDIENTS[name] for name in MAKERS.get(operator, ()) if name in INGREDIENTS}
     told = refused(nodes, cube() | used, inputs=[value("lowres", (1, 3, 256, 256))])
     assert "model 'bad' cannot be" in told
+
+
+def test_a_look_that_has_lost_its_card(tmp_path):
+    (tmp_path / "mine.onnx").write_bytes(b"")
+    with pytest.raises(ModelError, match="its card mine.json is not beside it: copy both files"):
+        ToneMap(look=str(tmp_path / "mine.onnx"))

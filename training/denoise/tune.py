@@ -30,8 +30,10 @@ import sys
 import time
 from contextlib import redirect_stdout
 from dataclasses import dataclass, field, replace
+from io import StringIO
 from itertools import pairwise
 from pathlib import Path
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import torch
@@ -45,6 +47,7 @@ from postfx.frame import ROLES, Frame, Role
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.passes.denoise.planes import shows_volume
 from postfx.pixel_filter import find_stddev
+from postfx.repeats import is_same_render
 from postfx.system import usable_cores
 from training.denoise.checkpoint import PREFIX, load_weights
 from training.denoise.dataset import ABSENT
@@ -186,8 +189,10 @@ class Reader:
         numbers = self.history(number)
         frames = [self.inputs(one) for one in numbers]
         if light.shape != frames[-1].colour.shape:
-            raise FrameError(f"{self.sequence.pattern}: frame {number} and its target have "
-                             "different sizes: render both at the same size")
+            size, other = (f"{plane.shape[-1]}x{plane.shape[-2]}"
+                           for plane in (frames[-1].colour, light))
+            raise FrameError(f"{self.sequence.pattern}: frame {number} has {size} pixels, its "
+                             f"target {other}: render both at the same size")
         follows = [one != before and self.continues(one)
                    for before, one in pairwise([numbers[0], *numbers])]
         exposure = self._exposures[number]
@@ -213,7 +218,11 @@ def targets_of(reader: Reader, target: Sequence) -> list[Example]:
         with target.open(number) as files:
             has_counts = Role.SAMPLE_COUNT in files.layout.planes
         held = target.read(number, [Role.COLOUR, *[Role.SAMPLE_COUNT] * has_counts])
-        device = reader.inputs(number).colour.device
+        colour = reader.inputs(number).colour
+        if is_same_render(held[Role.COLOUR], colour[0].permute(1, 2, 0).cpu().numpy()):
+            raise FrameError(f"{held.source}: is the same render as its frame of {shot.pattern}, "
+                             "noise included: give another render of it")
+        device = colour.device
         light = as_planes(held[Role.COLOUR], device)
         known = as_planes(known_pixels(held)[..., None], device)
         found.append(reader.example(number, light, known))
@@ -632,7 +641,8 @@ def write(checkpoint: dict[str, object], path: Path) -> None:
     """Write the network and its card."""
     path.parent.mkdir(parents=True, exist_ok=True)
     notes = {key: value for key, value in checkpoint["notes"].items() if key != "written"}  # type: ignore[attr-defined]
-    with redirect_stdout(sys.stderr):  # PyTorch tells its steps there
+    with redirect_stdout(StringIO()), catch_warnings():  # PyTorch tells its own steps
+        simplefilter("ignore", FutureWarning)
         difference = export_trunk(load_trunk(checkpoint), path)
     made = card({**checkpoint, "notes": notes}, path.stem, difference, {})
     made |= {"name": path.stem,

@@ -46,6 +46,7 @@ from postfx.io.render_time import AVERAGED, SUMMED, format_time, parse_time
 from postfx.io.windows import Part, Window
 from postfx.masks.noise import count_unit
 from postfx.planes import LARGEST_HALF
+from postfx.repeats import is_same_render
 
 
 class Rule(StrEnum):
@@ -84,6 +85,8 @@ _SAME = 0.95
 """Share of a rectangle's area from which on another one within it is taken for the same."""
 _BLOCK_ROWS = 64
 """Rows that are looked at together."""
+_COMPARED_ROWS = 16
+"""About so many rows, spread over the picture, tell whether two files hold the same noise."""
 _SAMPLES = re.compile(r"cycles\..+\.samples|postfx:spp|samplesPerPixel")
 _SPP = "postfx:spp"
 _MERGED = "postfx:merged"
@@ -108,7 +111,8 @@ def merge_renders(
     not say it; None for those that do.
 
     Raises ReadError for a file that is broken, is no OpenEXR file or does not tell its samples,
-    FrameError where files are not of one frame, WriteError where the result cannot be written.
+    FrameError where files are not of one frame or hold the same noise, WriteError where the result
+    cannot be written.
     """
     with ExitStack() as stack:
         given: Sequence[int | None] = samples or [None] * len(paths)
@@ -261,7 +265,7 @@ class _Merge:
         self._rules = self._first.rules()
         self._check_frames()
         self._find_regions()
-        self._compare_noise()
+        self._refuse_same_noise()
         self._is_uneven = any(not render.is_even for render in renders) or len(
             {render.colour[0].part.data for render in renders}) > 1
         self._shares = self._first.layout.profile.name.startswith("cycles")
@@ -303,17 +307,17 @@ class _Merge:
                 self.notes.append(f"{render.path}: has light only in {box.width}x{box.height} "
                                   f"pixels from ({box.x0}, {box.y0}) on: merged there alone")
 
-    def _compare_noise(self) -> None:
-        """Notes where two files hold the same noise."""
-        seen: dict[bytes, Path] = {}
+    def _refuse_same_noise(self) -> None:
+        """FrameError where two files hold the same noise: the samples would count twice."""
+        seen: list[tuple[Path, np.ndarray]] = []
         for render in self._renders:
             colour = render.read_colour()
-            key = (colour.tobytes() if colour.size < 1 << 16
-                   else colour[:: colour.shape[0] // 16 or 1].tobytes())
-            if key in seen and colour.min() < colour.max():
-                self.notes.append(f"{render.path}: has the same noise as {seen[key]}: render it "
-                                  "with another seed")
-            seen.setdefault(key, render.path)
+            rows = colour[::max(colour.shape[0] // _COMPARED_ROWS, 1)]
+            for path, other in seen:
+                if is_same_render(rows, other):
+                    raise FrameError(f"{render.path}: has the same noise as {path}: render it with "
+                                     "another seed, or leave it out")
+            seen.append((render.path, rows))
 
     def parts(self) -> list[NewPart]:
         """All parts of the output."""

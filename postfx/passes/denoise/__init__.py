@@ -56,6 +56,7 @@ from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES, passthrough_rol
 from postfx.passes.denoise.primaries import widen_history
 from postfx.passes.denoise.reflections import Cameras, can_follow
 from postfx.passes.denoise.savings import (
+    JITTERED,
     NO_HISTORY,
     NOTHING_MOVES,
     REPEATED_NOISE,
@@ -197,13 +198,13 @@ class DenoiseUpscale(Pass):
         if part_filters not in PART_FILTERS:
             raise PassOptionError(f"pass '{self.name}' has no part filters '{part_filters}': give "
                                   f"{' or '.join(PART_FILTERS)}")
-        self._own = [part.name
+        self._parts_with_own_filters = [part.name
                      for part in self._parts if part.is_light and part_filters == PART_FILTERS[1]]
-        self._used: str | None = None
+        self._last_tag: str | None = None  # of the network that ran last
         self._cameras, self._repeats = Cameras(), RepeatDetector()
-        self._memory = FrameMemory()
-        self._has_told = False
-        self._spared = 0
+        self._last_inputs = FrameMemory()
+        self._has_told_of_one_seed = False
+        self._spared_halo_px = 0  # of a first stage, whose frames have the second one's halo
         own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
         asked = validate_tag(str(model), own)
         self._tag = CLASSIC if self._falls_back(asked) else asked
@@ -287,7 +288,7 @@ class DenoiseUpscale(Pass):
                               "network")
         self._device, self._output = device, self.reflect(spec).output
         self._savings = Savings()
-        self._memory.forget()
+        self._last_inputs.forget()
         self._result: Tensor | None = None
         if self.strength:
             models, size = self._models(spec), self._output_size(spec)
@@ -304,7 +305,8 @@ class DenoiseUpscale(Pass):
             sizes = Sizes(spec.height, spec.width, *size)
             self._history = History(device, sizes, reactive)
             beside = (FILTERED_PICTURE,) if self._filter_model(spec, models) else ()
-            own = {name: History(device, sizes, reactive) for name in (*self._own, *beside)}
+            alone = (*self._parts_with_own_filters, *beside)
+            own = {name: History(device, sizes, reactive) for name in alone}
             self._part_history = PartHistory(device, size, self._parts, own)
         self._sizes: LRUCache[FrameSpec, Ready] = LRUCache(MOST_SIZES)
         self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
@@ -344,7 +346,7 @@ class DenoiseUpscale(Pass):
         models |= alone
         first = self._first_stage(models.values()) if alone else None
         wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, filters, self._error,
-                        first, next(iter(alone), ""), self._spared)
+                        first, next(iter(alone), ""), self._spared_halo_px)
         return ReadyNetwork(self._device, spec, size, models, guided, wishes, self._history,
                             self._part_history)
 
@@ -355,7 +357,7 @@ class DenoiseUpscale(Pass):
         stage = DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False, pixel_filter="none",
                                **{name: self.options[name]
                                   for name in ("model", "reactive", "library")})
-        stage._spared = halo_of(models) + CELL
+        stage._spared_halo_px = halo_of(models) + CELL
         return stage
 
     def _has_first_stage(self, spec: FrameSpec) -> bool:
@@ -415,19 +417,19 @@ class DenoiseUpscale(Pass):
         return self._savings.lines() if self.strength else ()
 
     def reset(self) -> None:
-        self._fresh = self._wider = False
+        self._has_history = self._is_wider = False
         self._exposure = 1.0
         self._found_stddev: float | None = None
         self._cameras.reset()
         self._repeats.reset()
-        self._memory.forget()
+        self._last_inputs.forget()
 
     def history(self) -> dict[str, np.ndarray]:
-        if not (self.strength and self._fresh):
+        if not (self.strength and self._has_history):
             return {}
         known = {"exposure": np.array(self._exposure, np.float64),
-                 f"{NETWORK_PREFIX}{self._used}": np.array(1, np.int64),
-                 WIDER: np.array(self._wider, np.int64)}
+                 f"{NETWORK_PREFIX}{self._last_tag}": np.array(1, np.int64),
+                 WIDER: np.array(self._is_wider, np.int64)}
         if self._found_stddev is not None:
             known[FOUND_STDDEV] = np.array(self._found_stddev, np.float64)
         known |= {f"{REPEATS}{name}": array for name, array in self._repeats.history().items()}
@@ -438,18 +440,18 @@ class DenoiseUpscale(Pass):
                 | self._part_history.snapshot())
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
-        self._fresh = bool(history)
-        self._memory.forget()
-        if self._fresh:
+        self._has_history = bool(history)
+        self._last_inputs.forget()
+        if self._has_history:
             self._exposure = float(history["exposure"])
-            self._wider = bool(history.get(WIDER, False))
+            self._is_wider = bool(history.get(WIDER, False))
             if not isinstance(self._ready, ReadyNetwork):
                 raise KeyError(f"pass '{self.name}' has no history at strength 0")
-            self._used = next(iter(key.removeprefix(NETWORK_PREFIX)
+            self._last_tag = next(iter(key.removeprefix(NETWORK_PREFIX)
                                    for key in history if key.startswith(NETWORK_PREFIX)), "")
             if FOUND_STDDEV in history:
                 self._found_stddev = float(history[FOUND_STDDEV])
-            self._history.use(self._ready.models[self._used])
+            self._history.use(self._ready.models[self._last_tag])
             self._history.recall(history)
             self._part_history.recall(history)
             self._cameras.recall(history)
@@ -487,24 +489,24 @@ class DenoiseUpscale(Pass):
             ready.error.forget()
         if cells is not None and not cells.any():
             savings.note_frame(Amount.NOTHING, 0.0)
-            self._fresh = False
+            self._has_history = False
             return ready.encode_input(commands, frame)
         repeats = self._is_repeated(frame)
-        keep = self._fresh and not (frame.reset or repeats) and Role.MOTION in frame
+        keep = self._has_history and not (frame.reset or repeats) and Role.MOTION in frame
         if not keep and ready.is_empty(frame):
             savings.note_frame(Amount.EMPTY, 0.0)
-            self._fresh = False
+            self._has_history = False
             return ready.encode_empty(frame)
         reasons = [REPEATED_NOISE] if repeats else [] if keep else [NO_HISTORY]
         alike = self._likeness(frame, ready, keep)
-        if alike is Alike.SAME and self._fresh and self._result:
+        if alike is Alike.SAME and self._has_history and self._result:
             savings.note_frame(Amount.SAME, 0.0, [REPEATED_NOISE] if repeats else [])
             return self._result
 
         work, amount, more_reasons = self._plan_work(frame, ready, keep, cells)
         reasons += more_reasons
         colour = ready.encode(commands, frame, work, reasons)
-        self._fresh, self._exposure = not frame.unusable, frame.exposure_factor
+        self._has_history, self._exposure = not frame.unusable, frame.exposure_factor
         if alike is not Alike.OTHER:
             self._keep_result(commands, colour)
         if work.still and amount is Amount.WHOLE:
@@ -518,8 +520,8 @@ class DenoiseUpscale(Pass):
 
         keep: whether the history goes on. cells: those that are denoised at all, None for all.
         """
-        self._used = self._choose(frame, ready)
-        stddev = self._stddev(frame) if ready.sees_noise_alone(self._used) else 0.0
+        self._last_tag = self._choose(frame, ready)
+        stddev = self._stddev(frame) if ready.sees_noise_alone(self._last_tag) else 0.0
         if stddev and cells is not None:
             cells = grown(cells, SPREAD_MARGIN_PX)
         lit = ready.lit_cells(frame) if cells is None and Role.MOTION not in frame else None
@@ -527,16 +529,18 @@ class DenoiseUpscale(Pass):
         if cells is not None or lit is not None:
             band, cells = self._band(frame, ready, cells, lit)
         gain = frame.exposure_factor / self._exposure if keep else 1.0
-        if not self._wider and ready.is_outside(frame):
+        if not self._is_wider and ready.is_outside(frame):
             self._widen(keep)
         still = keep and gain == 1 and frame.is_blank(Role.MOTION)
         camera, reasons = None, list[Reason]()
+        if ready.first and ready.first.is_jittered:
+            reasons.append(JITTERED)
         if ready.reflections:
             camera, why = self._cameras.step(frame, keep and not still)
             reasons += [(UNFOLLOWED_REFLECTIONS, why)] if why else []
         params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
-        work = Work(ready.models[self._used], params, keep, still, cells, band, self._wider, camera,
-                    stddev)
+        model = ready.models[self._last_tag]
+        work = Work(model, params, keep, still, cells, band, self._is_wider, camera, stddev)
         amount = Amount.WHOLE
         if band is not None and band.share != 1:
             amount = Amount.TILES if lit is None else Amount.LIT
@@ -588,13 +592,14 @@ class DenoiseUpscale(Pass):
         depends_on_more = (keep or self.budget or frame.is_away or frame.unusable or ready.layers
                            or ready.error or ready.reflections)
         if depends_on_more or frame.tensors.keys() != frame.host_planes.keys():
-            self._memory.forget()
+            self._last_inputs.forget()
             return Alike.OTHER
         planes: dict[Hashable, np.ndarray] = {Role.COLOUR: frame.host_planes[Role.COLOUR]}
         planes |= {str(role): plane for role, plane in frame.host_planes.items()}
         planes |= {f"guide {role}": plane for role, plane in frame.host_guides.items()}
-        facts = (frame.exposure_factor, frame.jitter, frame.guide_jitter, frame.spec, self._wider)
-        return self._memory.look(facts, planes)
+        jitters = frame.jitter, frame.guide_jitter
+        facts = (frame.exposure_factor, jitters, frame.spec, self._is_wider)
+        return self._last_inputs.look(facts, planes)
 
     def _keep_result(self, commands: CommandBuffer, colour: Tensor) -> None:
         """Record a copy of a frame's picture, for frames that are the same."""
@@ -610,7 +615,7 @@ class DenoiseUpscale(Pass):
         """Go on in wider primaries to the end of the shot, with the history that is kept."""
         if keep:
             self.recall(widen_history(self.history(), self._parts))
-        self._wider = True
+        self._is_wider = True
 
     def _is_repeated(self, frame: ResidentFrame) -> bool:
         """Whether a frame's noise is that of the frame before. Not looked for where frames come on
@@ -620,12 +625,12 @@ class DenoiseUpscale(Pass):
             return False
         if frame.reset:
             self._repeats.reset()
-        repeats = self._repeats(planes) and self._fresh
-        if repeats and not self._has_told:
+        repeats = self._repeats(planes) and self._has_history
+        if repeats and not self._has_told_of_one_seed:
             cause, fix = ONE_SEED
             self.notices += ("it has the noise of the frame next to it, so it is denoised alone; "
                              f"likely: {cause}; fix: {fix}",)
-            self._has_told = True
+            self._has_told_of_one_seed = True
         return repeats
 
     def _check_error(self, spec: FrameSpec) -> None:
@@ -682,7 +687,8 @@ class DenoiseUpscale(Pass):
         notes += self._filter_notes(spec) if self.strength and self._parts else []
         notes += [f"stays {self.size} where frames change their size"] if self.size else []
         notes += self._pixel_filter_notes(spec)
-        notes += [f"own filters: {', '.join(self._own)}"] if self.strength and self._own else []
+        alone = ", ".join(self._parts_with_own_filters)
+        notes += [f"own filters: {alone}"] if self.strength and alone else []
         notes += (["smooth reflections move by their hit distance"]
                   if self.strength and can_follow(spec) else [])
         return tuple(notes)

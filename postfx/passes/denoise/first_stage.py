@@ -34,6 +34,7 @@ class FirstStage:
 
     Attributes:
         runs: whether the frame that was looked at last is denoised first.
+        is_jittered: whether there was time for it, but its samples are jittered.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, stage: Pass, halo: int) -> None:
@@ -43,13 +44,14 @@ class FirstStage:
         self._strength = (device.heap.tensor("strength of the first stage",
                                              (spec.height, spec.width, 1))
                           if spec.has(Role.STRENGTH) else None)
-        self.runs = False
+        self.runs = self.is_jittered = False
         stage.compile(device, self._spec)
 
     def look(self, frame: ResidentFrame, has_time: bool) -> bool:
         """Decide whether a frame is denoised first, if there is time. Not where its samples do not
         lie at the pixels' centres: then they know more than a picture of its own size holds."""
-        self.runs = has_time and frame.jitter == (0.0, 0.0)
+        self.is_jittered = has_time and frame.jitter != (0.0, 0.0)
+        self.runs = has_time and not self.is_jittered
         return self.runs
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, work: Work) -> Tensor | None:

@@ -15,6 +15,7 @@ from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY
 from postfx.passes.denoise.tiling import PYRAMID_LEVELS
 from postfx.runtime import Device, Library, PipelineState
 from postfx.runtime.convolutions import Head
+from postfx.runtime.models import check_card_beside
 from postfx.system import usable_memory
 
 PASS = "denoise_upscale"
@@ -124,6 +125,7 @@ def validate_tag(model: str, library: Library | None = None) -> str:
         if not os.path.isfile(path):
             raise ModelError(f"model '{model}': no such file: check the path and its rights; "
                              "'postfx models' lists those that need none")
+        check_card_beside(path)
         return str(path.absolute())
     if library is None or model == CLASSIC:
         check_is_there(model)

@@ -37,10 +37,11 @@ FULL_STRENGTH: Reason = ("blend with the input for", "strength is 1 everywhere")
 NO_HISTORY: Reason = ("history for", "first frame, cut, or no motion vectors")
 REPEATED_NOISE: Reason = ("history for", "noise is that of the frame before")
 NOTHING_MOVES: Reason = ("reprojection of the last output for", "nothing moves")
+JITTERED: Reason = ("the first of two stages for", "samples are jittered, where one is better")
 HAZY_DEPTH: Reason = ("depth and albedo of", "depth is noise, as in fog")
 UNFOLLOWED_REFLECTIONS = "motion of reflections for"
 """What is left out where reflections move with their surfaces, for several reasons."""
-REASONS = (FULL_STRENGTH, NO_HISTORY, REPEATED_NOISE, NOTHING_MOVES, HAZY_DEPTH)
+REASONS = (FULL_STRENGTH, NO_HISTORY, REPEATED_NOISE, NOTHING_MOVES, JITTERED, HAZY_DEPTH)
 """In the order in which they are told; others come last."""
 
 WARM_UP = 1

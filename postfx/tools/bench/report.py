@@ -114,7 +114,9 @@ def _table(facts: dict[str, Any]) -> Any:
     sizes = ["x".join(map(str, facts[key])) for key in ("render_size", "output_size")]
     frames = len(facts["sequence"]["frames"])
     title = f"{sizes[0]} to {sizes[1]}, {frames} frame{'s' * (frames > 1)}, {facts['device']}"
-    table = Table(title=f"{title}, {facts['threads']} threads, median of {facts['runs']} runs",
+    threads, runs = facts["threads"], facts["runs"]
+    times = f"median of {runs} runs" if runs > 1 else "1 run"
+    table = Table(title=f"{title}, {threads} thread{'s' * (threads > 1)}, {times}",
                   header_style="bold")
     table.add_column("method", no_wrap=True)
     heads = ["ms/frame", "min..max", "CPU s", *(["GPU ms"] if gpu else []), "peak MB", "PSNR",

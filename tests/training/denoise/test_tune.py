@@ -68,6 +68,14 @@ def test_more_steps_gain_on_what_was_held_back(tmp_path: Path, monkeypatch, caps
     assert code == 0 and facts["gain_db"] > 0.3 and facts["held_back"] == 1
 
 
+def test_a_second_render_with_the_same_noise_teaches_nothing(tmp_path: Path, monkeypatch, capsys):
+    shot = write_shot(tmp_path, "noisy", 0.3, 1)
+    words = (shot, "--halves", shot, "-o", str(tmp_path / "shot.onnx"), "--model", "s")
+    monkeypatch.setattr("sys.argv", ["tune", *words, "--steps", "1", "--device", "cpu"])
+    assert tune.main() == 2 and "is the same render as" in capsys.readouterr().err
+    assert not (tmp_path / "shot.onnx").exists()
+
+
 def test_a_loss_is_not_written(tmp_path: Path, monkeypatch, capsys):
     shot, clean = write_shot(tmp_path, "noisy", 0.3, 1), write_shot(tmp_path, "clean", 0.0, 2)
     monkeypatch.setattr(tune, "RATE", 0.0)
@@ -233,7 +241,8 @@ def test_the_command_says_what_is_wrong(tmp_path: Path, monkeypatch, capsys):
     shot = write_shot(tmp_path, "noisy", 0.3, 1)
     out = ["-o", str(tmp_path / "shot.onnx")]
     for words, message in (([shot, *out], "nothing to learn from"),
-                           ([shot, "--references", shot], "nowhere to write")):
+                           ([shot, "--references", shot], "nowhere to write"),
+                           ([shot, "--references", shot, "-o", "net"], "net: is no network's")):
         assert main(["tune", *words]) == 2
         assert message in capsys.readouterr().err
     monkeypatch.setattr(tune, "find_stddev", lambda colour, planes: 0.5)
