@@ -37,6 +37,8 @@ from tests.passes.denoise_frames import flat, guided, noisy
 from tests.passes.test_denoise_strength import masked, resampled
 
 ROOM = Path(__file__).resolve().parents[2] / "samples" / "room" / "noisy.####.exr"
+LARGEST_DIFFERENCE = 1e-3
+"""From a whole frame, in [0, 1] of what a display shows."""
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +60,24 @@ def seen(colour: np.ndarray, exposure: float) -> np.ndarray:
     """Within [0, 1], as a display shows it."""
     light = colour * exposure
     return (light / (1 + light)) ** (1 / 2.2)
+
+
+def differences(found: np.ndarray, wanted: np.ndarray, shown_by: Pipeline) -> np.ndarray:
+    """The largest of each pixel's channels, as a display shows them, by a chain's exposure."""
+    exposure = shown_by.exposure_factor
+    return np.abs(seen(found, exposure) - seen(wanted, exposure)).max(2)
+
+
+def masked_pictures(frames: list[Frame], mask: np.ndarray, whole: Pipeline,
+                    tiled: Pipeline) -> list[np.ndarray]:
+    """What a chain makes of frames in a row with a mask. Where that is set, it must be what another
+    chain makes of them without it."""
+    pictures = []
+    for frame in frames:
+        wanted = whole(frame)[Role.COLOUR]
+        pictures.append(tiled(masked(frame, mask))[Role.COLOUR])
+        assert differences(pictures[-1], wanted, whole)[full(mask)].max() < LARGEST_DIFFERENCE
+    return pictures
 
 
 def boxes(*places: tuple[slice, slice], size: tuple[int, int] = (180, 320)) -> np.ndarray:
@@ -188,14 +208,9 @@ def test_a_masked_frame_is_the_whole_frame_where_it_is_active(
     """Over four frames of motion, of which those after the first have no history outside of what
     was computed."""
     whole, tiled = chain(device, model="m.fp32"), chain(device, model="m.fp32")
-    for frame in room:
-        wanted = whole(frame)[Role.COLOUR]
-        found = tiled(masked(frame, mask))[Role.COLOUR]
-        error = (np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor))
-                 .max(2))
-        assert error[full(mask)].max() < 1e-3
-        outside = np.kron(mask, np.ones((2, 2))) == 0
-        outside &= full(1 - mask)
+    outside = np.kron(mask, np.ones((2, 2))) == 0
+    outside &= full(1 - mask)
+    for frame, found in zip(room, masked_pictures(room, mask, whole, tiled), strict=True):
         np.testing.assert_array_equal(found[outside], resampled(frame, Role.COLOUR, 2)[outside])
     assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
 
@@ -213,9 +228,8 @@ def test_what_has_not_converged_is_as_in_a_run_of_the_whole(device: Device,
         wanted = whole(frame)[Role.COLOUR]
         found = tiled(masked(frame, strength[:, :, 0]))[Role.COLOUR]
         active = resampled(masked(frame, strength[:, :, 0]), Role.STRENGTH, 2)[:, :, 0] == 1
-        error = (np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor))
-                 .max(2))
-        assert active.sum() > 10000 and error[active].max() < 1e-3
+        error = differences(found, wanted, whole)
+        assert active.sum() > 10000 and error[active].max() < LARGEST_DIFFERENCE
     assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
 
 
@@ -224,12 +238,8 @@ def test_the_halo_is_enough_for_every_network(model: str, device: Device,
                                               room: list[Frame]) -> None:
     """Integers at that: of a first frame, since later a rounding that flips is a difference of its
     own."""
-    mask = MASKS["box"]
-    whole = chain(device, model=model)
-    wanted = whole(room[0])[Role.COLOUR]
-    found = chain(device, model=model)(masked(room[0], mask))[Role.COLOUR]
-    error = np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max(2)
-    assert error[full(mask)].max() < 1e-3
+    whole, tiled = chain(device, model=model), chain(device, model=model)
+    masked_pictures(room[:1], MASKS["box"], whole, tiled)
 
 
 @pytest.mark.parametrize("model", ["s", "m", "l"])
@@ -242,9 +252,8 @@ def test_the_halo_is_enough_for_the_light_of_a_window(model: str, device: Device
     for rows in (14, 30, 46, 62):
         mask = boxes(np.s_[:rows, :])
         found = chain(device, model=model)(masked(frame, mask))[Role.COLOUR]
-        error = (np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor))
-                 .max(2))
-        assert error[full(mask)].max() < 5e-4
+        error = differences(found, wanted, whole)
+        assert error[full(mask)].max() < LARGEST_DIFFERENCE / 2
 
 
 @pytest.mark.parametrize(("scale", "with_guides"), [
@@ -265,9 +274,8 @@ def test_tiles_at_other_scales_and_with_guides(scale: float, with_guides: bool,
         found = tiled(part)[Role.COLOUR]
         share = resampled(part, Role.STRENGTH, scale)[..., 0]
         active, without = share == 1, share == 0
-        error = (np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor))
-                 .max(2))
-        assert active.sum() > 1000 and error[active].max() < 1e-3
+        error = differences(found, wanted, whole)
+        assert active.sum() > 1000 and error[active].max() < LARGEST_DIFFERENCE
         np.testing.assert_array_equal(found[without], resampled(part, Role.COLOUR, scale)[without])
     assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
 
@@ -286,8 +294,7 @@ def test_masked_frames_of_the_render_size(
     whole = chain(device, scale=1, model="m.fp32")
     for frame, one in zip(frames, found, strict=True):
         wanted = whole(frame)[Role.COLOUR]
-        assert (np.abs(seen(one, whole.exposure_factor) - seen(wanted, whole.exposure_factor))
-                .max() < 1e-3)
+        assert differences(one, wanted, whole).max() < LARGEST_DIFFERENCE
         np.testing.assert_array_equal(one[mask == 0], frame[Role.COLOUR][mask == 0])
     assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
     assert not any("strength is 0 there" in item.why for item in whole.explain().skips)
@@ -330,12 +337,10 @@ def test_what_becomes_active_is_denoised_as_in_a_first_frame(device: Device,
     moved = chain(device, model="m.fp32")
     moved(masked(room[0], first))
     found = moved(masked(room[1], second))[Role.COLOUR]
-    alone = chain(device, model="m.fp32")
-    wanted = alone(replace(masked(room[1], second), reset=True))[Role.COLOUR]
     fixed = Pipeline([DenoiseUpscale(scale=2, model="m.fp32")], device, exposure=moved.exposure)
     wanted = fixed(replace(masked(room[1], second), reset=True))[Role.COLOUR]
-    error = np.abs(seen(found, moved.exposure_factor) - seen(wanted, moved.exposure_factor)).max(2)
-    assert error[full(second)].max() < 1e-3
+    error = differences(found, wanted, moved)
+    assert error[full(second)].max() < LARGEST_DIFFERENCE
 
 
 def test_later_frames_need_no_history_far_from_what_is_denoised(device: Device,
@@ -343,12 +348,7 @@ def test_later_frames_need_no_history_far_from_what_is_denoised(device: Device,
     """In float32: of integers that turn over, later frames differ by more than windows do."""
     mask = boxes(np.s_[:40, :])
     whole, tiled = chain(device, model="s.fp32"), chain(device, model="s.fp32")
-    for frame in room:
-        wanted = whole(frame)[Role.COLOUR]
-        found = tiled(masked(frame, mask))[Role.COLOUR]
-        error = (np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor))
-                 .max(2))
-        assert error[full(mask)].max() < 1e-3
+    masked_pictures(room, mask, whole, tiled)
     count = next(array for name, array in tiled.history().items() if name.endswith("next_state"))
     assert count[:80, :, 3].all() and not count[100:, :, 3].any()
 
