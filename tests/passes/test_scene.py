@@ -123,6 +123,19 @@ def test_shading_is_what_the_network_computes(device: Device, room: list[Frame])
     assert -10 * np.log10(np.mean((codes[0] - codes[1]) ** 2)) > 25
 
 
+@pytest.mark.parametrize("kind", ["shading", "amplifier", "temporal"])
+def test_the_networks_of_the_room_make_no_light_that_is_not_there(
+    kind: str, device: Device, room: list[Frame]
+) -> None:
+    """In a frame with lamps, whose codes tell little of how bright they are."""
+    way = Pipeline([SceneShading(model=str(ROOM / f"{kind}.onnx"))], device, exposure=1.0)
+    (reference,) = postfx.read_sequence(str(ROOM / "reference.####.exr"), "2")
+    shaded, light = way(room[1])[Role.COLOUR], reference[Role.COLOUR]
+    assert light.max() > 50
+    assert shaded.max() < 1.2 * light.max()
+    assert shaded.mean() == pytest.approx(light.mean(), rel=0.15)
+
+
 def test_history_counts_until_it_is_dropped(device: Device, room: list[Frame]) -> None:
     kind = SceneShading(model=str(ROOM / "temporal.onnx"))
     way = Pipeline([kind], device, exposure=1.0)
