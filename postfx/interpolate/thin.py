@@ -35,7 +35,7 @@ thin ones may be why: 0.42 and more in six rendered sequences, up to 0.39 of dra
 MORE_SURELY = 4.0
 """How many times as large both misfits above must be then: up to 3.1 in those sequences, 6.1 and
 more of drawn wires."""
-MOST_CELLS = 250
+MOST_CELLS = 64
 """Of thin things that are compared."""
 AROUND_CELLS = 2
 """Cells around all that such a thing may pass, in which the picture by estimated motion counts."""
@@ -140,10 +140,12 @@ def _moving_thin(seen: Seen) -> np.ndarray:
     """Cells (rows, columns) of thin things, but for those that stand still by vectors and by depth:
     there light may change, which estimated motion follows."""
     was, now = (depth[..., 0] for depth in seen.depths)
-    is_same_depth = (was >= IN_FRONT * now) & (now >= IN_FRONT * was)
-    stands_still = np.abs(seen.motion).max(-1) <= LED_CELLS
-    moving: np.ndarray = _is_thin(now) & ~(is_same_depth & stands_still)
-    return moving
+    thin = _is_thin(now)
+    one, other = was[thin], now[thin]
+    is_same_depth = (one >= IN_FRONT * other) & (other >= IN_FRONT * one)
+    stands_still = np.abs(seen.motion[thin]).max(-1) <= LED_CELLS
+    thin[thin] = ~(is_same_depth & stands_still)
+    return thin
 
 
 def _is_thin(depth: np.ndarray) -> np.ndarray:
