@@ -25,6 +25,8 @@ LEAST_MISFIT = 1e-6
 """Misfit that is divided by, at least."""
 SIDE_CELLS = 3
 """Cells beside a thin thing where what is behind it is seen."""
+STRAIGHT, DIAGONAL = ((0, 1), (1, 0)), ((1, 1), (1, -1))
+"""Steps down and to the right to one of both sides, and across."""
 IN_FRONT = np.float32(0.9)
 """Depth of a thin thing, in that behind it, at most."""
 NEAREST = np.float32(1.05)
@@ -149,11 +151,18 @@ def _moving_thin(seen: Seen) -> np.ndarray:
 
 
 def _is_thin(depth: np.ndarray) -> np.ndarray:
-    """Cells (rows, columns) in front of what is on both sides of them."""
+    """Cells (rows, columns) in front of what is on both sides of them, and across of both sides or
+    of none: at a corner or an end, where a thing is thin, too, it goes on to one side alone."""
     behind, found = IN_FRONT * np.pad(depth, SIDE_CELLS, mode="edge"), np.zeros(depth.shape, bool)
     rows, columns = depth.shape
-    for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        sides = [behind[SIDE_CELLS * (1 + way * down):, SIDE_CELLS * (1 + way * across):]
-                 for way in (1, -1)]
-        found |= np.logical_and(*(depth < side[:rows, :columns] for side in sides))
+
+    def is_before(down: int, across: int) -> np.ndarray:
+        side = behind[SIDE_CELLS * (1 + down):, SIDE_CELLS * (1 + across):]
+        before: np.ndarray = depth < side[:rows, :columns]
+        return before
+
+    for ways in STRAIGHT, DIAGONAL:
+        one, other = ((is_before(*way), is_before(-way[0], -way[1])) for way in ways)
+        found |= one[0] & one[1] & (other[0] == other[1])
+        found |= other[0] & other[1] & (one[0] == one[1])
     return found
