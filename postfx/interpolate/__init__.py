@@ -53,7 +53,7 @@ from postfx.interpolate.parts import (
     follow_picture,
     light_parts,
 )
-from postfx.interpolate.thin import MOST_APART_SHARE, where_flow_is_right
+from postfx.interpolate.thin import Seen, where_flow_is_right
 from postfx.interpolate.timing import (
     Sparks,
     camera_between,
@@ -662,11 +662,14 @@ class Between:
         """How much the picture by estimated motion counts in place of that by vectors (h, w, 1),
         where these lead a thin thing nowhere right; None where they do not."""
         ways = self._ways
-        if (ways is None or not ways.vectors_fit or ways.apart > MOST_APART_SHARE
-                or not self._both_have(Role.DEPTH)):
+        if ways is None or not (ways.vectors_fit and self._both_have(Role.DEPTH)):
             return None
-        estimated = self._enlarge(self._estimated[0]), self._estimated_back
-        found = where_flow_is_right(self._small, self._cells_of(self.after), estimated)
+        motion, depth = self._cells_of(self.after)
+        depths = self._cells_of(self.before)[1], depth
+        seen = Seen(self._lit(0.5), float(self._level), self.after[Role.DEPTH], motion, depths,
+                    self._scale)
+        found = where_flow_is_right(seen, self._enlarge(self._estimated[0]), self._estimated_back,
+                                    ways.apart)
         if found is None:
             return None
         rows, columns = (np.minimum(np.arange(side) // self._scale, count - 1)

@@ -4,29 +4,41 @@ for none, or its wall's vectors."""
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from postfx.interpolate.ways import LED_CELLS, tone_light
 from postfx.sampling import bilinear, is_inside, local_mean
 
-COMPARED_CELLS = 1
-"""Around a cell whose misfit is measured."""
-LEAST_WRONG_MISFIT = np.float32(0.05)
-"""Misfit of wrong vectors, in toned light, at least."""
-FAR_OFF = np.float32(2)
-"""The same, in that of estimated motion."""
-LEADS_APART_CELLS = np.float32(0.5)
-"""Cells by which both differ."""
+COMPARED_PIXELS = 1
+"""Around a pixel of a thin thing that is compared: motion seldom finds such things to a pixel."""
+MOST_MISFIT = np.float32(0.3)
+"""Difference of toned light that counts at most."""
+SURELY_RIGHT = 0.95
+"""Misfit of vectors, in that of estimated motion, up to which they alone count."""
+SURELY_WRONG = 1.1
+"""The same, from which estimated motion alone counts: 1.01 and more of wrong ones of drawn wires.
+Right ones may have more, too, along a wire; estimated motion is as good there."""
+LEAST_MISFIT = 1e-6
+"""Misfit that is divided by, at least."""
 SIDE_CELLS = 3
 """Cells beside a thin thing where what is behind it is seen."""
+STRAIGHT, DIAGONAL = ((0, 1), (1, 0)), ((1, 1), (1, -1))
+"""Steps down and to the right to one of both sides, and across."""
 IN_FRONT = np.float32(0.9)
 """Depth of a thin thing, in that behind it, at most."""
+NEAREST = np.float32(1.05)
+"""Depth of pixels that are a thin thing's, in that of their cell, at most."""
 MOST_APART_SHARE = 0.3
-"""Share of the pixels at which vectors and estimated motion differ, up to which such things are
-looked for: 0.42 and more in six rendered sequences, up to 0.29 of drawn wires."""
-LEAST_WRONG_SHARE = 0.25
-"""Share of the thin things' cells that must have wrong vectors: up to 0.1 at the edge of a disc
-with right ones, 0.29 and more of wires with wrong ones."""
+"""Share of the pixels at which vectors and estimated motion differ, from which other things than
+thin ones may be why: 0.42 and more in six rendered sequences, up to 0.39 of drawn wires."""
+MORE_SURELY = 4.0
+"""How many times as large both misfits above must be then: up to 3.1 in those sequences, 6.1 and
+more of drawn wires."""
+MOST_CELLS = 64
+"""Of thin things that are compared."""
 AROUND_CELLS = 2
 """Cells around all that such a thing may pass, in which the picture by estimated motion counts."""
 MOST_REACH_CELLS = 12
@@ -35,53 +47,122 @@ LED_SHARE = 0.95
 """Share of its cells that go no farther."""
 
 
-def where_flow_is_right(small: tuple[np.ndarray, np.ndarray],
-                        vectors: tuple[np.ndarray, np.ndarray],
-                        estimated: tuple[np.ndarray, np.ndarray]) -> np.ndarray | None:
-    """How much the picture by estimated motion counts in place of that by vectors, (rows, columns)
-    in [0, 1]; None where it nowhere does.
+@dataclass(frozen=True)
+class Seen:
+    """Two frames in which thin things are looked for.
 
-    Args:
-        small: grey pictures (rows, columns) of the earlier and the later frame, toned.
-        vectors: of the later one, the motion (rows, columns, 2) to the earlier one in cells, NaN
-            where there is none, and the depth (rows, columns, 1).
-        estimated: motion of the earlier and of the later frame to the other one.
+    Attributes:
+        pictures: (h, w, 3) colours of the earlier and the later frame.
+        level: light that is toned to about the middle.
+        pixel_depth: (h, w, 1) of the later one.
+        motion: (rows, columns, 2) of cells of the later one to the earlier one, in cells, NaN
+            where there is none.
+        depths: (rows, columns, 1) of both frames' cells: of the pixel that is nearest.
+        scale: pixels of a cell.
     """
-    (before, after), (motion, depth), (ahead, back) = small, vectors, estimated
-    thin = _is_thin(depth[..., 0])
+
+    pictures: tuple[np.ndarray, np.ndarray]
+    level: float
+    pixel_depth: np.ndarray
+    motion: np.ndarray
+    depths: tuple[np.ndarray, np.ndarray]
+    scale: int
+
+
+def where_flow_is_right(seen: Seen, ahead: np.ndarray, back: np.ndarray,
+                        apart: float) -> np.ndarray | None:
+    """How much the picture by estimated motion counts in place of that by vectors, (rows, columns)
+    in [0, 1]; None where it nowhere does, or there is nothing thin.
+
+    ahead, back: estimated motion (rows, columns, 2) of the earlier and of the later frame to the
+    other one, in cells. apart: share of the pixels at which vectors and `back` differ.
+    """
+    thin = _moving_thin(seen)
     if not thin.any():
         return None
-    y, x = np.mgrid[:after.shape[0], :after.shape[1]].astype(np.float32)
-    along = _misfit(before, after, x + motion[..., 0], y + motion[..., 1])
-    flowing = _misfit(before, after, x + back[..., 0], y + back[..., 1])
-    apart = np.abs(motion - back).max(-1) > LEADS_APART_CELLS
-    found = (thin & (along > LEAST_WRONG_MISFIT) & (along > FAR_OFF * flowing) & apart
-             & is_inside(before, x + back[..., 0], y + back[..., 1]))
-    if not found.any() or found.sum() < LEAST_WRONG_SHARE * thin.sum():
+    worse = _misfit_of_vectors(seen, back, thin) / (MORE_SURELY if apart > MOST_APART_SHARE else 1)
+    share = min(max((worse - SURELY_RIGHT) / (SURELY_WRONG - SURELY_RIGHT), 0.0), 1.0)
+    if not share:
         return None
-    led = np.abs(np.stack([motion[found], back[found]])).max(-1)
+    led = np.nan_to_num(np.abs(np.stack([seen.motion[thin], back[thin]]))).max(-1)
     reach = min(math.ceil(float(np.quantile(led, LED_SHARE))), MOST_REACH_CELLS) + AROUND_CELLS
-    was = _at(found.astype(np.float32), x + ahead[..., 0], y + ahead[..., 1]) > 0.5
-    near = (local_mean((found | was)[..., None], reach) > 0).astype(np.float32)
-    return local_mean(near, AROUND_CELLS)[..., 0]
+    y, x = np.mgrid[:thin.shape[0], :thin.shape[1]].astype(np.float32)
+    was = bilinear(thin.astype(np.float32), (x + ahead[..., 0]).ravel(),
+                   (y + ahead[..., 1]).ravel()).reshape(x.shape) > 0.5
+    near = (local_mean((thin | was)[..., None], reach) > 0).astype(np.float32)
+    return np.float32(share) * local_mean(near, AROUND_CELLS)[..., 0]
+
+
+def _misfit_of_vectors(seen: Seen, back: np.ndarray, thin: np.ndarray) -> float:
+    """How well thin things, whose cells are given, fit along vectors: their misfit in that of
+    estimated motion. 0 where nothing tells."""
+    y, x = _pixels_of(seen, thin)
+    cells = y // seen.scale, x // seen.scale
+    before, after = seen.pictures
+    places = [(x + seen.scale * way[cells][:, 0], y + seen.scale * way[cells][:, 1])
+              for way in (seen.motion, back)]
+    led = np.logical_and(*(is_inside(before, *place) for place in places))  # false for NaN
+    if not led.any():
+        return 0.0
+    shown = partial(_around, level=seen.level)
+    now = shown(after, x[led], y[led])
+    given, flowing = (float(np.minimum(np.abs(shown(before, across[led], down[led]) - now),
+                                       MOST_MISFIT).mean()) for across, down in places)
+    worse: float = given / max(flowing, LEAST_MISFIT)
+    return worse
+
+
+def _pixels_of(seen: Seen, thin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the pixels of thin things, which are nearer than others of their
+    cells."""
+    scale, (h, w) = seen.scale, seen.pixel_depth.shape[:2]
+    rows, columns = np.nonzero(thin)
+    step = 1 + len(rows) // MOST_CELLS
+    rows, columns = rows[::step], columns[::step]
+    down, across = (part.ravel()[:, None] for part in np.mgrid[:scale, :scale])
+    y, x = (scale * rows + down).ravel(), (scale * columns + across).ravel()
+    is_pixel = (y < h) & (x < w)
+    y, x = y[is_pixel], x[is_pixel]
+    nearest = seen.depths[1][y // scale, x // scale, 0]
+    is_thin = seen.pixel_depth[y, x, 0] <= NEAREST * nearest
+    return y[is_thin], x[is_thin]
+
+
+def _around(picture: np.ndarray, x: np.ndarray, y: np.ndarray, level: float) -> np.ndarray:
+    """Mean toned colours (count, 3) around places in a picture (h, w, 3)."""
+    steps = np.arange(-COMPARED_PIXELS, COMPARED_PIXELS + 1, dtype=np.float32)
+    down, across = (part.ravel()[:, None] for part in np.meshgrid(steps, steps))
+    shown = bilinear(picture, (x + across).ravel(), (y + down).ravel(),
+                     partial(tone_light, level=level))
+    mean: np.ndarray = shown.reshape(down.size, len(x), -1).mean(0)
+    return mean
+
+
+def _moving_thin(seen: Seen) -> np.ndarray:
+    """Cells (rows, columns) of thin things, but for those that stand still by vectors and by depth:
+    there light may change, which estimated motion follows."""
+    was, now = (depth[..., 0] for depth in seen.depths)
+    thin = _is_thin(now)
+    one, other = was[thin], now[thin]
+    is_same_depth = (one >= IN_FRONT * other) & (other >= IN_FRONT * one)
+    stands_still = np.abs(seen.motion[thin]).max(-1) <= LED_CELLS
+    thin[thin] = ~(is_same_depth & stands_still)
+    return thin
 
 
 def _is_thin(depth: np.ndarray) -> np.ndarray:
-    """Cells (rows, columns) in front of what is on both sides of them."""
+    """Cells (rows, columns) in front of what is on both sides of them, and across of both sides or
+    of none: at a corner or an end, where a thing is thin, too, it goes on to one side alone."""
     behind, found = IN_FRONT * np.pad(depth, SIDE_CELLS, mode="edge"), np.zeros(depth.shape, bool)
     rows, columns = depth.shape
-    for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        sides = [behind[SIDE_CELLS * (1 + way * down):, SIDE_CELLS * (1 + way * across):]
-                 for way in (1, -1)]
-        found |= np.logical_and(*(depth < side[:rows, :columns] for side in sides))
+
+    def is_before(down: int, across: int) -> np.ndarray:
+        side = behind[SIDE_CELLS * (1 + down):, SIDE_CELLS * (1 + across):]
+        before: np.ndarray = depth < side[:rows, :columns]
+        return before
+
+    for ways in STRAIGHT, DIAGONAL:
+        one, other = ((is_before(*way), is_before(-way[0], -way[1])) for way in ways)
+        found |= one[0] & one[1] & (other[0] == other[1])
+        found |= other[0] & other[1] & (one[0] == one[1])
     return found
-
-
-def _at(plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Values of a plane (rows, columns) at places; at its edge where these are not known."""
-    return bilinear(plane, np.nan_to_num(x).ravel(), np.nan_to_num(y).ravel()).reshape(x.shape)
-
-
-def _misfit(before: np.ndarray, after: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Mean difference around each cell to what places (rows, columns) of the earlier frame show."""
-    return local_mean(np.abs(_at(before, x, y) - after)[..., None], COMPARED_CELLS)[..., 0]

@@ -266,7 +266,7 @@ def _differences(row: Sequence[np.ndarray], places: Sequence[tuple[np.ndarray, n
     2) of the other shot there."""
     shown = []
     for number, (x, y) in enumerate(places):
-        toned = partial(_toned, level=level)
+        toned = partial(tone_light, level=level)
         if led is None:
             shown.append(bilinear(row[number], x, y, toned))
             continue
@@ -313,7 +313,7 @@ def _spread(one: np.ndarray, other: np.ndarray) -> float:
     return float(left.sum() ** 2 / max(left.size * np.square(left).sum(), LEAST_UNEVEN**2))
 
 
-def _toned(light: np.ndarray, level: float) -> np.ndarray:
+def tone_light(light: np.ndarray, level: float) -> np.ndarray:
     """Light of the range 0 to 1, in which differences are about as visible in the dark as in the
     light."""
     positive = np.maximum(light, 0)
