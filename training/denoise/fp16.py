@@ -236,7 +236,9 @@ def make_fp16(name: str, folder: Path) -> dict[str, Any]:
                  "outputs": _listed(model.graph.output, align) | alike}
     for other in ("quality", "recipe"):  # measured in float32; of the float32 network
         card.pop(other, None)
-    write_card(path, card | known_recipe(path.with_suffix(".json")))
+    step = {"run": f"training.denoise.fp16 {name} --models {{models}}"}
+    usual = {"recipe": {"base": name, "steps": [step]}}
+    write_card(path, card | (known_recipe(path.with_suffix(".json")) or usual))
     return card
 
 

@@ -23,7 +23,8 @@ largest uniform render tells. Tiles where it is more than a third of the error d
 predictions, nor do those that are right within 60 dB.
 
 PYTHON is an interpreter with the module bpy. Cycles' scenes are those of
-training/measure/validation, Mitsuba's are mitsuba_NAME.py there.
+training/measure/validation, Mitsuba's are mitsuba_NAME.py there, or files of others: NAME.xml, whose
+film should be as small.
 """
 
 from __future__ import annotations
@@ -337,9 +338,9 @@ def scenes(given: argparse.Namespace) -> list[Scene]:
         call([*script, "--out", str(found[-1].folder), "adaptive", "--scene", str(blend),
               "--thresholds", given.thresholds])
     for name in filter(None, given.mitsuba.split(",")):
-        render = [sys.executable, str(ROOT / "hosts/loop/render_mitsuba.py"),
-                  str(SCENES / f"mitsuba_{name}.py")]
-        found.append(Scene(given.work / f"mitsuba_{name}", render, 1))
+        file = Path(name) if name.endswith(".xml") else SCENES / f"mitsuba_{name}.py"
+        render = [sys.executable, str(ROOT / "hosts/loop/render_mitsuba.py"), str(file)]
+        found.append(Scene(given.work / file.stem, render, 1))
         found[-1].make(given.reference)
     return found
 
@@ -349,7 +350,7 @@ def main() -> None:
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path, help="folder of the renders")
     parser.add_argument("--cycles", default="", help="kinds of scenes")
-    parser.add_argument("--mitsuba", default="", help="names of scenes")
+    parser.add_argument("--mitsuba", default="", help="names of scenes, or XML files")
     parser.add_argument("--blender", default=sys.executable, help="Python with the module bpy")
     parser.add_argument("--size", default="160x96",
                         help="of Cycles' pictures (default: %(default)s)")
