@@ -354,7 +354,7 @@ class Backwards:
 
 
 def _check_is_sequence(given: object, name: str) -> None:
-    """SequenceError where a class of this name is given something else."""
-    if not isinstance(given, Sequence):
+    """SequenceError where a class of this name is given what has no frames by their numbers."""
+    if not (hasattr(given, "numbers") and hasattr(given, "read")):
         raise SequenceError(f"{name} takes a postfx.Sequence, not {type(given).__name__}: give "
                             "read_sequence('shot/noisy.####.exr')")
