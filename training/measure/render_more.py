@@ -23,8 +23,8 @@ largest uniform render tells. Tiles where it is more than a third of the error d
 predictions, nor do those that are right within 60 dB.
 
 PYTHON is an interpreter with the module bpy. Cycles' scenes are those of
-training/measure/validation, Mitsuba's are mitsuba_NAME.py there, or files of others: NAME.xml, whose
-film should be as small.
+training/measure/validation, Mitsuba's are mitsuba_NAME.py there, or files of others: NAME.xml,
+whose film should be as small.
 """
 
 from __future__ import annotations
