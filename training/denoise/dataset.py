@@ -36,6 +36,8 @@ CHANNELS = sum(channels for _, channels in PLANES)
 # them, and alone.
 SOME_SAMPLES = 32
 MANY_SAMPLES = 256
+QUIET_RATIO = 16
+"""Samples of a reference over those of a render whose error shows next to none of its noise."""
 MOST_TRIES = 5
 """How often the reading of a clip is tried. NumPy parses the headers of arrays as Python code. The
 parser of Python 3.11 is not quite safe in threads: now and then it raises SystemError for code that
@@ -84,6 +86,7 @@ class Batch:
     ``keep`` (T, N, 1, 1, 1) is 0 where the history ends. Lists of T motions (N, 2, h, w):
     ``inverse`` leads to the next frame, for clips that also run backwards; ``static`` is the motion
     if only the camera moved; ``true_motion`` is set if the motion of the frames may be false.
+    ``quiet`` (N, 1, 1, 1) is true for entries whose reference has much less noise than the frames.
     ``surfaces`` are T inputs with the true albedos and normals, NaN in entries where they are
     unknown. ``state`` is the history that the first frame continues; None: there is none.
     """
@@ -91,6 +94,7 @@ class Batch:
     frames: list[Inputs]
     references: Tensor
     keep: Tensor
+    quiet: Tensor | None = None
     inverse: list[Tensor] | None = None
     static: list[Tensor] | None = None
     true_motion: list[Tensor] | None = None
@@ -121,6 +125,7 @@ class Stack:
     surfaces: Tensor
     guides: Tensor | None
     exposure: Tensor
+    quiet: Tensor
     pairs: tuple[str, ...] = ()
 
 
@@ -424,6 +429,7 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
         surfaces=true,
         guides=torch.stack(guides).float() if guides else None,
         exposure=exposure[:, None, None, None],
+        quiet=torch.tensor([has_quiet_target(c, v) for c, v, _ in chosen], device=device),
         pairs=clips[0].pairs,
     )
 
@@ -434,6 +440,17 @@ def target(clip: Clip, variant: int) -> Tensor:
         return clip.reference
     assert clip.half is not None, "a clip with halved renders has the other half"
     return clip.half
+
+
+def has_quiet_target(clip: Clip, variant: int) -> bool:
+    """Whether the reference of a noisy render has many times its samples. References without halves
+    count as free of noise."""
+    if not any(clip.halved):
+        return True
+    if clip.halved[variant]:
+        return False
+    reference = 2 * clip.samples[clip.halved.index(True)]
+    return reference >= QUIET_RATIO * clip.samples[variant]
 
 
 def true_planes(clip: Clip, variant: int) -> int | None:
@@ -473,7 +490,7 @@ def to_batch(stack: Stack) -> Batch:
                 for true, jitter in zip(stack.surfaces.unbind(1), stack.jitter.unbind(1),
                                         strict=True)]
     return Batch(frames, references, stack.keep.T[..., None, None, None],
-                 inverse=pairs.get("inverse"), static=pairs.get("static"), surfaces=surfaces)
+                 quiet=stack.quiet[:, None, None, None], inverse=pairs.get("inverse"), static=pairs.get("static"), surfaces=surfaces)
 
 
 def frame_inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None,
