@@ -490,7 +490,8 @@ def to_batch(stack: Stack) -> Batch:
                 for true, jitter in zip(stack.surfaces.unbind(1), stack.jitter.unbind(1),
                                         strict=True)]
     return Batch(frames, references, stack.keep.T[..., None, None, None],
-                 quiet=stack.quiet[:, None, None, None], inverse=pairs.get("inverse"), static=pairs.get("static"), surfaces=surfaces)
+                 quiet=stack.quiet[:, None, None, None], inverse=pairs.get("inverse"),
+                 static=pairs.get("static"), surfaces=surfaces)
 
 
 def frame_inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None,

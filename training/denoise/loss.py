@@ -292,7 +292,8 @@ class Truth:
         if errors[0] is None:
             return 0.0
         if self.is_noisy:  # the noise of a reference is no error of the picture
-            errors = [torch.where(self.quiet, error, error.detach()) for error in errors]
+            errors = [torch.where(self.quiet, error, error.detach())  # type: ignore[union-attr]
+                      for error in errors]
         found = [error_loss(error, display(output.detach()), shown)
                  for error, output, shown in zip(errors, outputs, self.shown, strict=True)]
         return ERROR * sum(found) / len(found)
@@ -320,8 +321,8 @@ class ClipLoss(nn.Module):
     have the same); ``light`` are weight and knee of the error of light, ``reflectance`` is the
     weight of the error of the trusted reflectance, ``guides`` that of the error of albedo and
     normal that the network has cleaned; ``is_noisy`` compares with references that hold noise of
-    their own. A batch with inverse motion also runs backwards: each direction has a loss, and so has their blend. A batch
-    with a state continues its history.
+    their own. A batch with inverse motion also runs backwards: each direction has a loss, and so
+    has their blend. A batch with a state continues its history.
     """
 
     def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0,
