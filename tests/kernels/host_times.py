@@ -46,7 +46,7 @@ from postfx.compiled import library
 from postfx.io import pixel_formats
 from postfx.kernels.denoise.alpha import near_cells
 from postfx.passes.denoise.planes import shows_volume
-from postfx.passes.denoise.tiling import active_cells
+from postfx.passes.denoise.activity import active_cells
 from postfx.repair import repair_nonfinite
 from postfx.runtime.memory import HostMemory
 call, level = sys.argv[1:]

@@ -17,8 +17,10 @@ from postfx.caching import LRUCache
 from postfx.errors import DeviceError, FrameError, PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.passes import MOST_SIZES, Pass, Reflection, ResidentFrame
+from postfx.passes.denoise.activity import active_cells, grown, whole_tiles
 from postfx.passes.denoise.first_stage import DENOISED_SHARE
 from postfx.passes.denoise.frame import Ready, ReadyNetwork, Wishes
+from postfx.passes.denoise.geometry import CELL, Band, Size, Sizes
 from postfx.passes.denoise.history import FILTERED_PICTURE, History, PartHistory
 from postfx.passes.denoise.models import (
     CLASSIC,
@@ -44,13 +46,7 @@ from postfx.passes.denoise.models import (
     unscaled_remarks,
     validate_tag,
 )
-from postfx.passes.denoise.options import (
-    Size,
-    output_size,
-    parse_reactive,
-    validate_scale,
-    validate_size,
-)
+from postfx.passes.denoise.options import output_size, parse_reactive, validate_scale, validate_size
 from postfx.passes.denoise.parts import Layers, checked_parts
 from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES, passthrough_roles
 from postfx.passes.denoise.primaries import widen_history
@@ -65,7 +61,6 @@ from postfx.passes.denoise.savings import (
     Reason,
     Savings,
 )
-from postfx.passes.denoise.tiling import CELL, Band, Sizes, active_cells, grown, whole_tiles
 from postfx.passes.denoise.unfiltered import SPREAD_MARGIN_PX
 from postfx.passes.denoise.window import Work
 from postfx.pixel_filter import find_stddev, parse_stddev
@@ -302,7 +297,7 @@ class DenoiseUpscale(Pass):
                 name_models(device, (find(tag, ending, device) for tag in tags
                                      for ending in endings for find in (model_of, mixture_model)))
             reactive = self._mask.role(spec) is not None
-            sizes = Sizes(spec.height, spec.width, *size)
+            sizes = Sizes(Size(spec.height, spec.width), size)
             self._history = History(device, sizes, reactive)
             beside = (FILTERED_PICTURE,) if self._filter_model(spec, models) else ()
             alone = (*self._parts_with_own_filters, *beside)
@@ -555,11 +550,11 @@ class DenoiseUpscale(Pass):
         """
         if cells is None:
             assert lit is not None, "one of them is given"
-            band = ready.frames.layout(lit)
+            band = ready.networks.layout(lit)
             # cells without light are written, too
             return band and band.over(frame.spec.height), None
         judged = ready.may_restore(frame)
-        band = ready.frames.layout(cells, judged)
+        band = ready.networks.layout(cells, judged)
         return band, whole_tiles(cells) if judged else cells
 
     def _choose(self, frame: ResidentFrame, ready: ReadyNetwork) -> str:

@@ -11,9 +11,9 @@ from postfx.frame import FrameSpec, Role
 from postfx.kernels.denoise import NEAR_CELL
 from postfx.kernels.denoise.alpha import near_cells
 from postfx.passes import ResidentFrame
+from postfx.passes.denoise.geometry import Size
 from postfx.passes.denoise.graph import CORRECTED, GATHERED, kernels_of, run_steps
 from postfx.passes.denoise.history import LayerHistory
-from postfx.passes.denoise.options import Size
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 FEW_SAMPLES = 4

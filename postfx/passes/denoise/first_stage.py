@@ -11,8 +11,9 @@ import numpy as np
 
 from postfx.frame import FrameSpec, Role
 from postfx.passes import Pass, ResidentFrame
+from postfx.passes.denoise.activity import grown
+from postfx.passes.denoise.geometry import CELL
 from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES
-from postfx.passes.denoise.tiling import CELL, grown
 from postfx.passes.denoise.window import Work
 from postfx.runtime import CommandBuffer, Device, Tensor
 

@@ -12,9 +12,11 @@ import numpy as np
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.statistics import OUTSIDE, light_outside, lit_cells
 from postfx.passes import Pass, ResidentFrame
-from postfx.passes.denoise.assembly import Frames
-from postfx.passes.denoise.filtered_picture import FilteredPicture, encode_own, own_frames
+from postfx.passes.denoise.activity import grown
+from postfx.passes.denoise.assembly import FrameNetworks
+from postfx.passes.denoise.filtered_picture import FilteredPicture, encode_own, own_networks
 from postfx.passes.denoise.first_stage import FirstStage
+from postfx.passes.denoise.geometry import CELL, Size, Sizes
 from postfx.passes.denoise.history import History, PartHistory
 from postfx.passes.denoise.models import (
     CLASSIC,
@@ -25,7 +27,7 @@ from postfx.passes.denoise.models import (
     reach_of,
     reads_mirrored,
 )
-from postfx.passes.denoise.options import ReactiveOption, Size
+from postfx.passes.denoise.options import ReactiveOption
 from postfx.passes.denoise.output import (
     FULL_EVIDENCE_SAMPLES,
     NO_DETAIL_SAMPLES,
@@ -44,7 +46,6 @@ from postfx.passes.denoise.planes import (
 from postfx.passes.denoise.primaries import WiderPrimaries
 from postfx.passes.denoise.reflections import Reflections, can_follow
 from postfx.passes.denoise.savings import FULL_STRENGTH, HAZY_DEPTH, Reason
-from postfx.passes.denoise.tiling import CELL, Sizes, grown
 from postfx.passes.denoise.unfiltered import Unfiltered
 from postfx.passes.denoise.window import THE_PICTURE, Work
 from postfx.planes import sampled
@@ -128,7 +129,7 @@ class ReadyNetwork(Ready):
             that fit the noisy picture; None where nothing does.
         first: denoises frames before they are enlarged; None where nothing does.
         alone_tag: the network that enlarges the frames which that leaves out.
-        frames: runs the models.
+        networks: what runs the models on frames of this size.
         reflections: None if frames lack the planes for it.
         restore: at render size only, else None.
         strength: None where all of the picture is fully denoised.
@@ -144,8 +145,8 @@ class ReadyNetwork(Ready):
         layers = (Layers(device, spec, output, parts, alpha, part_history) if parts or alpha
                   else None)
         super().__init__(device, spec, output, layers)
-        names, sizes = models.values(), Sizes(spec.height, spec.width, *output,
-                                              grid_of(models.values()))
+        names = models.values()
+        sizes = Sizes(Size(spec.height, spec.width), output, grid_of(names))
         self.models = models
         self.pictures = {model for model in names if gives_picture(model)}
         self._blanking = {model for model in names if blanks_volumes(model)}
@@ -153,12 +154,13 @@ class ReadyNetwork(Ready):
         reactive = wishes.mask.role(spec) is not None
         self._mask = Reactive(device, spec, wishes.mask) if reactive else None
         self.reflections = Reflections(device, spec) if can_follow(spec) else None
-        self.frames = Frames(device, sizes, list(names), history, guided, reactive,
-                             layers is not None, wishes.spared)
+        self.networks = FrameNetworks(device, sizes, list(names), history, guided=guided,
+                                      reactive=reactive, layered=layers is not None,
+                                      spared_px=wishes.spared)
         self.filtered = (FilteredPicture(device, sizes, wishes.filter_model, reactive, parts,
                                          layers, part_history)
                          if layers and wishes.filter_model else None)
-        self._own = own_frames(self.frames, part_history)
+        self._own = own_networks(self.networks, part_history)
         self.restore = Restore(device, output) if output == (spec.height, spec.width) else None
         full = wishes.strength == 1 and not spec.has(Role.STRENGTH)
         self.strength = (None if full
@@ -211,13 +213,13 @@ class ReadyNetwork(Ready):
             self.layers.skip()
         restore = self.restore if self.may_restore(frame) else None
         finishes = filtered or restore or self.strength or given
-        rows = self.frames.rows(work.band, work.cells) if finishes else (0, 0)
+        rows = self.networks.rows(work.band, work.cells) if finishes else (0, 0)
         picture = targets.setdefault(THE_PICTURE, {})
         if self.strength and not (filtered or self.restore or given):
             picture |= self.strength.begin(frame, rows)
         if self.error:
             picture |= self.error.written
-        denoised = self.frames.encode(commands, planes, work, layers, targets)
+        denoised = self.networks.encode(commands, planes, work, layers, targets)
         if filtered and filters:
             encode_own(commands, self._own, filtered.own_runs(frame, planes, work), work)
 

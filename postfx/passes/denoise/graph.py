@@ -138,7 +138,7 @@ from postfx.kernels.denoise.upsample import (
 )
 from postfx.kernels.image import ENLARGE_OVERLAY, RESAMPLE
 from postfx.kernels.partner import ENLARGE_MOTION
-from postfx.passes.denoise.tiling import PYRAMID_LEVELS
+from postfx.passes.denoise.geometry import PYRAMID_LEVELS
 from postfx.runtime import CommandBuffer, PipelineState, Tensor
 from postfx.runtime.states import parse
 

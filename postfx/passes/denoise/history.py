@@ -15,10 +15,9 @@ from postfx.frame import Part
 from postfx.kernels.denoise import HIDDEN
 from postfx.kernels.image import positions
 from postfx.passes import MOST_SIZES
+from postfx.passes.denoise.geometry import Rows, Shape, Size, Sizes
 from postfx.passes.denoise.graph import RESIZED, Each, run_steps
 from postfx.passes.denoise.kinds import KINDS
-from postfx.passes.denoise.options import Size
-from postfx.passes.denoise.tiling import Rows, Shape, Sizes
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth",
@@ -74,8 +73,8 @@ class History:
 
     def __init__(self, device: Device, sizes: Sizes, reactive: bool) -> None:
         self._device = device
-        self._size = (sizes.h, sizes.w)
-        self._output = (sizes.height, sizes.width)
+        self._size: Shape = sizes.render
+        self._output = sizes.output
         self._channels = STATE_CHANNELS | ({"last_reactive": 1} if reactive else {})
         self._outputs = [self._make_output()]
         self._rooms = self._make_rooms()

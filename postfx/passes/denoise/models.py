@@ -12,7 +12,7 @@ from typing import Any
 from postfx.compiled.library import has_byte_products
 from postfx.errors import ModelError, PassOptionError
 from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY
-from postfx.passes.denoise.tiling import PYRAMID_LEVELS
+from postfx.passes.denoise.geometry import PYRAMID_LEVELS
 from postfx.runtime import Device, Library, PipelineState
 from postfx.runtime.convolutions import Head
 from postfx.runtime.models import check_card_beside

@@ -12,10 +12,10 @@ from postfx.frame import ALBEDOS, FrameSpec, Role
 from postfx.kernels.denoise.output import SUMS, TILE
 from postfx.kernels.image import positions
 from postfx.passes import ResidentFrame
+from postfx.passes.denoise.activity import full_rows, tiles_with
+from postfx.passes.denoise.geometry import Rows, Size, rows_of
 from postfx.passes.denoise.graph import BLENDED, NO_WORDS, RESTORED, Each, kernels_of, run_steps
-from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.planes import Resampler
-from postfx.passes.denoise.tiling import Rows, full_rows, rows_of, tiles_with
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 NO_DETAIL_SAMPLES = 16

@@ -13,6 +13,7 @@ from postfx.frame import ALBEDOS, FrameSpec, Part, Role
 from postfx.kernels.denoise import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.alpha import Alpha
+from postfx.passes.denoise.geometry import Rows, Size
 from postfx.passes.denoise.graph import BALANCED, DECODED, run_steps
 from postfx.passes.denoise.history import (
     ALPHA_LAYER,
@@ -26,10 +27,8 @@ from postfx.passes.denoise.history import (
     some_of,
 )
 from postfx.passes.denoise.kinds import KINDS, LIGHT_KIND, Kind
-from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.output import Restore, Strength
 from postfx.passes.denoise.planes import ABSENT, Resampler, absent_plane
-from postfx.passes.denoise.tiling import Rows
 from postfx.passes.denoise.window import THE_PICTURE, Layer, Work
 from postfx.passes.signed_light import SignedLight, below, lies_below
 from postfx.planes import LARGEST_FLOAT

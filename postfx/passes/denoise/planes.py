@@ -10,6 +10,7 @@ from postfx.kernels.denoise import FARTHEST
 from postfx.kernels.image import positions
 from postfx.kernels.statistics import coverage_noise
 from postfx.passes import ResidentFrame
+from postfx.passes.denoise.geometry import Size
 from postfx.passes.denoise.graph import (
     BLENDED,
     MASKED,
@@ -20,7 +21,7 @@ from postfx.passes.denoise.graph import (
     kernels_of,
     run_steps,
 )
-from postfx.passes.denoise.options import ReactiveOption, Size
+from postfx.passes.denoise.options import ReactiveOption
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 # Values of planes that a frame lacks at both sizes; networks are trained with the same values.

@@ -10,8 +10,7 @@ import numpy as np
 from postfx.compiled.calls import whole
 from postfx.frame import FrameSpec, Role
 from postfx.passes import ResidentFrame
-from postfx.passes.denoise.options import Size
-from postfx.passes.denoise.tiling import Rows, rows_of
+from postfx.passes.denoise.geometry import Rows, Size, rows_of
 from postfx.pixel_filter import FILTERED_ROLES, NORMALS, PixelFilter
 from postfx.runtime import CommandBuffer, Device, Tensor
 

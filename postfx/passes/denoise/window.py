@@ -19,6 +19,7 @@ from postfx.kernels.denoise.classic import STEPS
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.network_io import SOME
 from postfx.kernels.denoise.prepare import means_size
+from postfx.passes.denoise.geometry import PYRAMID_LEVELS, Band, Rows, Window, rows_of
 from postfx.passes.denoise.graph import (
     ALPHA,
     BEFORE_ENLARGING,
@@ -53,7 +54,6 @@ from postfx.passes.denoise.network import (
     seen_by,
     upload,
 )
-from postfx.passes.denoise.tiling import PYRAMID_LEVELS, Band, Rows, Window, rows_of
 from postfx.runtime import CommandBuffer, Device, PipelineState, Tensor
 
 # Words for what ends a window.
@@ -320,8 +320,7 @@ class WindowGraph:
                         "planes": planes}
 
     def _end_of(self, state: PipelineState, doubts: bool) -> str:
-        frame = self._window.frame
-        unscaled = (frame.h, frame.w) == (frame.height, frame.width)
+        unscaled = self._window.frame.render == self._window.frame.output
         if PICTURE in heads_of(state):
             return GIVEN
         if self._guided:
