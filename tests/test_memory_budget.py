@@ -144,7 +144,7 @@ def test_frames_in_tiles_have_no_seams(model: str) -> None:
         frame = noisy(number, 300, 330)
         wanted, found = whole(frame)[Role.COLOUR], tiled(frame)[Role.COLOUR]
         assert np.abs(found - wanted).max() < 1e-3
-    bands = tiled.passes[0]._ready.frames._bands
+    bands = tiled.passes[0]._ready.networks._bands
     assert len(bands) * len(bands[0].tiles) > 1
 
 

@@ -7,7 +7,7 @@ import os
 import warnings
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Never
 
@@ -18,39 +18,36 @@ from postfx.errors import DeviceError, FrameError, PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.passes import MOST_SIZES, Pass, Reflection, ResidentFrame
 from postfx.passes.denoise.activity import active_cells, grown, whole_tiles
+from postfx.passes.denoise.choice import NetworkChoice
 from postfx.passes.denoise.first_stage import DENOISED_SHARE
 from postfx.passes.denoise.frame import Ready, ReadyNetwork, Wishes
 from postfx.passes.denoise.geometry import CELL, Band, Size, Sizes
 from postfx.passes.denoise.history import FILTERED_PICTURE, History, PartHistory
+from postfx.passes.denoise.ladder import TWO_STAGES_COST, Ladder, cost, family
 from postfx.passes.denoise.models import (
     CLASSIC,
     GUIDED,
-    TWO_STAGES_COST,
     UNSCALED,
-    Ladder,
-    cost,
-    denoises_first,
-    enlarging_remarks,
-    family,
-    filter_model,
-    gives_picture,
     halo_of,
-    has_model,
     mixture_model,
     model_of,
     name_models,
-    predicts_error,
-    reads_mirrored,
+    network_name,
     runs_classic,
-    short_tag,
-    unscaled_remarks,
     validate_tag,
 )
-from postfx.passes.denoise.options import output_size, parse_reactive, validate_scale, validate_size
+from postfx.passes.denoise.options import parse_reactive, validate_scale, validate_size
 from postfx.passes.denoise.parts import Layers, checked_parts
 from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES, passthrough_roles
 from postfx.passes.denoise.primaries import widen_history
 from postfx.passes.denoise.reflections import Cameras, can_follow
+from postfx.passes.denoise.remarks import (
+    note_filters,
+    note_network,
+    remark_on_guides,
+    remark_on_networks,
+    remark_on_planes,
+)
 from postfx.passes.denoise.savings import (
     JITTERED,
     NO_HISTORY,
@@ -70,16 +67,10 @@ from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 READ_PLANES = tuple(ABSENT)
 NO_NETWORKS = ("the package onnxruntime is missing, so the classical filter stands in for the "
                "network, and more noise stays: install it, or accept that by the model classic")
-NO_HISTORY_REMARK = "no motion vectors, so every frame is denoised alone and may flicker"
-"""A remark, before what helps."""
-SHARPENING = Role.DIFFUSE_ALBEDO, Role.NORMAL, Role.DEPTH
-"""Planes without which results are 0.2 dB worse or more; the others are worth less than a line."""
 PART_FILTERS = "picture", "own"
 """Values of the option `part_filters`: whose filters parts get."""
 NETWORK_PREFIX = "network "
 """In a history, the name of the network's entry ends in the network's tag."""
-LARGEST_TAG = "xl"
-"""Tag of the largest network that comes with postfx."""
 FIRST_STAGE = "first stage "
 """In a history, names of what denoises frames before they are enlarged begin so."""
 WIDER = "wider primaries"
@@ -88,15 +79,6 @@ FOUND_STDDEV = "pixel filter"
 """In a history, the standard deviation in pixels of the filter that a shot's first frame told."""
 REPEATS = "repeats "
 """In a history, names of what noise that repeats is found by begin so."""
-
-
-@lru_cache  # a run asks with every frame
-def network_name(tag: str, model: str) -> str:
-    """The users' name for the network that runs for their short tag: the tag, with its size
-    replaced where a model of another size stands in."""
-    asked, dot, precision = tag.partition(".")
-    size = short_tag(model).partition(".")[0]
-    return tag if size == asked else f"{size}{dot}{precision}"
 
 
 class DenoiseUpscale(Pass):
@@ -193,8 +175,9 @@ class DenoiseUpscale(Pass):
         if part_filters not in PART_FILTERS:
             raise PassOptionError(f"pass '{self.name}' has no part filters '{part_filters}': give "
                                   f"{' or '.join(PART_FILTERS)}")
-        self._parts_with_own_filters = [part.name
-                     for part in self._parts if part.is_light and part_filters == PART_FILTERS[1]]
+        self._parts_with_own_filters = [
+            part.name for part in self._parts
+            if part.is_light and part_filters == PART_FILTERS[1]]
         self._last_tag: str | None = None  # of the network that ran last
         self._cameras, self._repeats = Cameras(), RepeatDetector()
         self._last_inputs = FrameMemory()
@@ -208,21 +191,25 @@ class DenoiseUpscale(Pass):
             warnings.warn(NO_NETWORKS, RuntimeWarning, stacklevel=2)
         if self._tag == CLASSIC and self._parts:
             raise PassOptionError("model 'classic' filters no parts: give a network, or no parts")
+        self._networks = NetworkChoice(
+            self._tag, self.scale, self.size, self.strength, has_budget=self.budget is not None,
+            has_parts=bool(self._parts), filters_alpha=self._alpha, adds_error=self._error)
 
     def _falls_back(self, tag: str) -> bool:
         """Whether the classical filter stands in for a network, because nothing runs networks
         here."""
         return not has_networks() and "/" not in tag and CLASSIC in family(tag) and not self._parts
 
+    # What frames of a spec need, and what a plan says of them
+
     def reflect(self, spec: FrameSpec) -> Reflection:
         if spec.encoding != "scene-linear":
             raise FrameError(f"{spec.source or 'frame'}: colour is {spec.encoding}, and the "
                              "denoiser takes scene-linear light: let it run before tone mapping")
-        self._check_error(spec)
-        self._check_enlargement(spec)
+        self._networks.check(spec)
         carried = passthrough_roles(spec)
         written = (Role.COLOUR, *carried, *(Role.ERROR,) * self._error)
-        size = self._output_size(spec)
+        size = self._networks.output_size(spec)
         planes = [role for role in carried if role not in spec.guide_roles]
         guides = [role for role in carried if role in spec.guide_roles]
         demanded: tuple[Role, ...] = ()
@@ -237,8 +224,8 @@ class DenoiseUpscale(Pass):
 
     def _seen_planes(self, spec: FrameSpec) -> tuple[Role, ...]:
         """Planes that the network, and what follows reflections, may read of frames of a spec."""
-        planes = (*READ_PLANES, Role.STRENGTH, *self._reactive_planes(spec))
-        if self._reads_mirrored(spec):
+        planes = (*READ_PLANES, Role.STRENGTH, *self._mask_planes(spec))
+        if self._networks.reads_mirrored(spec):
             planes += tuple(MIRRORED_ROLES)
         if can_follow(spec):
             planes += (Role.SPECULAR_HIT_DISTANCE,)
@@ -246,35 +233,68 @@ class DenoiseUpscale(Pass):
 
     def _seen_guides(self, spec: FrameSpec) -> tuple[Role, ...]:
         """Guides that a network reads, or else those that stand in for planes that are missing."""
-        if self._reads_guides(spec):
+        if self._networks.reads_guides(spec):
             return GUIDE_ROLES
         return tuple(role for role in GUIDE_ROLES if not spec.has(role))
+
+    def _mask_planes(self, spec: FrameSpec) -> tuple[Role, ...]:
+        role = self._mask.role(spec)
+        return (role,) if role else ()
+
+    def _read_parts(self, spec: FrameSpec) -> tuple[str, ...]:
+        """Names of the parts that are denoised; FrameError for one that the frame lacks."""
+        names = tuple(part.name for part in self._parts)
+        for name in names:
+            if name not in spec.part_names:
+                held = ", ".join(spec.part_names) or "none"
+                raise FrameError(f"{spec.source or 'frame'}: no part '{name}': its parts are "
+                                 f"{held}")
+        return names
+
+    def _notes(self, spec: FrameSpec) -> tuple[str, ...]:
+        """Short clauses on the work, for the plan."""
+        notes = [note_network(self._networks, spec)] if self.strength else []
+        notes += note_filters(self._networks, spec) if self.strength and self._parts else []
+        notes += [f"stays {self.size} where frames change their size"] if self.size else []
+        stddev = self.undone_stddev(spec)
+        notes += ([f"a pixel filter of {stddev:.2f} px is undone before it and applied again"]
+                  if stddev else [])
+        alone = ", ".join(self._parts_with_own_filters)
+        notes += [f"own filters: {alone}"] if self.strength and alone else []
+        notes += (["smooth reflections move by their hit distance"]
+                  if self.strength and can_follow(spec) else [])
+        return tuple(notes)
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         if not self.strength:
             return ("strength 0: the input is only resampled",)
-        seen = {*spec.roles, *spec.guide_roles}
-        lost = [str(role).replace("_", " ") for role in SHARPENING if role not in seen]
-        can_be_estimated = any(map(spec.has, (Role.DIFFUSE_ALBEDO, Role.NORMAL)))
-        remedy = ("--motion auto estimates them" if can_be_estimated
-                  else "render them, or albedo to estimate them from")
-        alone = f"{NO_HISTORY_REMARK}: {remedy}"
         found = [NO_NETWORKS] if self._is_fallback else []
-        found += [] if spec.has(Role.MOTION) else [alone]
-        listed = " or ".join(filter(None, (", ".join(lost[:-1]), *lost[-1:])))
-        found += [f"no {listed}: results are blurrier"] if lost else []
-        if self._is_render_size(spec):
-            found += unscaled_remarks(self._tag)
-        else:
-            found += enlarging_remarks(self._tag)
-            found += self._one_stage_remarks(spec)
+        found += remark_on_planes(spec)
+        found += remark_on_networks(self._networks, spec)
         if self._given_stddev and not self.undone_stddev(spec):
             found.append(f"a pixel filter of {self._given_stddev:.2f} px stays in the noise: "
                          "network xl undoes it, and l at the render's size")
-        return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
+        found += remark_on_guides(self._networks, spec)
+        return (*found, *self._mask.remarks(spec))
+
+    def undone_stddev(self, spec: FrameSpec) -> float:
+        """The standard deviation, in pixels, of the pixel filter that is undone in frames of a
+        spec, as far as the option tells; 0 for none."""
+        return self._given_stddev or 0.0 if self._undoes_filters(spec) else 0.0
+
+    def leaves_filters(self, spec: FrameSpec) -> bool:
+        """Whether frames of a spec are denoised with what a pixel filter did to their noise, though
+        no option says so."""
+        return (self._given_stddev is None and self.strength > 0
+                and not self._undoes_filters(spec))
+
+    def _undoes_filters(self, spec: FrameSpec) -> bool:
+        return self.strength > 0 and self._networks.gives_picture(spec)
 
     def accumulates(self, spec: FrameSpec) -> bool:
         return self.strength > 0 and spec.has(Role.MOTION)
+
+    # What is made ready for frames of a spec
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         if self._tag == CLASSIC and self.strength and not runs_classic(device):
@@ -286,26 +306,43 @@ class DenoiseUpscale(Pass):
         self._last_inputs.forget()
         self._result: Tensor | None = None
         if self.strength:
-            models, size = self._models(spec), self._output_size(spec)
-            self._tags, costs = tuple(models), list(map(cost, models.values()))
-            costs[-1] = TWO_STAGES_COST if self._has_first_stage(spec) else costs[-1]
-            first = int(len(models) > 1 and self._tags[0] == CLASSIC)
-            self._ladder = Ladder(costs, self.budget, first) if self.budget else None
-            if self.size:  # so that files of a frame are the same wherever a run begins
-                endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
-                tags = self._tags_for(spec, runs_classic(device))
-                name_models(device, (find(tag, ending, device) for tag in tags
-                                     for ending in endings for find in (model_of, mixture_model)))
-            reactive = self._mask.role(spec) is not None
-            sizes = Sizes(Size(spec.height, spec.width), size)
-            self._history = History(device, sizes, reactive)
-            beside = (FILTERED_PICTURE,) if self._filter_model(spec, models) else ()
-            alone = (*self._parts_with_own_filters, *beside)
-            own = {name: History(device, sizes, reactive) for name in alone}
-            self._part_history = PartHistory(device, size, self._parts, own)
+            models = self._networks.models(spec, device)
+            self._tags = tuple(models)
+            self._ladder = self._make_ladder(spec, models) if self.budget else None
+            if self.size:
+                self._name_models_of_all_sizes(spec)
+            self._make_histories(spec, models)
         self._sizes: LRUCache[FrameSpec, Ready] = LRUCache(MOST_SIZES)
         self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
         super().compile(device, spec)
+
+    def _make_ladder(self, spec: FrameSpec, models: Mapping[str, str]) -> Ladder:
+        """Chooses one of these models by its time. It begins with the fastest network, not with
+        the classical filter."""
+        assert self.budget is not None  # without one there is nothing to choose
+        costs = list(map(cost, models.values()))
+        if self._networks.has_first_stage(spec):
+            costs[-1] = TWO_STAGES_COST
+        return Ladder(costs, self.budget, int(len(models) > 1 and self._tags[0] == CLASSIC))
+
+    def _name_models_of_all_sizes(self, spec: FrameSpec) -> None:
+        """Tell the device which models may run once frames change their size. Headers of files
+        name them, so that a frame's file is the same wherever a run begins."""
+        endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
+        tags = self._networks.tags(spec, runs_classic(self._device))
+        name_models(self._device, (find(tag, ending, self._device) for tag in tags
+                                   for ending in endings for find in (model_of, mixture_model)))
+
+    def _make_histories(self, spec: FrameSpec, models: Mapping[str, str]) -> None:
+        """Make the histories of the picture and its parts. Networks that run beside these models,
+        on single parts or for all of them, have histories of their own."""
+        reactive, size = self._mask.role(spec) is not None, self._networks.output_size(spec)
+        sizes = Sizes(Size(spec.height, spec.width), size)
+        self._history = History(self._device, sizes, reactive)
+        filters = self._networks.filter_model(spec, models, self._device)
+        alone = (*self._parts_with_own_filters, *((FILTERED_PICTURE,) if filters else ()))
+        own = {name: History(self._device, sizes, reactive) for name in alone}
+        self._part_history = PartHistory(self._device, size, self._parts, own)
 
     def resize(self, spec: FrameSpec) -> bool:
         before = self._spec
@@ -315,7 +352,7 @@ class DenoiseUpscale(Pass):
         alike = replace(before, width=spec.width, height=spec.height, guides=spec.guides)
         if not self.size or spec != alike or self.reflect(spec).output != self._output:
             return False
-        if self.strength and tuple(self._models(spec)) != self._tags:
+        if self.strength and tuple(self._networks.models(spec, self._device)) != self._tags:
             return False
         if self.strength:
             self._savings.note_resize(spec in self._sizes)
@@ -329,78 +366,38 @@ class DenoiseUpscale(Pass):
 
     def _made_ready(self, spec: FrameSpec) -> Ready:
         """What frames of a spec need: networks, tensors and commands."""
-        size = self._output_size(spec)
+        size = self._networks.output_size(spec)
         if not self.strength:
             none = PartHistory(self._device, size, ())
             layers = (Layers(self._device, spec, size, self._parts, False, none) if self._parts
                       else None)
             return Ready(self._device, spec, size, layers)
-        models, guided = self._models(spec), self._is_guided(spec)
-        filters = self._filter_model(spec, models)
-        alone = self._alone_model(spec, models) if self._has_first_stage(spec) else {}
-        models |= alone
-        first = self._first_stage(models.values()) if alone else None
+        models = self._networks.models(spec, self._device)
+        filters = self._networks.filter_model(spec, models, self._device)
+        first, single = None, dict[str, str]()
+        if self._networks.has_first_stage(spec):
+            single = self._networks.single_stage_model(spec, models, self._device)
+            models |= single
+            first = self._first_stage(models.values())
         wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, filters, self._error,
-                        first, next(iter(alone), ""), self._spared_halo_px)
-        return ReadyNetwork(self._device, spec, size, models, guided, wishes, self._history,
-                            self._part_history)
+                        first, next(iter(single), ""), self._spared_halo_px)
+        return ReadyNetwork(self._device, spec, size, models, self._networks.is_guided(spec),
+                            wishes, self._history, self._part_history)
 
     def _first_stage(self, models: Iterable[str]) -> DenoiseUpscale:
         """The denoiser that runs before these networks enlarge frames, and mixes its result with
-        the noisy frame. Its strength is 1 in the halo of these networks, too, as little of it comes
-        to the result there: so both share one halo."""
+        the noisy frame.
+
+        It is active in the halo of these networks, too. Little of that border reaches the result,
+        so the two denoisers share one halo.
+        """
         stage = DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False, pixel_filter="none",
                                **{name: self.options[name]
                                   for name in ("model", "reactive", "library")})
         stage._spared_halo_px = halo_of(models) + CELL
         return stage
 
-    def _has_first_stage(self, spec: FrameSpec) -> bool:
-        """Whether frames of a spec are denoised at their own size before they are enlarged."""
-        may = bool(self.strength) and not self._is_render_size(spec) and denoises_first(self._tag)
-        return may and not _guides_stand_in(spec)
-
-    def _one_stage_remarks(self, spec: FrameSpec) -> list[str]:
-        """What a plan says of frames that are enlarged as they are by a model of two stages."""
-        if not (_guides_stand_in(spec) and denoises_first(self._tag)):
-            return []
-        asked, other = short_tag(self._tag), short_tag(model_of(self._tag))
-        return [f"'{asked}' does not denoise at the render's size first, '{other}' alone runs: "
-                "guides stand in for planes of the render's size"]
-
-    def _tags_for(self, spec: FrameSpec, has_classic: bool = True) -> tuple[str, ...]:
-        """Tags to choose from for frames of a spec, fastest first; one without a budget."""
-        smaller = family(self._tag)[:-1] if self.budget else ()
-        if self._parts or self._error or not has_classic:  # it filters no parts
-            smaller = tuple(tag for tag in smaller if tag != CLASSIC)
-        return (*(tag for tag in smaller if has_model(model_of(tag, self._ending(spec)))),
-                self._tag)
-
-    def _ending(self, spec: FrameSpec) -> str:
-        return UNSCALED if self._is_render_size(spec) else GUIDED * self._is_guided(spec)
-
-    def _models(self, spec: FrameSpec) -> dict[str, str]:
-        """The networks to choose from for frames of a spec, by their short tags."""
-        tags, ending = self._tags_for(spec, runs_classic(self._device)), self._ending(spec)
-        found = {short_tag(tag): model_of(tag, ending, self._device) for tag in tags}
-        if self._has_first_stage(spec):
-            found[short_tag(self._tag)] = mixture_model(self._tag, ending, self._device)
-        return found
-
-    def _filter_model(self, spec: FrameSpec, models: Mapping[str, str]) -> str | None:
-        """The network that filters parts and noisy alpha, where one of the ``models`` gives the
-        picture alone, or sees one that was denoised."""
-        is_beside = self._has_first_stage(spec) or any(map(gives_picture, models.values()))
-        if not is_beside or not (self._parts or (self._alpha and spec.has(Role.ALPHA))):
-            return None
-        return filter_model(self._tag, self._ending(spec), self._device)
-
-    def _alone_model(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
-        """The network of frames that are not denoised first, by its tag: one of the ``models``, or
-        one more."""
-        model = model_of(self._tag, self._ending(spec), self._device)
-        known = (tag for tag, one in models.items() if one == model)
-        return {next(known, network_name(short_tag(self._tag), model)): model}
+    # Times and savings, for the budget and the summary
 
     def note_time(self, milliseconds: float) -> None:
         if self.strength:
@@ -410,6 +407,8 @@ class DenoiseUpscale(Pass):
 
     def savings(self) -> tuple[tuple[str, str], ...]:
         return self._savings.lines() if self.strength else ()
+
+    # What a frame leaves to the next
 
     def reset(self) -> None:
         self._has_history = self._is_wider = False
@@ -442,20 +441,18 @@ class DenoiseUpscale(Pass):
             self._is_wider = bool(history.get(WIDER, False))
             if not isinstance(self._ready, ReadyNetwork):
                 raise KeyError(f"pass '{self.name}' has no history at strength 0")
-            self._last_tag = next(iter(key.removeprefix(NETWORK_PREFIX)
-                                   for key in history if key.startswith(NETWORK_PREFIX)), "")
+            self._last_tag = next(iter(_entries_under(NETWORK_PREFIX, history)), "")
             if FOUND_STDDEV in history:
                 self._found_stddev = float(history[FOUND_STDDEV])
             self._history.use(self._ready.models[self._last_tag])
             self._history.recall(history)
             self._part_history.recall(history)
             self._cameras.recall(history)
-            self._repeats.recall({name.removeprefix(REPEATS): array
-                                  for name, array in history.items() if name.startswith(REPEATS)})
+            self._repeats.recall(_entries_under(REPEATS, history))
             if self._ready.first:
-                self._ready.first.recall({name.removeprefix(FIRST_STAGE): array
-                                          for name, array in history.items()
-                                          if name.startswith(FIRST_STAGE)})
+                self._ready.first.recall(_entries_under(FIRST_STAGE, history))
+
+    # One frame
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
@@ -511,9 +508,9 @@ class DenoiseUpscale(Pass):
 
     def _plan_work(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool,
                    cells: np.ndarray | None) -> tuple[Work, Amount, list[Reason]]:
-        """The work on a frame, how much of the frame it is, and why it saves less.
+        """The work on a frame, how much of the frame it is, and what else is left out of it.
 
-        keep: whether the history goes on. cells: those that are denoised at all, None for all.
+        keep: whether the history goes on. cells: the active ones, None for all.
         """
         self._last_tag = self._choose(frame, ready)
         stddev = self._stddev(frame) if ready.sees_noise_alone(self._last_tag) else 0.0
@@ -544,9 +541,9 @@ class DenoiseUpscale(Pass):
     def _band(self, frame: ResidentFrame, ready: ReadyNetwork, cells: np.ndarray | None,
               lit: np.ndarray | None) -> tuple[Band | None, np.ndarray | None]:
         """The tiles that the network runs on, None for all of the frame; and the active cells,
-        grown to whole tiles where these are judged as a whole.
+        grown to whole tiles of 16 pixels where these are judged as a whole.
 
-        One of the two is given: `cells`, those that are denoised, or `lit`, those that show light.
+        Either `cells` is given, those that have strength, or `lit`, those that show light.
         """
         if cells is None:
             assert lit is not None, "one of them is given"
@@ -558,8 +555,8 @@ class DenoiseUpscale(Pass):
         return band, whole_tiles(cells) if judged else cells
 
     def _choose(self, frame: ResidentFrame, ready: ReadyNetwork) -> str:
-        """The tag of a frame's network: by the budget; another one for what is enlarged as it
-        is."""
+        """The tag of a frame's network. The budget chooses it, and a frame that is not denoised
+        before it is enlarged has one of its own."""
         tag = self._tags[self._ladder.rung if self._ladder else 0]
         is_last = tag == self._tags[-1]
         if ready.first and not ready.first.look(frame, is_last) and is_last:
@@ -571,8 +568,8 @@ class DenoiseUpscale(Pass):
         return tag
 
     def _stddev(self, frame: ResidentFrame) -> float:
-        """The standard deviation in pixels of the filter that spread a frame's noise, 0 for none:
-        the option's, or what the shot's first frame tells that is looked at."""
+        """The standard deviation, in pixels, of the pixel filter that spread a frame's noise; 0 for
+        none. The option gives it, or else the noise of the shot's first frame on the host."""
         if self._given_stddev is not None:
             return self._given_stddev
         if self._found_stddev is None:
@@ -582,8 +579,11 @@ class DenoiseUpscale(Pass):
         return self._found_stddev
 
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
-        """Whether a frame is a copy of the one before. Only a frame that is denoised alone, from
-        planes in the host's memory, has a result that depends on nothing else."""
+        """Whether a frame is a copy of the one before, so that its result is the same.
+
+        Only looked at for frames that are denoised alone, from planes in the host's memory: the
+        results of others depend on more than their planes.
+        """
         depends_on_more = (keep or self.budget or frame.is_away or frame.unusable or ready.layers
                            or ready.error or ready.reflections)
         if depends_on_more or frame.tensors.keys() != frame.host_planes.keys():
@@ -597,7 +597,7 @@ class DenoiseUpscale(Pass):
         return self._last_inputs.look(facts, planes)
 
     def _keep_result(self, commands: CommandBuffer, colour: Tensor) -> None:
-        """Record a copy of a frame's picture, for frames that are the same."""
+        """Record a copy of a frame's picture, to give it again for frames that are the same."""
         if self._result is None or self._result.shape != colour.shape:
             self._result = self._device.heap.tensor("picture of the same frames", colour.shape)
             self._copier = self._device.host_state("keep", ("colour",), ("output",),
@@ -628,144 +628,8 @@ class DenoiseUpscale(Pass):
             self._has_told_of_one_seed = True
         return repeats
 
-    def _check_error(self, spec: FrameSpec) -> None:
-        """Raise PassOptionError where the error is asked for, and a network for frames of this spec
-        does not predict it."""
-        if not self._error:
-            return
-        if not self.strength:
-            raise PassOptionError("strength 0 runs no network, so none predicts the error: leave "
-                                  "one of the two out")
-        for tag in self._tags_for(spec):
-            if predicts_error(model_of(tag, self._ending(spec))):
-                continue
-            raise PassOptionError(f"model '{short_tag(tag)}' does not predict its error at this "
-                                  f"size: {self._error_remedy()}")
 
-    def _check_enlargement(self, spec: FrameSpec) -> None:
-        """Raise PassOptionError where frames of this spec are to be enlarged by a network that
-        gives the picture itself."""
-        if not self.strength or self._is_render_size(spec):
-            return
-        for tag in self._tags_for(spec):
-            if gives_picture(model_of(tag, self._ending(spec))):
-                raise PassOptionError(f"model '{short_tag(tag)}' denoises at the render's size and "
-                                      "does not enlarge: give scale 1, or another model")
-
-    def _error_remedy(self) -> str:
-        """The remedy where no network predicts the error: one that does at the render size, if one
-        comes with postfx."""
-        able = [tag for tag in family(LARGEST_TAG) if predicts_error(model_of(tag, UNSCALED))]
-        return (f"give model '{able[-1]}' and scale 1, or leave the error out" if able
-                else "leave the error out")
-
-    def _reads_mirrored(self, spec: FrameSpec) -> bool:
-        """Whether a network reads the planes that follow mirrors and glass; where frames may change
-        their size, for any of their sizes."""
-        both = self.size or self._has_first_stage(spec)
-        endings = ("", UNSCALED) if both else (self._ending(spec),)
-        return any(reads_mirrored(model_of(tag, ending)) for tag in self._tags_for(spec)
-                   for ending in endings)
-
-    def _read_parts(self, spec: FrameSpec) -> tuple[str, ...]:
-        """Names of the parts that are denoised; FrameError for one that the frame lacks."""
-        names = tuple(part.name for part in self._parts)
-        for name in names:
-            if name not in spec.part_names:
-                held = ", ".join(spec.part_names) or "none"
-                raise FrameError(f"{spec.source or 'frame'}: no part '{name}': its parts are "
-                                 f"{held}")
-        return names
-
-    def _notes(self, spec: FrameSpec) -> tuple[str, ...]:
-        notes = [self._network_note(spec)] if self.strength else []
-        notes += self._filter_notes(spec) if self.strength and self._parts else []
-        notes += [f"stays {self.size} where frames change their size"] if self.size else []
-        notes += self._pixel_filter_notes(spec)
-        alone = ", ".join(self._parts_with_own_filters)
-        notes += [f"own filters: {alone}"] if self.strength and alone else []
-        notes += (["smooth reflections move by their hit distance"]
-                  if self.strength and can_follow(spec) else [])
-        return tuple(notes)
-
-    def undone_stddev(self, spec: FrameSpec) -> float:
-        """The standard deviation, in pixels, of the pixel filter that is undone in frames of a
-        spec, as far as the option tells; 0 for none."""
-        return self._given_stddev or 0.0 if self._undoes_filters(spec) else 0.0
-
-    def leaves_filters(self, spec: FrameSpec) -> bool:
-        """Whether frames of a spec are denoised with what a pixel filter did to their noise, though
-        no option says so."""
-        return (self._given_stddev is None and self.strength > 0
-                and not self._undoes_filters(spec))
-
-    def _undoes_filters(self, spec: FrameSpec) -> bool:
-        return self.strength > 0 and (self._has_first_stage(spec)
-                                      or gives_picture(model_of(self._tag, self._ending(spec))))
-
-    def _pixel_filter_notes(self, spec: FrameSpec) -> list[str]:
-        """A note that a pixel filter of known width is undone; none if it is not."""
-        stddev = self.undone_stddev(spec)
-        return ([f"a pixel filter of {stddev:.2f} px is undone before it and applied again"]
-                if stddev else [])
-
-    def _filter_notes(self, spec: FrameSpec) -> list[str]:
-        """Which other network filters the parts of frames of a spec."""
-        ending = self._ending(spec)
-        if not (self._has_first_stage(spec) or gives_picture(model_of(self._tag, ending))):
-            return []
-        model = filter_model(self._tag, ending).removesuffix(UNSCALED)
-        return [f"network {network_name(short_tag(self._tag), model)} filters parts"]
-
-    def _network_note(self, spec: FrameSpec) -> str:
-        """Which network runs for frames of a spec."""
-        if self._tag == CLASSIC:
-            return "the classical filter, no network"
-        faster = ", or a faster one to keep the budget" if self.budget else ""
-        model = model_of(self._tag, self._ending(spec))
-        name = network_name(short_tag(self._tag), model)
-        if self._has_first_stage(spec):
-            asked = short_tag(self._tag)
-            second = network_name(asked, mixture_model(self._tag, self._ending(spec)))
-            return (f"network {asked} at the render's size first, then {second} enlarges; {name} "
-                    f"alone where frames have jitter{faster}")
-        return f"network {name}{faster}"
-
-    def _output_size(self, spec: FrameSpec) -> Size:
-        return output_size(spec, self.scale, self.size)
-
-    def _reactive_planes(self, spec: FrameSpec) -> tuple[Role, ...]:
-        role = self._mask.role(spec)
-        return (role,) if role else ()
-
-    def _reads_guides(self, spec: FrameSpec) -> bool:
-        """Whether a network does; at render size it is better with the planes, which have the
-        samples of the colour."""
-        return self._has_guided_model() and not self._is_render_size(spec)
-
-    def _is_guided(self, spec: FrameSpec) -> bool:
-        return bool(set(spec.guide_roles) & set(GUIDE_ROLES)) and self._reads_guides(spec)
-
-    def _has_guided_model(self) -> bool:
-        return self._tag != CLASSIC and has_model(model_of(self._tag, GUIDED))
-
-    def _is_render_size(self, spec: FrameSpec) -> bool:
-        return self._output_size(spec) == (spec.height, spec.width)
-
-    def _guide_remarks(self, spec: FrameSpec) -> list[str]:
-        if (spec.guides is None
-            or (spec.guide_roles and not set(spec.guide_roles) & set(GUIDE_ROLES))):
-            return []
-        if not self._has_guided_model():
-            return [f"model '{short_tag(self._tag)}' does not read guides: they only stand in for "
-                    "missing planes"]
-        if self._is_render_size(spec):
-            return ["guides of the render size only stand in for missing planes"]
-        rough = [str(role)
-                 for role in GUIDE_ROLES if spec.has(role) and role not in spec.guide_roles]
-        return [f"edges are less exact without the guides {', '.join(rough)}"] if rough else []
-
-
-def _guides_stand_in(spec: FrameSpec) -> bool:
-    """Whether frames of a spec have guides in place of planes of the render's size."""
-    return any(role in spec.guide_roles and not spec.has(role) for role in GUIDE_ROLES)
+def _entries_under(prefix: str, history: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The entries of a history whose names begin with a prefix, without it."""
+    return {name.removeprefix(prefix): array
+            for name, array in history.items() if name.startswith(prefix)}

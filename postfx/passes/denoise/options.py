@@ -11,7 +11,7 @@ from typing import Any
 from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import FrameSpec, GuideSpec, Role
 from postfx.passes.denoise.geometry import Size
-from postfx.passes.denoise.models import Ladder
+from postfx.passes.denoise.ladder import Ladder
 
 # Output size over render size: what networks can do, and what is done unless a size is given.
 LEAST_SCALE = 1.0
