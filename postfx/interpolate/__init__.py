@@ -164,10 +164,11 @@ class Between:
         self._later = later
         self._memory = reuse_memory()
         self._pictures = PairPictures(before, after, flow=flow, composited=composited)
-        self._motion = PairMotion(self._pictures, later, flow, last._motion if last else None)
+        self._motion: PairMotion = PairMotion(self._pictures, later, flow,
+                                              last._motion if last else None)
         # sets of parts that were found in the frames before
-        self._known_sets = last._found_sets if last else None
-        self._found_sets = self._known_sets
+        self._known_sets: Sets | None = last._found_sets if last else None
+        self._found_sets: Sets | None = self._known_sets
         self._options: dict[str, Any] = {"flow": flow, "overlay": overlay, "composited": composited}
         self._flow = flow
         self._holds_overlay = overlay == "hold"
@@ -391,7 +392,9 @@ class Between:
         motion, own = self._motion, self._pictures
         planes = Planes(pictures or own.lit(t), motion.known, motion.depths, light, data)
         mixture = Mixture(t, own.scale, float(own.level), motion.is_masked, back)
-        return Composed(*compose(chosen.cells, planes, mixture, Role.MOTION in self.after), chosen)
+        picture, mixed, taken, vectors = compose(chosen.cells, planes, mixture,
+                                                 Role.MOTION in self.after)
+        return Composed(picture, mixed, taken, vectors, chosen)
 
     def _choose(self, t: float) -> Chosen:
         """The paths of the cells at a time."""

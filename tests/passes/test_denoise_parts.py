@@ -13,7 +13,8 @@ from postfx.frame import PART_KINDS, Frame, Part, Role
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.passes.denoise import DenoiseUpscale, kinds
 from postfx.passes.denoise.assembly import FrameNetworks
-from postfx.passes.denoise.parts import coverage, mean_stops
+from postfx.passes.denoise.part_sums import coverage
+from postfx.passes.denoise.parts import mean_stops
 from postfx.passes.signed_light import lies_below
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

@@ -360,8 +360,8 @@ class DenoiseUpscale(Pass):
                 self._ladder.note_resize(spec.width * spec.height / (before.width * before.height))
         self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
         self._spec = spec
-        if isinstance(self._ready, ReadyNetwork) and self._ready.first:
-            self._ready.first.reset()
+        if isinstance(self._ready, ReadyNetwork) and self._ready.first_stage:
+            self._ready.first_stage.reset()
         return True
 
     def _made_ready(self, spec: FrameSpec) -> Ready:
@@ -427,9 +427,9 @@ class DenoiseUpscale(Pass):
         if self._found_stddev is not None:
             known[FOUND_STDDEV] = np.array(self._found_stddev, np.float64)
         known |= {f"{REPEATS}{name}": array for name, array in self._repeats.history().items()}
-        if isinstance(self._ready, ReadyNetwork) and self._ready.first:
+        if isinstance(self._ready, ReadyNetwork) and self._ready.first_stage:
             known |= {f"{FIRST_STAGE}{name}": array
-                      for name, array in self._ready.first.history().items()}
+                      for name, array in self._ready.first_stage.history().items()}
         return (known | self._cameras.snapshot() | self._history.snapshot()
                 | self._part_history.snapshot())
 
@@ -449,8 +449,8 @@ class DenoiseUpscale(Pass):
             self._part_history.recall(history)
             self._cameras.recall(history)
             self._repeats.recall(_entries_under(REPEATS, history))
-            if self._ready.first:
-                self._ready.first.recall(_entries_under(FIRST_STAGE, history))
+            if self._ready.first_stage:
+                self._ready.first_stage.recall(_entries_under(FIRST_STAGE, history))
 
     # One frame
 
@@ -525,7 +525,7 @@ class DenoiseUpscale(Pass):
             self._widen(keep)
         still = keep and gain == 1 and frame.is_blank(Role.MOTION)
         camera, reasons = None, list[Reason]()
-        if ready.first and ready.first.is_jittered:
+        if ready.first_stage and ready.first_stage.is_jittered:
             reasons.append(JITTERED)
         if ready.reflections:
             camera, why = self._cameras.step(frame, keep and not still)
@@ -559,11 +559,11 @@ class DenoiseUpscale(Pass):
         before it is enlarged has one of its own."""
         tag = self._tags[self._ladder.rung if self._ladder else 0]
         is_last = tag == self._tags[-1]
-        if ready.first and not ready.first.look(frame, is_last) and is_last:
-            tag = ready.alone_tag
+        if ready.first_stage and not ready.first_stage.look(frame, is_last) and is_last:
+            tag = ready.single_stage_tag
 
         self.choice = name = network_name(tag, ready.models[tag])
-        if ready.first and ready.first.runs:
+        if ready.first_stage and ready.first_stage.runs:
             self.choice = f"{name} in two stages" if name == tag else f"{tag} then {name}"
         return tag
 

@@ -9,11 +9,12 @@ from dataclasses import replace
 from postfx.frame import Part
 from postfx.kernels.denoise import GAIN
 from postfx.passes import ResidentFrame
+from postfx.passes.denoise.alpha import has_noisy_alpha
 from postfx.passes.denoise.assembly import FrameNetworks
 from postfx.passes.denoise.geometry import Sizes
 from postfx.passes.denoise.history import FILTERED_PICTURE, PartHistory
 from postfx.passes.denoise.models import blanks_volumes, grid_of
-from postfx.passes.denoise.parts import Layers, OwnRun, has_noisy_alpha
+from postfx.passes.denoise.parts import Layers, OwnRun
 from postfx.passes.denoise.planes import Planes
 from postfx.passes.denoise.window import THE_PICTURE, Work
 from postfx.runtime import CommandBuffer, Device, Tensor
