@@ -77,8 +77,8 @@ class ResidentFrame:
         blank: roles of planes that a pass replaced and that are 0 everywhere.
         history_only: True when only the history that passes keep of this frame is needed, not its
             picture.
-        is_away: True when the planes came in the device's memory, so that looking at `host_planes`
-            copies them.
+        came_on_device: True when the planes came in the device's memory, so that looking at
+            `host_planes` copies them.
     """
 
     spec: FrameSpec
@@ -100,7 +100,7 @@ class ResidentFrame:
     host_parts: dict[str, np.ndarray] = field(default_factory=dict)
     blank: set[Role] = field(default_factory=set)
     history_only: bool = False
-    is_away: bool = False
+    came_on_device: bool = False
 
     def __getitem__(self, role: Role) -> Tensor:
         """Tensor of a plane; FrameError when the frame does not hold it."""
@@ -121,7 +121,7 @@ class ResidentFrame:
 
     def is_blank(self, role: Role) -> bool:
         """Whether a plane is known to be 0 everywhere, which is not looked for on a GPU."""
-        if self.is_away or role not in self.host_planes:
+        if self.came_on_device or role not in self.host_planes:
             return role in self.blank
         return is_blank(self.host_planes[role])
 

@@ -7,7 +7,7 @@ import pytest
 
 from postfx import Between, Frame, Role
 from postfx.cuts import CutDetector
-from postfx.interpolate import BY_VECTORS
+from postfx.interpolate.shares import BY_VECTORS
 from postfx.interpolate.lost import motion_of_lost
 from postfx.interpolate.ways import unevenness
 

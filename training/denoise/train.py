@@ -18,9 +18,9 @@ adds the run to a table of runs (`training.measure.runs`). The defaults are thos
 training of m.
 
 This file reads from top to bottom: settings, the few functions that a step needs, the state of a
-run, then `train`, one plain loop. The network is in model.py, the loss in loss.py, clips and their
-augmentation in dataset.py, CUDA graphs and gradients in gradient.py, and checkpoints in
-checkpoint.py.
+run, then `train`, one plain loop. The network is in model.py, the loss in loss.py, clips in clips.py,
+batches of them in dataset.py, their random changes in augment.py, CUDA graphs and gradients in
+gradient.py, and checkpoints in checkpoint.py.
 """
 
 import argparse
@@ -41,8 +41,10 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
+from training.denoise.augment import Augment
 from training.denoise.checkpoint import git_commit, load_weights, read, save, unpack, widen
-from training.denoise.dataset import Augment, Batch, Clip, ClipPool, collate, to_batch
+from training.denoise.clips import Clip
+from training.denoise.dataset import Batch, ClipPool, collate, to_batch
 from training.denoise.first_stage import FirstStage
 from training.denoise.gradient import FlatGradient, GradientStep, fuse
 from training.denoise.loss import LIGHT, ClipLoss
@@ -505,13 +507,13 @@ class Run:
 def open_pool(args: argparse.Namespace, rank: int, world: int, device: torch.device) -> ClipPool:
     """The clips of a process: it trains on a share of the folders, and one clip in twenty is held
     out."""
-    pairs: list[str] = []
+    motions: list[str] = []
     if args.both_ways or args.carry:
-        pairs.append("inverse")
+        motions.append("inverse")
     if args.false_motion:
-        pairs.append("static")
+        motions.append("static")
     prepare = FirstStage(args.first, device) if args.first else None
-    return ClipPool(dict(args.clips), device, args.guides, rank, world, pairs=tuple(pairs),
+    return ClipPool(dict(args.clips), device, args.guides, rank, world, motions=tuple(motions),
                     blank_volumes=not args.volumes, prepare=prepare)
 
 

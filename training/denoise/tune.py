@@ -50,7 +50,7 @@ from postfx.pixel_filter import find_stddev
 from postfx.repeats import is_same_render
 from postfx.system import usable_cores
 from training.denoise.checkpoint import PREFIX, load_weights
-from training.denoise.dataset import ABSENT
+from training.denoise.clips import ABSENT
 from training.denoise.export import card, export_trunk, load_trunk
 from training.denoise.loss import ERROR, LIGHT, display, error_loss, frame_loss, light_loss
 from training.denoise.model import DenoiseUpscale, Inputs, Step, empty_state

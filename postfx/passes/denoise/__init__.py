@@ -584,8 +584,8 @@ class DenoiseUpscale(Pass):
         Only looked at for frames that are denoised alone, from planes in the host's memory: the
         results of others depend on more than their planes.
         """
-        depends_on_more = (keep or self.budget or frame.is_away or frame.unusable or ready.layers
-                           or ready.error or ready.reflections)
+        depends_on_more = (keep or self.budget or frame.came_on_device or frame.unusable
+                           or ready.layers or ready.error or ready.reflections)
         if depends_on_more or frame.tensors.keys() != frame.host_planes.keys():
             self._last_inputs.forget()
             return Alike.OTHER
@@ -616,7 +616,7 @@ class DenoiseUpscale(Pass):
         """Whether a frame's noise is that of the frame before. Not looked for where frames come on
         a GPU."""
         planes = frame.host_planes
-        if frame.is_away or not {Role.COLOUR, Role.MOTION} <= planes.keys():
+        if frame.came_on_device or not {Role.COLOUR, Role.MOTION} <= planes.keys():
             return False
         if frame.reset:
             self._repeats.reset()

@@ -312,7 +312,7 @@ class ReadyNetwork(Ready):
         Only for frames that leave no history: then the result has the same bits as when the
         network runs on the whole frame.
         """
-        alike = self._only_weighs and self._reach and not frame.is_away
+        alike = self._only_weighs and self._reach and not frame.came_on_device
         colour = frame.host_planes.get(Role.COLOUR) if alike else None
         if colour is None or _lit_part(colour) > MOST_LIT:
             return None

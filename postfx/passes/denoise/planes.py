@@ -147,7 +147,7 @@ class Planes:
         looked at where a sequence begins."""
         if Role.DEPTH not in self._held:
             return {}
-        if not frame.is_away or frame.reset or not self._looked:
+        if not frame.came_on_device or frame.reset or not self._looked:
             self.hazy = shows_volume(frame.host_planes[Role.DEPTH], self.hazy and not frame.reset)
             self._looked = True
         if self.hazy and not self._haze:
@@ -262,7 +262,7 @@ class Passthrough:
         if Role.LATER in frame.guides:
             frame.set(Role.LATER, frame.guides[Role.LATER])
         if self._overlay_is_guide:
-            blank = not frame.is_away and not frame.host_guides[Role.OVERLAY].any()
+            blank = not frame.came_on_device and not frame.host_guides[Role.OVERLAY].any()
         else:
             blank = frame.is_blank(Role.OVERLAY)
         for role, resampler in self._resamplers.items():
