@@ -7,8 +7,8 @@ import pytest
 
 from postfx import Between, Frame, Role
 from postfx.cuts import CutDetector
-from postfx.interpolate.shares import BY_VECTORS
 from postfx.interpolate.lost import motion_of_lost
+from postfx.interpolate.shares import BY_VECTORS
 from postfx.interpolate.ways import unevenness
 
 HEIGHT, WIDTH, PAN, FLY = 96, 160, 3.0, (7.0, 2.0)

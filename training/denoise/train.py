@@ -18,9 +18,9 @@ adds the run to a table of runs (`training.measure.runs`). The defaults are thos
 training of m.
 
 This file reads from top to bottom: settings, the few functions that a step needs, the state of a
-run, then `train`, one plain loop. The network is in model.py, the loss in loss.py, clips in clips.py,
-batches of them in dataset.py, their random changes in augment.py, CUDA graphs and gradients in
-gradient.py, and checkpoints in checkpoint.py.
+run, then `train`, one plain loop. The network is in model.py, the loss in loss.py, clips in
+clips.py, batches of them in dataset.py, their random changes in augment.py, CUDA graphs and
+gradients in gradient.py, and checkpoints in checkpoint.py.
 """
 
 import argparse

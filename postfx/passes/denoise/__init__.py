@@ -1,5 +1,8 @@
-"""Neural denoised upscaler: noisy planes in, clean colour at the same size or a larger one out,
-steady over time."""
+"""The denoiser: noisy planes in, clean colour at the same size or a larger one out, steady over time.
+
+`DenoiseUpscale` is the pass. Which networks run is decided in `choice`; the work on a frame is in
+`frame`, and all of its steps are the tables of `graph`.
+"""
 
 from __future__ import annotations
 
@@ -69,16 +72,17 @@ NO_NETWORKS = ("the package onnxruntime is missing, so the classical filter stan
                "network, and more noise stays: install it, or accept that by the model classic")
 PART_FILTERS = "picture", "own"
 """Values of the option `part_filters`: whose filters parts get."""
+# Names of entries in a history, see `DenoiseUpscale.history`.
 NETWORK_PREFIX = "network "
-"""In a history, the name of the network's entry ends in the network's tag."""
+"""The network's tag follows."""
 FIRST_STAGE = "first stage "
-"""In a history, names of what denoises frames before they are enlarged begin so."""
+"""The first stage's own entry follows."""
 WIDER = "wider primaries"
-"""In a history, whether its light is in wider primaries than the frames'."""
+"""Whether the history's light is in wider primaries than the frames'."""
 FOUND_STDDEV = "pixel filter"
-"""In a history, the standard deviation in pixels of the filter that a shot's first frame told."""
+"""Standard deviation, in pixels, of the filter that was found in the shot's first frame."""
 REPEATS = "repeats "
-"""In a history, names of what noise that repeats is found by begin so."""
+"""The entry of what finds repeated noise follows."""
 
 
 class DenoiseUpscale(Pass):
@@ -89,57 +93,58 @@ class DenoiseUpscale(Pass):
     Options:
         scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 1
             without guides.
-        size: width and height of the output, in place of a scale; frames may change their size, and
-            the history goes on.
-        model: tag of the network, 's', 'm', 'l' or 'xl', which runs in the device's fast precision,
-            or with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own
+        size: width and height of the output, in place of a scale. The render's size may then change
+            from frame to frame, and the history goes on.
+        model: tag of the network: 's', 'm', 'l' or 'xl', which runs in the device's fast precision;
+            or with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA. Or the file of your own
             network, 'nets/mine.onnx', with its card beside it, and mine.guides.onnx and
-            mine.1x.onnx if they exist; or 'classic', a filter without a network, on a CPU and for
-            frames without parts. The default here is 'm'. `postfx run` and `postfx.denoise` take
-            'xl' by themselves for frames that fit into memory, but not for larger ones with guides:
-            it is cleaner, and on a CPU takes ten times as long. Where frames are enlarged 'xl'
-            denoises them at their own size first, and a second network enlarges a mixture of that
-            and the noisy picture. With jitter or guides in place of planes 'l' enlarges the noisy
-            picture instead. Beside 'xl', and 'l' at the render's size, 'm' filters parts
-            and noisy alpha.
+            mine.1x.onnx if they exist. Or 'classic', a filter without a network, for frames without
+            parts. The default here is 'm'. `postfx run` and `postfx.denoise` take 'xl' if frames
+            fit into memory, except for larger frames with guides: it is cleaner, and takes ten
+            times as long on a CPU. To enlarge, 'xl' denoises frames at their own size first, and a
+            second network enlarges a mixture of the result and the noisy picture; frames with
+            jitter, or with guides in place of planes, are enlarged by 'l' alone. Beside 'xl', and
+            'l' at the render's size, 'm' filters parts and noisy alpha.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
-        budget: milliseconds that a frame may take on the device, None for no limit. Where `model`
-            is too slow, smaller networks of its precision run ('s' below 'm', 's' and 'm' below
-            'l'), or 'classic'; the history goes on.
-        strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The
-            plane `strength` sets it pixel by pixel, and both are multiplied; no network runs where
-            it is 0.
-        pixel_filter: what to do where the renderer adds each sample to several pixels, so that
-            noise looks like detail: 'auto', find the filter by the noise of a shot's first frame;
-            or the standard deviation of its gaussian, 0.2 to 0.75 pixels: networks that give the
-            picture itself, 'xl' and 'l' at the render's size, then see planes without it, and it is
-            applied to their picture; 'none', nothing.
+        budget: milliseconds that a frame may take on the device, None for no limit. If `model` is
+            too slow, smaller networks of its precision run ('s' below 'm', 's' and 'm' below 'l'),
+            or 'classic'; the history goes on.
+        strength: 1 denoises fully, 0 only resamples the input and runs no network. The plane
+            `strength` sets it pixel by pixel, and both are multiplied; no network runs where it is
+            0.
+        pixel_filter: what to do if the renderer adds each sample to several pixels, so that noise
+            looks like detail. 'auto': find the filter by the noise of a shot's first frame. A
+            number, 0.2 to 0.75: the standard deviation of its gaussian in pixels. Networks that
+            give the picture itself ('xl', and 'l' at the render's size) then get planes without the
+            filter, and it is applied to their picture. 'none': nothing.
         parts: names of the frames' parts that are denoised with the picture, or `postfx.frame.Part`
             for those that are not light. Light of one group keeps its sum.
         part_filters: 'picture' filters parts like the picture; 'own' runs the network on each part
             that is light, which takes as long as the picture for each.
-        alpha: whether alpha is denoised with the picture, where it is neither 0 nor 1; else it is
+        alpha: whether alpha is denoised with the picture, where it is between 0 and 1; else it is
             only resampled.
         error: whether to add the plane `error`: the squared error that the network expects of each
             pixel of the denoised colour, in code values of a display (x / (1 + x) of exposed light,
             sRGB); 0 where no network ran.
         reactive: where the history is not used, for things that move without motion vectors, such
-            as particles: 'plane', the plane `reactive`; 'difference', where colour differs from the
-            plane `opaque_colour`; 'auto', the first of the two that the frame has; 'none'. scale=
-            and threshold= may follow, as in 'auto,scale=4,threshold=0.05'.
+            as particles. 'plane': where the plane `reactive` says so. 'difference': where colour
+            differs from the plane `opaque_colour`. 'auto': by the first of the two that the frame
+            has. 'none': nowhere. scale= and threshold= may follow, as in
+            'auto,scale=4,threshold=0.05'.
 
-    Where a shot has light outside the gamut, which is negative in the frames' primaries, it is
-    denoised in wider ones and converted back. On a GPU negative light counts as 0.
+    A frame's guides, planes at output size, make edges exact; ``denoise_upscale.<tag>.guides``
+    reads them. At the render's size ``denoise_upscale.<tag>.1x`` runs if it exists.
 
-    A transparency overlay is only resampled; the pass `overlay` composites. The plane `later` is
+    A frame without a motion plane is denoised alone. So is one with the same noise as the frame
+    before, as with one seed for all: a history would take that noise for detail.
+
+    If a shot has light outside the gamut, which is negative in the frames' primaries, it is
+    denoised in wider primaries and converted back. On a GPU negative light counts as 0.
+
+    A transparency overlay is only resampled; the pass `overlay` composites it. The plane `later` is
     handed on to the pass `both_ways`, and the plane `partner`, resampled, to the pass
     `mix_partner`.
-
-    A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides``
-    reads them. At render size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion
-    plane every frame stands alone. So does one whose noise is that of the frame before, as with one
-    seed for all: a history would take the noise for detail.
 
     Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a strength outside 0
     to 1, a budget that is not above 0, a model that is chosen automatically and an error that no

@@ -1,5 +1,5 @@
-"""Parts and noisy alpha beside a network that gives the picture alone, or sees a denoised one:
-another network predicts filters for them."""
+"""A second network that filters parts and noisy alpha, where the picture's network cannot: it gives
+the picture alone, or reads a picture that was denoised before."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ from postfx.runtime import CommandBuffer, Device, Tensor
 
 
 class FilteredPicture:
-    """Denoises frames that have parts, or noisy alpha, by a network of filters, for these. The
-    picture that it makes is its own history; parts add up to it, and alpha's edges follow it.
+    """Filters parts and noisy alpha by a network that predicts filters.
+
+    The network filters the picture, too, as its own history: parts add up to that picture, and
+    alpha's edges follow it.
 
     Args:
         sizes: of the frames.
@@ -30,7 +32,7 @@ class FilteredPicture:
         reactive: whether frames have a mask that tells where the history is not used.
         parts: those of the frames.
         layers: parts, and alpha.
-        history: has one for this network.
+        history: of the layers; it has a history for this network, too.
     """
 
     def __init__(self, device: Device, sizes: Sizes, model: str, reactive: bool,
@@ -48,12 +50,12 @@ class FilteredPicture:
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
                hazy: Planes, work: Work) -> Tensor:
-        """Record the work that filters them; returns the picture that was filtered with them.
+        """Record the work on parts and alpha; returns the picture that was filtered with them.
 
         Args:
-            planes: those of the network that gives the picture, and the noisy colour.
+            planes: of the picture's network, by the kernels' names, with the noisy colour.
             hazy: makes stand-ins for planes that a volume hides.
-            work: what is done for the picture.
+            work: the work on the picture, of which this network has its own form.
         """
         keep = work.keep and FILTERED_PICTURE in self._history.ran
         band = None if work.cells is None else self._networks.layout(work.cells)

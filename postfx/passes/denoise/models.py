@@ -39,11 +39,11 @@ SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has th
 CLASSIC = "classic"
 """Tag, and name in place of a model, of the classical filter, which runs without a network."""
 STAND_INS = {"l": "m", "xl": "m"}
-"""Networks without a variant for the render size, or with one that filters no parts, and the
-network whose variant is taken there."""
+"""Network -> network that stands in for it at the render's size, if it has none for that size or
+one that cannot filter parts."""
 ENLARGING_STAND_INS = {"xl": "l"}
-"""Networks whose variant for the render size runs before frames are enlarged, and the network that
-enlarges noisy frames in their place, and such mixtures where they have none of their own."""
+"""Network that denoises before frames are enlarged -> network that enlarges noisy frames in its
+place, and denoised ones if it has no network of its own for these."""
 
 
 def exact(tag: str) -> str:
@@ -131,11 +131,15 @@ def model_of(tag: str, ending: str = "", device: Device | None = None,
     """Name of the model for a tag: 'm.fp32' -> 'denoise_upscale.m', 'm.int8' ->
     'denoise_upscale.m.int8'.
 
-    Without a precision, a tag means the device's fast one if it exists (int8 on a CPU, fp16 on a
-    GPU), else float32. Without a device it means the float32 model, which every such tag has. If a
-    tag has no network for the render size, its stand-in's runs, or else the plain one. So it does
-    where the network must predict ``filters``, which other pictures need, too, and gives the
-    picture alone. If a tag has a network for the render size alone, another one enlarges.
+    A tag without a precision means the device's fast one if it exists (int8 on a CPU, fp16 on a
+    GPU), else float32. Without a device it means float32, which every such tag has. At the render's
+    size, a tag without a network for it takes its stand-in's, or else the one that enlarges. A tag
+    that has a network for the render's size alone takes another one to enlarge.
+
+    Args:
+        ending: of the name, see `SPECIAL`.
+        filters: whether the network must predict filters. One that gives the picture alone is then
+            passed over.
     """
     enlarging = _stand_in(tag, ENLARGING_STAND_INS)
     if ending != UNSCALED:
@@ -158,8 +162,8 @@ def unscaled_remarks(tag: str) -> list[str]:
 
 
 def filter_model(tag: str, ending: str, device: Device | None = None) -> str:
-    """Name of the model that filters what a tag's own cannot, as it gives the picture alone or sees
-    a denoised one: the stand-in's, or else one of the tag itself."""
+    """Name of the model that filters parts and alpha for a tag whose own network cannot: the
+    stand-in's, or else another one of the tag."""
     found = _named(_stand_in(tag, STAND_INS), ending, device)
     return found if has_model(found) and not gives_picture(found) else model_of(tag, ending, device,
                                                                                 filters=True)
@@ -249,8 +253,7 @@ def predicts_error(model: str) -> bool:
 
 
 def gives_picture(model: str) -> bool:
-    """Whether a model's network gives the picture itself, and no filters that parts and alpha could
-    pass, too."""
+    """Whether a model's network gives the picture itself, and so no filters for parts and alpha."""
     return "picture" in _card(model).get("outputs", {})
 
 
@@ -297,8 +300,8 @@ def _reach(model: str) -> int:
 
 
 def seamless(models: Iterable[str]) -> int:
-    """Halo of tiles side by side. A measured one is larger than around masks, as every seam shows:
-    with it integer networks agree, too, frame after frame."""
+    """Halo of tiles that lie side by side. Where it was measured it is larger than around masks, as
+    every seam shows: with it integer networks agree, too, frame after frame."""
     return max(_halo_in_card(model) or _halo(model) * 4 // 3 for model in models)
 
 
