@@ -71,7 +71,7 @@ from postfx.interpolate.timing import (
     keep_sparks,
     settle_sparks,
 )
-from postfx.interpolate.ways import compare_ways, rest_of, straight_course
+from postfx.interpolate.ways import compare_motion, rest_of, straight_course
 from postfx.motion.flow import bring_to_time, enlarge_motion
 from postfx.planes import is_same_plane
 from postfx.sampling import bilinear
@@ -297,15 +297,14 @@ class Between:
         motion = self._motion
         if not all(picture.any() for picture in self._pictures.scene):
             return BY_MEAN
-        if motion.ways is not None:
-            return shares_beside_vectors(motion.ways, self._row, motion.vectors_px,
+        if motion.fit is not None:
+            return shares_beside_vectors(motion.fit, self._row, motion.vectors_px,
                                          self._both_have(Role.DEPTH), self._find_flow_alone)
         if Role.MOTION in self.after or not self._flow:
             return BY_VECTORS
         flow = motion.estimated_back
-        explained = compare_ways(*self._pictures.small, flow, flow)
-        return shares_without_vectors(explained, self._row,
-                                      np.float32(self._pictures.scale) * flow)
+        fit = compare_motion(*self._pictures.small, flow, flow)
+        return shares_without_vectors(fit, self._row, np.float32(self._pictures.scale) * flow)
 
     @cached_property
     def _without_vectors(self) -> Between:

@@ -27,7 +27,7 @@ from postfx.interpolate.paths import (
 )
 from postfx.interpolate.pictures import PairPictures, finite
 from postfx.interpolate.thin import Seen, where_flow_is_right
-from postfx.interpolate.ways import Ways, compare_ways
+from postfx.interpolate.ways import Fit, compare_motion
 from postfx.motion.flow import consistent_motion, enlarge_motion, estimate_motion, halve
 from postfx.system import at_once
 from postfx.temporal.reverse_motion import LOST, invert_motion
@@ -87,25 +87,25 @@ class PairMotion:
         even = np.ones((*self._pictures.grid, 1), np.float32)
         inverted = invert_motion(ahead, even, even)
         inverted = np.where(inverted < LOST / 2, inverted, back)
-        found = compare_ways(*self._pictures.small, back, inverted)
-        is_better = found is not None and found.motion < BETTER_INVERTED * found.flow
+        found = compare_motion(*self._pictures.small, back, inverted)
+        is_better = found is not None and found.vectors < BETTER_INVERTED * found.flow
         return inverted if is_better else back
 
     @cached_property
-    def ways(self) -> Ways | None:
-        """How well vectors and estimated motion explain the pictures; None where there is only one
-        of the two."""
+    def fit(self) -> Fit | None:
+        """How well vectors and estimated motion explain the pictures; None if there is only one of
+        the two."""
         if Role.MOTION not in self.after or not self._flow:
             return None
         motion, _ = self.cells_of(self.after)
-        return compare_ways(*self._pictures.small, self.estimated_back, motion)
+        return compare_motion(*self._pictures.small, self.estimated_back, motion)
 
     @cached_property
     def has_vectors(self) -> bool:
         """Whether the frame after has motion that fits the pictures at least as well as what is
         estimated."""
-        ways = self.ways
-        return Role.MOTION in self.after if ways is None else ways.vectors_fit
+        fit = self.fit
+        return Role.MOTION in self.after if fit is None else fit.vectors_fit
 
     @property
     def vectors_px(self) -> np.ndarray:
@@ -143,15 +143,15 @@ class PairMotion:
     def where_flow_is_right(self) -> np.ndarray | None:
         """How much the picture along estimated motion counts in place of the one along vectors
         (h, w, 1), where these lead a thin thing nowhere right; None where they do not."""
-        ways, pictures = self.ways, self._pictures
-        if ways is None or not (ways.vectors_fit and pictures.both_have(Role.DEPTH)):
+        fit, pictures = self.fit, self._pictures
+        if fit is None or not (fit.vectors_fit and pictures.both_have(Role.DEPTH)):
             return None
         motion, depth = self.cells_of(self.after)
         depths = self.cells_of(self.before)[1], depth
         seen = Seen(pictures.lit(0.5), float(pictures.level), self.after[Role.DEPTH], motion,
                     depths, pictures.scale)
         found = where_flow_is_right(seen, self._enlarge(self._estimated[0]), self.estimated_back,
-                                    ways.apart)
+                                    fit.apart)
         if found is None:
             return None
         rows, columns = (np.minimum(np.arange(side) // pictures.scale, count - 1)

@@ -30,7 +30,7 @@ from postfx.interpolate.ways import (
     MORE_EVEN,
     MOSTLY_NOISE,
     REST_HANDICAP,
-    Ways,
+    Fit,
     shares_of,
     unevenness,
 )
@@ -93,40 +93,40 @@ class Row:
         return 0.0 if is_noise else worse
 
 
-def shares_beside_vectors(ways: Ways, row: Row, vectors: np.ndarray, has_depth: bool,
+def shares_beside_vectors(fit: Fit, row: Row, vectors: np.ndarray, has_depth: bool,
                           find_flow: Callable[[], np.ndarray]) -> Shares:
     """The shares where the frame after has vectors, and motion was estimated beside them.
 
     Args:
-        ways: how well both explain the two frames.
+        fit: how well both explain the two frames.
         row: the frames around.
         vectors: (rows, columns, 2) of cells, in pixels.
         has_depth: whether both frames have depth.
         find_flow: makes the motion that is estimated without any vectors, like them; it takes long.
     """
-    if ways.vectors_fit and ways.is_thin:
-        along_vectors, along_flow = ways.shares_of_thin(row.count)
+    if fit.vectors_fit and fit.is_thin:
+        along_vectors, along_flow = fit.shares_of_thin(row.count)
         return Shares(along_vectors, along_flow)
-    if not ways.vectors_fit and ways.is_thin_along_flow:
+    if not fit.vectors_fit and fit.is_thin_along_flow:
         return BY_FLOW
-    doubt = row.unevenness_over_blend(vectors) if ways.vectors_explain_little(row.count) else 0.0
-    shows_blend = ways.vectors_stand_still and doubt <= MORE_EVEN
+    doubt = row.unevenness_over_blend(vectors) if fit.vectors_explain_little(row.count) else 0.0
+    shows_blend = fit.vectors_stand_still and doubt <= MORE_EVEN
     if shows_blend:  # light may change, and goes on through four frames
-        is_certain = has_depth or (ways.vectors_fit and row.count == 2)
+        is_certain = has_depth or (fit.vectors_fit and row.count == 2)
     else:
         is_doubted = doubt > (AS_EVEN_ALONE if row.count == 2 else AS_EVEN)
-        is_certain = ways.vectors_fit and not (ways.in_doubt or is_doubted)
+        is_certain = fit.vectors_fit and not (fit.in_doubt or is_doubted)
     if is_certain:
         return BY_VECTORS
-    return _shares_by_unevenness(ways, row, vectors, find_flow(), shows_blend)
+    return _shares_by_unevenness(fit, row, vectors, find_flow(), shows_blend)
 
 
-def _shares_by_unevenness(ways: Ways, row: Row, vectors: np.ndarray, flow: np.ndarray,
+def _shares_by_unevenness(fit: Fit, row: Row, vectors: np.ndarray, flow: np.ndarray,
                           shows_blend: bool) -> Shares:
     """The shares by how evenly colours go on along each way.
 
     Args:
-        ways, row, vectors: as in `shares_beside_vectors`.
+        fit, row, vectors: as in `shares_beside_vectors`.
         flow: motion that is estimated without any vectors, (rows, columns, 2) of cells, in pixels.
         shows_blend: whether the picture along the vectors is a blend, and no worse than one.
     """
@@ -135,27 +135,27 @@ def _shares_by_unevenness(ways: Ways, row: Row, vectors: np.ndarray, flow: np.nd
     over_shot = given = math.inf
     if row.count == 4:
         over_shot = REST_HANDICAP * row.unevenness(flow, shot=vectors)
-    if ways.vectors_fit:
+    if fit.vectors_fit:
         given = row.unevenness(vectors)
-    if ways.vectors_fit and shows_blend:
+    if fit.vectors_fit and shows_blend:
         if min(flowing, over_shot) > CLEARLY_BETTER * given:
             return BY_VECTORS
         mean = math.inf  # the vectors show it already
     return Shares(*shares_of((given, flowing, mean, over_shot)))
 
 
-def shares_without_vectors(explained: Ways | None, row: Row, flow: np.ndarray) -> Shares:
+def shares_without_vectors(fit: Fit | None, row: Row, flow: np.ndarray) -> Shares:
     """The shares where there are no vectors. Estimated motion alone counts, unless it explains
     little and colours go on about as evenly at the same place.
 
     Args:
-        explained: how well estimated motion explains the frames, in place of vectors, too.
+        fit: how well estimated motion explains the frames, in place of vectors, too.
         row: the frames around.
         flow: estimated motion (rows, columns, 2) of cells, in pixels.
     """
-    if explained is None or explained.is_thin_along_flow:
+    if fit is None or fit.is_thin_along_flow:
         return BY_VECTORS
-    if explained.flow < LEAST_LEFT_OF_FLOW * explained.still:
+    if fit.flow < LEAST_LEFT_OF_FLOW * fit.still:
         return BY_VECTORS
     if row.unevenness_over_blend(flow) <= LESS_EVEN_THAN_FLOW:
         return BY_VECTORS

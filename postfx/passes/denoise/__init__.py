@@ -1,4 +1,4 @@
-"""The denoiser: noisy planes in, clean colour at the same size or a larger one out, steady over time.
+"""The denoiser: noisy planes in, clean colour out, at the same size or larger, steady over time.
 
 `DenoiseUpscale` is the pass. Which networks run is decided in `choice`; the work on a frame is in
 `frame`, and all of its steps are the tables of `graph`.
@@ -68,6 +68,7 @@ from postfx.repeats import ONE_SEED, Alike, FrameMemory, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 
 READ_PLANES = tuple(ABSENT)
+"""Planes that every network reads; constants stand in for those that a frame lacks."""
 NO_NETWORKS = ("the package onnxruntime is missing, so the classical filter stands in for the "
                "network, and more noise stays: install it, or accept that by the model classic")
 PART_FILTERS = "picture", "own"
