@@ -70,9 +70,10 @@ from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
-from postfx.passes.denoise import NO_HISTORY_REMARK, DenoiseUpscale
-from postfx.passes.denoise.models import USUAL_NETWORK
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.default_network import USUAL_NETWORK
 from postfx.passes.denoise.options import enlargement
+from postfx.passes.denoise.remarks import NO_HISTORY_REMARK
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
 from postfx.passes.partner import Partner

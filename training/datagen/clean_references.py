@@ -38,7 +38,7 @@ import numpy as np
 
 from postfx.oidn import OpenImageDenoise
 from training.datagen.clip_file import to_half
-from training.denoise.dataset import grey_factor
+from training.denoise.clips import grey_factor
 
 BLOCK_PX = 32  # side of the blocks whose light is compared, or the picture's if that is smaller
 LEAST_BLOCK_RATIO = 0.25  # of the light of a block to that of the same block

@@ -103,7 +103,7 @@ ERROR = 0.1  # weight of the predicted error
 GUIDES_KNEE = 0.02  # of their codes
 ERROR_FLOOR = 0.03  # code values: smaller expected errors count alike
 NOISY = 0.2  # input error (display-encoded) of frames that count once
-DARKEST = 1e-3  # exposed light from which the slope of the display curve is as there
+DARKEST = 1e-3  # exposed light below which the slope of the display curve is the one here
 LARGEST_SEEN = 4.0  # code values: larger errors of what is seen are fireflies of the reference
 SQUARED = 40.0  # weight of squared errors against noisy references
 

@@ -11,7 +11,8 @@ pytest.importorskip("pyoidn")
 
 from training.datagen import clean_references, formula  # noqa: E402
 from training.datagen.clip_file import load_clip, save_clip  # noqa: E402
-from training.denoise.dataset import compared, has_quiet_target, load  # noqa: E402
+from training.denoise.clips import load  # noqa: E402
+from training.denoise.dataset import compared, has_quiet_target  # noqa: E402
 
 FRAMES = 3
 SIDE = 64

@@ -22,16 +22,9 @@ from tests.training.small_denoiser import SMALL, small_model  # noqa: E402
 from training.datagen.clip_file import save_clip  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
 from training.denoise import train  # noqa: E402
-from training.denoise.dataset import (  # noqa: E402
-    CHANNELS,
-    MOTION,
-    Augment,
-    Batch,
-    ClipPool,
-    Stack,
-    load,
-    to_batch,
-)
+from training.denoise.augment import Augment  # noqa: E402
+from training.denoise.clips import CHANNELS, MOTION, load  # noqa: E402
+from training.denoise.dataset import Batch, ClipPool, Stack, to_batch  # noqa: E402
 from training.denoise.gradient import FlatGradient, GradientStep, copy_batch  # noqa: E402
 from training.denoise.model import TrunkConfig, empty_state  # noqa: E402
 
