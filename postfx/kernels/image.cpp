@@ -81,9 +81,8 @@ struct Resampler {
         const Long count = w * channels, first = MARGIN * channels, end = first + count;
         const float* from = image(row);
         float* to = line(row);
-        across(0, count, PIXELS(auto one, Long i) {
-            store<decltype(one)>(to + first + i,
-                                 finite<decltype(one)>(load<decltype(one)>(from + i)));
+        across(0, count, EACH(F, Long i) {
+            store<F>(to + first + i, finite<F>(load<F>(from + i)));
         });
         for (Long i = 0; i < first; i++) {
             to[i] = to[first + i % channels];
@@ -104,16 +103,14 @@ struct Resampler {
             numbers[near[j] % TAPS] = near[j];
             lines[j] = line(near[j]);
         }
-        across(0, size, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, size, EACH(F, Long i) {
             store<F>(value + i, sum_of_taps<F>(taps, load<F>(lines[0] + i), load<F>(lines[1] + i),
                                                load<F>(lines[2] + i), load<F>(lines[3] + i)));
         });
         if (bounded[0] == near[1] && bounded[1] == near[2]) return;
         bounded[0] = near[1];
         bounded[1] = near[2];
-        across(0, size - channels, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, size - channels, EACH(F, Long i) {
             const float *upper = lines[1] + i, *lower = lines[2] + i;
             const F b = load<F>(upper), c = load<F>(lower), next_b = load<F>(upper + channels),
                     next_c = load<F>(lower + channels);
@@ -131,8 +128,7 @@ struct Resampler {
     // Both of two columns from the same numbers; those of the second begin `LATER` pixels after.
     template <int LATER> FN_MEMBER void find_twice(Long left, const Taps* taps) const {
         const Long first = channels * (MARGIN + left - 1), one_more = channels;
-        across(0, w * channels, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, w * channels, EACH(F, Long i) {
             const float *at = value + first + i, *under = least + first + one_more + i,
                         *over = most + first + one_more + i;
             const F a = load<F>(at), b = load<F>(at + one_more), c = load<F>(at + 2 * one_more),
@@ -158,13 +154,12 @@ struct Resampler {
         if (lefts[1] == lefts[0]) find_twice<0>(lefts[0], taps);
         else find_twice<1>(lefts[0], taps);
         if (channels == 1) {
-            across(0, w, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, w, EACH(F, Long x) {
                 store_pairs<F>(out + 2 * x, load<F>(sides[0] + x), load<F>(sides[1] + x));
             });
         } else if (channels == 3) {
-            across(0, w, PIXELS(auto one, Long x) {
-                interleave_triples<decltype(one)>(out + 6 * x, sides[0] + 3 * x, sides[1] + 3 * x);
+            across(0, w, EACH(F, Long x) {
+                interleave_triples<F>(out + 6 * x, sides[0] + 3 * x, sides[1] + 3 * x);
             });
         } else {
             for (Long x = 0; x < w; x++) {
@@ -186,8 +181,7 @@ struct Resampler {
     }
     void put_anyhow(float* out) const {
         if (channels == 1) {
-            across(0, width, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, width, EACH(F, Long x) {
                 const int* at = index.at + x;
                 const auto weighed = PIXELS(int tap) {
                     return load<F>(weights.at + tap * width + x) * gather<F>(value + tap, at);
@@ -218,8 +212,8 @@ struct Resampler {
     // A row that is one of the picture's own.
     void copy(Long row, float* out) const {
         const float* from = image(row);
-        across(0, w * channels, PIXELS(auto one, Long i) {
-            store<decltype(one)>(out + i, finite<decltype(one)>(load<decltype(one)>(from + i)));
+        across(0, w * channels, EACH(F, Long i) {
+            store<F>(out + i, finite<F>(load<F>(from + i)));
         });
     }
     void put_row(Long y, float* out) {
@@ -285,8 +279,7 @@ static void over_rows(Long first, Long last, Picture overlay, Picture colour, Ne
     for (Long y = first; y < last; y++) {
         const float *front = overlay(y), *behind = colour(y);
         float* out = output(y);
-        across(0, output.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, output.size[1], EACH(F, Long x) {
             const F alpha = pick<F, 4>(front + 4 * x + 3);
             F found[3];
             for (int c = 0; c < 3; c++) {
@@ -304,8 +297,7 @@ static void over_alpha_rows(Long first, Long last, Picture overlay, Picture alph
     for (Long y = first; y < last; y++) {
         const float *front = overlay(y), *behind = alpha(y);
         float* out = output(y);
-        across(0, output.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, output.size[1], EACH(F, Long x) {
             const F covered = within<F>(known<F>(pick<F, 4>(front + 4 * x + 3)), 0.0f, 1.0f);
             store<F>(out + x, over<F>(covered, covered, load<F>(behind + x)));
         });
@@ -322,8 +314,7 @@ static void checkerboard_rows(Long first, Long last, Places rows, Places columns
     for (Long y = first; y < last; y++) {
         float* out = output(y);
         const float row = rows.at[y];
-        across(0, columns.size[0], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, columns.size[0], EACH(F, Long x) {
             const F grey = load<F>(columns.at + x) == row ? F(greys->equal) : F(greys->other);
             store_triples<F>(out + 3 * x, grey, grey, grey);
         });

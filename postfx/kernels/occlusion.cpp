@@ -9,8 +9,7 @@ static void surface_rows(Long first, Long last, Surfaces normal, Surfaces depth,
     for (Long y = first; y < last; y++) {
         const float *normals = normal(y), *depths = depth(y);
         float* out = surface(y);
-        across(0, surface.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, surface.size[1], EACH(F, Long x) {
             const F a = pick<F, 3>(normals + 3 * x), b = pick<F, 3>(normals + 3 * x + 1);
             const F c = pick<F, 3>(normals + 3 * x + 2), z = load<F>(depths + x) / radius;
             const F length = root_of(a * a + b * b + c * c);

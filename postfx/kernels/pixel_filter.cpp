@@ -24,8 +24,7 @@ struct Weighed {
         return within<F>(load<F>(image(clip(row, image.size[0])) + i), -MOST, MOST);
     }
     void down(Long y, float* line) const {
-        across(0, count, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, count, EACH(F, Long i) {
             F sum = weights.at[0] * number<F>(y, i);
             for (Long far = 1; far <= reach; far++) {
                 sum += weights.at[far] * (number<F>(y - far, i) + number<F>(y + far, i));
@@ -41,14 +40,13 @@ struct Weighed {
     template <class Pixels> void row(Long y, const Pixels& pixels) const {
         float* line = room.at + reach * channels;
         down(y, line);
-        across(0, count, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, count, EACH(F, Long i) {
             F sum = weights.at[0] * load<F>(line + i);
             for (Long far = 1; far <= reach; far++) {
                 const Long apart = far * channels;
                 sum += weights.at[far] * (load<F>(line + i - apart) + load<F>(line + i + apart));
             }
-            pixels(one, i, sum);
+            pixels(F(), i, sum);
         });
     }
 };
@@ -59,7 +57,7 @@ static Status spread_rows(Long first, Long last, Picture plane, Places weights,
     if (!sums) return NO_MEMORY;
     for (Long y = first; y < last; y++) {
         float* out = output(y);
-        sums.row(y, PIXELS(auto one, Long i, auto sum) { store<decltype(one)>(out + i, sum); });
+        sums.row(y, EACH(F, Long i, auto sum) { store<F>(out + i, sum); });
     }
     return DONE;
 }
@@ -72,8 +70,7 @@ static Status undo_rows(Long first, Long last, Picture light, Places weights, Ne
     for (Long y = first; y < last; y++) {
         const float* given = light(y);
         float* out = output(y);
-        sums.row(y, PIXELS(auto one, Long i, auto sum) {
-            typedef decltype(one) F;
+        sums.row(y, EACH(F, Long i, auto sum) {
             store<F>(out + i, larger<F>(sum, smaller<F>(load<F>(given + i), 0.0f)));
         });
     }
@@ -89,8 +86,7 @@ static Status approach_rows(Long first, Long last, Picture light, Picture undone
     for (Long y = first; y < last; y++) {
         const float *given = light(y), *before = undone(y);
         float* out = output(y);
-        sums.row(y, PIXELS(auto one, Long i, auto sum) {
-            typedef decltype(one) F;
+        sums.row(y, EACH(F, Long i, auto sum) {
             const F wanted = load<F>(given + i);
             const F found = load<F>(before + i) + (wanted - sum);
             store<F>(out + i, larger<F>(found, smaller<F>(wanted, 0.0f)));
@@ -103,8 +99,7 @@ EXPORT(approach_spread, approach_rows)
 // The most light of a pixel and the eight around it, of a row of a picture of three channels.
 static void brightest_around(const Picture& picture, Long y, float* column, float* output) {
     const Long width = picture.size[1];
-    across(0, width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, width, EACH(F, Long x) {
         F most = -MOST;
         for (Long row = y - 1; row <= y + 1; row++) {
             const float* at = picture(clip(row, picture.size[0])) + 3 * x;
@@ -114,8 +109,7 @@ static void brightest_around(const Picture& picture, Long y, float* column, floa
     });
     column[0] = column[1];
     column[width + 1] = column[width];
-    across(0, width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, width, EACH(F, Long x) {
         const F beside = larger<F>(load<F>(column + x), load<F>(column + x + 2));
         store<F>(output + x, larger<F>(beside, load<F>(column + x + 1)));
     });
@@ -133,11 +127,10 @@ static Status finish_rows(Long first, Long last, Picture light, Picture undone, 
     for (Long y = first; y < last; y++) {
         const float* given = light(y);
         float* out = output(y);
-        noisy.row(y, PIXELS(auto one, Long i, auto sum) {
-            typedef decltype(one) F;
+        noisy.row(y, EACH(F, Long i, auto sum) {
             store<F>(lost + i, load<F>(given + i) - sum);
         });
-        sums.row(y, PIXELS(auto one, Long i, auto sum) { store<decltype(one)>(out + i, sum); });
+        sums.row(y, EACH(F, Long i, auto sum) { store<F>(out + i, sum); });
         brightest_around(denoised, y, column, clean);
         brightest_around(undone, y, column, most);
         for (Long x = 0; x < width; x++) {

@@ -55,8 +55,7 @@ template <class F> FN F float_of(typename Of<F>::Int half) {
 // Pixels of some channels beside one another, as half floats of one channel after the other.
 template <int COUNT>
 FN void halve_some(Long first, Long last, const float* values, View<Word16, 2> halves) {
-    across(first, last, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(first, last, EACH(F, Long x) {
         for (int c = 0; c < COUNT; c++) {
             store_words(halves(c) + x, half_of<F>(pick<F, COUNT>(values + COUNT * x + c)));
         }
@@ -107,8 +106,7 @@ FN void widen_row(const Word16* words, View<const Long, 2> channels, Long width,
         halves &= kinds[c] == HALVES;
     }
     const auto widen = PIXELS(auto all_halves) {
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, width, EACH(F, Long x) {
             F numbers[COUNT];
             for (int c = 0; c < COUNT; c++) {
                 numbers[c] = stored_at<F>(begin[c], all_halves.value ? HALVES : kinds[c], x);
@@ -147,8 +145,7 @@ static void look_up(Long first, Long last, View<const float, 1> codes, View<cons
                     View<float, 1> values, View<bool, 1> inside) {
     const float steps = float(table.size[0] - 2);
     bool all = true;
-    across(first, last, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(first, last, EACH(F, Long x) {
         const F given = load<F>(codes.at + x), code = within<F>(given, 0.0f, 1.0f);
         const F place = code * steps;
         const typename Of<F>::Int entry = whole(place);
@@ -182,8 +179,7 @@ static void dither_rows(Long first, Long last, View<const float, 2> codes, Given
             const float* some = codes(y) + start;
             byte* out = bytes(y) + start;
             const Long size = smaller<Long>(period, width - start);
-            const auto dither = PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            const auto dither = EACH(F, Long x) {
                 const F code = within<F>(load<F>(some + x), 0.0f, 1.0f);
                 store_bytes(out + x, whole(F(code * highest + load<F>(thresholds + x))));
             };
@@ -277,8 +273,7 @@ struct Sums {
 
     // Those of odd places in lanes, with bits above; what even places are less; what comes before.
     FN_MEMBER void add(const byte* differences, Long size) {
-        each_eight(size, PIXELS(auto one, Long i) {
-            typedef decltype(one) W;
+        each_eight(size, EACH(W, Long i) {
             const W eight = words_at<W>(differences + EIGHT * i) ^ TOPS, high = eight >> 8 & BYTES;
             put_words<W>(less + i, high);
             put_words<W>(odd + i, sum_lanes<W>((eight & BYTES) + high));
@@ -303,8 +298,7 @@ static void unpredict_eights(const byte* differences, Long count, byte low, byte
         const Long size = smaller<Long>(PIECE, count - first);
         lows.add(differences + EIGHT * first, size);
         highs.add(differences + EIGHT * (count + first), size);
-        each_eight(size, PIXELS(auto one, Long i) {
-            typedef decltype(one) W;
+        each_eight(size, EACH(W, Long i) {
             const W a = lows.at<W>(i), b = highs.at<W>(i);
             const __make_integer_seq<List, int, sizeof(W)> places;
             byte* to = out + 2 * EIGHT * (first + i);

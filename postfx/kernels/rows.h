@@ -171,8 +171,14 @@ template <class R, class... A> const char* kinds_of(R (*)(Long, Long, A...)) {
 #define EXPORT_ALONE(name, rows) EXPORT_ONE(name, rows)
 #endif
 
-// Work on pixels `first` to `last` - 1 of a row: pixels(F(), x) makes those from x on, as many as F
-// has numbers. Some may be made twice, so they must not be read from where they are written.
+// Work on pixels `first` to `last` - 1 of a row. What is done to those from x on, as many as F has
+// numbers, is a function of the type F and of x:
+//
+//     across(0, width, EACH(F, Long x) { store<F>(out + x, 0.5f * load<F>(from + x)); });
+//
+// Some may be made twice, so they must not be read from where they are written.
+#define EACH(F, ...) [&]<class F>(F, __VA_ARGS__) __attribute__((always_inline))
+// A function of some pixels that is not of a type.
 #define PIXELS(...) [&](__VA_ARGS__) __attribute__((always_inline))
 template <class Pixels> FN void across(Long first, Long last, const Pixels& pixels) {
     if (last - first < WIDE) {

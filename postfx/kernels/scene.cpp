@@ -12,8 +12,7 @@ static void scene_points_rows(Long first, Long last, Given<SceneCamera> camera,
         const Long start = y * width;
         const float row = camera->at_row(int(y), int(height));
         across(larger<Long>(first - start, 0), smaller<Long>(last - start, width),
-               PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+               EACH(F, Long x) {
             const float* facing = normal(y, x);
             const F normals[3] = {pick<F, 3>(facing), pick<F, 3>(facing + 1),
                                   pick<F, 3>(facing + 2)};
@@ -30,8 +29,7 @@ static void scene_light_rows(Long first, Long last, View<const float, 2> values,
                              Picture specular, Picture colour, View<float, 3> output) {
     const Long width = output.size[1];
     for (Long y = first; y < last; y++) {
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, width, EACH(F, Long x) {
             F given[3], albedo[3], light[3];
             for (int c = 0; c < 3; c++) {
                 given[c] = pick<F, 3>(values(y * width + x) + c);

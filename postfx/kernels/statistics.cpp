@@ -64,8 +64,7 @@ static void same_rows(Long, Long, Places one, Places other, View<bool, 1> same) 
     for (Long first = 0; first < count && *same.at; first += PIECE) {
         Wide wide = Wide(0.0f);
         float single = 0.0f;
-        across(first, smaller<Long>(first + PIECE, count), PIXELS(auto kind, Long i) {
-            typedef decltype(kind) F;
+        across(first, smaller<Long>(first + PIECE, count), EACH(F, Long i) {
             const F a = load<F>(one.at + i), b = load<F>(other.at + i);
             const F yes = F(1.0f), no = F(0.0f), number = b == b ? yes : no;
             const F unlike = a == b ? no : a == a ? yes : number;
@@ -82,8 +81,7 @@ EXPORT_ALONE(is_same_plane, same_rows)
 
 ONCE void add_lights(const float* row, Long width, double* total, double* brightest,
                      double* unknown) {
-    across_once(0, width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across_once(0, width, EACH(F, Long x) {
         const Light<F> found = light_of<F>(row + 3 * x);
         const Double<F> most = load_double<F>(brightest + x);
         store_double(total + x, load_double<F>(total + x) + found.light);
@@ -196,8 +194,7 @@ EXPORT(pair_means, pair_rows)
 template <bool LARGEST>
 ONCE void extreme_of(Plane plane, Long first, Long last, float* found) {
     for (Long y = first; y < last; y++) {
-        across_once(0, plane.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across_once(0, plane.size[1], EACH(F, Long x) {
             const F value = load<F>(plane(y) + x), before = load<F>(found + x);
             store<F>(found + x, LARGEST ? larger<F>(value, before) : smaller<F>(value, before));
         });
@@ -278,8 +275,7 @@ static void odd_rows(Long first, Long last, Plane depth, Places farthest, View<f
         const float far = *farthest.at;
         Wide wide = Wide(0.0f);
         float single = 0.0f;
-        across_once(1, depth.size[1] - 1, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across_once(1, depth.size[1] - 1, EACH(F, Long x) {
             const F beside =
                 hit_of<F>(load<F>(row + x - 1), far) + hit_of<F>(load<F>(row + x + 1), far);
             const F around =
@@ -305,8 +301,7 @@ FN void box_row(const Cells& planes, Long y, Long width, double* line, double* m
     for (Long i = 0; i < count; i++) inner[i] = 0.0;
     for (Long v = y - near; v <= y + near; v++) {
         const double* row = planes(clip(v, rows));
-        across_once(0, count, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across_once(0, count, EACH(F, Long i) {
             store_double(inner + i, load_double<F>(inner + i) + load_double<F>(row + i));
         });
     }
@@ -315,8 +310,7 @@ FN void box_row(const Cells& planes, Long y, Long width, double* line, double* m
         inner[count + i] = inner[count - channels + i % channels];
     }
     const double share = 1.0 / double(width * width);
-    across(0, count, PIXELS(auto one, Long i) {
-        typedef decltype(one) F;
+    across(0, count, EACH(F, Long i) {
         Double<F> sum = load_double<F>(line + i);
         for (Long u = 1; u < width; u++) sum += load_double<F>(line + u * channels + i);
         store_double(means + i, sum * share);
@@ -359,14 +353,13 @@ template <class D> FN D numbers_at(const double* at) {
 }
 
 ONCE double mean_of(const double* x, Long count) {
-    return sum_of(count, PIXELS(auto kind, Long i) {
-        return numbers_at<decltype(kind)>(x + i);
+    return sum_of(count, EACH(D, Long i) {
+        return numbers_at<D>(x + i);
     }) / double(count);
 }
 ONCE double sum_of_products(const double* x, double mean_x, const double* y, double mean_y,
                             Long count) {
-    return sum_of(count, PIXELS(auto kind, Long i) {
-        typedef decltype(kind) D;
+    return sum_of(count, EACH(D, Long i) {
         return (numbers_at<D>(x + i) - mean_x) * (numbers_at<D>(y + i) - mean_y);
     });
 }

@@ -39,8 +39,7 @@ static Status lowres_rows(Long first, Long last, Picture colour, Given<Shaping> 
     for (Long y = first; y < last; y++) {
         const Shares rows(y, height);
         for (Long j = 0; j < rows.count; j++) down[j] = rows.share(j);
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, width, EACH(F, Long x) {
             Colour<F> sum = {F(0.0f), F(0.0f), F(0.0f)};
             for (Long j = 0; j < rows.count; j++) {
                 const float share = down[j];
@@ -103,8 +102,7 @@ static void smooth_rows(Long first, Long last, View<const float, 5> previous,
     for (Long y = first; y < last; y++) {
         const float *before = previous(0, y), *now = current(0, y);
         float* out = result(0, y);
-        across(0, count, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, count, EACH(F, Long i) {
             const F value = load<F>(now + i), change = load<F>(before + i) - value;
             const F mixed = value + kept * change;
             const F found = size_of<F>(change) <= BROKEN ? mixed : value;
@@ -263,8 +261,7 @@ static Status slice_apply_rows(Long first, Long last, Picture colour, Given<Shap
         for (Long n = 0; n <= wide; n++) {
             const Long left = larger<Long>(n - 1, 0);
             const Span span = {row + left * count, more + n * count, levels};
-            across(spans.at[n], spans.at[n + 1], PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(spans.at[n], spans.at[n + 1], EACH(F, Long x) {
                 const Colour<F> seen = shaper.shape<F>(colour_at<F>(from + 3 * x));
                 const F level = ramps.level<F>(seen.r, seen.g, seen.b) * float(levels) - 0.5f;
                 const F depth = within<F>(level, 0.0f, float(levels - 1));

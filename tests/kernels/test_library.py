@@ -57,8 +57,7 @@ HEADER = """
 static void scale_rows(Long first, Long last, View<const float, 2> image, Given<float> by,
                        View<float, 2> scaled) {
     for (Long y = first; y < last; y++) {
-        across(0, image.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, image.size[1], EACH(F, Long x) {
             store<F>(scaled(y) + x, load<F>(image(y) + x) * *by);
         });
     }

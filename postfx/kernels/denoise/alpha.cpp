@@ -90,8 +90,7 @@ struct Former {
     int *top, *left, *start, *pixel;
 
     FN_MEMBER void find(const float* moved, Long y, Long x0, Long x1) const {
-        across(x0, x1, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(x0, x1, EACH(F, Long x) {
             const F by_x = pick<F, 2>(moved + 2 * x), by_y = pick<F, 2>(moved + 2 * x + 1);
             const F at_x = ramp<F>(float(x), 1.0f) + by_x, at_y = float(y) + by_y;
             F held = F(1.0f);
@@ -174,8 +173,7 @@ struct Former {
             found.variance[x] = pixel[x] >= 0 ? doubt[pixel[x]] : -1.0f;
             if (found.variance[x] >= 0.0f) sample(x, found);
         }
-        across_once(x0, x1, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across_once(x0, x1, EACH(F, Long x) {
             const F variance = load<F>(found.variance + x), zero = F(0.0f);
             const F sum = load<F>(found.quarter(0) + x) + load<F>(found.quarter(1) + x)
                         + load<F>(found.quarter(2) + x) + load<F>(found.quarter(3) + x);
@@ -191,8 +189,7 @@ struct Former {
 // either side.
 FN void sum_rows(const float* above, const float* here, const float* below, Long width,
                            float* sums) {
-    across(0, width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, width, EACH(F, Long x) {
         store<F>(sums + 1 + x, load<F>(above + x) + load<F>(here + x) + load<F>(below + x));
     });
     repeat_edges(sums, width);
@@ -215,8 +212,7 @@ static Status gather_rows(Long first, Long last, Picture alpha, Picture moved, P
     for (Long y = first - 1; y <= last; y++) {
         const Predicted found = kept(y);
         const Long row = clip(y, h);
-        across(0, w, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, w, EACH(F, Long x) {
             store<F>(found.own + x, within<F>(load<F>(alpha(row) + x), 0.0f, 1.0f));
             store<F>(found.off + x, F(0.0f));
             store<F>(found.variance + x, F(-1.0f));
@@ -229,8 +225,7 @@ static Status gather_rows(Long first, Long last, Picture alpha, Picture moved, P
         const Predicted here = kept(at);
         float *upper = next_samples(2 * at), *lower = next_samples(2 * at + 1),
               *next = next_doubt(at);
-        across(0, w, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, w, EACH(F, Long x) {
             const F own = load<F>(here.own + x);
             store_pairs<F>(upper + 2 * x, own, own);
             store_pairs<F>(lower + 2 * x, own, own);
@@ -243,8 +238,7 @@ static Status gather_rows(Long first, Long last, Picture alpha, Picture moved, P
                 sum_rows(kept(at - 1).own, here.own, found.own, w, level);
             }
             summed = true;
-            across(x0, x1, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(x0, x1, EACH(F, Long x) {
                 const Update<F> to =
                     updated<F>(load<F>(here.off + x), load<F>(here.variance + x),
                                sum_of_three<F>(apart, x), sum_of_three<F>(level, x), *rates);
@@ -291,8 +285,7 @@ template <int CHANNELS> struct Shrunk {
         const Long top = first_within(at, h, height), bottom = first_within(at + 1, h, height);
         const Long left = first.at[begin], right = first.at[end];
         const float* from = picture + top * width * CHANNELS;
-        across(CHANNELS * left, CHANNELS * right, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(CHANNELS * left, CHANNELS * right, EACH(F, Long i) {
             F sum = load<F>(from + i);
             for (Long row = 1; row < bottom - top; row++)
                 sum += load<F>(from + row * width * CHANNELS + i);
@@ -301,8 +294,7 @@ template <int CHANNELS> struct Shrunk {
         float* planar = line.at;
         if constexpr (CHANNELS > 1) {
             planar += CHANNELS * width;
-            across(left, right, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(left, right, EACH(F, Long x) {
                 for (int c = 0; c < CHANNELS; c++)
                     store<F>(planar + c * width + x, pick<F, 3>(line.at + 3 * x + c));
             });
@@ -312,8 +304,7 @@ template <int CHANNELS> struct Shrunk {
             float* out = means + c * apart;
             if (width == 2 * w) {
                 const float share = 0.5f / float(bottom - top);
-                across(begin, end, PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
+                across(begin, end, EACH(F, Long x) {
                     store<F>(out + 1 + x,
                              (pick<F, 2>(sums + 2 * x) + pick<F, 2>(sums + 2 * x + 1)) * share);
                 });
@@ -353,8 +344,7 @@ static Status fit_rows(Long first, Long last, Picture picture, Picture next_samp
         const float *upper = next_samples(2 * at), *lower = next_samples(2 * at + 1);
         each_span_around(near, y, w, PIXELS(Long x0, Long x1) {
             shrunk.find(at, x0, x1, row, apart);
-            across(larger<Long>(x0 - 1, 0), smaller<Long>(x1 + 1, w), PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(larger<Long>(x0 - 1, 0), smaller<Long>(x1 + 1, w), EACH(F, Long x) {
                 store<F>(alpha + 1 + x, mean_of_samples<F>(upper + 2 * x, lower + 2 * x));
             });
         });
@@ -365,8 +355,7 @@ static Status fit_rows(Long first, Long last, Picture picture, Picture next_samp
             for (Long x = 0; x < w; x++) fit(c, to)[x] = 0.0f;
         }
         each_span_at(near, to, 1.0f, w, PIXELS(Long x0, Long x1) {
-            across(x0, x1, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(x0, x1, EACH(F, Long x) {
                 const Around around = {{kept(to - 1) + x, kept(to) + x, kept(to + 1) + x}, apart};
                 const Fit<F> found = fitted<F>(around);
                 for (int c = 0; c < 3; c++) store<F>(fit(c, to) + x, found.by[c]);
@@ -450,8 +439,7 @@ struct Sources {
 template <class At> FN void correct_span(const Sources& from, const At& at,
                                                   const Gain& gain, Long first, Long last,
                                                   float* out) {
-    across(first, last, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(first, last, EACH(F, Long x) {
         const auto own = PIXELS(int plane) {
             return at.template own<F>(from.own + plane * from.apart, x);
         };
@@ -479,8 +467,8 @@ template <class At> FN void correct_span(const Sources& from, const At& at,
 }
 template <class At>
 FN void keep_span(const Sources& from, const At& at, Long first, Long last, float* out) {
-    across(first, last, PIXELS(auto one, Long x) {
-        store<decltype(one)>(out + x, at.template own<decltype(one)>(from.means, x));
+    across(first, last, EACH(F, Long x) {
+        store<F>(out + x, at.template own<F>(from.means, x));
     });
 }
 
@@ -552,8 +540,7 @@ struct Corrector {
         const float *upper = samples(2 * at), *lower = samples(2 * at + 1), *doubts = doubt(at),
                     *by = moved(at);
         each_span_at(near, at, 1.0f, w, PIXELS(Long x0, Long x1) {
-            across(x0, x1, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(x0, x1, EACH(F, Long x) {
                 const F own = mean_of_samples<F>(upper + 2 * x, lower + 2 * x);
                 const Sums<F> around = sums_around<F>(mean(above) + x, mean(at) + x,
                                                       mean(below) + x);
@@ -568,18 +555,16 @@ struct Corrector {
         });
         for (int k = 0; k < 4; k++) {
             sum_rows(fit(k, above), fit(k, at), fit(k, below), w, own_means);
-            across(0, w, PIXELS(auto one, Long x) {
-                store<decltype(one)>(to(FACTORS + k) + x,
-                                     sum_of_three<decltype(one)>(own_means, x));
+            across(0, w, EACH(F, Long x) {
+                store<F>(to(FACTORS + k) + x, sum_of_three<F>(own_means, x));
             });
         }
         for (int plane = 0; plane < ROW_PLANES; plane++) repeat_edges(to(plane) - 1, w);
     }
     FN_MEMBER void put_own_means(Long row) const {
         const float *upper = samples(2 * row), *lower = samples(2 * row + 1);
-        across(0, w, PIXELS(auto one, Long x) {
-            store<decltype(one)>(own_means + 1 + x,
-                                 mean_of_samples<decltype(one)>(upper + 2 * x, lower + 2 * x));
+        across(0, w, EACH(F, Long x) {
+            store<F>(own_means + 1 + x, mean_of_samples<F>(upper + 2 * x, lower + 2 * x));
         });
     }
     // Planes between two rows of render pixels, and the samples between two of their own, as far as
@@ -596,8 +581,7 @@ struct Corrector {
     }
     FN_MEMBER void mix_row(const float* upper, const float* lower, float share, Long first,
                            Long last, float* out) const {
-        across(first, last, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(first, last, EACH(F, Long x) {
             store<F>(out + x, between<F>(load<F>(upper + x), load<F>(lower + x), F(share)));
         });
     }
@@ -681,9 +665,8 @@ static void level_rows(Long first, Long last, Picture next_samples, Places rows,
         }
         const float *upper = next_samples(2 * Long(rows.at[y]), 2 * left);
         const float *lower = next_samples(2 * Long(rows.at[y]) + 1, 2 * left);
-        across(0, held, PIXELS(auto one, Long x) {
-            store<decltype(one)>(out + x,
-                                 mean_of_samples<decltype(one)>(upper + 2 * x, lower + 2 * x));
+        across(0, held, EACH(F, Long x) {
+            store<F>(out + x, mean_of_samples<F>(upper + 2 * x, lower + 2 * x));
         });
         for (Long x = held; x < w; x++) out[x] = out[held - 1];
         for (Long x = w; x < width; x++) out[x] = 0.0f;
@@ -716,8 +699,7 @@ static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fin
             repeat_edges(line, w);
         }
         held = at.index;
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, width, EACH(F, Long x) {
             store<F>(out + x, within<F>(gather<F>(own, rooms.index.at + x), 0.0f, 1.0f));
         });
         Row row = {};
@@ -732,8 +714,7 @@ static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fin
             const Long x0 = larger<Long>(from - left, 0), x1 = smaller<Long>(to - left, w);
             if (x0 >= x1) return;
             if (doubles) {
-                across(x0, x1, PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
+                across(x0, x1, EACH(F, Long x) {
                     const AtCorner even = {row, sides[0], x, 2 * lower, 0},
                                    odd = {row, sides[1], x, 2 * lower + 1, 1};
                     const F a = light_sample<F>(row, even, light_weights<F>(even), 0);
@@ -745,8 +726,7 @@ static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fin
             while (done < width && rooms.index.at[done] < x0) done++;
             const Long begin = done;
             while (done < width && rooms.index.at[done] < x1) done++;
-            across(begin, done, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(begin, done, EACH(F, Long x) {
                 const Anywhere place = {row, columns, down, lean_of(at.offset), x};
                 const F found = light_sample<F>(row, place, light_weights<F>(place), 0);
                 store<F>(out + x, within<F>(found, 0.0f, 1.0f));

@@ -64,8 +64,7 @@ FN void fill_edges(const Looks& looks, const FeatureRooms& rooms) {
 
 // Mean of the output pixels that each render pixel of a row touches.
 FN void mean_row(const Looks& looks, Long top, Long bottom, const FeatureRooms& rooms) {
-    across(0, rooms.out, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, rooms.out, EACH(F, Long x) {
         for (int c = 0; c < 3; c++) {
             F total = F(0.0f);
             for (Long y = top; y < bottom; y++) total += pick<F, 3>(looks.warped(y) + 3 * x + c);
@@ -80,14 +79,12 @@ FN void mean_row(const Looks& looks, Long top, Long bottom, const FeatureRooms& 
         const float* total = rooms.total(c);
         float* mean = rooms.mean(c);
         if (even && step == 2) {
-            across(0, count, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, count, EACH(F, Long x) {
                 const float* from = total + left[0] + 2 * x;
                 store<F>(mean + x, (pick<F, 2>(from) + pick<F, 2>(from + 1)) * share);
             });
         } else if (even) {
-            across(0, count, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, count, EACH(F, Long x) {
                 store<F>(mean + x, load<F>(total + left[0] + x) * share);
             });
         } else {
@@ -117,8 +114,7 @@ FN void feature_row(const Looks& looks, Long here, const FeatureRooms& rooms, fl
     const float *rough = looks.roughness(y, first), *depth = looks.depth(y, first),
                 *motion = looks.moved(here);
     const float exposure = looks.params.exposure, scale = looks.depth_scale;
-    across(0, count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, count, EACH(F, Long x) {
         const F valid = load<F>(rooms.valid() + x);
         F diffuse[3], specular[3];
         for (int c = 0; c < 3; c++) {
@@ -257,8 +253,7 @@ template <int STEP>
 FN void picked_planes(const float* row, const int* columns, float low, float high, Long count,
                       const ChannelRows& to, int channel) {
     for (int c = 0; c < STEP; c++) {
-        across(0, count, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, count, EACH(F, Long x) {
             store<F>(to(channel + c) + x,
                      held<F>(gather<F, STEP>(row + c, columns + x), low, high));
         });
@@ -343,8 +338,7 @@ struct TrustRooms {
 
 // Adds what a row of guides differs by in each render pixel.
 FN void add_guides(const TrustRooms& rooms, int most) {
-    across_once(0, rooms.count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across_once(0, rooms.count, EACH(F, Long x) {
         const F touched = number(load_int<F>(rooms.touched() + x)), zero = F(0.0f);
         F square = load<F>(rooms.square() + x);
         for (int c = 0; c < 3; c++) {
@@ -364,8 +358,7 @@ FN void add_guides(const TrustRooms& rooms, int most) {
 
 // Adds a row of render pixels to its cells.
 FN void add_judged(const TrustRooms& rooms, Long rows) {
-    across_once(0, rooms.count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across_once(0, rooms.count, EACH(F, Long x) {
         const F share = 1.0f / (number(load_int<F>(rooms.touched() + x)) * float(rows));
         F apart = load<F>(rooms.apart() + x);
         for (int c = 0; c < 3; c++) {

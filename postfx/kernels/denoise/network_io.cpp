@@ -19,8 +19,7 @@ static Status pack_rows(Long first, Long last, View<const float, 4> planes, View
         for (Long k = 0; k < words; k++) {
             const Long low = HALVES * k, high = low + 1;
             int* to = turned.at + k * w;
-            across(0, w, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, w, EACH(F, Long x) {
                 typename Of<F>::Int word = {};
                 if (low < channels) word = to_half<F>(load<F>(planes(0, low, y) + x));
                 if (high < channels) word |= to_half<F>(load<F>(planes(0, high, y) + x)) << 16;
@@ -56,8 +55,7 @@ static Status open_rows(Long first, Long last, Halves raw, Heads heads) {
         for (Long channel = 0; channel < channels; channel++) {
             float* out = heads(0, channel, y);
             with_meaning(level_meaning(channel), PIXELS(auto meaning) {
-                across(0, w, PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
+                across(0, w, EACH(F, Long x) {
                     store<F>(out + x,
                              opened<F, meaning.is>(channel_of<F>(turned.at, channel, w, x)));
                 });
@@ -81,8 +79,7 @@ static Status open_fine_rows(Long first, Long last, Halves raw, Heads fine) {
         for (Long channel = 0; channel < FINE; channel++) {
             float* out = fine(0, channel, y);
             with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
-                across(0, w, PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
+                across(0, w, EACH(F, Long x) {
                     store_pairs<F>(out + 2 * x,
                                    opened<F, meaning.is>(channel_of<F>(left, channel, w, x)),
                                    opened<F, meaning.is>(channel_of<F>(right, channel, w, x)));
@@ -105,8 +102,7 @@ static void open_phased_rows(Long first, Long last, View<const float, 4> phased,
             const float *left = phased(0, phase, y / 2), *right = phased(0, phase + 1, y / 2);
             float* out = fine(0, channel, y);
             with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
-                across(0, phased.size[3], PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
+                across(0, phased.size[3], EACH(F, Long x) {
                     store_pairs<F>(out + 2 * x, opened<F, meaning.is>(load<F>(left + x)),
                                    opened<F, meaning.is>(load<F>(right + x)));
                 });
@@ -122,8 +118,7 @@ static void open_error_rows(Long first, Long last, View<const float, 4> log_erro
     for (Long y = first; y < last; y++) {
         const float* from = log_error(0, 0, y);
         float* to = error(y);
-        across(0, error.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, error.size[1], EACH(F, Long x) {
             const F log = known<F>(load<F>(from + x));
             store<F>(to + x, exp_of<F>(within<F>(log, LEAST_LOG_ERROR, MOST_LOG_ERROR)));
         });
@@ -142,8 +137,7 @@ static void open_channels(Long first, Long last, const Products& products, const
             const int* right = products(0, 4 * k + phase + 1, y / 2);
             float* out = fine(0, k, y);
             with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
-                across(0, products.size[3], PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
+                across(0, products.size[3], EACH(F, Long x) {
                     const F a = logit_of<F>(load_int<F>(left + x), even);
                     const F b = logit_of<F>(load_int<F>(right + x), odd);
                     store_pairs<F>(out + 2 * x, opened<F, meaning.is>(a), opened<F, meaning.is>(b));
@@ -175,8 +169,7 @@ static void open_products_rows(Long first, Long last, Products products, Scaling
             const int* sums = products(0, channel, y);
             float* out = heads(0, channel, y);
             with_meaning(level_meaning(channel), PIXELS(auto meaning) {
-                across(0, heads.size[3], PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
+                across(0, heads.size[3], EACH(F, Long x) {
                     const F logit = logit_of<F>(load_int<F>(sums + x), scale);
                     store<F>(out + x, opened<F, meaning.is>(logit));
                 });

@@ -35,8 +35,7 @@ FN void fill_removed(const Picture& colour, const Picture& denoised, Long top, f
                      const Removed& removed, float* out) {
     for (Long y = 0; y < removed.rows; y++) {
         const float *noisy = colour(top + y), *clean = denoised(top + y);
-        across(0, removed.width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, removed.width, EACH(F, Long x) {
             const auto luminance = PIXELS(const float* row) {
                 const float* from = row + 3 * x;
                 return luminance_of<F>(pick<F, 3>(from), pick<F, 3>(from + 1), pick<F, 3>(from + 2),
@@ -54,8 +53,7 @@ FN void multiply_rows(const Removed& removed, Lag lag, float* total) {
     const Long last = larger<Long>(removed.width - (lag.right > 0 ? lag.right : 0), first);
     for (Long x = 0; x < first; x++) total[x] = 0.0f;
     for (Long x = last; x < removed.width; x++) total[x] = 0.0f;
-    across(first, last, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(first, last, EACH(F, Long x) {
         F sum = F(0.0f);
         for (Long y = 0; y < removed.rows - lag.down; y++) {
             const float* own = removed.at + y * removed.width + x;
@@ -230,9 +228,8 @@ struct Shares {
 
     // make(F(), x) gives those from x on.
     template <class Make> FN_MEMBER void fill(const Make& make) const {
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            const F share = make(one, x);
+        across(0, width, EACH(F, Long x) {
+            const F share = make(F(), x);
             if (channels == 1) {
                 store<F>(room.at + x, share);
             } else if (channels == 3) {
@@ -251,8 +248,7 @@ struct Shares {
     // A row from one picture to another, whose light is held within what a picture may have.
     template <bool HELD> FN_MEMBER void blend(const float* from, const float* to,
                                               float* out) const {
-        across(0, width * channels, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, width * channels, EACH(F, Long i) {
             const F end = load<F>(to + i), held = HELD ? within<F>(end, 0.0f, MAX_FLOAT) : end;
             store<F>(out + i, blended_by<F>(load<F>(from + i), held, load<F>(room.at + i)));
         });
@@ -286,8 +282,7 @@ static Status restore_rows(Long first, Long last, Picture colour, Picture denois
     for (Long y = first; y < last; y++) {
         const Tiles at = tiles_at(y, detail.size[0]);
         const float *upper = detail(at.before), *lower = detail(at.after);
-        shares.fill(PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        shares.fill(EACH(F, Long x) {
             const F by = load<F>(across_by.at + x);
             const auto between = PIXELS(const float* row) {
                 const F left = gather<F>(row, before.at + x);
@@ -310,8 +305,7 @@ static Status strength_rows(Long first, Long last, Picture denoised, Picture pla
     if (!shares) return NO_MEMORY;
     for (Long y = first; y < last; y++) {
         const float* from = strength(y);
-        shares.fill(PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        shares.fill(EACH(F, Long x) {
             return within<F>(load<F>(from + x), 0.0f, 1.0f) * factor;
         });
         shares.blend<false>(plain(y), denoised(y), output(y));
@@ -347,8 +341,7 @@ static void assemble_rows(Long first, Long last, View<const float, 4> tiles,
                 if (float(y) < area.top || float(y) >= area.bottom || from >= to) continue;
                 const float* source = tiles(tile, y - Long(place.y), from - Long(place.x));
                 float* target = out + (from - left) * channels;
-                across(0, (to - from) * channels, PIXELS(auto one, Long i) {
-                    typedef decltype(one) F;
+                across(0, (to - from) * channels, EACH(F, Long i) {
                     store<F>(target + i, load<F>(source + i));
                 });
             }

@@ -14,8 +14,7 @@ static void reflectance_rows(Long first, Long last, Picture diffuse, Picture spe
         const Long row = Long(rows.at[y]);
         const float *some = diffuse(row, left), *others = specular(row, left);
         float* out = factor(y);
-        across(0, held, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, held, EACH(F, Long x) {
             const Tint<F> found = tint_at<F>(some, others, x);
             store_triples<F>(out + 3 * x, found.red, found.green, found.blue);
         });
@@ -40,8 +39,7 @@ struct Recalled {
     int* start;
 
     FN_MEMBER void find(const float* moved, Long v, Long left, Long count) const {
-        across(0, count, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, count, EACH(F, Long x) {
             const F px = within<F>(ramp<F>(float(left + x), 1.0f) + pick<F, 2>(moved + 2 * x), 0.0f,
                                    float(width - 1));
             const F py = within<F>(float(v) + pick<F, 2>(moved + 2 * x + 1), 0.0f,
@@ -94,8 +92,7 @@ static Status accumulate_rows(Long first, Long last, Picture part, Given<Coding>
         const float *values = part(top + y, left), *divisor = factor(y),
                     *distrust = fine(0, DISTRUST, y);
         float *mean = next_part(y), *const planes[3] = {level(0, y), level(1, y), level(2, y)};
-        across(0, held, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, held, EACH(F, Long x) {
             const F share = newer_share<F>(pick<F, 4>(past(y) + 4 * x + 3), load<F>(distrust + x));
             F found[3];
             for (int c = 0; c < 3; c++) {
@@ -123,8 +120,7 @@ struct LightRows {
 
 FN void light_at_corners(const Row& row, const Weights (&weights)[2], int lower, const Rooms& rooms,
                          const LightRows& light) {
-    across(0, rooms.columns, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, rooms.columns, EACH(F, Long x) {
         const AtCorner left = {row, weights[0], x, 2 * lower, 0};
         const AtCorner right = {row, weights[1], x, 2 * lower + 1, 1};
         const LightWeights<F> even = light_weights<F>(left), odd = light_weights<F>(right);
@@ -183,16 +179,15 @@ static Status light_rows(Long first, Long last, Picture radiance, FineHead fine,
             light_at_corners(row, sides, int(y % 2), rooms, enlarged);
         } else if (same) {
             const Weights weights = weights_of(down, distances_of(params->jitter_x));
-            across(0, width, PIXELS(auto one, Long x) {
-                light_at<decltype(one)>(row, AtCentre{row, weights, x}, rooms, enlarged);
+            across(0, width, EACH(F, Long x) {
+                light_at<F>(row, AtCentre{row, weights, x}, rooms, enlarged);
             });
         } else {
             const Columns columns = {rooms.index.at, rooms.lean(), rooms.near(), rooms.wide(),
                                      width};
             const float lower = lean_of(at.offset);
-            across(0, width, PIXELS(auto one, Long x) {
-                light_at<decltype(one)>(row, Anywhere{row, columns, down, lower, x}, rooms,
-                                        enlarged);
+            across(0, width, EACH(F, Long x) {
+                light_at<F>(row, Anywhere{row, columns, down, lower, x}, rooms, enlarged);
             });
         }
         // Rows that keep nothing, or where nothing moves, need no reprojection.
@@ -208,8 +203,7 @@ static Status light_rows(Long first, Long last, Picture radiance, FineHead fine,
             if (keeps && moves) warper.warp(before(k), y, own);
             const float* last_light = keeps && !moves ? before(k, y, left) : own;
             float* out = light(k, n);
-            across(0, width, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, width, EACH(F, Long x) {
                 const F trust = load<F>(rooms.trust() + x);
                 F found[3];
                 for (int c = 0; c < 3; c++) {
@@ -245,8 +239,7 @@ template <bool COVERED, bool COMPLETE>
 FN void balance_row(const View<const float, 4>& parts, const float* covers, const float* whole,
                     const float* picture, Long y, const View<float, 4>& balanced) {
     const Long count = parts.size[0], width = 3 * parts.size[2];
-    across(0, width, PIXELS(auto one, Long i) {
-        typedef decltype(one) F;
+    across(0, width, EACH(F, Long i) {
         const auto light = PIXELS(Long k) {
             const F found = load<F>(parts(k, y) + i);
             return COVERED ? found * load<F>(covers + k * width + i) : found;
@@ -269,8 +262,7 @@ FN void keep_row(const View<const float, 4>& parts, const float* covers, Long y,
                  const View<float, 4>& balanced) {
     const Long width = 3 * parts.size[2];
     for (Long k = 0; k < parts.size[0]; k++) {
-        across(0, width, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, width, EACH(F, Long i) {
             const F found = load<F>(parts(k, y) + i);
             store<F>(balanced(k, y) + i, COVERED ? found * load<F>(covers + k * width + i) : found);
         });
@@ -307,8 +299,7 @@ FN void decode_rows(Long first, Long last, const Picture& filtered, const Decodi
     for (Long y = first; y < last; y++) {
         const float* from = filtered(y);
         float* out = plane(y);
-        across(0, plane.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, plane.size[1], EACH(F, Long x) {
             F found[3];
             if (by.kind < 0.0f) {
                 found[0] = distance_of<F>(pick<F, 3>(from + 3 * x), pick<F, 3>(from + 3 * x + 1),

@@ -61,8 +61,7 @@ static Status dilate_rows(Long first, Long last, Picture motion, Picture depth, 
                 to[x] = inside ? depth.at[(y + j - 1) * w + left + x - 1] : __builtin_inff();
             }
         }
-        across(0, count, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, count, EACH(F, Long x) {
             typedef typename Of<F>::Int I;
             F near = load<F>(lines.at + line + 1 + x) * CLEARLY;
             I at = I(0);
@@ -77,8 +76,7 @@ static Status dilate_rows(Long first, Long last, Picture motion, Picture depth, 
         float* out = moved(row);
         for (Long x = 0; x < count; x++)
             __builtin_memcpy(out + 2 * x, from + 2 * (x + found.at[x]), 2 * sizeof(float));
-        across_once(0, 2 * count, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across_once(0, 2 * count, EACH(F, Long i) {
             store<F>(out + i, possible_motion<F>(load<F>(out + i)));
         });
         for (Long i = 2 * count; i < 2 * width; i++) out[i] = out[i - 2];
@@ -105,8 +103,7 @@ static Status mean_rows(Long first, Long last, Picture diffuse, Picture specular
         for (Long i = 0; i < 3 * (end - begin); i++) room.at[i] = 0.0f;
         for (Long y = upper; y < lower; y++) {
             const float *some = diffuse(y, begin), *others = specular(y, begin);
-            across_once(0, end - begin, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across_once(0, end - begin, EACH(F, Long x) {
                 const Tint<F> found = tint_at<F>(some, others, x);
                 store<F>(sums[0] + x, load<F>(sums[0] + x) + found.red);
                 store<F>(sums[1] + x, load<F>(sums[1] + x) + found.green);
@@ -215,8 +212,7 @@ static Status accumulate_rows(Long first, Long last, Picture colour, Picture dif
         const float* z = depth(v, left);
         float *kept = state(y), *by = factor(y), *far = next_depth(y);
         const auto head = [&](int channel) { return fine(0, channel - skipped, y); };
-        across(0, held, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, held, EACH(F, Long x) {
             const Tint<F> tint = tint_at<F>(some, others, x);
             F reflectance[3] = {tint.red, tint.green, tint.blue};
             if (doubts) {

@@ -55,9 +55,9 @@ static void pool_rows(Long first, Long last, Planes finer, Planes finer_importan
                                    x);
         };
         if (whole) {
-            across(begin, end, PIXELS(auto one, Long x) {
-                pool_cell<decltype(one), false>(finer, finer_importance, row, left + 2 * x, level,
-                                                importance, y, x);
+            across(begin, end, EACH(F, Long x) {
+                pool_cell<F, false>(finer, finer_importance, row, left + 2 * x, level,
+                                    importance, y, x);
             });
         }
         for (Long x = 0; x < (whole ? begin : width); x++) edge(x);
@@ -79,8 +79,7 @@ static void mix_rows(Long first, Long last, Planes coarse, Planes level, View<co
             const float* below = coarse(k, Long(coarse_rows.at[y]));
             const float* own = level(k, y);
             float* out = mixed(k, y);
-            const auto pixels = PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            const auto pixels = EACH(F, Long x) {
                 store<F>(out + x, mixed_pixel<F>(each_twice<F>(below + (x + second) / 2),
                                                  load<F>(own + x), load<F>(shares + x)));
             };
@@ -217,8 +216,7 @@ ONCE void remodulate_planes(Long first, Long last, const Planes& filtered,
         for (int c = 0; c < 3; c++) {
             const float* from = filtered(c, y);
             float* out = radiance(plane + c, row) + 1;
-            across(0, held, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, held, EACH(F, Long x) {
                 const F light = load<F>(from + x);
                 store<F>(out + x, with_factor ? light * pick<F, 3>(by + 3 * x + c) : light);
             });

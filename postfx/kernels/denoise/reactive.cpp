@@ -21,8 +21,7 @@ static void reactive_rows(Long first, Long last, Picture colour, Picture opaque,
     for (Long y = first; y < last; y++) {
         const float *all = colour(y), *behind = opaque(y);
         float* out = reactive(y);
-        across(0, reactive.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, reactive.size[1], EACH(F, Long x) {
             F most = F(0.0f);
             for (int c = 0; c < 3; c++) {
                 const F with_all = shown<F>(pick<F, 3>(all + 3 * x + c), difference->exposure);
@@ -46,14 +45,12 @@ static Status spread_rows(Long first, Long last, Picture reactive, NewPicture ne
         const Long above = y > 0 ? y - 1 : y, below = y + 1 < h ? y + 1 : y;
         const float *upper = reactive(above), *own = reactive(y), *lower = reactive(below);
         float* out = next(y);
-        across(0, w, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, w, EACH(F, Long x) {
             F most = within<F>(load<F>(own + x), 0.0f, 1.0f);
             most = larger<F>(within<F>(load<F>(upper + x), 0.0f, 1.0f), most);
             store<F>(room.at + 1 + x, larger<F>(within<F>(load<F>(lower + x), 0.0f, 1.0f), most));
         });
-        across(0, w, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, w, EACH(F, Long x) {
             const F beside = larger<F>(load<F>(room.at + x), load<F>(room.at + x + 2));
             store<F>(out + x, larger<F>(load<F>(room.at + x + 1), beside));
         });
@@ -75,8 +72,7 @@ static Status keep_rows(Long first, Long last, Picture reactive, Picture last_re
         const float *motion = moved(row), *own = reactive(Long(rows.at[row]));
         const float y = rows.at[row];
         float* out = keep(row);
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, width, EACH(F, Long x) {
             const F px = nearest_of(load<F>(columns.at + x) + pick<F, 2>(motion + 2 * x));
             const F py = nearest_of(y + pick<F, 2>(motion + 2 * x + 1));
             store_int<F>(from.at + x, whole(within<F>(py, 0.0f, bottom)) * w

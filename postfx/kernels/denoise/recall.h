@@ -72,8 +72,7 @@ FN void locate_row(const Recall& from, Long here, const RecallRooms& rooms) {
     const float left = from.window.left, y = from.window.top + float(here);
     const float *motion = from.moved(here), *kept = from.keep(clip(here, from.keep.size[0]));
     for (Long x = 0; x < rooms.count; x++) rooms.share()[x] = kept[clip(x, from.keep.size[1])];
-    across(0, rooms.count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, rooms.count, EACH(F, Long x) {
         typedef typename Of<F>::Int I;
         const F px = ramp<F>(left + float(x), 1.0f) + pick<F, 2>(motion + 2 * x);
         const F py = y + pick<F, 2>(motion + 2 * x + 1);

@@ -14,8 +14,7 @@ static void reflection_rows(Long first, Long last, Picture motion, Picture depth
                     *rough = roughness(y);
         const float *some = diffuse(y), *others = specular(y);
         float* out = reflected(y);
-        across(0, 2 * width, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, 2 * width, EACH(F, Long i) {
             store<F>(out + i, possible_motion<F>(load<F>(from + i)));
         });
         for (int x = 0; x < width; x++) {

@@ -13,8 +13,7 @@ template <class F> FN Tint<F> tint_at(const float* some, const float* others, Lo
 // A row, planar.
 FN void fill_tints(const float* some, const float* others, Long count, float* red, float* green,
                    float* blue) {
-    across(0, count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, count, EACH(F, Long x) {
         const Tint<F> found = tint_at<F>(some, others, x);
         store<F>(red + x, found.red);
         store<F>(green + x, found.green);

@@ -94,8 +94,7 @@ template <class F> FN void keep_lit(const Rooms& rooms, Long x, const Lit<F>& li
 
 template <Reflectance BY>
 FN void row_at_corners(const Row& row, const Weights (&weights)[2], int lower, const Rooms& rooms) {
-    across(0, rooms.columns, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, rooms.columns, EACH(F, Long x) {
         const AtCorner left = {row, weights[0], x, 2 * lower, 0};
         const AtCorner right = {row, weights[1], x, 2 * lower + 1, 1};
         const Lit<F> even = upsample_pixel<F, BY>(row, left);
@@ -107,8 +106,7 @@ FN void row_at_corners(const Row& row, const Weights (&weights)[2], int lower, c
 
 template <Reflectance BY>
 FN void row_at_centres(const Row& row, const Weights& weights, const Rooms& rooms) {
-    across(0, rooms.width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, rooms.width, EACH(F, Long x) {
         keep_lit<F>(rooms, x, upsample_pixel<F, BY>(row, AtCentre{row, weights, x}));
     });
 }
@@ -116,8 +114,7 @@ FN void row_at_centres(const Row& row, const Weights& weights, const Rooms& room
 template <Reflectance BY>
 FN void row_anywhere(const Row& row, const Distances& distances, float lower, const Rooms& rooms) {
     const Columns columns = {rooms.index.at, rooms.lean(), rooms.near(), rooms.wide(), rooms.width};
-    across(0, rooms.width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, rooms.width, EACH(F, Long x) {
         const Anywhere at = {row, columns, distances, lower, x};
         keep_lit<F>(rooms, x, upsample_pixel<F, BY>(row, at));
     });
@@ -125,8 +122,7 @@ FN void row_anywhere(const Row& row, const Distances& distances, float lower, co
 
 FN void blend_row(const Rooms& rooms, const float* warped, float darken, float* history,
                   float* output) {
-    across(0, rooms.width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, rooms.width, EACH(F, Long x) {
         const F trust = load<F>(rooms.trust() + x);
         F kept[3];
         for (int c = 0; c < 3; c++) {
@@ -258,8 +254,7 @@ static Status picture(Long first, Long last, View<const float, 4> picture, FineH
         const Long y = smaller<Long>(Long(window->out_top) + n, Long(window->out_height) - 1);
         const Long at = row_of(*window, n, moved.size[0]).index;
         const Row row = row_of_samples(given, rooms, head_of(controls, at), y, at);
-        across(0, rooms.width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, rooms.width, EACH(F, Long x) {
             Lit<F> lit;
             for (int c = 0; c < 3; c++) {
                 lit.rgb[c] = larger<F>(load<F>(row.radiance + c * row.plane + x), F(0.0f));

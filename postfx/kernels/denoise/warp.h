@@ -89,8 +89,7 @@ struct Warper {
 
     // Motion (w, 2) of a row of render pixels.
     FN_MEMBER void move(const float* motion) const {
-        across(0, w, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, w, EACH(F, Long x) {
             row().put<F>(x, moved_pixel<F>(pick<F, 2>(motion + 2 * x) * across_scale,
                                            pick<F, 2>(motion + 2 * x + 1) * down_scale));
         });
@@ -98,8 +97,7 @@ struct Warper {
 
     // Where samples of the output's row y begin, with that motion.
     FN_MEMBER void find(Long y) const {
-        across(0, w, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, w, EACH(F, Long x) {
             const F left = load<F>(column() + x) + load<F>(room.at + x) - 1.0f;
             const F top = load<F>(room.at + w + x) + (float(y) - 1.0f);
             store_int<F>(starts.at + x, start_of<F>({nullptr, height, width}, top, left));

@@ -19,8 +19,7 @@ static void tone_rows(Long first, Long last, Field picture, Places numbers, NewP
     for (Long y = first; y < last; y++) {
         const float* from = picture(y);
         float* row = toned(y + margin) + margin;
-        across(0, w, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, w, EACH(F, Long x) {
             F shade[3];
             for (int c = 0; c < 3; c++) {
                 const F bright = larger<F>(pick<F, 3>(from + 3 * x + c), F(0.0f));
@@ -42,8 +41,7 @@ static void average_rows(Long first, Long last, Plane picture, Places margins, N
     for (Long y = first; y < last; y++) {
         const float* upper = picture(2 * y + margin) + margin;
         const float* lower = upper + picture.size[1];
-        across(0, means.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, means.size[1], EACH(F, Long x) {
             const F left = pick<F, 2>(upper + 2 * x) + pick<F, 2>(lower + 2 * x);
             const F sum = left + pick<F, 2>(upper + 2 * x + 1) + pick<F, 2>(lower + 2 * x + 1);
             store<F>(means(y) + x, sum * 0.25f);

@@ -47,8 +47,7 @@ static void gather_rows(Long first, Long last, Field motion, Field depth, Places
         const float* moved[2] = {motion(moving ? top : 0), motion(moving ? low : 0)};
         float *cells = cell_motion(row), *depths = cell_depth(row);
         const Long pairs = scale == 2 ? w / 2 : 0;
-        across(0, pairs, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, pairs, EACH(F, Long x) {
             Pixels<F> pixels[4];
             UNROLL for (int k = 0; k < 4; k++) {
                 const float* at = moved[k / 2] + 4 * x + k % 2 * 2;

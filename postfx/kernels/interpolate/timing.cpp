@@ -93,8 +93,7 @@ static Status brightest_rows(Long first, Long last, Field picture, Places scales
         for (Long line = 0; line < scale; line++) {
             const float* from = picture(smaller<Long>(row * scale + line, h - 1));
             float* to = scale == 1 ? bright(row) : lines[line];
-            across(0, w, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, w, EACH(F, Long x) {
                 store<F>(to + x, pick<F, 3>(from + 3 * x) + pick<F, 3>(from + 3 * x + 1)
                                      + pick<F, 3>(from + 3 * x + 2));
             });
@@ -102,8 +101,7 @@ static Status brightest_rows(Long first, Long last, Field picture, Places scales
         }
         if (scale == 1) continue;
         const float *upper = lines[0], *lower = lines[1];
-        across(0, bright.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, bright.size[1], EACH(F, Long x) {
             const F above = larger<F>(pick<F, 2>(upper + 2 * x), pick<F, 2>(upper + 2 * x + 1));
             const F below = larger<F>(pick<F, 2>(lower + 2 * x), pick<F, 2>(lower + 2 * x + 1));
             store<F>(bright(row) + x, larger<F>(above, below));
