@@ -275,81 +275,70 @@ static Status enlarge_rows(Long first, Long last, Picture image, Places rows, Pl
 }
 EXPORT(overlay_enlarge, enlarge_rows)
 
-static void over_rows(Long first, Long last, Picture overlay, Picture colour, NewPicture output) {
-    for (Long y = first; y < last; y++) {
-        const float *front = overlay(y), *behind = colour(y);
-        float* out = output(y);
-        across(0, output.size[1], EACH(F, Long x) {
-            const F alpha = pick<F, 4>(front + 4 * x + 3);
-            F found[3];
-            for (int c = 0; c < 3; c++) {
-                found[c] =
-                    over<F>(pick<F, 4>(front + 4 * x + c), alpha, pick<F, 3>(behind + 3 * x + c));
-            }
-            store_triples<F>(out + 3 * x, found[0], found[1], found[2]);
-        });
-    }
+static void over_row(Long y, Picture overlay, Picture colour, NewPicture output) {
+    const float *front = overlay(y), *behind = colour(y);
+    float* out = output(y);
+    across(0, output.size[1], EACH(F, Long x) {
+        const F alpha = pick<F, 4>(front + 4 * x + 3);
+        F found[3];
+        for (int c = 0; c < 3; c++) {
+            found[c] =
+                over<F>(pick<F, 4>(front + 4 * x + c), alpha, pick<F, 3>(behind + 3 * x + c));
+        }
+        store_triples<F>(out + 3 * x, found[0], found[1], found[2]);
+    });
 }
-EXPORT(overlay_over, over_rows)
+EXPORT(overlay_over, over_row)
 
-static void over_alpha_rows(Long first, Long last, Picture overlay, Picture alpha,
-                            NewPicture output) {
-    for (Long y = first; y < last; y++) {
-        const float *front = overlay(y), *behind = alpha(y);
-        float* out = output(y);
-        across(0, output.size[1], EACH(F, Long x) {
-            const F covered = within<F>(known<F>(pick<F, 4>(front + 4 * x + 3)), 0.0f, 1.0f);
-            store<F>(out + x, over<F>(covered, covered, load<F>(behind + x)));
-        });
-    }
+static void over_alpha_row(Long y, Picture overlay, Picture alpha, NewPicture output) {
+    const float *front = overlay(y), *behind = alpha(y);
+    float* out = output(y);
+    across(0, output.size[1], EACH(F, Long x) {
+        const F covered = within<F>(known<F>(pick<F, 4>(front + 4 * x + 3)), 0.0f, 1.0f);
+        store<F>(out + x, over<F>(covered, covered, load<F>(behind + x)));
+    });
 }
-EXPORT(overlay_over_alpha, over_alpha_rows)
+EXPORT(overlay_over_alpha, over_alpha_row)
 
 // Greys of cells where both numbers are equal, and of the others.
 struct Greys {
     float equal, other;
 };
-static void checkerboard_rows(Long first, Long last, Places rows, Places columns,
-                              Given<Greys> greys, NewPicture output) {
-    for (Long y = first; y < last; y++) {
-        float* out = output(y);
-        const float row = rows.at[y];
-        across(0, columns.size[0], EACH(F, Long x) {
-            const F grey = load<F>(columns.at + x) == row ? F(greys->equal) : F(greys->other);
-            store_triples<F>(out + 3 * x, grey, grey, grey);
-        });
-    }
+static void checkerboard_row(Long y, Places rows, Places columns, Given<Greys> greys,
+                             NewPicture output) {
+    float* out = output(y);
+    const float row = rows.at[y];
+    across(0, columns.size[0], EACH(F, Long x) {
+        const F grey = load<F>(columns.at + x) == row ? F(greys->equal) : F(greys->other);
+        store_triples<F>(out + 3 * x, grey, grey, grey);
+    });
 }
-EXPORT(checkerboard, checkerboard_rows)
+EXPORT(checkerboard, checkerboard_row)
 
 // Largest difference of a channel between points now and a picture before, bilinear at places,
 // which are brought to its edge; and whether they lie in it.
-static void compare_rows(Long first, Long last, Picture before, View<const float, 2> now,
-                         View<const float, 2> across, View<const float, 2> down,
-                         View<float, 2> apart, View<byte, 2> inside) {
+static void compare_row(Long n, Picture before, View<const float, 2> now,
+                        View<const float, 2> across, View<const float, 2> down,
+                        View<float, 2> apart, View<byte, 2> inside) {
     const Long height = before.size[0], width = before.size[1], channels = before.size[2];
     const float last_x = float(width - 1), last_y = float(height - 1);
-    for (Long n = first; n < last; n++) {
-        for (Long p = 0; p < across.size[1]; p++) {
-            const float at_x = across(n)[p], at_y = down(n)[p];
-            inside(n)[p] = at_x >= 0.0f && at_x <= last_x && at_y >= 0.0f && at_y <= last_y;
-            const float x = within<float>(at_x, 0.0f, last_x),
-                        y = within<float>(at_y, 0.0f, last_y);
-            const Long left = clip(Long(x), width > 1 ? width - 1 : 1);
-            const Long top = clip(Long(y), height > 1 ? height - 1 : 1);
-            const Long right = clip(left + 1, width), bottom = clip(top + 1, height);
-            const float u = x - float(left), v = y - float(top);
-            const float *a = before(top, left), *b = before(top, right);
-            const float *c = before(bottom, left), *d = before(bottom, right);
-            float largest = 0.0f;
-            for (Long k = 0; k < channels; k++) {
-                const float upper = a[k] * (1.0f - u) + b[k] * u,
-                            lower = c[k] * (1.0f - u) + d[k] * u;
-                const float off = upper * (1.0f - v) + lower * v - now(p)[k];
-                largest = larger<float>(size_of<float>(off), largest);
-            }
-            apart(n)[p] = largest;
+    for (Long p = 0; p < across.size[1]; p++) {
+        const float at_x = across(n)[p], at_y = down(n)[p];
+        inside(n)[p] = at_x >= 0.0f && at_x <= last_x && at_y >= 0.0f && at_y <= last_y;
+        const float x = within<float>(at_x, 0.0f, last_x), y = within<float>(at_y, 0.0f, last_y);
+        const Long left = clip(Long(x), width > 1 ? width - 1 : 1);
+        const Long top = clip(Long(y), height > 1 ? height - 1 : 1);
+        const Long right = clip(left + 1, width), bottom = clip(top + 1, height);
+        const float u = x - float(left), v = y - float(top);
+        const float *a = before(top, left), *b = before(top, right);
+        const float *c = before(bottom, left), *d = before(bottom, right);
+        float largest = 0.0f;
+        for (Long k = 0; k < channels; k++) {
+            const float upper = a[k] * (1.0f - u) + b[k] * u, lower = c[k] * (1.0f - u) + d[k] * u;
+            const float off = upper * (1.0f - v) + lower * v - now(p)[k];
+            largest = larger<float>(size_of<float>(off), largest);
         }
+        apart(n)[p] = largest;
     }
 }
-EXPORT(compare_places, compare_rows)
+EXPORT(compare_places, compare_row)

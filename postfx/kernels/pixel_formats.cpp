@@ -96,7 +96,7 @@ template <int COUNT, class F> FN void store_pixels(float* at, const F* numbers) 
     if constexpr (COUNT == 4) spread_four<4, F>(at, numbers[0], numbers[1], numbers[2], numbers[3]);
 }
 template <int COUNT>
-FN void widen_row(const Word16* words, View<const Long, 2> channels, Long width, float* out) {
+FN void widen_some(const Word16* words, View<const Long, 2> channels, Long width, float* out) {
     Long kinds[COUNT];
     const Word16* begin[COUNT];
     bool halves = true;
@@ -117,24 +117,22 @@ FN void widen_row(const Word16* words, View<const Long, 2> channels, Long width,
     if (halves) widen(Known<true>());
     else widen(Known<false>());
 }
-static void widen_rows(Long first, Long last, View<const Word16, 2> words,
-                       View<const Long, 2> channels, View<float, 3> pixels) {
+static void widen_row(Long y, View<const Word16, 2> words, View<const Long, 2> channels,
+                      View<float, 3> pixels) {
     const Long count = channels.size[0], width = pixels.size[1];
-    for (Long y = first; y < last; y++) {
-        float* out = pixels(y);
-        if (count == 1) widen_row<1>(words(y), channels, width, out);
-        else if (count == 2) widen_row<2>(words(y), channels, width, out);
-        else if (count == 3) widen_row<3>(words(y), channels, width, out);
-        else if (count == 4) widen_row<4>(words(y), channels, width, out);
-        for (Long c = 0; count > 4 && c < count; c++) {
-            const Word16* begin = words(y) + channels(c)[1];
-            for (Long x = 0; x < width; x++) {
-                out[count * x + c] = stored_at<float>(begin, *channels(c), x);
-            }
+    float* out = pixels(y);
+    if (count == 1) widen_some<1>(words(y), channels, width, out);
+    else if (count == 2) widen_some<2>(words(y), channels, width, out);
+    else if (count == 3) widen_some<3>(words(y), channels, width, out);
+    else if (count == 4) widen_some<4>(words(y), channels, width, out);
+    for (Long c = 0; count > 4 && c < count; c++) {
+        const Word16* begin = words(y) + channels(c)[1];
+        for (Long x = 0; x < width; x++) {
+            out[count * x + c] = stored_at<float>(begin, *channels(c), x);
         }
     }
 }
-EXPORT(widen_rows, widen_rows)
+EXPORT(widen_rows, widen_row)
 
 FN bool is_any(bool one) { return one; }
 FN bool is_any(WideInt some) { return __builtin_reduce_or(some) != 0; }
@@ -169,52 +167,48 @@ FN void store_bytes(byte* at, WideInt x) {
 
 // The whole part of codes times the largest byte, cut to 0..1, plus a threshold of a pattern that
 // is repeated.
-static void dither_rows(Long first, Long last, View<const float, 2> codes, Given<float> top,
-                        View<const float, 2> pattern, View<byte, 2> bytes) {
+static void dither_row(Long y, View<const float, 2> codes, Given<float> top,
+                       View<const float, 2> pattern, View<byte, 2> bytes) {
     const Long width = codes.size[1], period = pattern.size[1];
     const float highest = *top;
-    for (Long y = first; y < last; y++) {
-        const float* thresholds = pattern(y % pattern.size[0]);
-        for (Long start = 0; start < width; start += period) {
-            const float* some = codes(y) + start;
-            byte* out = bytes(y) + start;
-            const Long size = smaller<Long>(period, width - start);
-            const auto dither = EACH(F, Long x) {
-                const F code = within<F>(load<F>(some + x), 0.0f, 1.0f);
-                store_bytes(out + x, whole(F(code * highest + load<F>(thresholds + x))));
-            };
-            Long x = 0;
-            for (; x + 4 * WIDE <= size; x += 4 * WIDE) {
-                UNROLL for (int k = 0; k < 4; k++) dither(Wide(), x + k * WIDE);
-            }
-            across(x, size, dither);
+    const float* thresholds = pattern(y % pattern.size[0]);
+    for (Long start = 0; start < width; start += period) {
+        const float* some = codes(y) + start;
+        byte* out = bytes(y) + start;
+        const Long size = smaller<Long>(period, width - start);
+        const auto dither = EACH(F, Long x) {
+            const F code = within<F>(load<F>(some + x), 0.0f, 1.0f);
+            store_bytes(out + x, whole(F(code * highest + load<F>(thresholds + x))));
+        };
+        Long x = 0;
+        for (; x + 4 * WIDE <= size; x += 4 * WIDE) {
+            UNROLL for (int k = 0; k < 4; k++) dither(Wide(), x + k * WIDE);
         }
+        across(x, size, dither);
     }
 }
-EXPORT_ALONE(dither_rows, dither_rows)
+EXPORT_ALONE(dither_rows, dither_row)
 
 // PNG's filter 4 (ISO/IEC 15948, 9.4) of rows, after its number; `above` is the row before.
 FN int distance(int x, int other) { return x < other ? other - x : x - other; }
-static void filter_rows(Long first, Long last, View<const byte, 2> rows, View<const byte, 1> above,
-                        View<const Long, 1> bytes_of_pixel, View<byte, 2> filtered) {
+static void filter_row(Long y, View<const byte, 2> rows, View<const byte, 1> above,
+                       View<const Long, 1> bytes_of_pixel, View<byte, 2> filtered) {
     const Long size = rows.size[1], step = *bytes_of_pixel.at;
-    for (Long y = first; y < last; y++) {
-        const byte* __restrict row = rows(y);
-        const byte* __restrict up = y ? rows(y - 1) : above.at;
-        byte* __restrict out = filtered(y) + 1;
-        out[-1] = 4;
-        for (Long i = 0; i < step; i++) out[i] = byte(row[i] - up[i]);
-        for (Long i = step; i < size; i++) {
-            const short a = row[i - step], b = up[i], c = up[i - step];
-            const short to_left = short(distance(b, c)), to_up = short(distance(a, c));
-            const short over = short(a + b - 2 * c), to_corner = short(over < 0 ? -over : over);
-            const short nearer = to_up <= to_corner ? b : c;
-            const bool left = to_left <= to_up && to_left <= to_corner;
-            out[i] = byte(row[i] - (left ? a : nearer));
-        }
+    const byte* __restrict row = rows(y);
+    const byte* __restrict up = y ? rows(y - 1) : above.at;
+    byte* __restrict out = filtered(y) + 1;
+    out[-1] = 4;
+    for (Long i = 0; i < step; i++) out[i] = byte(row[i] - up[i]);
+    for (Long i = step; i < size; i++) {
+        const short a = row[i - step], b = up[i], c = up[i - step];
+        const short to_left = short(distance(b, c)), to_up = short(distance(a, c));
+        const short over = short(a + b - 2 * c), to_corner = short(over < 0 ? -over : over);
+        const short nearer = to_up <= to_corner ? b : c;
+        const bool left = to_left <= to_up && to_left <= to_corner;
+        out[i] = byte(row[i] - (left ? a : nearer));
     }
 }
-EXPORT_ALONE(filter_rows, filter_rows)
+EXPORT_ALONE(filter_rows, filter_row)
 
 // Bytes as OpenEXR compresses them (ImfZip.cpp): those in even places before those in odd ones,
 // each less the one before it, plus 128.

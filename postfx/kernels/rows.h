@@ -1,11 +1,13 @@
 // How Python calls rows: `int name(const Word* words, void*)`. Words are the first row and the one
 // after the last, and of each array its address and its lengths.
 //
-//     static void half_rows(Long first, Long last, View<const float, 2> image, View<float, 2> out);
-//     EXPORT(half, half_rows)
+//     static void half_row(Long y, View<const float, 2> image, View<float, 2> out);
+//     EXPORT(half, half_row)
 //
-// Rows that need memory of their own return a Status. The library also tells what a name takes, so
-// that Python compares its table with it.
+// A function of a row is called for each of them. One that makes something for all rows before is
+// given the first and the last: half_rows(Long first, Long last, ...). If it needs memory of its
+// own, it returns a Status. The library also tells what a name takes, so that Python compares its
+// table with it.
 #pragma once
 #include "number.h"
 
@@ -103,6 +105,18 @@ template <class R, class... A> int call(R (*rows)(Long, Long, A...), const Word*
     return Call<A...>{rows, words[0], words[1], Taken<A>::from(rest)...}.status;  // in this order
 }
 
+// What is called for a kernel's rows: its function, or that of one row for each of them.
+template <auto ROW, class... A> void each_row(Long first, Long last, A... arrays) {
+    for (Long y = first; y < last; y++) [[clang::always_inline]] ROW(y, arrays...);
+}
+template <auto, class... A> constexpr auto rows_of(Status (*rows)(Long, Long, A...)) {
+    return rows;
+}
+template <auto, class... A> constexpr auto rows_of(void (*rows)(Long, Long, A...)) { return rows; }
+template <auto ROW, class... A> constexpr auto rows_of(void (*)(Long, A...)) {
+    return each_row<ROW, A...>;
+}
+
 // Kinds of arguments in five letters each: type, axes, and whether they are only read.
 
 template <class T> constexpr const char* type_name();
@@ -151,9 +165,10 @@ template <class R, class... A> const char* kinds_of(R (*)(Long, Long, A...)) {
     return kinds.text;
 }
 
-#define EXPORT_ONE(name, rows)                                                \
-    EXPORTED int name(const Word* words, void*) { return call(rows, words); } \
-    EXPORTED const char* name##_takes() { return kinds_of(rows); }
+#define EXPORT_ONE(name, rows)                                                         \
+    static constexpr auto name##_called = rows_of<rows>(rows);                         \
+    EXPORTED int name(const Word* words, void*) { return call(name##_called, words); } \
+    EXPORTED const char* name##_takes() { return kinds_of(name##_called); }
 #define EXPORT_NONE(name, rows)
 
 // A library of a wheel has all kernels. A checkout compiles those of a file together when one of

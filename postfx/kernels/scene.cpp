@@ -25,20 +25,18 @@ static void scene_points_rows(Long first, Long last, Given<SceneCamera> camera,
 }
 EXPORT(scene_points, scene_points_rows)
 
-static void scene_light_rows(Long first, Long last, View<const float, 2> values, Picture diffuse,
-                             Picture specular, Picture colour, View<float, 3> output) {
+static void scene_light_row(Long y, View<const float, 2> values, Picture diffuse, Picture specular,
+                            Picture colour, View<float, 3> output) {
     const Long width = output.size[1];
-    for (Long y = first; y < last; y++) {
-        across(0, width, EACH(F, Long x) {
-            F given[3], albedo[3], light[3];
-            for (int c = 0; c < 3; c++) {
-                given[c] = pick<F, 3>(values(y * width + x) + c);
-                albedo[c] = pick<F, 3>(diffuse(y, x) + c) + pick<F, 3>(specular(y, x) + c);
-                light[c] = pick<F, 3>(colour(y, x) + c);
-            }
-            shade<F>(given, albedo, light);
-            store_triples<F>(output(y, x), light[0], light[1], light[2]);
-        });
-    }
+    across(0, width, EACH(F, Long x) {
+        F given[3], albedo[3], light[3];
+        for (int c = 0; c < 3; c++) {
+            given[c] = pick<F, 3>(values(y * width + x) + c);
+            albedo[c] = pick<F, 3>(diffuse(y, x) + c) + pick<F, 3>(specular(y, x) + c);
+            light[c] = pick<F, 3>(colour(y, x) + c);
+        }
+        shade<F>(given, albedo, light);
+        store_triples<F>(output(y, x), light[0], light[1], light[2]);
+    });
 }
-EXPORT(scene_light, scene_light_rows)
+EXPORT(scene_light, scene_light_row)

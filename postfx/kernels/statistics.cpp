@@ -170,25 +170,23 @@ EXPORT(half_means, half_rows)
 
 // Means of two pairs of pixels of each whole block. Each pair lies on a diagonal, a quarter of the
 // block from its corners. Means that are not finite become 0.
-static void pair_rows(Long first, Long last, Picture plane, Lengths side, View<double, 4> means) {
+static void pair_row(Long j, Picture plane, Lengths side, View<double, 4> means) {
     const Long block = *side.at, near = block / 4, far = block - 1 - near;
-    for (Long j = first; j < last; j++) {
-        for (Long i = 0; i < means.size[1]; i++) {
-            for (Long pair = 0; pair < 2; pair++) {
-                const Long left = i * block + (pair ? far : near);
-                const Long right = i * block + (pair ? near : far);
-                const float* upper = plane(j * block + near, left);
-                const float* lower = plane(j * block + far, right);
-                double* out = means(j, i, pair);
-                for (Long c = 0; c < means.size[3]; c++) {
-                    const double mean = (double(upper[c]) + double(lower[c])) / 2.0;
-                    out[c] = size_of(mean) < __builtin_inf() ? mean : 0.0;
-                }
+    for (Long i = 0; i < means.size[1]; i++) {
+        for (Long pair = 0; pair < 2; pair++) {
+            const Long left = i * block + (pair ? far : near);
+            const Long right = i * block + (pair ? near : far);
+            const float* upper = plane(j * block + near, left);
+            const float* lower = plane(j * block + far, right);
+            double* out = means(j, i, pair);
+            for (Long c = 0; c < means.size[3]; c++) {
+                const double mean = (double(upper[c]) + double(lower[c])) / 2.0;
+                out[c] = size_of(mean) < __builtin_inf() ? mean : 0.0;
             }
         }
     }
 }
-EXPORT(pair_means, pair_rows)
+EXPORT(pair_means, pair_row)
 
 // The least or the largest of each column of rows of a plane, from what is given before.
 template <bool LARGEST>
@@ -248,47 +246,41 @@ static Status positive_rows(Long first, Long last, Plane plane, Lengths side, Vi
 EXPORT_ALONE(mark_positive, positive_rows)
 
 // Sets cells of side x side pixels that are not 0 everywhere.
-static void lit_rows(Long first, Long last, View<const unsigned, 3> plane, Lengths side,
-                     View<bool, 2> cells) {
+static void lit_row(Long j, View<const unsigned, 3> plane, Lengths side, View<bool, 2> cells) {
     const Long h = plane.size[0], w = plane.size[1], channels = plane.size[2], block = *side.at;
-    for (Long j = first; j < last; j++) {
-        const Long end = smaller<Long>((j + 1) * block, h);
-        for (Long y = j * block; y < end; y++) {
-            for (Long x = 0; x < w; x += block) {
-                const unsigned* from = plane(y, x);
-                const Long width = smaller<Long>(block, w - x);
-                unsigned any = 0;
-                for (Long i = 0; i < width * channels; i++) any |= from[i];
-                if (any & 0x7FFFFFFF) cells(j)[x / block] = true;
-            }
+    const Long end = smaller<Long>((j + 1) * block, h);
+    for (Long y = j * block; y < end; y++) {
+        for (Long x = 0; x < w; x += block) {
+            const unsigned* from = plane(y, x);
+            const Long width = smaller<Long>(block, w - x);
+            unsigned any = 0;
+            for (Long i = 0; i < width * channels; i++) any |= from[i];
+            if (any & 0x7FFFFFFF) cells(j)[x / block] = true;
         }
     }
 }
-EXPORT_ALONE(mark_lit, lit_rows)
+EXPORT_ALONE(mark_lit, lit_row)
 
 // How many of every second row's pixels, but for the first and the last, are a hit where at least
 // three of four neighbours are misses, or the other way round.
-static void odd_rows(Long first, Long last, Plane depth, Places farthest, View<float, 1> odd) {
-    for (Long n = first; n < last; n++) {
-        const Long y = 2 * n + 1;
-        const float *above = depth(y - 1), *row = depth(y), *below = depth(y + 1);
-        const float far = *farthest.at;
-        Wide wide = Wide(0.0f);
-        float single = 0.0f;
-        across_once(1, depth.size[1] - 1, EACH(F, Long x) {
-            const F beside =
-                hit_of<F>(load<F>(row + x - 1), far) + hit_of<F>(load<F>(row + x + 1), far);
-            const F around =
-                hit_of<F>(load<F>(above + x), far) + hit_of<F>(load<F>(below + x), far);
-            const F found = is_odd<F>(hit_of<F>(load<F>(row + x), far), around + beside);
-            if constexpr (Of<F>::COUNT == 1) single += found;
-            else wide += found;
-        });
-        for (int i = 0; i < WIDE; i++) single += wide[i];
-        odd.at[n] = single;
-    }
+static void odd_row(Long n, Plane depth, Places farthest, View<float, 1> odd) {
+    const Long y = 2 * n + 1;
+    const float *above = depth(y - 1), *row = depth(y), *below = depth(y + 1);
+    const float far = *farthest.at;
+    Wide wide = Wide(0.0f);
+    float single = 0.0f;
+    across_once(1, depth.size[1] - 1, EACH(F, Long x) {
+        const F beside =
+            hit_of<F>(load<F>(row + x - 1), far) + hit_of<F>(load<F>(row + x + 1), far);
+        const F around = hit_of<F>(load<F>(above + x), far) + hit_of<F>(load<F>(below + x), far);
+        const F found = is_odd<F>(hit_of<F>(load<F>(row + x), far), around + beside);
+        if constexpr (Of<F>::COUNT == 1) single += found;
+        else wide += found;
+    });
+    for (int i = 0; i < WIDE; i++) single += wide[i];
+    odd.at[n] = single;
 }
-EXPORT(coverage_noise, odd_rows)
+EXPORT(coverage_noise, odd_row)
 
 // The coarse grid.
 
@@ -373,24 +365,22 @@ ONCE void add_moments(const double* a, const double* b, Long count, double* foun
 }
 
 // Light (rows, columns) of a picture at some of its rows and columns; what is no number counts as 0.
-static void picked_rows(Long first, Long last, Picture colour, Lengths rows, Lengths columns,
-                        View<float, 2> light) {
+static void picked_row(Long y, Picture colour, Lengths rows, Lengths columns,
+                       View<float, 2> light) {
     constexpr float LARGEST = 1e30f;  // that counts: sums of it are finite
     constexpr float WEIGHTS[3] = {0.2126f, 0.7152f, 0.0722f};  // of Rec.709's luminance
-    for (Long y = first; y < last; y++) {
-        const float* row = colour(rows.at[y]);
-        for (Long x = 0; x < columns.size[0]; x++) {
-            const float* pixel = row + 3 * columns.at[x];
-            float sum = 0.0f;
-            for (int c = 0; c < 3; c++) {
-                const float lit = smaller<float>(larger<float>(pixel[c], 0.0f), LARGEST);
-                sum += WEIGHTS[c] * (pixel[c] == pixel[c] ? lit : pixel[c]);
-            }
-            light(y)[x] = sum == sum ? sum : 0.0f;
+    const float* row = colour(rows.at[y]);
+    for (Long x = 0; x < columns.size[0]; x++) {
+        const float* pixel = row + 3 * columns.at[x];
+        float sum = 0.0f;
+        for (int c = 0; c < 3; c++) {
+            const float lit = smaller<float>(larger<float>(pixel[c], 0.0f), LARGEST);
+            sum += WEIGHTS[c] * (pixel[c] == pixel[c] ? lit : pixel[c]);
         }
+        light(y)[x] = sum == sum ? sum : 0.0f;
     }
 }
-EXPORT(pick_light, picked_rows)
+EXPORT(pick_light, picked_row)
 
 // A cell, and where its motion leads, in cells.
 struct Moved {

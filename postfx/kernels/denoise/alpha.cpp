@@ -653,26 +653,24 @@ EXPORT_ALONE(denoise_correct, correct_rows)
 
 // Filtering: the means of samples as the finest level, and the filtered level at output size.
 
-static void level_rows(Long first, Long last, Picture next_samples, Places rows, Places columns,
-                       Places, Places, NewPicture level) {
+static void level_row(Long y, Picture next_samples, Places rows, Places columns, Places, Places,
+                      NewPicture level) {
     const Long w = columns.size[0], left = Long(columns.at[0]), width = level.size[2];
     const Long held = Long(columns.at[w - 1]) - left + 1;
-    for (Long y = first; y < last; y++) {
-        float* out = level(0, y);
-        if (y >= rows.size[0]) {
-            for (Long x = 0; x < width; x++) out[x] = 0.0f;
-            continue;
-        }
-        const float *upper = next_samples(2 * Long(rows.at[y]), 2 * left);
-        const float *lower = next_samples(2 * Long(rows.at[y]) + 1, 2 * left);
-        across(0, held, EACH(F, Long x) {
-            store<F>(out + x, mean_of_samples<F>(upper + 2 * x, lower + 2 * x));
-        });
-        for (Long x = held; x < w; x++) out[x] = out[held - 1];
-        for (Long x = w; x < width; x++) out[x] = 0.0f;
+    float* out = level(0, y);
+    if (y >= rows.size[0]) {
+        for (Long x = 0; x < width; x++) out[x] = 0.0f;
+        return;
     }
+    const float *upper = next_samples(2 * Long(rows.at[y]), 2 * left);
+    const float *lower = next_samples(2 * Long(rows.at[y]) + 1, 2 * left);
+    across(0, held, EACH(F, Long x) {
+        store<F>(out + x, mean_of_samples<F>(upper + 2 * x, lower + 2 * x));
+    });
+    for (Long x = held; x < w; x++) out[x] = out[held - 1];
+    for (Long x = w; x < width; x++) out[x] = 0.0f;
 }
-EXPORT_ALONE(denoise_alpha_level, level_rows)
+EXPORT_ALONE(denoise_alpha_level, level_row)
 
 // By the picture's weights of 3x3 pixels; where nothing is near, that of the pixel itself.
 static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fine, Places part_rows,

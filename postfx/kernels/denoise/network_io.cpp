@@ -113,18 +113,16 @@ static void open_phased_rows(Long first, Long last, View<const float, 4> phased,
 EXPORT_ALONE(denoise_open_phased, open_phased_rows)
 
 // The expected squared error of a part's pixels; of one that is unknown, the largest.
-static void open_error_rows(Long first, Long last, View<const float, 4> log_error, Places, Places,
-                            View<float, 3> error) {
-    for (Long y = first; y < last; y++) {
-        const float* from = log_error(0, 0, y);
-        float* to = error(y);
-        across(0, error.size[1], EACH(F, Long x) {
-            const F log = known<F>(load<F>(from + x));
-            store<F>(to + x, exp_of<F>(within<F>(log, LEAST_LOG_ERROR, MOST_LOG_ERROR)));
-        });
-    }
+static void open_error_row(Long y, View<const float, 4> log_error, Places, Places,
+                           View<float, 3> error) {
+    const float* from = log_error(0, 0, y);
+    float* to = error(y);
+    across(0, error.size[1], EACH(F, Long x) {
+        const F log = known<F>(load<F>(from + x));
+        store<F>(to + x, exp_of<F>(within<F>(log, LEAST_LOG_ERROR, MOST_LOG_ERROR)));
+    });
 }
-EXPORT_ALONE(denoise_open_error, open_error_rows)
+EXPORT_ALONE(denoise_open_error, open_error_row)
 
 static void open_channels(Long first, Long last, const Products& products, const Scaling& scaling,
                           Long begin, const Heads& fine) {

@@ -323,29 +323,26 @@ struct TilePlace {
     float y, x;
     Area areas[2];
 };
-static void assemble_rows(Long first, Long last, View<const float, 4> tiles,
-                          View<const float, 2> places, Places frame_rows, Places frame_columns,
-                          NewPicture picture) {
+static void assemble_row(Long row, View<const float, 4> tiles, View<const float, 2> places,
+                         Places frame_rows, Places frame_columns, NewPicture picture) {
     const Long columns = frame_columns.size[0], left = Long(frame_columns.at[0]),
                channels = tiles.size[3];
-    for (Long row = first; row < last; row++) {
-        const Long y = Long(frame_rows.at[row]);
-        float* out = picture(row);
-        for (Long i = 0; i < columns * channels; i++) out[i] = 0.0f;
-        for (int kind = 0; kind < 2; kind++) {
-            for (Long tile = tiles.size[0] - 1; tile >= 0; tile--) {
-                const TilePlace& place = *(const TilePlace*)places(tile);
-                const Area& area = place.areas[kind];
-                const Long from = larger<Long>(Long(area.left), left);
-                const Long to = smaller<Long>(Long(area.right), left + columns);
-                if (float(y) < area.top || float(y) >= area.bottom || from >= to) continue;
-                const float* source = tiles(tile, y - Long(place.y), from - Long(place.x));
-                float* target = out + (from - left) * channels;
-                across(0, (to - from) * channels, EACH(F, Long i) {
-                    store<F>(target + i, load<F>(source + i));
-                });
-            }
+    const Long y = Long(frame_rows.at[row]);
+    float* out = picture(row);
+    for (Long i = 0; i < columns * channels; i++) out[i] = 0.0f;
+    for (int kind = 0; kind < 2; kind++) {
+        for (Long tile = tiles.size[0] - 1; tile >= 0; tile--) {
+            const TilePlace& place = *(const TilePlace*)places(tile);
+            const Area& area = place.areas[kind];
+            const Long from = larger<Long>(Long(area.left), left);
+            const Long to = smaller<Long>(Long(area.right), left + columns);
+            if (float(y) < area.top || float(y) >= area.bottom || from >= to) continue;
+            const float* source = tiles(tile, y - Long(place.y), from - Long(place.x));
+            float* target = out + (from - left) * channels;
+            across(0, (to - from) * channels, EACH(F, Long i) {
+                store<F>(target + i, load<F>(source + i));
+            });
         }
     }
 }
-EXPORT(denoise_assemble, assemble_rows)
+EXPORT(denoise_assemble, assemble_row)

@@ -6,22 +6,20 @@
 
 // Reflectance of a part that has another one than the picture. Columns beyond the frame repeat its
 // last one.
-static void reflectance_rows(Long first, Long last, Picture diffuse, Picture specular, Places rows,
-                             Places columns, NewPicture factor) {
+static void reflectance_row(Long y, Picture diffuse, Picture specular, Places rows, Places columns,
+                            NewPicture factor) {
     const Long w = columns.size[0], left = Long(columns.at[0]);
     const Long held = Long(columns.at[w - 1]) - left + 1;
-    for (Long y = first; y < last; y++) {
-        const Long row = Long(rows.at[y]);
-        const float *some = diffuse(row, left), *others = specular(row, left);
-        float* out = factor(y);
-        across(0, held, EACH(F, Long x) {
-            const Tint<F> found = tint_at<F>(some, others, x);
-            store_triples<F>(out + 3 * x, found.red, found.green, found.blue);
-        });
-        for (Long i = 3 * held; i < 3 * w; i++) out[i] = out[i - 3];
-    }
+    const Long row = Long(rows.at[y]);
+    const float *some = diffuse(row, left), *others = specular(row, left);
+    float* out = factor(y);
+    across(0, held, EACH(F, Long x) {
+        const Tint<F> found = tint_at<F>(some, others, x);
+        store_triples<F>(out + 3 * x, found.red, found.green, found.blue);
+    });
+    for (Long i = 3 * held; i < 3 * w; i++) out[i] = out[i - 3];
 }
-EXPORT_ALONE(denoise_reflectance, reflectance_rows)
+EXPORT_ALONE(denoise_reflectance, reflectance_row)
 
 // Running mean.
 

@@ -40,31 +40,27 @@ FN void pool_cell(const Planes& finer, const Planes& weights, Long v, Long u, Ne
     store<F>(importance(0, y) + x, cell.importance);
 }
 
-static void pool_rows(Long first, Long last, Planes finer, Planes finer_importance,
-                      Places finer_rows, Places finer_columns, NewPlanes level,
-                      NewPlanes importance) {
+static void pool_row(Long y, Planes finer, Planes finer_importance, Places finer_rows,
+                     Places finer_columns, NewPlanes level, NewPlanes importance) {
     const Long h = finer.size[1], w = finer.size[2], width = level.size[2];
     const Long left = Long(finer_columns.at[0]);
     const Long begin = left < 0 ? 1 : 0;
     const Long end = smaller<Long>(width, (w - left) / 2);
-    for (Long y = first; y < last; y++) {
-        const Long row = Long(finer_rows.at[y]);
-        const bool whole = row >= 0 && row + 1 < h && begin < end;
-        const auto edge = [&](Long x) {
-            pool_cell<float, true>(finer, finer_importance, row, left + 2 * x, level, importance, y,
-                                   x);
-        };
-        if (whole) {
-            across(begin, end, EACH(F, Long x) {
-                pool_cell<F, false>(finer, finer_importance, row, left + 2 * x, level,
-                                    importance, y, x);
-            });
-        }
-        for (Long x = 0; x < (whole ? begin : width); x++) edge(x);
-        for (Long x = end; whole && x < width; x++) edge(x);
+    const Long row = Long(finer_rows.at[y]);
+    const bool whole = row >= 0 && row + 1 < h && begin < end;
+    const auto edge = [&](Long x) {
+        pool_cell<float, true>(finer, finer_importance, row, left + 2 * x, level, importance, y, x);
+    };
+    if (whole) {
+        across(begin, end, EACH(F, Long x) {
+            pool_cell<F, false>(finer, finer_importance, row, left + 2 * x, level,
+                                importance, y, x);
+        });
     }
+    for (Long x = 0; x < (whole ? begin : width); x++) edge(x);
+    for (Long x = end; whole && x < width; x++) edge(x);
 }
-EXPORT(denoise_pool, pool_rows)
+EXPORT(denoise_pool, pool_row)
 
 // All rows of a level; for each row and column, the row and column of the coarser level that it
 // lies in is given. Of the fine head, the last channels are enough.
@@ -142,7 +138,7 @@ FN Filtered<F, CHANNELS> filter_edge(const Filter& filter, Long y, Long x) {
 
 // Filtering a row, whose weights may lie anywhere.
 
-template <int CHANNELS> ONCE void filter_row(Filter filter, Long y, float* out) {
+template <int CHANNELS> ONCE void filter_planes(Filter filter, Long y, float* out) {
     const Long left = smaller<Long>(REACH, filter.right);
     const Long right = larger<Long>(left, filter.right - REACH);
     const bool wide = right - left >= WIDE, inside = y >= REACH && y < filter.bottom - REACH;
@@ -164,22 +160,20 @@ FN void filter_planes(const Planes& mixed, const float* weights, Long step, Long
     const bool one = mixed.size[0] == 1;
     for (Long k = 0; k < mixed.size[0]; k += 3) {
         const Filter filter = {mixed(k), weights, plane, w, step, bottom, right};
-        if (right > 0 && one) filter_row<1>(filter, y, filtered(k, y));
-        if (right > 0 && !one) filter_row<3>(filter, y, filtered(k, y));
+        if (right > 0 && one) filter_planes<1>(filter, y, filtered(k, y));
+        if (right > 0 && !one) filter_planes<3>(filter, y, filtered(k, y));
         for (int c = 0; c < (one ? 1 : 3); c++) {
             for (Long x = right; x < w; x++) filtered(k + c, y)[x] = 0;
         }
     }
 }
 
-static void filter_rows(Long first, Long last, Planes mixed, View<const float, 4> heads,
-                        Places area, NewPlanes filtered) {
+static void filter_row(Long y, Planes mixed, View<const float, 4> heads, Places area,
+                       NewPlanes filtered) {
     const Long step = heads.size[2] * heads.size[3];
-    for (Long y = first; y < last; y++) {
-        filter_planes(mixed, heads(0, 0, y), step, y, area, filtered);
-    }
+    filter_planes(mixed, heads(0, 0, y), step, y, area, filtered);
 }
-EXPORT(denoise_filter, filter_rows)
+EXPORT(denoise_filter, filter_row)
 
 // The same at the finest level, whose weights are made of codes, two rows at a time.
 static Status filter_codes_rows(Long first, Long last, Planes mixed, Codes codes, Factors factors,

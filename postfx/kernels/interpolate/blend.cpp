@@ -69,37 +69,35 @@ FN Four apart(const float* one, const float* other) {
 
 // Marks cells that follow one path with those to the right and below by 1, and by 2 where it
 // changes evenly, as on what turns.
-static void join_rows(Long first, Long last, NewField cells) {
+static void join_row(Long y, NewField cells) {
     const Long rows = cells.size[0], columns = cells.size[1];
     const Field known = {cells.at, {rows, columns, NUMBERS}};
-    for (Long y = first; y < last; y++) {
-        const Long j = smaller<Long>(y + 1, rows - 1) - y;
-        for (Long x = 0; x < columns; x++) {
-            const Long i = smaller<Long>(x + 1, columns - 1) - x;
-            float* here = cells(y, x);
-            const float *right = cells(y, x + i), *low = cells(y + j, x);
-            const float* across = cells(y + j, x + i);
-            const bool is_one = shows_same(here, right) && shows_same(here, low)
-                             && shows_same(here, across);
-            const Four beside = most_of<Four>(apart(here, right), apart(here, low));
-            const float most = largest_of(most_of<Four>(beside, apart(here, across)));
-            if (is_one && most <= JOINED) {
-                here[JOIN] = 1.0f;
-                continue;
-            }
-            bool is_even = is_one && most <= TURNING;
-            for (Long c = 0; c < 4 && is_even; c++) {
-                is_even = size_of<float>(here[c] - right[c] - low[c] + across[c]) <= SMOOTH;
-            }
-            for (Long c = 0; c < 4 && is_even; c++) {
-                is_even = is_line(known, y, x, 0, i, c) && is_line(known, y, x, j, 0, c)
-                       && is_line(known, y + j, x, 0, i, c) && is_line(known, y, x + i, j, 0, c);
-            }
-            here[JOIN] = is_even ? 2.0f : 0.0f;
+    const Long j = smaller<Long>(y + 1, rows - 1) - y;
+    for (Long x = 0; x < columns; x++) {
+        const Long i = smaller<Long>(x + 1, columns - 1) - x;
+        float* here = cells(y, x);
+        const float *right = cells(y, x + i), *low = cells(y + j, x);
+        const float* across = cells(y + j, x + i);
+        const bool is_one = shows_same(here, right) && shows_same(here, low)
+                         && shows_same(here, across);
+        const Four beside = most_of<Four>(apart(here, right), apart(here, low));
+        const float most = largest_of(most_of<Four>(beside, apart(here, across)));
+        if (is_one && most <= JOINED) {
+            here[JOIN] = 1.0f;
+            continue;
         }
+        bool is_even = is_one && most <= TURNING;
+        for (Long c = 0; c < 4 && is_even; c++) {
+            is_even = size_of<float>(here[c] - right[c] - low[c] + across[c]) <= SMOOTH;
+        }
+        for (Long c = 0; c < 4 && is_even; c++) {
+            is_even = is_line(known, y, x, 0, i, c) && is_line(known, y, x, j, 0, c)
+                   && is_line(known, y + j, x, 0, i, c) && is_line(known, y, x + i, j, 0, c);
+        }
+        here[JOIN] = is_even ? 2.0f : 0.0f;
     }
 }
-EXPORT(join_cells, join_rows)
+EXPORT(join_cells, join_row)
 
 // The cells before and after a pixel's middle, and how far it is from the first to the second one.
 struct Cells {
