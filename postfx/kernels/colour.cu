@@ -29,9 +29,7 @@ extern "C" __global__ void __launch_bounds__(256, 4)
 #pragma unroll
     for (int k = 0; k < 2; k++) {
         const Colour one = looked_up<4>(cube, places[k]);
-        found[3 * k] = one.r;
-        found[3 * k + 1] = one.g;
-        found[3 * k + 2] = one.b;
+        put(found + 3 * k, one);
     }
     put_pixels(staged[threadIdx.y], found, output, y, x, start);
 }
@@ -83,9 +81,7 @@ __device__ inline void show(const View& colour, const View& params, const View& 
     for (int c = 0; c < 3; c++) in[c] = clamped(colour.at[here + c], -BRIGHTEST, BRIGHTEST);
     const Showing& by = *reinterpret_cast<const Showing*>(params.at);
     const Shown<float> shown = show_light<Formula, float>(by, in[0], in[1], in[2]);
-    output.at[here] = shown.r;
-    output.at[here + 1] = shown.g;
-    output.at[here + 2] = shown.b;
+    put(output.at + here, {shown.r, shown.g, shown.b});
 }
 
 extern "C" __global__ void show_neutral(View colour, View params, View output) {

@@ -10,8 +10,27 @@ struct Colour {
     float r, g, b;
 };
 
+__device__ inline Colour operator*(const Colour& light, float by) {
+    return {light.r * by, light.g * by, light.b * by};
+}
+
+__device__ inline Colour operator*(const Colour& light, const Colour& by) {
+    return {light.r * by.r, light.g * by.g, light.b * by.b};
+}
+
 __device__ inline void add(Colour& sum, const Colour& light, float weight) {
     sum = {sum.r + weight * light.r, sum.g + weight * light.g, sum.b + weight * light.b};
+}
+
+// A colour beside one another in memory, or a step apart, as in planes.
+__device__ inline Colour three(const float* at, size_t step = 1) {
+    return {at[0], at[step], at[2 * step]};
+}
+
+__device__ inline void put(float* to, const Colour& light, size_t step = 1) {
+    to[0] = light.r;
+    to[step] = light.g;
+    to[2 * step] = light.b;
 }
 
 // Within [low, high], which holds 0 or lies above it; a NaN becomes the value nearest to 0.
@@ -273,7 +292,8 @@ __device__ inline void put_pixels(Pair (&staged)[3 * ACROSS], const float (&ligh
             3 * (width - first) / 2);
 }
 
-// Heads are numbers in single precision, or bits of half precision.
+// Heads are numbers in single precision, or bits of half precision. Of a kernel of a template's type
+// `Number`, `read_source` in postfx/kernels/__init__.py makes both: `name` and `name_half`.
 typedef unsigned short Half;
 
 __device__ inline float as_float(float number) {

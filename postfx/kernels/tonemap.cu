@@ -19,16 +19,13 @@ extern "C" __global__ void lowres(View colour, View params, View matrix, View lo
 #pragma unroll 4
         for (int i = int(left); i < last_column; i++, pixel += 3) {
             const float wide = fminf(i + 1.0f, right) - fmaxf(float(i), left);
-            const Colour seen = shaped(by, pixel);
-            row = {row.r + wide * seen.r, row.g + wide * seen.g, row.b + wide * seen.b};
+            add(row, shaped(by, pixel), wide);
         }
-        sum = {sum.r + high * row.r, sum.g + high * row.g, sum.b + high * row.b};
+        add(sum, row, high);
     }
     const float share = 1.0f / ((bottom - top) * (right - left));
     const int here = y * SIDE + x, plane = SIDE * SIDE;
-    lowres.at[here] = sum.r * share;
-    lowres.at[plane + here] = sum.g * share;
-    lowres.at[2 * plane + here] = sum.b * share;
+    put(lowres.at + here, sum * share, plane);
 }
 
 // Means of rows and channels of the small copy: lowres (1, 3, 256, 256) -> light (256, 3).
@@ -176,7 +173,5 @@ extern "C" __global__ void slice_apply(View colour, View params, View matrix, Vi
     }
     const Colour found = looked_up(cube,
                                    {applied(red, seen), applied(green, seen), applied(blue, seen)});
-    output.at[here] = found.r;
-    output.at[here + 1] = found.g;
-    output.at[here + 2] = found.b;
+    put(output.at + here, found);
 }

@@ -60,9 +60,7 @@ extern "C" __global__ void denoise_classic_gather(View colour, View diffuse_albe
         four(next_state, 3 * here + c) = edge ? none : Four{state[0], state[1], state[2], state[3]};
     }
     next_depth.at[here] = z;
-    factor.at[3 * here] = by.r;
-    factor.at[3 * here + 1] = by.g;
-    factor.at[3 * here + 2] = by.b;
+    put(factor.at + 3 * here, by);
 #pragma unroll
     for (int c = 0; c < 4; c++) light.at[c * plane + here] = now.light[c];
     put_surface(surface.at + here, plane, normal.at + 3 * source, depth, v, u);
@@ -115,7 +113,7 @@ extern "C" __global__ void denoise_atrous(View light, View surface, View step, V
     const Tap own = tap_at(light, surface, here);
     const float across = surface.at[4 * plane + here], down = surface.at[5 * plane + here];
     const float sharp = sharpness_at(light, y, x, h, w);
-    Colour sum = {0.25f * own.light.r, 0.25f * own.light.g, 0.25f * own.light.b};
+    Colour sum = own.light * 0.25f;
     float variance = 0.0625f * own.variance, total = 0.25f;
 #pragma unroll
     for (int j = -1; j <= 1; j++) {
@@ -135,9 +133,7 @@ extern "C" __global__ void denoise_atrous(View light, View surface, View step, V
         }
     }
     const float share = 1.0f / total;
-    to[0] = sum.r * share;
-    to[plane] = sum.g * share;
-    to[2 * plane] = sum.b * share;
+    put(to, sum * share, plane);
     to[3 * plane] = variance * share * share;
 }
 
@@ -167,9 +163,7 @@ extern "C" __global__ void denoise_resolve(View light, View factor, View params,
 #pragma unroll
         for (int i = 0; i < 3; i++) {
             const size_t at = line + clip(column + i - 1, w);
-            const float* const by = factor.at + 3 * at;
-            const Colour own = {light.at[at] * by[0], light.at[plane + at] * by[1],
-                                light.at[2 * plane + at] * by[2]};
+            const Colour own = three(light.at + at, plane) * three(factor.at + 3 * at);
             add(sum, own, high[j] * narrow[i] / total);
         }
     }

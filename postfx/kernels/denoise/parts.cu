@@ -9,9 +9,7 @@ extern "C" __global__ void denoise_reflectance(View diffuse_albedo, View specula
     const Colour found = demodulation(diffuse_albedo, specular_albedo, int(part_rows.at[y]),
                                       int(part_columns.at[x]));
     float* const to = factor.at + 3 * (size_t(y) * width + x);
-    to[0] = found.r;
-    to[1] = found.g;
-    to[2] = found.b;
+    put(to, found);
 }
 
 // Running mean of a part of the picture by the picture's weights: part (h, w, 3), coding (3,),
@@ -25,9 +23,9 @@ __device__ inline float recalled(const float* last, const size_t (&from)[4], int
 }
 
 template <class Number>
-__device__ inline void accumulate_part(View part, View coding, View factor, View past, View moved,
-                                       View last_part, View fine, View window, View next_part,
-                                       View part_level) {
+__global__ void denoise_accumulate_part(View part, View coding, View factor, View past, View moved,
+                                        View last_part, View fine, View window, View next_part,
+                                        View part_level) {
     const int height = part_level.size[1], width = part_level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -62,21 +60,6 @@ __device__ inline void accumulate_part(View part, View coding, View factor, View
         to[c * plane] = mean;
         next_part.at[3 * pixel + c] = mean;
     }
-}
-
-extern "C" __global__ void denoise_accumulate_part(View part, View coding, View factor, View past,
-                                                   View moved, View last_part, View fine,
-                                                   View window, View next_part, View part_level) {
-    accumulate_part<float>(part, coding, factor, past, moved, last_part, fine, window, next_part,
-                           part_level);
-}
-
-extern "C" __global__ void denoise_accumulate_part_half(View part, View coding, View factor,
-                                                        View past, View moved, View last_part,
-                                                        View fine, View window, View next_part,
-                                                        View part_level) {
-    accumulate_part<Half>(part, coding, factor, past, moved, last_part, fine, window, next_part,
-                          part_level);
 }
 
 // Parts as parts of the picture: parts (n, H, W, 3), reached (n, h, w) or (n, 1, 1), whole and

@@ -124,15 +124,13 @@ extern "C" __global__ void __launch_bounds__(SUMMING, 2)
         for (int j = 0; j < TRUST_CELL; j++) {
             const Colour own = demodulation(diffuse_albedo, specular_albedo, min(first + j, h - 1),
                                             min(u, w - 1));
-            if (first + j < end && u < stop) sum = {sum.r + own.r, sum.g + own.g, sum.b + own.b};
+            if (first + j < end && u < stop) add(sum, own, 1.0f);
         }
         sum = {sum_of_eight(sum.r), sum_of_eight(sum.g), sum_of_eight(sum.b)};
         if (x >= means.size[1] || threadIdx.x % TRUST_CELL) continue;
         const float share = 1.0f / ((end - first) * (stop - start));
         float* const to = means.at + 3 * (y * means.size[1] + x);
-        to[0] = sum.r * share;
-        to[1] = sum.g * share;
-        to[2] = sum.b * share;
+        put(to, sum * share);
     }
 }
 
@@ -176,10 +174,10 @@ __device__ inline Colour doubted(const Colour& own, const View& means, int v, in
 // next_depth (th, tw, 1), level (4, hp, wp), which is the mean with its importance, and factor (th,
 // tw, 3), the reflectance. All are zero beyond the frame.
 template <class Number>
-__device__ inline void accumulate_pixels(View colour, View diffuse_albedo, View specular_albedo,
-                                         View means, View depth, View past, View fine, View params,
-                                         View window, View next_state, View next_depth, View level,
-                                         View factor) {
+__global__ void denoise_accumulate(View colour, View diffuse_albedo, View specular_albedo,
+                                   View means, View depth, View past, View fine, View params,
+                                   View window, View next_state, View next_depth, View level,
+                                   View factor) {
     const int height = level.size[1], width = level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -225,28 +223,8 @@ __device__ inline void accumulate_pixels(View colour, View diffuse_albedo, View 
                                                : Four{state[0], state[1], state[2], state[3]};
     }
     next_depth.at[pixel] = z;
-    factor.at[3 * pixel] = by.r;
-    factor.at[3 * pixel + 1] = by.g;
-    factor.at[3 * pixel + 2] = by.b;
+    put(factor.at + 3 * pixel, by);
 #pragma unroll
     for (int c = 0; c < 3; c++) to[c * plane] = found.level[c];
     to[3 * plane] = found.importance;
-}
-
-extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo,
-                                              View specular_albedo, View means, View depth,
-                                              View past, View fine, View params, View window,
-                                              View next_state, View next_depth, View level,
-                                              View factor) {
-    accumulate_pixels<float>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine,
-                             params, window, next_state, next_depth, level, factor);
-}
-
-extern "C" __global__ void denoise_accumulate_half(View colour, View diffuse_albedo,
-                                                   View specular_albedo, View means, View depth,
-                                                   View past, View fine, View params, View window,
-                                                   View next_state, View next_depth, View level,
-                                                   View factor) {
-    accumulate_pixels<Half>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine,
-                            params, window, next_state, next_depth, level, factor);
 }

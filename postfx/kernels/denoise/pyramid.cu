@@ -152,23 +152,13 @@ __device__ inline float mixed_at(const View& coarse, const View& level, const Tr
 
 // The above -> mixed (planes, hp, wp).
 template <class Number>
-__device__ inline void mix(View coarse, View level, View heads, View rows, View columns,
-                           View mixed) {
+__global__ void denoise_mix(View coarse, View level, View heads, View rows, View columns,
+                            View mixed) {
     PIXEL(mixed.size[2], mixed.size[1]);
     const Trusted by = trusted_at<Number>(coarse, level, heads, rows, columns, y, x);
     for (int k = 0; k < mixed.size[0]; k++)
         mixed.at[size_t(k) * mixed.size[1] * mixed.size[2] + by.here] = mixed_at(coarse, level, by,
                                                                                  k);
-}
-
-extern "C" __global__ void denoise_mix(View coarse, View level, View heads, View rows, View columns,
-                                       View mixed) {
-    mix<float>(coarse, level, heads, rows, columns, mixed);
-}
-
-extern "C" __global__ void denoise_mix_half(View coarse, View level, View heads, View rows,
-                                            View columns, View mixed) {
-    mix<Half>(coarse, level, heads, rows, columns, mixed);
 }
 
 // The 5x5 kernel of a level, which is mixed with the coarser one before, if it MIXES: as above,
@@ -241,8 +231,7 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
             && left + ACROSS + REACH <= right)
             add_taps(true);
         else add_taps(false);
-        const float share = over_one(total);
-        put(k, second, y, x, Colour{sum.r * share, sum.g * share, sum.b * share});
+        put(k, second, y, x, sum * over_one(total));
     }
 }
 
@@ -254,41 +243,30 @@ __device__ inline void filter_level(const View& coarse, const View& level, const
     filter<Number, MIXES>(coarse, level, heads, rows, columns, area,
                           [&](int k, int second, int y, int x, const Colour& light) {
         float* const to = filtered.at + k * plane + size_t(y) * filtered.size[2] + x;
-        to[0] = light.r;
-        to[second * plane] = light.g;
-        to[2 * second * plane] = light.b;
+        put(to, light, second * plane);
     });
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 3)
+template <class Number>
+__global__ void __launch_bounds__(BLOCK, 3)
     denoise_filter(View mixed, View heads, View area, View filtered) {
-    filter_level<float, false>({}, mixed, heads, {}, {}, area, filtered);
+    filter_level<Number, false>({}, mixed, heads, {}, {}, area, filtered);
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 3)
-    denoise_filter_half(View mixed, View heads, View area, View filtered) {
-    filter_level<Half, false>({}, mixed, heads, {}, {}, area, filtered);
-}
-
-extern "C" __global__ void __launch_bounds__(BLOCK, 3)
+template <class Number>
+__global__ void __launch_bounds__(BLOCK, 3)
     denoise_filter_mixed(View coarse, View level, View heads, View rows, View columns, View area,
                          View filtered) {
-    filter_level<float, true>(coarse, level, heads, rows, columns, area, filtered);
-}
-
-extern "C" __global__ void __launch_bounds__(BLOCK, 3)
-    denoise_filter_mixed_half(View coarse, View level, View heads, View rows, View columns,
-                              View area, View filtered) {
-    filter_level<Half, true>(coarse, level, heads, rows, columns, area, filtered);
+    filter_level<Number, true>(coarse, level, heads, rows, columns, area, filtered);
 }
 
 // The finest level, then times reflectance, a border of repeated pixels around it: the same, factor
 // (th, tw, 3) -> radiance (3, th + 2, tw + 2). Pixels at an edge of the picture also write those
 // beyond it.
 template <class Number>
-__device__ inline void filter_shaded(const View& coarse, const View& level, const View& heads,
-                                     const View& rows, const View& columns, const View& area,
-                                     const View& factor, const View& radiance) {
+__global__ void __launch_bounds__(BLOCK, 3)
+    denoise_filter_shaded(View coarse, View level, View heads, View rows, View columns, View area,
+                          View factor, View radiance) {
     const int bottom = int(area.at[0]) - 1, right = int(area.at[1]) - 1;
     const int width = radiance.size[2], last_row = radiance.size[1] - 1, last_column = width - 1;
     const size_t plane = size_t(radiance.size[1]) * width;
@@ -296,28 +274,14 @@ __device__ inline void filter_shaded(const View& coarse, const View& level, cons
         coarse, level, heads, rows, columns, area,
         [&](int, int, int y, int x, const Colour& light) {
             if (y > bottom || x > right) return;
-            const float* const by = factor.at + 3 * (size_t(y) * factor.size[1] + x);
-            const Colour shaded = {light.r * by[0], light.g * by[1], light.b * by[2]};
+            const size_t own = 3 * (size_t(y) * factor.size[1] + x);
+            const Colour shaded = light * three(factor.at + own);
             for (int v = y ? y + 1 : 0; v <= (y < bottom ? y + 1 : last_row); v++)
                 for (int u = x ? x + 1 : 0; u <= (x < right ? x + 1 : last_column); u++) {
                     float* const to = radiance.at + size_t(v) * width + u;
-                    to[0] = shaded.r;
-                    to[plane] = shaded.g;
-                    to[2 * plane] = shaded.b;
+                    put(to, shaded, plane);
                 }
         });
-}
-
-extern "C" __global__ void __launch_bounds__(BLOCK, 3)
-    denoise_filter_shaded(View coarse, View level, View heads, View rows, View columns, View area,
-                          View factor, View radiance) {
-    filter_shaded<float>(coarse, level, heads, rows, columns, area, factor, radiance);
-}
-
-extern "C" __global__ void __launch_bounds__(BLOCK, 3)
-    denoise_filter_shaded_half(View coarse, View level, View heads, View rows, View columns,
-                               View area, View factor, View radiance) {
-    filter_shaded<Half>(coarse, level, heads, rows, columns, area, factor, radiance);
 }
 
 // Filtered colour times reflectance, a border of repeated pixels around it; before that, in `BOTH`,
@@ -373,9 +337,9 @@ extern "C" __global__ void denoise_alpha_level(View next_samples, View part_rows
 // cells), out_rows (out_th,), out_columns (out_tw,) -> enlarged (out_th, out_tw, 1). Where nothing
 // is near, that of the pixel itself.
 template <class Number>
-__device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, View part_columns,
-                                     View params, View window, View near, View out_rows,
-                                     View out_columns, View enlarged) {
+__global__ void denoise_enlarge_alpha(View filtered, View fine, View part_rows, View part_columns,
+                                      View params, View window, View near, View out_rows,
+                                      View out_columns, View enlarged) {
     const int width = enlarged.size[1];
     PIXEL(width, enlarged.size[0]);
     const Window part = window_of(window);
@@ -409,20 +373,4 @@ __device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, V
         }
     }
     *to = clamped(sum / total, 0.0f, 1.0f);
-}
-
-extern "C" __global__ void denoise_enlarge_alpha(View filtered, View fine, View part_rows,
-                                                 View part_columns, View params, View window,
-                                                 View near, View out_rows, View out_columns,
-                                                 View enlarged) {
-    enlarge_alpha<float>(filtered, fine, part_rows, part_columns, params, window, near, out_rows,
-                         out_columns, enlarged);
-}
-
-extern "C" __global__ void denoise_enlarge_alpha_half(View filtered, View fine, View part_rows,
-                                                      View part_columns, View params, View window,
-                                                      View near, View out_rows, View out_columns,
-                                                      View enlarged) {
-    enlarge_alpha<Half>(filtered, fine, part_rows, part_columns, params, window, near, out_rows,
-                        out_columns, enlarged);
 }

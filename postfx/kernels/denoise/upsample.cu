@@ -29,11 +29,11 @@ enum Multiplied { BY_NOTHING, BY_GUIDES, BY_OWN };
 // A sample's light at an output pixel; `plane` is the size of a channel.
 template <Multiplied BY>
 __device__ inline Colour light_at(const float* sample, int plane, const Guide& guide) {
-    const Colour light = {sample[0], sample[plane], sample[2 * plane]}, factor = guide.factor;
+    const Colour light = three(sample, plane);
     if (BY == BY_NOTHING) return light;
-    const Colour whole = {light.r * factor.r, light.g * factor.g, light.b * factor.b};
+    const Colour whole = light * guide.factor;
     if (BY == BY_OWN) return whole;
-    const Colour own = {sample[3 * plane], sample[4 * plane], sample[5 * plane]};
+    const Colour own = three(sample + 3 * plane, plane);
     return {own.r + (whole.r - own.r) * guide.trust, own.g + (whole.g - own.g) * guide.trust,
             own.b + (whole.b - own.b) * guide.trust};
 }
@@ -43,8 +43,7 @@ __device__ inline Colour light_at(const float* sample, int plane, const Guide& g
 template <bool LINEAR>
 __device__ inline Enlarged finished(const Colour& sum, const Colour& soft, float total,
                                     float sharpen, float kept) {
-    const float share = over_one(total);
-    const Colour mean = {sum.r * share, sum.g * share, sum.b * share};
+    const Colour mean = sum * over_one(total);
     if (LINEAR) return {mean, kept};
     const Colour sharp = {log_encode(mean.r), log_encode(mean.g), log_encode(mean.b)};
     return {{fmaxf(sharp.r + sharpen * (sharp.r - log_encode(soft.r)), 0.0f),
@@ -249,26 +248,13 @@ __device__ inline void resolve(const Window& part, GuideAt guide_at, const View&
 // moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3), params (4,), window (8,),
 // keep -> output, next_history (out_th, out_tw, 3).
 template <class Number>
-__device__ inline void upsample(View radiance, View fine, View moved, View past, View warped,
-                                View params, View window, View keep, View output,
-                                View next_history) {
+__global__ void __launch_bounds__(256, 2)
+    denoise_upsample(View radiance, View fine, View moved, View past, View warped, View params,
+                     View window, View keep, View output, View next_history) {
     const Window part = window_of(window);
     resolve<Number, BY_NOTHING>(
         part, [](int, int) { return Guide{}; }, radiance, fine, moved, past, warped, params, keep,
         output, next_history);
-}
-
-extern "C" __global__ void __launch_bounds__(256, 2)
-    denoise_upsample(View radiance, View fine, View moved, View past, View warped, View params,
-                     View window, View keep, View output, View next_history) {
-    upsample<float>(radiance, fine, moved, past, warped, params, window, keep, output,
-                    next_history);
-}
-
-extern "C" __global__ void __launch_bounds__(256, 2)
-    denoise_upsample_half(View radiance, View fine, View moved, View past, View warped, View params,
-                          View window, View keep, View output, View next_history) {
-    upsample<Half>(radiance, fine, moved, past, warped, params, window, keep, output, next_history);
 }
 
 // Enlarges radiance without reflectance times the guides', as far as these are trusted, and for the
@@ -288,19 +274,18 @@ __device__ inline float place_of(int position, int size, int out_size, int first
 __device__ inline float trusted(const View& trust, float down, float across) {
     const int upper = int(down), lower = min(upper + 1, trust.size[0] - 1);
     const int left = int(across), right = min(left + 1, trust.size[1] - 1);
-    const float *const above = trust.at + upper * trust.size[1], *const below =
-                                                                     trust.at
-                                                                     + lower * trust.size[1];
+    const float* const above = trust.at + upper * trust.size[1];
+    const float* const below = trust.at + lower * trust.size[1];
     const float high = above[left] + (above[right] - above[left]) * (across - left);
     const float low = below[left] + (below[right] - below[left]) * (across - left);
     return high + (low - high) * (down - upper);
 }
 
 template <class Number>
-__device__ inline void upsample_guided(View radiance, View fine, View moved, View past, View warped,
-                                       View guide_diffuse_albedo, View guide_specular_albedo,
-                                       View trust, View params, View window, View keep, View output,
-                                       View next_history) {
+__global__ void __launch_bounds__(256, 2)
+    denoise_upsample_guided(View radiance, View fine, View moved, View past, View warped,
+                            View guide_diffuse_albedo, View guide_specular_albedo, View trust,
+                            View params, View window, View keep, View output, View next_history) {
     const Window part = window_of(window);
     const auto guide_at = [&](int v, int u) -> Guide {
         return {demodulation(guide_diffuse_albedo, guide_specular_albedo, v, u),
@@ -311,65 +296,29 @@ __device__ inline void upsample_guided(View radiance, View fine, View moved, Vie
                                output, next_history);
 }
 
-extern "C" __global__ void __launch_bounds__(256, 2)
-    denoise_upsample_guided(View radiance, View fine, View moved, View past, View warped,
-                            View guide_diffuse_albedo, View guide_specular_albedo, View trust,
-                            View params, View window, View keep, View output, View next_history) {
-    upsample_guided<float>(radiance, fine, moved, past, warped, guide_diffuse_albedo,
-                           guide_specular_albedo, trust, params, window, keep, output,
-                           next_history);
-}
-
-extern "C" __global__ void __launch_bounds__(256, 2)
-    denoise_upsample_guided_half(View radiance, View fine, View moved, View past, View warped,
-                                 View guide_diffuse_albedo, View guide_specular_albedo, View trust,
-                                 View params, View window, View keep, View output,
-                                 View next_history) {
-    upsample_guided<Half>(radiance, fine, moved, past, warped, guide_diffuse_albedo,
-                          guide_specular_albedo, trust, params, window, keep, output, next_history);
-}
-
 // At the render size, where samples lie at the centres of the output's pixels: radiance without
 // reflectance, which is multiplied after they are weighed, so that texture of one pixel is not
 // resampled; else radiance that already holds it. radiance (6, th + 2, tw + 2), fine (1, 80, hp,
 // wp), moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw, 3), factor (th, tw, 3), params
 // (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
 template <class Number>
-__device__ inline void upsample_unscaled(View radiance, View fine, View moved, View past,
-                                         View warped, View factor, View params, View window,
-                                         View keep, View output, View next_history) {
+__global__ void denoise_upsample_unscaled(View radiance, View fine, View moved, View past,
+                                          View warped, View factor, View params, View window,
+                                          View keep, View output, View next_history) {
     const int height = output.size[0], width = output.size[1];
     PIXEL(width, height);
     const Window part = window_of(window);
     const int v = min(part.out_top + y, part.height - 1),
               u = min(part.out_left + x, part.width - 1);
     const bool centred = params.at[JITTER_X] == 0.0f && params.at[JITTER_Y] == 0.0f;
-    const float* const by = factor.at
-                            + 3
-                                  * (size_t(clip(v - part.top, factor.size[0])) * factor.size[1]
-                                     + clip(u - part.left, factor.size[1]));
-    const Guide guide = {centred ? Colour{by[0], by[1], by[2]} : Colour{1.0f, 1.0f, 1.0f}, 1.0f};
+    const size_t own = size_t(clip(v - part.top, factor.size[0])) * factor.size[1]
+                       + clip(u - part.left, factor.size[1]);
+    const Guide guide = {centred ? three(factor.at + 3 * own) : Colour{1.0f, 1.0f, 1.0f}, 1.0f};
     View seen = radiance;
     if (!centred) seen.at += 3 * size_t(radiance.size[1]) * radiance.size[2];
     const Enlarged found = enlarged<Number, BY_OWN>(u, v, part, seen, fine, moved, past, params,
                                                     keep, guide);
     blend_pixel(found, y * width + x, params, warped, output, next_history);
-}
-
-extern "C" __global__ void denoise_upsample_unscaled(View radiance, View fine, View moved,
-                                                     View past, View warped, View factor,
-                                                     View params, View window, View keep,
-                                                     View output, View next_history) {
-    upsample_unscaled<float>(radiance, fine, moved, past, warped, factor, params, window, keep,
-                             output, next_history);
-}
-
-extern "C" __global__ void denoise_upsample_unscaled_half(View radiance, View fine, View moved,
-                                                          View past, View warped, View factor,
-                                                          View params, View window, View keep,
-                                                          View output, View next_history) {
-    upsample_unscaled<Half>(radiance, fine, moved, past, warped, factor, params, window, keep,
-                            output, next_history);
 }
 
 // A picture that the network gives itself, blended with the past: picture (1, 3, hp, wp),
@@ -422,9 +371,9 @@ __device__ inline void blend_light(const Enlarged& found, int v, int u, const Wi
 
 // A thread makes 2x2 pixels: at once where they have a render pixel in common.
 template <class Number>
-__device__ inline void upsample_light(View radiance, View fine, View moved, View past, View last,
-                                      View params, View window, View keep, View out_rows,
-                                      View out_columns, View light) {
+__global__ void __launch_bounds__(256, 2)
+    denoise_upsample_light(View radiance, View fine, View moved, View past, View last, View params,
+                           View window, View keep, View out_rows, View out_columns, View light) {
     const int height = light.size[1], width = light.size[2];
     const int y = 2 * (blockIdx.y * blockDim.y + threadIdx.y),
               x = 2 * (blockIdx.x * blockDim.x + threadIdx.x);
@@ -459,19 +408,4 @@ __device__ inline void upsample_light(View radiance, View fine, View moved, View
                         to + 3 * (size_t(i / 2) * width + i % 2));
         }
     }
-}
-
-extern "C" __global__ void __launch_bounds__(256, 2)
-    denoise_upsample_light(View radiance, View fine, View moved, View past, View last, View params,
-                           View window, View keep, View out_rows, View out_columns, View light) {
-    upsample_light<float>(radiance, fine, moved, past, last, params, window, keep, out_rows,
-                          out_columns, light);
-}
-
-extern "C" __global__ void __launch_bounds__(256, 2)
-    denoise_upsample_light_half(View radiance, View fine, View moved, View past, View last,
-                                View params, View window, View keep, View out_rows,
-                                View out_columns, View light) {
-    upsample_light<Half>(radiance, fine, moved, past, last, params, window, keep, out_rows,
-                         out_columns, light);
 }
