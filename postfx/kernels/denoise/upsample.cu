@@ -5,6 +5,12 @@ struct Enlarged {
     float kept;
 };
 
+// What is enlarged, and what it is blended with.
+struct Enlarging {
+    Window part;
+    View radiance, fine, moved, past, warped, params, keep, output, history;
+};
+
 // What guides say of an output pixel's reflectance, and how far they are trusted.
 struct Guide {
     Colour factor;
@@ -60,9 +66,9 @@ __device__ inline bool was_inside(float x, float y, const Window& part) {
 // An output pixel at any scale, from 3x3 samples by predicted weight and distance; x and y count
 // the frame's pixels.
 template <class Number, Multiplied BY = BY_NOTHING, bool LINEAR = false>
-__device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance,
-                                    const View& fine, const View& moved, const View& past,
-                                    const View& params, const View& keep, const Guide& guide = {}) {
+__device__ inline Enlarged enlarged(int x, int y, const Enlarging& of, const Guide& guide = {}) {
+    const Window& part = of.part;
+    const View &radiance = of.radiance, &fine = of.fine, &moved = of.moved, &params = of.params;
     const int w = part.w, h = part.h, width = part.width, height = part.height;
     float u, v;
     const int column = clip(centre(x, w, width, u) - part.left, moved.size[1]);
@@ -100,18 +106,18 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
     const int at = row * moved.size[1] + column;
     const float px = x + moved.at[2 * at] * (float(width) / w),
                 py = y + moved.at[2 * at + 1] * (float(height) / h);
-    const bool held = was_inside(px, py, part) && past.at[4 * at + 3] >= 0.0f;
+    const bool held = was_inside(px, py, part) && of.past.at[4 * at + 3] >= 0.0f;
     return finished<LINEAR>(sum, soft, total, sharpen,
-                            held ? share_of(keep, row, column) * (1.0f - blend) : 0.0f);
+                            held ? share_of(of.keep, row, column) * (1.0f - blend) : 0.0f);
 }
 
 // The four output pixels of a render pixel then, from that at (y, x) on, row by row: the same with
 // each pixel's own weights.
 template <class Number, Multiplied BY = BY_NOTHING, bool LINEAR = false>
-__device__ inline void enlarged_four(int x, int y, const Window& part, const View& radiance,
-                                     const View& fine, const View& moved, const View& past,
-                                     const View& params, const View& keep, const Guide (&guides)[4],
+__device__ inline void enlarged_four(int x, int y, const Enlarging& of, const Guide (&guides)[4],
                                      Enlarged (&found)[4]) {
+    const Window& part = of.part;
+    const View &radiance = of.radiance, &fine = of.fine, &moved = of.moved, &params = of.params;
     const int column = clip(x / 2 - part.left, moved.size[1]),
               row = clip(y / 2 - part.top, moved.size[0]);
     const size_t plane = size_t(fine.size[2]) * fine.size[3];
@@ -149,8 +155,8 @@ __device__ inline void enlarged_four(int x, int y, const Window& part, const Vie
     }
     const int at = row * moved.size[1] + column;
     const Pair motion = pair(moved, at);
-    const bool was_held = past.at[4 * at + 3] >= 0.0f;
-    const float share = share_of(keep, row, column);
+    const bool was_held = of.past.at[4 * at + 3] >= 0.0f;
+    const float share = share_of(of.keep, row, column);
 #pragma unroll
     for (int k = 0; k < 4; k++) {
         const float blend = as_float(head[(BLEND + k) * plane]),
@@ -169,51 +175,48 @@ __device__ inline float blended(float current, float kept, float before) {
 }
 
 // A pixel blended with the history, which is kept, and decoded.
-__device__ inline void blend_pixel(const Enlarged& found, size_t pixel, const View& params,
-                                   const View& warped, const View& output, const View& history) {
-    const float darken = 1.0f / params.at[EXPOSURE],
+__device__ inline void blend_pixel(const Enlarged& found, size_t pixel, const Enlarging& of) {
+    const float darken = 1.0f / of.params.at[EXPOSURE],
                 current[3] = {found.colour.r, found.colour.g, found.colour.b};
 #pragma unroll
     for (int c = 0; c < 3; c++) {
         const size_t at = 3 * pixel + c;
-        const float light = blended(current[c], found.kept, warped.at[at]);
-        history.at[at] = light;
-        output.at[at] = expm1_of(light) * darken;
+        const float light = blended(current[c], found.kept, of.warped.at[at]);
+        of.history.at[at] = light;
+        of.output.at[at] = expm1_of(light) * darken;
     }
 }
 
 // Two pixels beside each other in every thread of a row: the first thread's begin at `first`, an
 // even pixel, from where on the row has `left` ones.
 __device__ inline void blend_two(const Enlarged& one, const Enlarged& two, size_t first, int left,
-                                 const View& params, const View& warped, const View& output,
-                                 const View& history, Pair (&staged)[3 * ACROSS]) {
-    const float darken = 1.0f / params.at[EXPOSURE];
+                                 const Enlarging& of, Pair (&staged)[3 * ACROSS]) {
+    const float darken = 1.0f / of.params.at[EXPOSURE];
     const float current[6] = {one.colour.r, one.colour.g, one.colour.b,
                               two.colour.r, two.colour.g, two.colour.b};
     // others read what the last one reads, and write nothing
     const int place = min(2 * int(threadIdx.x), left - 2);
     Pair light[3], shown[3];
 #pragma unroll
-    for (int i = 0; i < 3; i++) light[i] = pair(warped, 3 * (first + place) / 2 + i);
+    for (int i = 0; i < 3; i++) light[i] = pair(of.warped, 3 * (first + place) / 2 + i);
 #pragma unroll
     for (int i = 0; i < 3; i++) {
         light[i] = {blended(current[2 * i], 2 * i < 3 ? one.kept : two.kept, light[i].x),
                     blended(current[2 * i + 1], 2 * i + 1 < 3 ? one.kept : two.kept, light[i].y)};
         shown[i] = {expm1_of(light[i].x) * darken, expm1_of(light[i].y) * darken};
     }
-    put_row(staged, light, &pair(history, 3 * first / 2), 3 * left / 2);
-    put_row(staged, shown, &pair(output, 3 * first / 2), 3 * left / 2);
+    put_row(staged, light, &pair(of.history, 3 * first / 2), 3 * left / 2);
+    put_row(staged, shown, &pair(of.output, 3 * first / 2), 3 * left / 2);
 }
 
 // A thread makes 2x2 pixels of the output, of which `guide_at` tells what guides say: at once where
 // they have a render pixel in common.
 template <class Number, Multiplied BY, class GuideAt>
-__device__ inline void resolve(const Window& part, GuideAt guide_at, const View& radiance,
-                               const View& fine, const View& moved, const View& past,
-                               const View& warped, const View& params, const View& keep,
-                               const View& output, const View& next_history) {
+__device__ inline void resolve(const Enlarging& of, GuideAt guide_at) {
     __shared__ Pair staged[DOWN][3 * ACROSS];
-    const int height = output.size[0], width = output.size[1], start = 2 * ACROSS * blockIdx.x;
+    const Window& part = of.part;
+    const int height = of.output.size[0], width = of.output.size[1];
+    const int start = 2 * ACROSS * blockIdx.x;
     const int y = 2 * (blockIdx.y * DOWN + threadIdx.y), x = start + 2 * threadIdx.x;
     if (y >= height) return;
     if (is_doubled(part)) {
@@ -222,14 +225,11 @@ __device__ inline void resolve(const Window& part, GuideAt guide_at, const View&
         const Guide guides[4] = {guide_at(v, u), guide_at(v, u + 1), guide_at(v + 1, u),
                                  guide_at(v + 1, u + 1)};
         Enlarged found[4];
-        enlarged_four<Number, BY>(u, v, part, radiance, fine, moved, past, params, keep, guides,
-                                  found);
+        enlarged_four<Number, BY>(u, v, of, guides, found);
         const size_t first = size_t(y) * width + start;
         Pair(&own)[3 * ACROSS] = staged[threadIdx.y];
-        blend_two(found[0], found[1], first, width - start, params, warped, output, next_history,
-                  own);
-        blend_two(found[2], found[3], first + width, width - start, params, warped, output,
-                  next_history, own);
+        blend_two(found[0], found[1], first, width - start, of, own);
+        blend_two(found[2], found[3], first + width, width - start, of, own);
         return;
     }
 #pragma unroll 1
@@ -238,9 +238,7 @@ __device__ inline void resolve(const Window& part, GuideAt guide_at, const View&
         if (j >= height || i >= width) continue;
         const int v = min(part.out_top + j, part.height - 1),
                   u = min(part.out_left + i, part.width - 1);
-        const Enlarged found = enlarged<Number, BY>(u, v, part, radiance, fine, moved, past, params,
-                                                    keep, guide_at(v, u));
-        blend_pixel(found, size_t(j) * width + i, params, warped, output, next_history);
+        blend_pixel(enlarged<Number, BY>(u, v, of, guide_at(v, u)), size_t(j) * width + i, of);
     }
 }
 
@@ -251,10 +249,9 @@ template <class Number>
 __global__ void __launch_bounds__(256, 2)
     denoise_upsample(View radiance, View fine, View moved, View past, View warped, View params,
                      View window, View keep, View output, View next_history) {
-    const Window part = window_of(window);
-    resolve<Number, BY_NOTHING>(
-        part, [](int, int) { return Guide{}; }, radiance, fine, moved, past, warped, params, keep,
-        output, next_history);
+    resolve<Number, BY_NOTHING>({window_of(window), radiance, fine, moved, past, warped, params,
+                                 keep, output, next_history},
+                                [](int, int) { return Guide{}; });
 }
 
 // Enlarges radiance without reflectance times the guides', as far as these are trusted, and for the
@@ -292,8 +289,8 @@ __global__ void __launch_bounds__(256, 2)
                 trusted(trust, place_of(v, part.h, part.height, part.top, moved.size[0]),
                         place_of(u, part.w, part.width, part.left, moved.size[1]))};
     };
-    resolve<Number, BY_GUIDES>(part, guide_at, radiance, fine, moved, past, warped, params, keep,
-                               output, next_history);
+    resolve<Number, BY_GUIDES>(
+        {part, radiance, fine, moved, past, warped, params, keep, output, next_history}, guide_at);
 }
 
 // At the render size, where samples lie at the centres of the output's pixels: radiance without
@@ -314,11 +311,9 @@ __global__ void denoise_upsample_unscaled(View radiance, View fine, View moved, 
     const size_t own = size_t(clip(v - part.top, factor.size[0])) * factor.size[1]
                        + clip(u - part.left, factor.size[1]);
     const Guide guide = {centred ? three(factor.at + 3 * own) : Colour{1.0f, 1.0f, 1.0f}, 1.0f};
-    View seen = radiance;
-    if (!centred) seen.at += 3 * size_t(radiance.size[1]) * radiance.size[2];
-    const Enlarged found = enlarged<Number, BY_OWN>(u, v, part, seen, fine, moved, past, params,
-                                                    keep, guide);
-    blend_pixel(found, y * width + x, params, warped, output, next_history);
+    Enlarging of = {part, radiance, fine, moved, past, warped, params, keep, output, next_history};
+    if (!centred) of.radiance.at += 3 * size_t(radiance.size[1]) * radiance.size[2];
+    blend_pixel(enlarged<Number, BY_OWN>(u, v, of, guide), y * width + x, of);
 }
 
 // A picture that the network gives itself, blended with the past: picture (1, 3, hp, wp),
@@ -343,7 +338,8 @@ extern "C" __global__ void denoise_blend_picture(View picture, View controls, Vi
     const float kept = held ? share_of(keep, row, column) * (1.0f - controls.at[at]) : 0.0f;
     const Enlarged found = {{fmaxf(picture.at[at], 0.0f), fmaxf(picture.at[plane + at], 0.0f),
                              fmaxf(picture.at[2 * plane + at], 0.0f)}, kept};
-    blend_pixel(found, size_t(y) * width + x, params, warped, output, next_history);
+    blend_pixel(found, size_t(y) * width + x,
+                {part, {}, {}, moved, past, warped, params, keep, output, next_history});
 }
 
 // Enlarges light of n parts of the picture and blends it with the last outputs, where their pixels
@@ -381,17 +377,16 @@ __global__ void __launch_bounds__(256, 2)
     const Window part = window_of(window);
     const float darken = 1.0f / params.at[EXPOSURE];
     const bool doubled = is_doubled(part);
-    View samples = radiance;
+    Enlarging of = {part, radiance, fine, moved, past, {}, params, keep, {}, {}};
     for (int k = 0; k < light.size[0]; k++) {
-        samples.at = radiance.at + size_t(3) * k * radiance.size[1] * radiance.size[2];
+        of.radiance.at = radiance.at + size_t(3) * k * radiance.size[1] * radiance.size[2];
         const float* const picture = last.at + size_t(3) * k * part.height * part.width;
         float* const to = light.at + 3 * ((size_t(k) * height + y) * width + x);
         if (doubled) {
             const int v = min(int(out_rows.at[y]), part.height - 2),
                       u = min(int(out_columns.at[x]), part.width - 2);
             Enlarged found[4];
-            enlarged_four<Number, BY_NOTHING, true>(u, v, part, samples, fine, moved, past, params,
-                                                    keep, {}, found);
+            enlarged_four<Number, BY_NOTHING, true>(u, v, of, {}, found);
 #pragma unroll
             for (int i = 0; i < 4; i++)
                 blend_light(found[i], v + i / 2, u + i % 2, part, picture, moved, darken,
@@ -402,8 +397,7 @@ __global__ void __launch_bounds__(256, 2)
         for (int i = 0; i < 4; i++) {
             if (y + i / 2 >= height || x + i % 2 >= width) continue;
             const int v = int(out_rows.at[y + i / 2]), u = int(out_columns.at[x + i % 2]);
-            const Enlarged found = enlarged<Number, BY_NOTHING, true>(u, v, part, samples, fine,
-                                                                      moved, past, params, keep);
+            const Enlarged found = enlarged<Number, BY_NOTHING, true>(u, v, of);
             blend_light(found, v, u, part, picture, moved, darken,
                         to + 3 * (size_t(i / 2) * width + i % 2));
         }
