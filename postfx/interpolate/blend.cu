@@ -48,8 +48,7 @@ __device__ inline Four taps_at(float t, float sharp) {
                 ones[4] = {0.0f, 1.0f, 0.0f, 0.0f};
     const float first[4] = {-0.5f, 0.0f, 0.5f, 0.0f};
     float found[4];
-#pragma unroll
-    for (int i = 0; i < 4; i++)
+    UNROLL for (int i = 0; i < 4; i++)
         found[i] =
             (((k * cubes_soft[i] + sharp * cubes[i]) * t + k * squares_soft[i] + sharp * squares[i])
                  * t
@@ -80,8 +79,7 @@ __device__ inline Colour colour_at(const View& picture, float y, float x, float 
     const int columns[4] = {max(at.i - 1, 0), at.i, min(at.i + 1, w - 1), min(at.i + 2, w - 1)};
     Colour sum = {0.0f, 0.0f, 0.0f}, low = {LARGEST_FLOAT, LARGEST_FLOAT, LARGEST_FLOAT};
     Colour high = {-LARGEST_FLOAT, -LARGEST_FLOAT, -LARGEST_FLOAT};
-#pragma unroll
-    for (int b = 0; b < 4; b++) {
+    UNROLL for (int b = 0; b < 4; b++) {
         const size_t row = size_t(clip(at.j - 1 + b, h)) * w;
         const Four q = four(picture, row + columns[1]), r = four(picture, row + columns[2]);
         Colour line = plus({0.0f, 0.0f, 0.0f}, across.x, four(picture, row + columns[0]));
@@ -136,16 +134,13 @@ __device__ inline Surface surface_of(const View& before, const View& after, cons
 __device__ inline void share_cells(const View& cells, const int (&places)[4], float across,
                                    float down, float (&shares)[4]) {
     Path paths[4];
-#pragma unroll
-    for (int k = 0; k < 4; k++) {
+    UNROLL for (int k = 0; k < 4; k++) {
         shares[k] = (k / 2 ? down : 1.0f - down) * (k % 2 ? across : 1.0f - across);
         paths[k] = path_of(cells, places[k]);
     }
-#pragma unroll
-    for (int k = 1; k < 4; k++) {
+    UNROLL for (int k = 1; k < 4; k++) {
         bool is_given = false;
-#pragma unroll
-        for (int j = 0; j < k; j++) {
+        UNROLL for (int j = 0; j < k; j++) {
             if (is_given || !(shares[j] > 0.0f) || differ(paths[k], paths[j], OTHER)
                 || paths[k].first != paths[j].first || paths[k].last != paths[j].last)
                 continue;
@@ -224,8 +219,7 @@ __device__ inline Made joined_pixel(const Mixed& of, const Around& around, int y
                              down * (1.0f - across), down * across};
     Led one = {{0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f}, 0.0f};
     float sharpest = 0.0f;
-#pragma unroll
-    for (int k = 0; k < 4; k++) {
+    UNROLL for (int k = 0; k < 4; k++) {
         const Four path = four(of.cells, 2 * size_t(around.places[k]));
         const Four rest = four(of.cells, 2 * size_t(around.places[k]) + 1);
         one.path.ax += shares[k] * path.x;

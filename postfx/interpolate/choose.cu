@@ -123,8 +123,7 @@ __device__ inline float misfit(const Toned& by, float y, float x, const Path& pa
     const Place other = window_at(by.after, by.stride, y + path.by, x + path.bx);
     float upper = across_at(one, by.stride, 0, 0), upper_after = across_at(other, by.stride, 0, 0),
           total = 0.0f;
-#pragma unroll
-    for (int j = 1; j <= ROWS; j++) {
+    UNROLL for (int j = 1; j <= ROWS; j++) {
         const float lower = across_at(one, by.stride, j, 0),
                     lower_after = across_at(other, by.stride, j, 0);
         const float a = upper + one.down * (lower - upper);
@@ -139,17 +138,14 @@ __device__ inline float misfit(const Toned& by, float y, float x, const Path& pa
 // sum.
 __device__ inline Pair window_detail(const Toned& by, const Place& one, const Place& other) {
     float upper[2], upper_after[2], apart = 0.0f, common = 0.0f;
-#pragma unroll
-    for (int i = 0; i < 2; i++) {
+    UNROLL for (int i = 0; i < 2; i++) {
         upper[i] = across_at(one, by.stride, 0, i);
         upper_after[i] = across_at(other, by.stride, 0, i);
     }
     Pair sums = {0.0f, 0.0f};
-#pragma unroll
-    for (int j = 0; j < ROWS; j++) {
+    UNROLL for (int j = 0; j < ROWS; j++) {
         float less[2], more[2];
-#pragma unroll
-        for (int i = 0; i < 2; i++) {
+        UNROLL for (int i = 0; i < 2; i++) {
             const float lower = across_at(one, by.stride, j + 1, i),
                         lower_after = across_at(other, by.stride, j + 1, i);
             const float a = upper[i] + one.down * (lower - upper[i]);
@@ -292,8 +288,7 @@ __device__ inline bool is_alone(const View& own, int y, int x, const Path& mine)
     const int beside[4] = {y > 0 ? cell - columns : cell, y < rows - 1 ? cell + columns : cell,
                            x > 0 ? cell - 1 : cell, x < columns - 1 ? cell + 1 : cell};
     float most = own.at[8 * size_t(cell) + 6];
-#pragma unroll
-    for (int k = 0; k < 4; k++)
+    UNROLL for (int k = 0; k < 4; k++)
         most = fmaxf(most,
                      most_apart(path_of(own, beside[k]), mine) + own.at[8 * size_t(beside[k]) + 6]);
     return most <= 0.99f * OTHER;

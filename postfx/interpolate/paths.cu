@@ -374,8 +374,7 @@ extern "C" __global__ void __launch_bounds__(256)
     const float t = time.at[0];
     Arriving below = {};
     int place_below = -1;
-#pragma unroll
-    for (int step = 0; step < STEPS_DOWN; step++) {
+    UNROLL for (int step = 0; step < STEPS_DOWN; step++) {
         const int y = from + step, cell = y * w + x;
         Arriving path = {};
         float weights[4] = {0.0f, 0.0f, 0.0f, 0.0f};
@@ -389,8 +388,7 @@ extern "C" __global__ void __launch_bounds__(256)
                 path = {end.x - by.x, end.y - by.y,  end.z - by.x,
                         end.w - by.y, seen.at[cell], 1.0f};
                 place = (top + j) * w + i;
-#pragma unroll
-                for (int k = 0; k < 4; k++) {
+                UNROLL for (int k = 0; k < 4; k++) {
                     const int b = j + k / 2, a = i + k % 2;
                     if (b < 0 || b >= h || a < 0 || a >= w) continue;
                     const float front = nearest.at[(top + b) * w + a];

@@ -15,19 +15,16 @@ extern "C" __global__ void __launch_bounds__(256, 4)
     const int count = x + 1 < width ? 6 : 3;
     float light[6], found[6];
     if (width % 2 == 0) {
-#pragma unroll
-        for (int i = 0; i < 3; i++) {
+        UNROLL for (int i = 0; i < 3; i++) {
             const Pair two = pair(colour, here / 2 + i);
             light[2 * i] = two.x;
             light[2 * i + 1] = two.y;
         }
     } else {
-#pragma unroll
-        for (int i = 0; i < 6; i++) light[i] = colour.at[here + (i < count ? i : 0)];
+        UNROLL for (int i = 0; i < 6; i++) light[i] = colour.at[here + (i < count ? i : 0)];
     }
     const Colour places[2] = {shaped(by, light), shaped(by, light + 3)};
-#pragma unroll
-    for (int k = 0; k < 2; k++) {
+    UNROLL for (int k = 0; k < 2; k++) {
         const Colour one = looked_up<4>(cube, places[k]);
         put(found + 3 * k, one);
     }

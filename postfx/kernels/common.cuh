@@ -258,11 +258,9 @@ __device__ inline void put_row(T (&staged)[3 * ACROSS], const T (&own)[3], T* to
             if (3 * int(threadIdx.x) + i < count) to[3 * threadIdx.x + i] = own[i];
         return;
     }
-#pragma unroll
-    for (int i = 0; i < 3; i++) staged[3 * threadIdx.x + i] = own[i];
+    UNROLL for (int i = 0; i < 3; i++) staged[3 * threadIdx.x + i] = own[i];
     __syncwarp();
-#pragma unroll
-    for (int i = 0; i < 3; i++) {
+    UNROLL for (int i = 0; i < 3; i++) {
         const int at = i * ACROSS + threadIdx.x;
         if (at < count) to[at] = staged[at];
     }
@@ -273,8 +271,7 @@ __device__ inline void put_row(T (&staged)[3 * ACROSS], const T (&own)[3], T* to
 __device__ inline void put_beside(const float (&light)[6], const View& picture, int y, int x) {
     const int width = picture.size[1];
     const size_t at = 3 * (size_t(y) * width + x);
-#pragma unroll
-    for (int i = 0; i < 6; i += 2) {
+    UNROLL for (int i = 0; i < 6; i += 2) {
         if (width % 2 == 0) pair(picture, (at + i) / 2) = {light[i], light[i + 1]};
         else if (i < 3 || x + 1 < width) picture.at[at + i] = light[i];
         if (width % 2 && (i + 1 < 3 || x + 1 < width)) picture.at[at + i + 1] = light[i + 1];
@@ -292,8 +289,8 @@ __device__ inline void put_pixels(Pair (&staged)[3 * ACROSS], const float (&ligh
             3 * (width - first) / 2);
 }
 
-// Heads are numbers in single precision, or bits of half precision. Of a kernel of a template's type
-// `Number`, `read_source` in postfx/kernels/__init__.py makes both: `name` and `name_half`.
+// Heads are numbers in single precision, or bits of half precision. Of a kernel that is a template
+// of `Number`, `read_source` in postfx/kernels/__init__.py makes both: `name` and `name_half`.
 typedef unsigned short Half;
 
 __device__ inline float as_float(float number) {
@@ -363,8 +360,7 @@ __device__ inline Colour looked_up(const View& cube, const Colour& shaped) {
     const int corners[4] = {first, first + step, fourth - last, fourth};
     const float weights[4] = {1.0f - high, high - middle, middle - low, low};
     Colour found[4];
-#pragma unroll
-    for (int n = 0; n < 4; n++) {
+    UNROLL for (int n = 0; n < 4; n++) {
         const float* const at = cube.at + NUMBERS * corners[n];
         if (NUMBERS == 4) {
             const Four all = four(cube, corners[n]);
@@ -493,13 +489,11 @@ __device__ inline Cubic cubic(float position, int size) {
 __device__ inline void resampled(const View& image, int channels, const Cubic& down,
                                  const Cubic& across, float* result) {
     const float* row[4];
-#pragma unroll
-    for (int j = 0; j < 4; j++)
+    UNROLL for (int j = 0; j < 4; j++)
         row[j] = image.at + size_t(down.index[j]) * image.size[1] * channels;
     for (int k = 0; k < channels; k++) {
         float sum = 0.0f, least = LARGEST_FLOAT, most = -LARGEST_FLOAT;
-#pragma unroll
-        for (int i = 0; i < 4; i++) {
+        UNROLL for (int i = 0; i < 4; i++) {
             const int at = across.index[i] * channels + k;
             const float before = finite(row[0][at]), upper = finite(row[1][at]),
                         lower = finite(row[2][at]);

@@ -88,11 +88,9 @@ __device__ inline void fill(char* left, int thread, const Square<WIDE>& square, 
         }
         return;
     }
-#pragma unroll 1
-    for (int first = thread; first < ALL; first += MANY * GROUP) {
+    AS_IT_IS for (int first = thread; first < ALL; first += MANY * GROUP) {
         Eight own[MANY], more[MANY];
-#pragma unroll
-        for (int k = 0; k < MANY; k++) {
+        UNROLL for (int k = 0; k < MANY; k++) {
             const int i = first + k * GROUP, chunk = i % CHUNKS, pixel = i / CHUNKS;
             const int y = square.row() + pixel / SIDE - BEFORE,
                       x = square.column() + pixel % SIDE - BEFORE;
@@ -101,8 +99,7 @@ __device__ inline void fill(char* left, int thread, const Square<WIDE>& square, 
             own[k] = pixels[(size_t(y) * square.width + x) * CHUNKS + chunk];
             more[k] = eights(coarse)[(size_t(y / 2) * coarse.size[2] + x / 2) * CHUNKS + chunk];
         }
-#pragma unroll
-        for (int k = 0; k < MANY; k++)
+        UNROLL for (int k = 0; k < MANY; k++)
             if (first + k * GROUP < ALL)
                 *reinterpret_cast<Eight*>(place(first + k * GROUP)) = sum(own[k], more[k]);
     }
@@ -119,8 +116,7 @@ struct Options {
 __device__ inline Eight whole_eight(const Two (&parts)[4], int q) {
     const bool odd = q % 2, late = q / 2;
     Two low[2], high[2];  // the first and the last half of eights q % 2 and q % 2 + 2
-#pragma unroll
-    for (int i = 0; i < 2; i++) {
+    UNROLL for (int i = 0; i < 2; i++) {
         const Two first = parts[2 * i], second = parts[2 * i + 1];
         const Two own = odd ? second : first, other = from_lane(odd ? first : second, 1);
         low[i] = odd ? other : own, high[i] = odd ? own : other;
@@ -158,8 +154,7 @@ __device__ inline void write_planes(const float (&sums)[COUNT], const Pair* offs
     if constexpr (EIGHTS > 0 && FIRST < PLANES) {
         constexpr int AT = COUNT - 4 * (EIGHTS + RIGHT);  // its sums
         const Pair one = offsets[0], two = offsets[4 * RIGHT];
-#pragma unroll
-        for (int i = 0; i < 4; i++) {
+        UNROLL for (int i = 0; i < 4; i++) {
             const int e = i % 2, channel = FIRST + own + e;
             Half* const place = to + e * plane + i / 2 * apart;
             const bool writes = there[i / 2] && (FIRST + 8 <= PLANES || channel < PLANES);
@@ -250,22 +245,18 @@ __device__ inline void convolve(const View& input, const View& coarse, const Vie
     bool first = !SLOTS && square.all > 2 * apart;
     while ((SLOTS ? square.number - group * blocks : square.number) < square.all) {
         float sums[N / 2];
-#pragma unroll
-        for (int i = 0; i < N / 2; i++) sums[i] = 0.0f;
+        UNROLL for (int i = 0; i < N / 2; i++) sums[i] = 0.0f;
         // A warp has 16 pixels.
         Two own[EARLY ? 2 : 1][AT_ONCE][4];
         auto load = [&](Two (&to)[AT_ONCE][4], int tap, int step) {
             const int pixel = (2 * warp + lane / 8 % 2 + tap / TAPS) * SIDE + lane % 8 + tap % TAPS;
             const char* const pixels = left + 16 * pixel + (2 * step * AT_ONCE + lane / 16) * PITCH;
-#pragma unroll
-            for (int k = 0; k < AT_ONCE; k++) load_matrices(to[k], pixels + 2 * k * PITCH);
+            UNROLL for (int k = 0; k < AT_ONCE; k++) load_matrices(to[k], pixels + 2 * k * PITCH);
         };
         if (first && group) take_turn(group);
         if (EARLY) load(own[0], 0, 0);
-#pragma unroll 1
-        for (int tap = 0; tap < TAPS * TAPS; tap++) {
-#pragma unroll
-            for (int step = 0; step < STEPS; step++) {
+        AS_IT_IS for (int tap = 0; tap < TAPS * TAPS; tap++) {
+            UNROLL for (int step = 0; step < STEPS; step++) {
                 // steps that share a part of the weights
                 constexpr int HALF = SLOTS ? STEPS / 2 : 1;
                 const bool enters = SLOTS && step % HALF == 0,
@@ -277,8 +268,7 @@ __device__ inline void convolve(const View& input, const View& coarse, const Vie
                                                       + step % HALF * AT_ONCE * N * 32
                                                 : shared + (tap * STEPS + step) * AT_ONCE * N * 32;
                 begin_products();
-#pragma unroll
-                for (int k = 0; k < AT_ONCE; k++)
+                UNROLL for (int k = 0; k < AT_ONCE; k++)
                     multiply(sums, own[now][k], matrices(right + k * N * 32, N * 16, 128));
                 if (EARLY) {
                     end_products_before(own[1 - now]);
@@ -333,15 +323,13 @@ __device__ inline void convolve(const View& input, const View& coarse, const Vie
         }
         if constexpr (OUT < 2) {
             Two results[2][N / 8];
-#pragma unroll
-            for (int n = 0; n < N / 8; n++) {
+            UNROLL for (int n = 0; n < N / 8; n++) {
                 const Pair offset = offsets[4 * n];
                 Two last = 0;
                 if (added.size[0])
                     last = rounded(added.at[begin + 8 * n + 2 * q],
                                    added.at[begin + 8 * n + 2 * q + 1]);
-#pragma unroll
-                for (int k = 0; k < 2; k++) {
+                UNROLL for (int k = 0; k < 2; k++) {
                     const float one = sums[4 * n + 2 * k] + offset.x,
                                 two = sums[4 * n + 2 * k + 1] + offset.y;
                     const Two both = options.positive ? rounded(fmaxf(one, 0.0f), fmaxf(two, 0.0f))
@@ -352,16 +340,15 @@ __device__ inline void convolve(const View& input, const View& coarse, const Vie
             Eight* const to = reinterpret_cast<Eight*>(output.at);
             Eight* const others = reinterpret_cast<Eight*>(second.at);
             const int all = split ? split / 8 : tiles * (N / 8), rest = second.size[3] / 8;
-#pragma unroll
-            for (int n = 0; n < N / 8; n += 4) {
+            UNROLL for (int n = 0; n < N / 8; n += 4) {
                 const int eight = begin / 8 + n + q;
                 const bool own[2] = {there[0] && n + q < N / 8, there[1] && n + q < N / 8};
                 if (OUT && (!split || begin + 8 * (n + 4) <= split)) continue;
-#pragma unroll
-                for (int k = 0; k < 2; k++) {
+                UNROLL for (int k = 0; k < 2; k++) {
                     Two parts[4];
-#pragma unroll
-                    for (int i = 0; i < 4; i++) parts[i] = n + i < N / 8 ? results[k][n + i] : 0;
+                    UNROLL for (int i = 0; i < 4; i++) {
+                        parts[i] = n + i < N / 8 ? results[k][n + i] : 0;
+                    }
                     const Eight value = whole_eight(parts, q);
                     const size_t at = size_t(y + BELOW * k) * done.width + x + ASIDE * k;
                     if (!own[k]) continue;
@@ -370,8 +357,7 @@ __device__ inline void convolve(const View& input, const View& coarse, const Vie
                 }
                 if (split || !rest) continue;
                 Two most[4];
-#pragma unroll
-                for (int i = 0; i < 4; i++) {
+                UNROLL for (int i = 0; i < 4; i++) {
                     most[i] = n + i < N / 8 ? larger(results[0][n + i], results[1][n + i]) : 0;
                     most[i] = larger(most[i], from_lane(most[i], 4));
                 }

@@ -57,15 +57,14 @@ __device__ inline void read_network(const View& view, Network& net) {
     if (threadIdx.x == 0) {
         int size[MOST_LAYERS + 1];  // sizes beyond the last layer are 0
         int widest = 0, rows = 0, space = 0, count = 0;
-#pragma unroll
-        for (int layer = 0; layer <= MOST_LAYERS; layer++) size[layer] = int(at[SIZES + layer]);
+        UNROLL for (int layer = 0; layer <= MOST_LAYERS; layer++) {
+            size[layer] = int(at[SIZES + layer]);
+        }
         net.layers = int(at[LAYERS]), net.inputs = int(at[INPUTS]),
         net.activation = int(at[ACTIVATION]);
         net.encoded = int(at[ENCODED]), net.bands = int(at[BANDS]);
-#pragma unroll
-        for (int layer = 0; layer <= MOST_LAYERS; layer++) widest = max(widest, size[layer]);
-#pragma unroll
-        for (int layer = 0; layer <= MOST_LAYERS; layer++) {
+        UNROLL for (int layer = 0; layer <= MOST_LAYERS; layer++) widest = max(widest, size[layer]);
+        UNROLL for (int layer = 0; layer <= MOST_LAYERS; layer++) {
             net.size[layer] = size[layer], net.rows[layer] = rows, net.space[layer] = space,
             net.count[layer] = count;
             rows += up_to(size[layer], 32);
@@ -104,14 +103,12 @@ __device__ inline void load_layers(const Network& net, const float* parameters, 
         const float bias = threadIdx.x < from.makes ? from.biases[threadIdx.x] : 0.0f;
         for (int begin = threadIdx.x; begin < floats; begin += many * THREADS) {
             float values[many];
-#pragma unroll
-            for (int n = 0; n < many; n++) {
+            UNROLL for (int n = 0; n < many; n++) {
                 const int k = begin + n * THREADS, j = k / WIDTH, i = k % WIDTH;
                 values[n] = j < from.makes && i < from.reads ? from.weights[j * from.reads + i]
                                                              : 0.0f;
             }
-#pragma unroll
-            for (int n = 0; n < many; n++) {
+            UNROLL for (int n = 0; n < many; n++) {
                 const int k = begin + n * THREADS, j = k / WIDTH, i = k % WIDTH;
                 if (k < floats) to[j * WIDTH + (i ^ turn_of(j))] = values[n];
             }
@@ -171,33 +168,27 @@ __device__ inline void add_rows(Sums<TILES, DEPTH>& sums, const float* rows, int
     for (int step = 0; step < steps; step++) {
         const float* const at = rows + g * width + ((8 * step) ^ turn) + 2 * q;
         unsigned high[DEPTH][4], low[DEPTH][4];
-#pragma unroll
-        for (int k = 0; k < 2 * DEPTH; k++) {
+        UNROLL for (int k = 0; k < 2 * DEPTH; k++) {
             const Pair both = *reinterpret_cast<const Pair*>(at + 8 * k * width);
             split(both.x, high[k / 2][k % 2], low[k / 2][k % 2]);
             split(both.y, high[k / 2][2 + k % 2], low[k / 2][2 + k % 2]);
         }
-#pragma unroll
-        for (int first = 0; first < (GROUP == 1 ? 1 : TILES); first += GROUP) {
+        UNROLL for (int first = 0; first < (GROUP == 1 ? 1 : TILES); first += GROUP) {
             if (first >= tiles) break;
             unsigned whole[GROUP][2], rest[GROUP][2];
             float parts[DEPTH][GROUP][4] = {};
-#pragma unroll
-            for (int n = 0; n < GROUP; n++) {
+            UNROLL for (int n = 0; n < GROUP; n++) {
                 const Pair both = right(step, first + n);
                 split(both.x, whole[n][0], rest[n][0]);
                 split(both.y, whole[n][1], rest[n][1]);
             }
-#pragma unroll
-            for (int k = 0; k < 3 * DEPTH * GROUP; k++) {  // small products first
+            UNROLL for (int k = 0; k < 3 * DEPTH * GROUP; k++) {  // small products first
                 const int d = k % DEPTH, n = k / DEPTH % GROUP, what = k / DEPTH / GROUP;
                 add_product(parts[d][n], what == 0 ? low[d] : high[d],
                             what == 1 ? rest[n] : whole[n]);
             }
-#pragma unroll
-            for (int d = 0; d < DEPTH; d++) {
-#pragma unroll
-                for (int k = 0; k < 4 * GROUP; k++)
+            UNROLL for (int d = 0; d < DEPTH; d++) {
+                UNROLL for (int k = 0; k < 4 * GROUP; k++)
                     sums[d][first + k / 4][k % 4] += parts[d][k / 4][k % 4];
             }
         }
@@ -219,11 +210,9 @@ __device__ inline void multiply(Sums<TILES, DEPTH>& sums, const float* rows, int
 template <int TILES, class Call>
 __device__ inline void each_pair(float* at, int width, Call call) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
-#pragma unroll
-    for (int n = 0; n < TILES; n++) {
+    UNROLL for (int n = 0; n < TILES; n++) {
         if (8 * n >= width) break;
-#pragma unroll
-        for (int r = 0; r < 2; r++) {
+        UNROLL for (int r = 0; r < 2; r++) {
             call(n, r,
                  *reinterpret_cast<Pair*>(at + (g + 8 * r) * width + ((8 * n) ^ turn) + 2 * q));
         }
@@ -242,13 +231,11 @@ __device__ inline void encode_points(const Network& net, const View& points, int
         const float* const from = points.at + size_t(first) * net.inputs + column;
         for (int begin = 0; begin < count; begin += TILE) {
             float numbers[TILE];
-#pragma unroll
-            for (int k = 0; k < TILE; k++) {
+            UNROLL for (int k = 0; k < TILE; k++) {
                 const bool is_there = column < net.inputs && first + begin + k < end;
                 numbers[k] = is_there ? from[(begin + k) * net.inputs] : 0.0f;
             }
-#pragma unroll
-            for (int k = 0; k < TILE; k++)
+            UNROLL for (int k = 0; k < TILE; k++)
                 rows[(begin + k) * width + (column ^ turn_of(k))] = numbers[k];
         }
     }
@@ -276,14 +263,11 @@ __device__ inline void encode_points(const Network& net, const View& points, int
 template <int TILES, int DEPTH, bool SHARED>
 __device__ inline void run_layer(const Layer& layer, const float* rows, Sums<TILES, DEPTH>& sums) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
-#pragma unroll
-    for (int n = 0; n < TILES; n++) {
-#pragma unroll
-        for (int k = 0; k < 4; k++) {
+    UNROLL for (int n = 0; n < TILES; n++) {
+        UNROLL for (int k = 0; k < 4; k++) {
             const int column = 8 * n + 2 * q + k % 2;
             const float bias = SHARED || column < layer.makes ? layer.biases[column] : 0.0f;
-#pragma unroll
-            for (int d = 0; d < DEPTH; d++) sums[d][n][k] = bias;
+            UNROLL for (int d = 0; d < DEPTH; d++) sums[d][n][k] = bias;
         }
     }
     multiply<TILES, DEPTH>(sums, rows, layer.reads, layer.makes, [&](int step, int tile) {
@@ -340,14 +324,12 @@ __device__ inline void run_all(const Network& net, const float* weights, const V
             __syncwarp();
             if (index < last) {
                 const int size = TILE * up_to(layer.makes, 32);
-#pragma unroll
-                for (int d = 0; d < DEPTH; d++) {
+                UNROLL for (int d = 0; d < DEPTH; d++) {
                     activate_rows(net.activation, layer.makes, sums[d], rows + d * size, nullptr);
                 }
                 continue;
             }
-#pragma unroll
-            for (int k = 0; k < 4 * TILES * DEPTH; k++) {
+            UNROLL for (int k = 0; k < 4 * TILES * DEPTH; k++) {
                 const int d = k / 4 / TILES, n = k / 4 % TILES, column = 8 * n + 2 * q + k % 2;
                 const int p = first + TILE * d + g + k % 4 / 2 * 8;
                 if (column < layer.makes && p < total)

@@ -155,18 +155,19 @@ __device__ inline void begin_products() {
 template <int STEPS>
 __device__ inline void end_products_before(Two (&left)[STEPS][4]) {
     asm volatile("wgmma.commit_group.sync.aligned;\nwgmma.wait_group.sync.aligned 1;" ::: "memory");
-#pragma unroll
-    for (int i = 0; i < 4 * STEPS; i++) asm volatile("" : "+r"(left[i / 4][i % 4])::"memory");
+    UNROLL for (int i = 0; i < 4 * STEPS; i++) {
+        asm volatile("" : "+r"(left[i / 4][i % 4])::"memory");
+    }
 }
 
 // Wait for all products: the sums are there.
 template <int COUNT, int STEPS>
 __device__ inline void end_products(float (&sums)[COUNT], Two (&left)[STEPS][4]) {
     asm volatile("wgmma.commit_group.sync.aligned;\nwgmma.wait_group.sync.aligned 0;" ::: "memory");
-#pragma unroll
-    for (int i = 0; i < COUNT; i++) asm volatile("" : "+f"(sums[i])::"memory");
-#pragma unroll
-    for (int i = 0; i < 4 * STEPS; i++) asm volatile("" : "+r"(left[i / 4][i % 4])::"memory");
+    UNROLL for (int i = 0; i < COUNT; i++) asm volatile("" : "+f"(sums[i])::"memory");
+    UNROLL for (int i = 0; i < 4 * STEPS; i++) {
+        asm volatile("" : "+r"(left[i / 4][i % 4])::"memory");
+    }
 }
 #endif
 #endif
@@ -186,8 +187,7 @@ template <int COUNT>
 __device__ inline void multiply(float (&sums)[COUNT], const Two (&left)[4], Matrices right) {
     const int lane = threadIdx.x % 32;
     Two b[4];
-#pragma unroll
-    for (int i = 0; i < COUNT; i += 8) {
+    UNROLL for (int i = 0; i < COUNT; i += 8) {
         load_matrices(
             b, right.at + (2 * i + lane / 16 * 8 + lane % 8) * 16 + lane / 8 % 2 * right.along);
         add_product(sums + i, left, b[0], b[1]);

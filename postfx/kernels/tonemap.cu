@@ -121,12 +121,10 @@ __device__ inline void read_guide(const View& guide, float* numbers) {
 __device__ inline float level_of(const Colour& colour, const Four* numbers) {
     const float* const scalars = &numbers->x;
     float level = scalars[GUIDE_SIZE - 1];
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
+    UNROLL for (int c = 0; c < 3; c++) {
         const float value = scalars[3 * c] * colour.r + scalars[3 * c + 1] * colour.g
                             + scalars[3 * c + 2] * colour.b + scalars[9 + c];
-#pragma unroll
-        for (int k = 0; k < KNOTS / 4; k++) {
+        UNROLL for (int k = 0; k < KNOTS / 4; k++) {
             const Four shift = numbers[(SHIFTS + c * KNOTS) / 4 + k],
                        slope = numbers[(SLOPES + c * KNOTS) / 4 + k];
             level += slope.x * fmaxf(value - shift.x, 0.0f) + slope.y * fmaxf(value - shift.y, 0.0f)
@@ -158,8 +156,7 @@ extern "C" __global__ void slice_apply(View colour, View params, View matrix, Vi
     const Cells column = cells_at((x + 0.5f) * cells_wide / width - 0.5f, cells_wide);
     const Cells level = cells_at(level_of(seen, numbers) * levels - 0.5f, levels);
     Four red = {0.0f, 0.0f, 0.0f, 0.0f}, green = red, blue = red;
-#pragma unroll
-    for (int corner = 0; corner < 8; corner++) {
+    UNROLL for (int corner = 0; corner < 8; corner++) {
         const int j = corner & 4 ? row.second : row.first,
                   i = corner & 2 ? column.second : column.first;
         const int k = corner & 1 ? level.second : level.first;

@@ -12,8 +12,7 @@ __device__ inline float nearness_at(const View& depth, int y, int x) {
 __device__ inline void put_surface(float* to, size_t plane, const float* normal, const View& depth,
                                    int y, int x) {
     const float here = nearness_at(depth, y, x);
-#pragma unroll
-    for (int c = 0; c < 3; c++) to[c * plane] = clamped(normal[c], -1.0f, 1.0f);
+    UNROLL for (int c = 0; c < 3; c++) to[c * plane] = clamped(normal[c], -1.0f, 1.0f);
     to[3 * plane] = here;
     to[4 * plane] = slope<float>(nearness_at(depth, y, x - 1), here, nearness_at(depth, y, x + 1));
     to[5 * plane] = slope<float>(nearness_at(depth, y - 1, x), here, nearness_at(depth, y + 1, x));
@@ -54,15 +53,13 @@ extern "C" __global__ void denoise_classic_gather(View colour, View diffuse_albe
         light_without(colour.at + 3 * source, by, params.at[EXPOSURE]), before, z, gain);
     const bool edge = (y == 0 && v > 0) || (x == 0 && u > 0) || (y == th - 1 && v + 1 < h)
                       || (x == tw - 1 && u + 1 < w);
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
+    UNROLL for (int c = 0; c < 3; c++) {
         const float* const state = now.state + 4 * c;
         four(next_state, 3 * here + c) = edge ? none : Four{state[0], state[1], state[2], state[3]};
     }
     next_depth.at[here] = z;
     put(factor.at + 3 * here, by);
-#pragma unroll
-    for (int c = 0; c < 4; c++) light.at[c * plane + here] = now.light[c];
+    UNROLL for (int c = 0; c < 4; c++) light.at[c * plane + here] = now.light[c];
     put_surface(surface.at + here, plane, normal.at + 3 * source, depth, v, u);
 }
 
@@ -87,8 +84,7 @@ __device__ inline float sharpness_at(const View& light, int y, int x, int h, int
     const int width = light.size[2];
     const float* const variance = light.at + 3 * size_t(light.size[1]) * width;
     float sum = 0.0f;
-#pragma unroll
-    for (int j = -1; j <= 1; j++) {
+    UNROLL for (int j = -1; j <= 1; j++) {
         const float* const row = variance + size_t(clip(y + j, h)) * width;
         const float across = 0.25f * (row[clip(x - 1, w)] + row[clip(x + 1, w)])
                              + 0.5f * row[x];
@@ -115,12 +111,10 @@ extern "C" __global__ void denoise_atrous(View light, View surface, View step, V
     const float sharp = sharpness_at(light, y, x, h, w);
     Colour sum = own.light * 0.25f;
     float variance = 0.0625f * own.variance, total = 0.25f;
-#pragma unroll
-    for (int j = -1; j <= 1; j++) {
+    UNROLL for (int j = -1; j <= 1; j++) {
         const int v = y + j * reach;
         if (v < 0 || v >= h) continue;
-#pragma unroll
-        for (int i = -1; i <= 1; i++) {
+        UNROLL for (int i = -1; i <= 1; i++) {
             const int u = x + i * reach;
             if (u < 0 || u >= w || (i == 0 && j == 0)) continue;
             const Tap other = tap_at(light, surface, size_t(v) * width + u);
@@ -157,11 +151,9 @@ extern "C" __global__ void denoise_resolve(View light, View factor, View params,
     const float total = (TINY + narrow[0] + narrow[1] + narrow[2])
                         * (TINY + high[0] + high[1] + high[2]);
     Colour sum = {0.0f, 0.0f, 0.0f};
-#pragma unroll
-    for (int j = 0; j < 3; j++) {
+    UNROLL for (int j = 0; j < 3; j++) {
         const size_t line = size_t(clip(row + j - 1, h)) * width;
-#pragma unroll
-        for (int i = 0; i < 3; i++) {
+        UNROLL for (int i = 0; i < 3; i++) {
             const size_t at = line + clip(column + i - 1, w);
             const Colour own = three(light.at + at, plane) * three(factor.at + 3 * at);
             add(sum, own, high[j] * narrow[i] / total);
@@ -170,8 +162,7 @@ extern "C" __global__ void denoise_resolve(View light, View factor, View params,
     const float darken = 1.0f / params.at[EXPOSURE],
                 logs[3] = {log_encode(sum.r), log_encode(sum.g), log_encode(sum.b)};
     const size_t to = 3 * (size_t(y) * output.size[1] + x);
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
+    UNROLL for (int c = 0; c < 3; c++) {
         next_history.at[to + c] = logs[c];
         output.at[to + c] = expm1_of(logs[c]) * darken;
     }

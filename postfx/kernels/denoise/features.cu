@@ -52,17 +52,14 @@ __device__ inline void put_four(float* to, const Four& value) {
 // All channels of a pixel go to planes, or stay together in half precision.
 __device__ inline void keep_planes(const float* channels, const View& features, size_t pixel,
                                    size_t plane) {
-#pragma unroll
-    for (int i = 0; i < FEATURES; i++) features.at[i * plane + pixel] = channels[i];
+    UNROLL for (int i = 0; i < FEATURES; i++) features.at[i * plane + pixel] = channels[i];
 }
 
 __device__ inline void keep_together(const float* channels, const View& packed, size_t pixel) {
     Halves* const to = halves(packed) + pixel * (packed.size[3] / 8);
-#pragma unroll
-    for (int first = 0; first < FEATURES; first += 8) {
+    UNROLL for (int first = 0; first < FEATURES; first += 8) {
         Halves some;
-#pragma unroll
-        for (int i = 0; i < 8; i++)
+        UNROLL for (int i = 0; i < 8; i++)
             some.at[i] = first + i < FEATURES ? to_half(channels[first + i]) : 0;
         to[first / 8] = some;
     }
@@ -177,8 +174,7 @@ extern "C" __global__ void denoise_guides(View guide_diffuse_albedo, View guide_
     const size_t plane = size_t(height) * width;
     const float scale = depth_scale.at[0];
     float* to = guides.at + size_t(y) * width + x;
-#pragma unroll
-    for (int corner = 0; corner < 4; corner++, to += 11 * plane) {
+    UNROLL for (int corner = 0; corner < 4; corner++, to += 11 * plane) {
         const unsigned v = (row + 2 * (corner / 2)) * out_height / (4 * h);
         const unsigned u = (column + 2 * (corner % 2)) * out_width / (4 * w);
         const size_t pixel = size_t(v) * out_width + u;

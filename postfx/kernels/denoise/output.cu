@@ -23,15 +23,13 @@ __device__ inline float held_within(float value, float limit) {
 template <int SHIFT>
 __device__ inline float across(const float own[TILE], const float other[TILE]) {
     float sum = 0.0f;
-#pragma unroll
-    for (int i = SHIFT < 0 ? -SHIFT : 0; i < (SHIFT < 0 ? TILE : TILE - SHIFT); i++)
+    UNROLL for (int i = SHIFT < 0 ? -SHIFT : 0; i < (SHIFT < 0 ? TILE : TILE - SHIFT); i++)
         sum += own[i] * other[i + SHIFT];
     return sum * (float(TILE) / (TILE - (SHIFT < 0 ? -SHIFT : SHIFT)));  // per whole row of pairs
 }
 
 __device__ inline void load_row(const float* row, float limit, float values[TILE]) {
-#pragma unroll
-    for (int i = 0; i < TILE; i++) values[i] = held_within(row[i], limit);
+    UNROLL for (int i = 0; i < TILE; i++) values[i] = held_within(row[i], limit);
 }
 
 // What a row of a tile adds to each sum from the third one on; rows beyond the tile do not count.
@@ -62,8 +60,7 @@ __device__ inline void sum_row(const float* row, int y, float limit, float sums[
 
 __device__ inline float sum_of_rows(const float* rows) {
     float sum = 0.0f;
-#pragma unroll
-    for (int i = 0; i < TILE; i++) sum += rows[i];
+    UNROLL for (int i = 0; i < TILE; i++) sum += rows[i];
     return sum;
 }
 
@@ -90,8 +87,7 @@ extern "C" __global__ void denoise_judge(View colour, View denoised, View params
         for (int i = thread; i < GROUP * TILE; i += threads) {
             const float* const row = removed[i / TILE] + i % TILE * PITCH;
             float sum = 0.0f;
-#pragma unroll
-            for (int k = 0; k < TILE; k++) sum += row[k] * row[k];
+            UNROLL for (int k = 0; k < TILE; k++) sum += row[k] * row[k];
             power[i / TILE][i % TILE] = sum;
         }
         __syncthreads();
@@ -103,8 +99,7 @@ extern "C" __global__ void denoise_judge(View colour, View denoised, View params
             float found[1 + LAGS];
             // fireflies are held there
             sum_row(removed[tile] + row * PITCH, row, LIMIT * sqrtf(all / count), found);
-#pragma unroll
-            for (int k = 0; k <= LAGS; k++) rows[tile][k][row] = found[k];
+            UNROLL for (int k = 0; k <= LAGS; k++) rows[tile][k][row] = found[k];
             if (row > 0) continue;
             float* const result = sums.at + (tile_y * tiles_wide + tile_x + tile) * SUMS;
             result[COUNT] = judged.at[tile_y * tiles_wide + tile_x + tile] > 0.0f ? count : 0.0f;
@@ -154,8 +149,7 @@ __device__ inline void read_area(const View& sums, int top, int left, float* are
 // ways.
 __device__ inline Tile gather(const float* tile) {
     float spread[SUMS];
-#pragma unroll
-    for (int k = 0; k < SUMS; k++) {
+    UNROLL for (int k = 0; k < SUMS; k++) {
         const float* const at = tile + k;
         spread[k] = 4.0f * at[0] + 2.0f * (at[-SUMS] + at[SUMS] + at[-AREA_PITCH] + at[AREA_PITCH])
                     + (at[-AREA_PITCH - SUMS] + at[-AREA_PITCH + SUMS] + at[AREA_PITCH - SUMS]
@@ -164,16 +158,14 @@ __device__ inline Tile gather(const float* tile) {
     const float count = fmaxf(spread[COUNT], 1.0f);  // 0 if nothing around is judged
     Tile found = {spread[POWER] / count, SPREAD_NOISE * LAGS / count, {}};
     const float scale = 1.0f / (spread[HELD_POWER] + TINY_POWER);
-#pragma unroll
-    for (int k = 0; k < LAGS; k++) found.correlation[k] = spread[FIRST + k] * scale;
+    UNROLL for (int k = 0; k < LAGS; k++) found.correlation[k] = spread[FIRST + k] * scale;
     return found;
 }
 
 // Share of detail in what was removed around a tile.
 __device__ inline float detail_of(const Tile& tile, const float common[NEAR]) {
     float structure = -tile.noise;
-#pragma unroll
-    for (int k = 0; k < LAGS; k++) {
+    UNROLL for (int k = 0; k < LAGS; k++) {
         const float own = tile.correlation[k] - (k < NEAR ? common[k] : 0.0f);
         structure += own * own;
     }
@@ -213,21 +205,22 @@ extern "C" __global__ void __launch_bounds__(MOST_THREADS)
                 totals[0] += tile[1];
                 totals[1] += tile[0];
                 totals[2] += weight;
-#pragma unroll
-                for (int k = 0; k < NEAR; k++) totals[3 + k] += weight * found.correlation[k];
+                UNROLL for (int k = 0; k < NEAR; k++) {
+                    totals[3 + k] += weight * found.correlation[k];
+                }
             }
         }
     }
-#pragma unroll
-    for (int k = 0; k < TOTALS; k++) totals[k] = block_sum(totals[k], partial, thread, threads);
+    UNROLL for (int k = 0; k < TOTALS; k++) {
+        totals[k] = block_sum(totals[k], partial, thread, threads);
+    }
     const float power = totals[0] / fmaxf(totals[1], 1.0f), total = totals[2] + TINY_POWER,
                 loud = logf(power + TINY_POWER);
     const float filtered = ramp(loud, logf(FILTERED_LOW), logf(FILTERED_HIGH));
     const float quiet = ramp(-loud, -logf(LOUD_HIGH), -logf(LOUD_LOW))
                         * fminf(evidence.at[0], 1.0f);
     float common[NEAR], share = 0.0f;
-#pragma unroll
-    for (int k = 0; k < NEAR; k++) common[k] = filtered * fmaxf(totals[3 + k] / total, 0.0f);
+    UNROLL for (int k = 0; k < NEAR; k++) common[k] = filtered * fmaxf(totals[3 + k] / total, 0.0f);
     for (int top = 0; top < height; top += HIGH) {
         for (int left = 0; left < width; left += WIDE) {
             read_area(sums, top, left, area, thread, threads);

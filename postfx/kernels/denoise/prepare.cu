@@ -46,8 +46,7 @@ extern "C" __global__ void __launch_bounds__(SUMMING, 2)
     int seen = 0;
     for (int i = first; i < fours; i += 4 * step) {
         Four some[4] = {};  // all are read before the first division
-#pragma unroll
-        for (int k = 0; k < 4; k++)
+        UNROLL for (int k = 0; k < 4; k++)
             if (i + k * step < fours) some[k] = four(depth, i + k * step);
         sum += (nearness(some[0]) + nearness(some[1])) + (nearness(some[2]) + nearness(some[3]));
         seen += (hits_of(some[0]) + hits_of(some[1])) + (hits_of(some[2]) + hits_of(some[3]));
@@ -86,10 +85,8 @@ extern "C" __global__ void denoise_dilate(View motion, View depth, View part_row
     const int v = int(part_rows.at[y]), u = int(part_columns.at[x]), here = v * width + u;
     float near = depth.at[here] * CLEARLY;
     int at = here;
-#pragma unroll
-    for (int j = -1; j <= 1; j++) {
-#pragma unroll
-        for (int i = -1; i <= 1; i++) {
+    UNROLL for (int j = -1; j <= 1; j++) {
+        UNROLL for (int i = -1; i <= 1; i++) {
             // A repeated edge changes nothing: no pixel is nearer than itself.
             const int there = clip(v + j, height) * width + clip(u + i, width);
             const float z = depth.at[there];
@@ -120,8 +117,7 @@ extern "C" __global__ void __launch_bounds__(SUMMING, 2)
                   stop = min(start + TRUST_CELL, w);
         const int u = start + threadIdx.x % TRUST_CELL;
         Colour sum = {0.0f, 0.0f, 0.0f};
-#pragma unroll
-        for (int j = 0; j < TRUST_CELL; j++) {
+        UNROLL for (int j = 0; j < TRUST_CELL; j++) {
             const Colour own = demodulation(diffuse_albedo, specular_albedo, min(first + j, h - 1),
                                             min(u, w - 1));
             if (first + j < end && u < stop) add(sum, own, 1.0f);
@@ -157,8 +153,7 @@ __device__ inline Colour doubted(const Colour& own, const View& means, int v, in
     const float *const above = means.at + 3 * down.before * means.size[1];
     const float *const below = means.at + 3 * down.after * means.size[1];
     float mean[3];
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
+    UNROLL for (int c = 0; c < 3; c++) {
         const int left = 3 * across.before + c, right = 3 * across.after + c;
         const float first = above[left] + (below[left] - above[left]) * down.share;
         const float second = above[right] + (below[right] - above[right]) * down.share;
@@ -203,8 +198,7 @@ __global__ void denoise_accumulate(View colour, View diffuse_albedo, View specul
                 importance = as_float(head[IMPORTANCE * plane]);
     const Four before = four(past, pixel);
     float hidden[HIDDEN];
-#pragma unroll
-    for (int i = 0; i < HIDDEN; i++) hidden[i] = as_float(head[(MEMORY + i) * plane]);
+    UNROLL for (int i = 0; i < HIDDEN; i++) hidden[i] = as_float(head[(MEMORY + i) * plane]);
     Colour by = demodulation(diffuse_albedo, specular_albedo, part.top + y, part.left + x);
     if (means.size[0] > 1)
         by = doubted(by, means, part.top + y, part.left + x, colour.size[0], colour.size[1], part,
@@ -216,15 +210,13 @@ __global__ void denoise_accumulate(View colour, View diffuse_albedo, View specul
     const bool edge = (y == 0 && part.top > 0) || (x == 0 && part.left > 0) ||
         (y == past.size[0] - 1 && part.top + y + 1 < colour.size[0]) ||
         (x == past.size[1] - 1 && part.left + x + 1 < colour.size[1]);
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
+    UNROLL for (int c = 0; c < 3; c++) {
         const float* const state = found.state + 4 * c;
         four(next_state, 3 * pixel + c) = edge ? Four{0.0f, 0.0f, 0.0f, 0.0f}
                                                : Four{state[0], state[1], state[2], state[3]};
     }
     next_depth.at[pixel] = z;
     put(factor.at + 3 * pixel, by);
-#pragma unroll
-    for (int c = 0; c < 3; c++) to[c * plane] = found.level[c];
+    UNROLL for (int c = 0; c < 3; c++) to[c * plane] = found.level[c];
     to[3 * plane] = found.importance;
 }

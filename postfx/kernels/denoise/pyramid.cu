@@ -9,8 +9,7 @@ __device__ inline Cell<float> pool_of(const View& importance, int top, int left,
                                       size_t (&there)[4]) {
     const int height = importance.size[1], width = importance.size[2];
     float weights[4];
-#pragma unroll
-    for (int i = 0; i < 4; i++) {
+    UNROLL for (int i = 0; i < 4; i++) {
         const int v = top + i / 2, u = left + i % 2;
         there[i] = size_t(clip(v, height)) * width + clip(u, width);
         const bool held = v >= 0 && v < height && u >= 0 && u < width;
@@ -54,8 +53,7 @@ extern "C" __global__ void __launch_bounds__(BLOCK, 4)
     const View totals[LAST] = {importance1, importance2, importance3, importance4};
     int first_row = 0, first_column = 0;  // of the first tree in a level
     int high = 0, wide = 0;
-#pragma unroll
-    for (int i = LAST - 1; i >= 0; i--) {
+    UNROLL for (int i = LAST - 1; i >= 0; i--) {
         const int side = TREE >> i;
         high = max(high, (levels[i].size[1] - first_row + side - 1) / side);
         wide = max(wide, (levels[i].size[2] - first_column + side - 1) / side);
@@ -69,8 +67,7 @@ extern "C" __global__ void __launch_bounds__(BLOCK, 4)
         for (int k = 0; k < level1.size[0]; k += 3) {
             const int planes = min(3, level1.size[0] - k);
             int top = first_row + TREE * (tree / wide), left = first_column + TREE * (tree % wide);
-#pragma unroll
-            for (int level = 0; level < LAST; level++) {
+            UNROLL for (int level = 0; level < LAST; level++) {
                 const int side = TREE >> level, j = thread / side, i = thread % side, y = top + j,
                           x = left + i;
                 const int height = levels[level].size[1], width = levels[level].size[2];
@@ -82,8 +79,7 @@ extern "C" __global__ void __launch_bounds__(BLOCK, 4)
                             pool_of(finer_importance, 2 * y + int(firsts.at[0]),
                                     2 * x + int(firsts.at[LAST]), there);
                         const size_t plane = size_t(finer.size[1]) * finer.size[2];
-#pragma unroll
-                        for (int c = 0; c < 3; c++) {
+                        UNROLL for (int c = 0; c < 3; c++) {
                             const float* const from = finer.at + (k + min(c, planes - 1)) * plane;
                             found[c] = pooled<float>(cell, from[there[0]], from[there[1]],
                                                      from[there[2]], from[there[3]]);
@@ -95,23 +91,20 @@ extern "C" __global__ void __launch_bounds__(BLOCK, 4)
                         const Cell<float> cell = cell_of<float>(
                             from[3][v][u], from[3][v][u + 1], from[3][v + 1][u],
                             from[3][v + 1][u + 1]);
-#pragma unroll
-                        for (int c = 0; c < 3; c++)
+                        UNROLL for (int c = 0; c < 3; c++)
                             found[c] = pooled<float>(cell, from[c][v][u], from[c][v][u + 1],
                                                      from[c][v + 1][u], from[c][v + 1][u + 1]);
                         found[3] = cell.importance;
                     }
                     if (y >= 0 && y < height && x >= 0 && x < width) {
                         const size_t here = size_t(y) * width + x, plane = size_t(height) * width;
-#pragma unroll
-                        for (int c = 0; c < 3; c++)
+                        UNROLL for (int c = 0; c < 3; c++)
                             if (c < planes) levels[level].at[(k + c) * plane + here] = found[c];
                         totals[level].at[here] = found[3];
                     } else {
                         found[3] = 0.0f;
                     }
-#pragma unroll
-                    for (int c = 0; c < 4 && level < LAST - 1; c++)
+                    UNROLL for (int c = 0; c < 4 && level < LAST - 1; c++)
                         cells[level][c][j][i] = found[c];
                 }
                 if (level < LAST - 1) {
@@ -179,16 +172,14 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
     const bool inside = y < height && x < width;
     Number read[SIDE * SIDE];  // read first and looked at last, so that all reads wait together
     const Number* from = numbers<Number>(heads) + here;
-#pragma unroll
-    for (int i = 0; i < SIDE * SIDE; i++) {
+    UNROLL for (int i = 0; i < SIDE * SIDE; i++) {
         read[i] = inside ? __ldg(from) : Number(0);
         from = behind(from, plane);
     }
     for (int k = 0; k < level.size[0]; k += 3) {
         const int second = k + 1 < level.size[0] ? 1 : 0;  // one plane is read three times
         if (k) __syncthreads();
-#pragma unroll
-        for (int first = 0; first < HIGH * WIDE; first += DOWN * ACROSS) {
+        UNROLL for (int first = 0; first < HIGH * WIDE; first += DOWN * ACROSS) {
             const int n = first + threadIdx.y * ACROSS + threadIdx.x;
             if (n >= HIGH * WIDE) break;
             const int j = n / WIDE, i = n % WIDE, v = top + j - REACH, u = left + i - REACH;
@@ -199,8 +190,7 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
                 by = trusted_at<Number>(coarse, level, heads, rows, columns, v, u);
             const float *own = level.at + k * plane + by.here,
                         *below = coarse.at + k * coarse_plane + by.below;
-#pragma unroll
-            for (int c = 0; c < 3; c++) {
+            UNROLL for (int c = 0; c < 3; c++) {
                 float value = 0.0f;
                 if (is_there) {
                     const float before = MIXES ? __ldg(below) : 0.0f, now = __ldg(own);
@@ -216,8 +206,7 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
         Colour sum = {0.0f, 0.0f, 0.0f};
         float total = TINY;
         const auto add_taps = [&](bool all) {
-#pragma unroll
-            for (int i = 0; i < SIDE * SIDE; i++) {  // taps beyond the picture do not count
+            UNROLL for (int i = 0; i < SIDE * SIDE; i++) {  // taps beyond the picture do not count
                 const int j = threadIdx.y + i / SIDE, n = threadIdx.x + i % SIDE,
                           v = top + j - REACH, u = left + n - REACH;
                 const bool counts =
@@ -297,8 +286,7 @@ __device__ inline void remodulate(const View& filtered, const View& factor, cons
                  there = size_t(v) * filtered.size[2] + u;
     const float* const by = factor.at + 3 * (size_t(v) * factor.size[1] + u);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
+    UNROLL for (int c = 0; c < 3; c++) {
         const float light = filtered.at[c * from + there];
         if (BOTH) radiance.at[c * plane + here] = light;
         radiance.at[((BOTH ? 3 : 0) + c) * plane + here] = light * by[c];

@@ -88,11 +88,9 @@ __device__ inline Enlarged enlarged(int x, int y, const Enlarging& of, const Gui
     const float narrow[3] = {gauss(u - 1.0f), gauss(u), gauss(u + 1.0f)};
     Colour sum = {0.0f, 0.0f, 0.0f}, soft = {0.0f, 0.0f, 0.0f};
     float total = TINY;
-#pragma unroll
-    for (int j = 0; j < 3; j++) {
+    UNROLL for (int j = 0; j < 3; j++) {
         const float across = gauss(j - 1 + v);
-#pragma unroll
-        for (int i = 0; i < 3; i++) {
+        UNROLL for (int i = 0; i < 3; i++) {
             const Number* const tap = head + (TAP_WEIGHTS + 4 * (3 * j + i)) * plane;
             const float weight = between_corners(tap, plane, right, lower) * (across * narrow[i]);
             const Colour light = light_at<BY>(samples + j * radiance.size[2] + i, picture, guide);
@@ -125,26 +123,22 @@ __device__ inline void enlarged_four(int x, int y, const Enlarging& of, const Gu
     const int picture = radiance.size[1] * radiance.size[2];
     const float* const samples = radiance.at + row * radiance.size[2] + column;
     float narrow_x[2][3], narrow_y[2][3], wide_x[2][3], wide_y[2][3];
-#pragma unroll
-    for (int k = 0; k < 2; k++) {
+    UNROLL for (int k = 0; k < 2; k++) {
         const float offset = k ? 0.25f : -0.25f, u = params.at[JITTER_X] - offset,
                     v = params.at[JITTER_Y] - offset;
         wide_gauss(u, wide_x[k]);
         wide_gauss(v, wide_y[k]);
-#pragma unroll
-        for (int i = 0; i < 3; i++) {
+        UNROLL for (int i = 0; i < 3; i++) {
             narrow_x[k][i] = gauss(i - 1 + u);
             narrow_y[k][i] = gauss(i - 1 + v);
         }
     }
     Colour sum[4] = {}, soft[4] = {};
     float total[4] = {TINY, TINY, TINY, TINY};
-#pragma unroll
-    for (int i = 0; i < 9; i++) {
+    UNROLL for (int i = 0; i < 9; i++) {
         const Number* const tap = head + (TAP_WEIGHTS + 4 * i) * plane;
         const float* const sample = samples + i / 3 * radiance.size[2] + i % 3;
-#pragma unroll
-        for (int k = 0; k < 4; k++) {
+        UNROLL for (int k = 0; k < 4; k++) {
             const float weight = as_float(tap[k * plane])
                                  * (narrow_y[k / 2][i / 3] * narrow_x[k % 2][i % 3]);
             const Colour light = light_at<BY>(sample, picture, guides[k]);
@@ -157,8 +151,7 @@ __device__ inline void enlarged_four(int x, int y, const Enlarging& of, const Gu
     const Pair motion = pair(moved, at);
     const bool was_held = of.past.at[4 * at + 3] >= 0.0f;
     const float share = share_of(of.keep, row, column);
-#pragma unroll
-    for (int k = 0; k < 4; k++) {
+    UNROLL for (int k = 0; k < 4; k++) {
         const float blend = as_float(head[(BLEND + k) * plane]),
                     sharpen = as_float(head[(SHARPEN + k) * plane]);
         const bool held =
@@ -178,8 +171,7 @@ __device__ inline float blended(float current, float kept, float before) {
 __device__ inline void blend_pixel(const Enlarged& found, size_t pixel, const Enlarging& of) {
     const float darken = 1.0f / of.params.at[EXPOSURE],
                 current[3] = {found.colour.r, found.colour.g, found.colour.b};
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
+    UNROLL for (int c = 0; c < 3; c++) {
         const size_t at = 3 * pixel + c;
         const float light = blended(current[c], found.kept, of.warped.at[at]);
         of.history.at[at] = light;
@@ -197,10 +189,8 @@ __device__ inline void blend_two(const Enlarged& one, const Enlarged& two, size_
     // others read what the last one reads, and write nothing
     const int place = min(2 * int(threadIdx.x), left - 2);
     Pair light[3], shown[3];
-#pragma unroll
-    for (int i = 0; i < 3; i++) light[i] = pair(of.warped, 3 * (first + place) / 2 + i);
-#pragma unroll
-    for (int i = 0; i < 3; i++) {
+    UNROLL for (int i = 0; i < 3; i++) light[i] = pair(of.warped, 3 * (first + place) / 2 + i);
+    UNROLL for (int i = 0; i < 3; i++) {
         light[i] = {blended(current[2 * i], 2 * i < 3 ? one.kept : two.kept, light[i].x),
                     blended(current[2 * i + 1], 2 * i + 1 < 3 ? one.kept : two.kept, light[i].y)};
         shown[i] = {expm1_of(light[i].x) * darken, expm1_of(light[i].y) * darken};
@@ -232,8 +222,7 @@ __device__ inline void resolve(const Enlarging& of, GuideAt guide_at) {
         blend_two(found[2], found[3], first + width, width - start, of, own);
         return;
     }
-#pragma unroll 1
-    for (int k = 0; k < 4; k++) {
+    AS_IT_IS for (int k = 0; k < 4; k++) {
         const int j = y + k / 2, i = x + k % 2;
         if (j >= height || i >= width) continue;
         const int v = min(part.out_top + j, part.height - 1),
@@ -387,14 +376,12 @@ __global__ void __launch_bounds__(256, 2)
                       u = min(int(out_columns.at[x]), part.width - 2);
             Enlarged found[4];
             enlarged_four<Number, BY_NOTHING, true>(u, v, of, {}, found);
-#pragma unroll
-            for (int i = 0; i < 4; i++)
+            UNROLL for (int i = 0; i < 4; i++)
                 blend_light(found[i], v + i / 2, u + i % 2, part, picture, moved, darken,
                             to + 3 * (size_t(i / 2) * width + i % 2));
             continue;
         }
-#pragma unroll 1
-        for (int i = 0; i < 4; i++) {
+        AS_IT_IS for (int i = 0; i < 4; i++) {
             if (y + i / 2 >= height || x + i % 2 >= width) continue;
             const int v = int(out_rows.at[y + i / 2]), u = int(out_columns.at[x + i % 2]);
             const Enlarged found = enlarged<Number, BY_NOTHING, true>(u, v, of);
