@@ -35,16 +35,14 @@ extern "C" __global__ void __launch_bounds__(256, 4)
 // matrix, cut, encoded. params (12,), decode (4098,), encode (4098,): see postfx/kernels/colour.py.
 
 // A table between its entries, at a share of it in [0, 1].
-__device__ inline float looked_up(const View& table, float share) {
+FN float looked_up(const View& table, float share) {
     const float place = share * float(STEPS);
     const int i = int(place);
     const float low = __ldg(table.at + i);
     return low + (place - i) * (__ldg(table.at + i + 1) - low);
 }
 
-__device__ inline float root(float value) {
-    return sqrtf(sqrtf(sqrtf(value)));
-}
+FN float root(float value) { return sqrtf(sqrtf(sqrtf(value))); }
 
 extern "C" __global__ void encode_display(View colour, View params, View decode, View encode,
                                           View output) {
@@ -70,7 +68,7 @@ extern "C" __global__ void encode_display(View colour, View params, View decode,
 
 // Views that are formulas: colour (height, width, 3), params (14,) -> output (height, width, 3).
 template <class Formula>
-__device__ inline void show(const View& colour, const View& params, const View& output) {
+FN void show(const View& colour, const View& params, const View& output) {
     const int width = output.size[1];
     PIXEL(width, output.size[0]);
     const size_t here = 3 * (size_t(y) * width + x);

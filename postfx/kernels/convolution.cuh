@@ -8,16 +8,14 @@
 // lies in shared memory with its border, by 8 channels; a tap's products begin at another pixel of
 // it, so nothing is copied for them.
 
-__device__ inline const Eight* eights(const View& view) {
-    return reinterpret_cast<const Eight*>(view.at);
-}
+FN const Eight* eights(const View& view) { return reinterpret_cast<const Eight*>(view.at); }
 
-__device__ inline Eight sum(const Eight& a, const Eight& b) {
+FN Eight sum(const Eight& a, const Eight& b) {
     return {{sum(a.at[0], b.at[0]), sum(a.at[1], b.at[1]), sum(a.at[2], b.at[2]),
              sum(a.at[3], b.at[3])}};
 }
 
-__device__ inline Eight larger(const Eight& a, const Eight& b) {
+FN Eight larger(const Eight& a, const Eight& b) {
     return {{larger(a.at[0], b.at[0]), larger(a.at[1], b.at[1]), larger(a.at[2], b.at[2]),
              larger(a.at[3], b.at[3])}};
 }
@@ -28,22 +26,18 @@ struct Square {
     static constexpr int ACROSS = WIDE ? 32 : 8, DOWN = 64 / ACROSS;
     int number, wide, all, height, width;
 
-    __device__ inline Square(int number, int height, int width)
+    FN Square(int number, int height, int width)
         : number(number),
           wide((width + ACROSS - 1) / ACROSS),
           all(wide * ((height + DOWN - 1) / DOWN)),
           height(height),
           width(width) {}
 
-    __device__ inline int row() const {
-        return number / wide * DOWN;
-    }
+    FN int row() const { return number / wide * DOWN; }
 
-    __device__ inline int column() const {
-        return number % wide * ACROSS;
-    }
+    FN int column() const { return number % wide * ACROSS; }
 
-    __device__ inline bool holds(int y, int x) const {
+    FN bool holds(int y, int x) const {
         return number < all && y >= 0 && x >= 0 && y < height && x < width;
     }
 };
@@ -62,8 +56,8 @@ __device__ constexpr int pitch_of(int taps) {
 // together. Sums with what is enlarged are there at the end, a few of which are on their way at a
 // time.
 template <int TAPS, bool CELLS, bool COARSE, int CHUNKS, bool WIDE>
-__device__ inline void fill(char* left, int thread, const Square<WIDE>& square, const View& input,
-                            const View& coarse) {
+FN void fill(char* left, int thread, const Square<WIDE>& square, const View& input,
+             const View& coarse) {
     constexpr int SIDE = WIDE ? Square<WIDE>::ACROSS : side_of(TAPS), BEFORE = TAPS == 3,
                   EACH = CHUNKS / 4, MANY = 3;
     constexpr int ALL = side_of(TAPS) * side_of(TAPS) * CHUNKS;
@@ -113,7 +107,7 @@ struct Options {
 
 // Each of four lanes next to each other has two channels of four eights; the q-th one gets all of
 // the q-th eight.
-__device__ inline Eight whole_eight(const Two (&parts)[4], int q) {
+FN Eight whole_eight(const Two (&parts)[4], int q) {
     const bool odd = q % 2, late = q / 2;
     Two low[2], high[2];  // the first and the last half of eights q % 2 and q % 2 + 2
     UNROLL for (int i = 0; i < 2; i++) {
@@ -130,7 +124,7 @@ __device__ inline Eight whole_eight(const Two (&parts)[4], int q) {
 // exact as half precision. The channel is one of the eight from FIRST on, so it is mostly known
 // when compiled which one.
 template <int FIRST, int SHARES, int STATES>
-__device__ inline float activated(float sum, float offset, int channel) {
+FN float activated(float sum, float offset, int channel) {
     const float to_two = 1.44269504f;  // exp(x) is 2 to the power of x * to_two
     if (FIRST + 8 <= SHARES || (FIRST < SHARES && channel < SHARES)) {
         // from -STEEPEST to STEEPEST as 0 to 1
@@ -148,8 +142,8 @@ __device__ inline float activated(float sum, float offset, int channel) {
 // `apart`, that are there, and with OUT 2 of each its left and right part, which are RIGHT eights
 // apart.
 template <int FIRST, int EIGHTS, int OUT, int RIGHT, int PLANES, int SHARES, int STATES, int COUNT>
-__device__ inline void write_planes(const float (&sums)[COUNT], const Pair* offsets, Half* to,
-                                    size_t plane, int apart, const bool (&there)[2]) {
+FN void write_planes(const float (&sums)[COUNT], const Pair* offsets, Half* to, size_t plane,
+                     int apart, const bool (&there)[2]) {
     const int q = threadIdx.x % 4, own = 2 * q;
     if constexpr (EIGHTS > 0 && FIRST < PLANES) {
         constexpr int AT = COUNT - 4 * (EIGHTS + RIGHT);  // its sums
@@ -192,9 +186,9 @@ __device__ inline void write_planes(const float (&sums)[COUNT], const Pair* offs
 // weights side by side.
 template <int TAPS, bool CELLS, bool COARSE, int C, int N, int SLOTS, int OUT, int PLANES,
           int SHARES, int STATES>
-__device__ inline void convolve(const View& input, const View& coarse, const View& weights,
-                                const View& bias, const View& added, const View& output,
-                                const View& second, const Options& options) {
+FN void convolve(const View& input, const View& coarse, const View& weights, const View& bias,
+                 const View& added, const View& output, const View& second,
+                 const Options& options) {
     SHARED_MEMORY;
     constexpr int CHUNKS = C / 8, SIDE = side_of(TAPS), PITCH = pitch_of(TAPS),
                   WEIGHTS = TAPS * TAPS * C * N * 2;

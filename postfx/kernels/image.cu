@@ -6,7 +6,7 @@ struct Cubics {
     int index[5], behind;
 };
 
-__device__ inline Cubics cubics(const View& places, int at, int size) {
+FN Cubics cubics(const View& places, int at, int size) {
     const float first = places.at[at], second = places.at[min(at + 1, places.size[0] - 1)];
     const Cubic one = cubic(first, size), two = cubic(second, size);
     const int before = int(floorf(first)) - 1;
@@ -22,8 +22,8 @@ __device__ inline Cubics cubics(const View& places, int at, int size) {
 
 // Four pixels, two beside and below each other, each like `resampled`.
 template <int CHANNELS>
-__device__ inline void resampled_four(const View& image, const Cubics& down, const Cubics& across,
-                                      float (&result)[2][2 * CHANNELS]) {
+FN void resampled_four(const View& image, const Cubics& down, const Cubics& across,
+                       float (&result)[2][2 * CHANNELS]) {
     UNROLL for (int k = 0; k < CHANNELS; k++) {
         float sum[2][2] = {}, least[2][3], most[2][3];
         UNROLL for (int i = 0; i < 5; i++) {

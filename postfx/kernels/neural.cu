@@ -7,16 +7,12 @@ struct alignas(16) Parts {
 };
 
 // Layers of at most 64 numbers: blocks of 8 in a row, as 1, 4 or 8.
-__device__ inline int shift_of(int size) {
-    return size <= 8 ? 0 : size <= 32 ? 2 : 3;
-}
+FN int shift_of(int size) { return size <= 8 ? 0 : size <= 32 ? 2 : 3; }
 
-__device__ inline int blocks_of(int reads, int makes) {
-    return (up_to(reads, 32) / 8) << shift_of(makes);
-}
+FN int blocks_of(int reads, int makes) { return (up_to(reads, 32) / 8) << shift_of(makes); }
 
 // Floats that a narrow network takes in the shared memory: biases, then its split weights.
-__device__ inline int split_floats(const Network& net) {
+FN int split_floats(const Network& net) {
     int blocks = 0;
     for (int layer = 0; layer < net.layers; layer++)
         blocks += blocks_of(net.size[layer], net.size[layer + 1]);
@@ -24,7 +20,7 @@ __device__ inline int split_floats(const Network& net) {
 }
 
 // Copy biases and split weights into the shared memory, where they are after a barrier.
-__device__ inline void split_layers(const Network& net, const float* parameters, float* biases) {
+FN void split_layers(const Network& net, const float* parameters, float* biases) {
     const int many = 8;
     Parts* to = reinterpret_cast<Parts*>(biases + 64 * net.layers);
     for (int layer = 0; layer < net.layers; layer++) {
@@ -61,8 +57,8 @@ __device__ inline void split_layers(const Network& net, const float* parameters,
 // `add_product` needs to the left, of columns that are in another order there as in the blocks, is
 // what it gives.
 template <int TILES, int DEPTH>
-__device__ inline void add_blocks(Sums<8, DEPTH>& sums, const Sums<8, DEPTH>& left,
-                                  const Parts* right, int steps) {
+FN void add_blocks(Sums<8, DEPTH>& sums, const Sums<8, DEPTH>& left, const Parts* right,
+                   int steps) {
     const int lane = threadIdx.x % 32, group = TILES < GROUPED ? TILES : GROUPED;
     UNROLL for (int step = 0; step < 8; step++) {
         if (step == 4 && steps == 4) break;
@@ -92,8 +88,8 @@ __device__ inline void add_blocks(Sums<8, DEPTH>& sums, const Sums<8, DEPTH>& le
 // All layers of a narrow network: a layer's numbers stay in registers, where the next one reads
 // them.
 template <int DEPTH>
-__device__ inline void run_narrow(const Network& net, const float* biases, float* rows,
-                                  const View& points, const View& values) {
+FN void run_narrow(const Network& net, const float* biases, float* rows, const View& points,
+                   const View& values) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, total = values.size[0],
               last = net.layers - 1;
     const int warp = threadIdx.x / 32, together = TILE * DEPTH;
@@ -180,9 +176,9 @@ extern "C" __global__ void __launch_bounds__(THREADS)
 // points of what the layer made and read, whose rows have `high` and `wide` floats. They are added
 // to the tensor's if that has `begun`.
 template <int COUNT>
-__device__ inline void add_weights(const float* deltas, int high, const float* reads, int wide,
-                                   int points, int row, int column, const Layer& layer,
-                                   float* weights, float* biases, bool begun) {
+FN void add_weights(const float* deltas, int high, const float* reads, int wide, int points,
+                    int row, int column, const Layer& layer, float* weights, float* biases,
+                    bool begun) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4,
               turns[2] = {turn_of(2 * q), turn_of(2 * q + 1)};
     float found[COUNT][4], down[2] = {};
@@ -255,8 +251,8 @@ struct Part {
 // The derivatives of the squared error by the last layer's outputs of 16 points, in their place,
 // and that error.
 template <int TILES>
-__device__ inline void compare(float (&sums)[TILES][4], const View& targets, int first, int end,
-                               float share, Part& part) {
+FN void compare(float (&sums)[TILES][4], const View& targets, int first, int end, float share,
+                Part& part) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, outputs = targets.size[1];
     UNROLL for (int r = 0; r < 2; r++) {
         const int p = first + g + 8 * r;
@@ -418,7 +414,7 @@ extern "C" __global__ void __launch_bounds__(THREADS)
 }
 
 // What makes the sum of groups a mean over the points that are learnt; 0 if there are none.
-__device__ inline float scale_of(const View& partials) {
+FN float scale_of(const View& partials) {
     float share = 0.0f;
     for (int group = 0; group < partials.size[0]; group++) {
         share += partials.at[size_t(group + 1) * partials.size[1] - 1];
@@ -427,7 +423,7 @@ __device__ inline float scale_of(const View& partials) {
 }
 
 // A step of one parameter, whose moments are a row of three.
-__device__ inline void adam_step(float gradient, const View& hyper, float* row, float& parameter) {
+FN void adam_step(float gradient, const View& hyper, float* row, float& parameter) {
     const float rate = hyper.at[0], slow = hyper.at[1], slower = hyper.at[2], epsilon = hyper.at[3];
     const float step = row[2] + 1.0f;
     const float size = rate / -expm1f(step * logf(slow)),
@@ -461,7 +457,7 @@ struct Corner {
 };
 
 // A corner of the cell of a grid's level that a point lies in.
-__device__ inline Corner corner_of(const View& grid, int level, const float* point, int corner) {
+FN Corner corner_of(const View& grid, int level, const float* point, int corner) {
     const unsigned primes[3] = {1u, 2654435761u, 805459861u};
     const int dims = int(grid.at[DIMS]), entries = int(grid.at[ENTRIES]),
               side = int(grid.at[SIDES + level]);

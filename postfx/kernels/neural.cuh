@@ -12,7 +12,7 @@
 #ifdef __CUDACC__
 extern __shared__ __align__(16) float memory[];
 
-__device__ inline int shared_floats() {
+FN int shared_floats() {
     unsigned bytes;
     asm("mov.u32 %0, %%dynamic_smem_size;" : "=r"(bytes));
     return int(bytes / 4);
@@ -21,18 +21,14 @@ __device__ inline int shared_floats() {
 
 const int WARPS = THREADS / 32, TILE = 16, MOST_POINTS = TILE * WARPS, GROUPED = 4;
 
-__device__ inline float relu_of(float z) { return z < 0.0f ? 0.0f : z; }  // NaN stays NaN
+FN float relu_of(float z) { return z < 0.0f ? 0.0f : z; }  // NaN stays NaN
 
-__device__ inline int up_to(int size, int unit) {
-    return (size + unit - 1) / unit * unit;
-}
+FN int up_to(int size, int unit) { return (size + unit - 1) / unit * unit; }
 
 // Rows in shared memory begin at multiples of 32 floats. In row r, column c lies at c ^ turn_of(r):
 // so the numbers that a warp reads at once lie in different banks, be they two columns of 8 rows or
 // 8 columns of 4 rows.
-__device__ inline int turn_of(int row) {
-    return 8 * ((row & 3) ^ (row >> 2 & 1));
-}
+FN int turn_of(int row) { return 8 * ((row & 3) ^ (row >> 2 & 1)); }
 
 // What every block knows of the network: sizes; floats before each layer's inputs in a point's
 // rows, before its parameters in the shared memory, and in the tensor.
@@ -43,16 +39,12 @@ struct Network {
 };
 
 // Rows of a layer's weights in the shared memory.
-__device__ inline int height_of(int makes) {
-    return makes <= 8 ? 8 : up_to(makes, 32);
-}
+FN int height_of(int makes) { return makes <= 8 ? 8 : up_to(makes, 32); }
 
 // Floats of these rows.
-__device__ inline int stride_of(int widest) {
-    return widest <= 64 ? 64 : MOST_WIDTH;
-}
+FN int stride_of(int widest) { return widest <= 64 ? 64 : MOST_WIDTH; }
 
-__device__ inline void read_network(const View& view, Network& net) {
+FN void read_network(const View& view, Network& net) {
     const float* const at = view.at;
     if (threadIdx.x == 0) {
         int size[MOST_LAYERS + 1];  // sizes beyond the last layer are 0
@@ -85,7 +77,7 @@ struct Layer {
 };
 
 template <int WIDTH, bool SHARED>
-__device__ inline Layer layer_of(const Network& net, int layer, const float* at) {
+FN Layer layer_of(const Network& net, int layer, const float* at) {
     const int reads = net.size[layer], makes = net.size[layer + 1];
     at += SHARED ? net.space[layer] : net.count[layer];
     return {at, at + (SHARED ? height_of(makes) * WIDTH : reads * makes), reads, makes};
@@ -94,7 +86,7 @@ __device__ inline Layer layer_of(const Network& net, int layer, const float* at)
 // Copy all parameters into the shared memory, where they are after a barrier. Many are read before
 // any is written, because each alone would wait for the card's memory.
 template <int WIDTH>
-__device__ inline void load_layers(const Network& net, const float* parameters, float* shared) {
+FN void load_layers(const Network& net, const float* parameters, float* shared) {
     const int many = 16;
     for (int layer = 0; layer < net.layers; layer++) {
         const Layer from = layer_of<WIDTH, false>(net, layer, parameters);
@@ -119,7 +111,7 @@ __device__ inline void load_layers(const Network& net, const float* parameters, 
 }
 
 // Sine of whole pi + rest: Taylor series, absolute error below 2e-7 for rest in [-pi/2, pi/2].
-__device__ inline float sine_of(float whole, float rest) {
+FN float sine_of(float whole, float rest) {
     const float square = rest * rest, half = whole * 0.5f,
                 sign = 1.0f - 4.0f * (half - floorf(half));
     float sine = -1.0f / 39916800.0f;
@@ -131,13 +123,13 @@ __device__ inline float sine_of(float whole, float rest) {
 }
 
 // Sine and cosine of half turns.
-__device__ inline Pair waves_of(float turns) {
+FN Pair waves_of(float turns) {
     const float whole = floorf(turns + 0.5f), rest = turns - whole;
     return {sine_of(whole, PI * rest), sine_of(whole, PI * (0.5f - fabsf(rest)))};
 }
 
 // GELU and sine, as on the CPU, and their slopes; a ReLU is made where the sums are.
-__device__ inline void activate(int kind, float& z, float& slope) {
+FN void activate(int kind, float& z, float& slope) {
     if (kind == SINE) {
         // pi in three parts, the first two of few bits
         const float whole = floorf(z * (1.0f / PI) + 0.5f);
@@ -161,8 +153,8 @@ using Sums = float[DEPTH][TILES][4];
 // tile)` is what this lane needs of an (8, 8) block: rows 2 q and 2 q + 1, column g. Tensor cores
 // round towards 0, so that sums over many steps are made outside of them.
 template <int TILES, int DEPTH, int GROUP, class Right>
-__device__ inline void add_rows(Sums<TILES, DEPTH>& sums, const float* rows, int width, int steps,
-                                int tiles, Right right) {
+FN void add_rows(Sums<TILES, DEPTH>& sums, const float* rows, int width, int steps, int tiles,
+                 Right right) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
 #pragma unroll(TILES > 8 ? 1 : 2)
     for (int step = 0; step < steps; step++) {
@@ -196,8 +188,7 @@ __device__ inline void add_rows(Sums<TILES, DEPTH>& sums, const float* rows, int
 }
 
 template <int TILES, int DEPTH, class Right>
-__device__ inline void multiply(Sums<TILES, DEPTH>& sums, const float* rows, int inner, int columns,
-                                Right right) {
+FN void multiply(Sums<TILES, DEPTH>& sums, const float* rows, int inner, int columns, Right right) {
     const int steps = (inner + 7) / 8, tiles = (columns + 7) / 8, width = up_to(inner, 32);
     if (tiles > 1) {
         add_rows<TILES, DEPTH, 4>(sums, rows, width, steps, tiles, right);
@@ -208,7 +199,7 @@ __device__ inline void multiply(Sums<TILES, DEPTH>& sums, const float* rows, int
 
 // Call `call(tile, half, pair)` for all pairs of numbers that this lane has of 16 points' rows.
 template <int TILES, class Call>
-__device__ inline void each_pair(float* at, int width, Call call) {
+FN void each_pair(float* at, int width, Call call) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
     UNROLL for (int n = 0; n < TILES; n++) {
         if (8 * n >= width) break;
@@ -222,8 +213,8 @@ __device__ inline void each_pair(float* at, int width, Call call) {
 // What the first layer reads of some points, and 0 beside it, in a warp's rows; from `end` on
 // points are 0. Numbers of 16 points are read before any is written, because each alone would wait
 // for the card's memory.
-__device__ inline void encode_points(const Network& net, const View& points, int first, int end,
-                                     int count, float* rows) {
+FN void encode_points(const Network& net, const View& points, int first, int end, int count,
+                      float* rows) {
     const int width = up_to(net.size[0], 32), lane = threadIdx.x % 32, p = lane % TILE,
               turn = turn_of(p);
     for (int column = lane; column < width; column += 32) {
@@ -261,7 +252,7 @@ __device__ inline void encode_points(const Network& net, const View& points, int
 // A layer of DEPTH times 16 points, before its activation; beyond the columns that it makes numbers
 // are of no use.
 template <int TILES, int DEPTH, bool SHARED>
-__device__ inline void run_layer(const Layer& layer, const float* rows, Sums<TILES, DEPTH>& sums) {
+FN void run_layer(const Layer& layer, const float* rows, Sums<TILES, DEPTH>& sums) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
     UNROLL for (int n = 0; n < TILES; n++) {
         UNROLL for (int k = 0; k < 4; k++) {
@@ -284,8 +275,8 @@ __device__ inline void run_layer(const Layer& layer, const float* rows, Sums<TIL
 // A layer's activation of 16 points in a warp's rows, 0 beside what it makes, and slopes unless it
 // is a ReLU.
 template <int TILES>
-__device__ inline void activate_rows(int kind, int makes, const float (&sums)[TILES][4],
-                                     float* rows, float* slopes) {
+FN void activate_rows(int kind, int makes, const float (&sums)[TILES][4], float* rows,
+                      float* slopes) {
     const int width = up_to(makes, 32), q = threadIdx.x % 4, column = threadIdx.x % 32;
     each_pair<TILES>(rows, width, [&](int n, int r, Pair& pair) {
         const float x = sums[n][2 * r], y = sums[n][2 * r + 1];
@@ -307,8 +298,7 @@ __device__ inline void activate_rows(int kind, int makes, const float (&sums)[TI
 }
 
 template <int TILES, int DEPTH, bool SHARED>
-__device__ inline void run_all(const Network& net, const float* weights, const View& points,
-                               const View& values) {
+FN void run_all(const Network& net, const float* weights, const View& points, const View& values) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, total = values.size[0],
               last = net.layers - 1;
     const int warp = threadIdx.x / 32, together = TILE * DEPTH;

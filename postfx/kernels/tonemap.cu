@@ -99,7 +99,7 @@ struct Cells {
     float share;
 };
 
-__device__ inline Cells cells_at(float position, int count) {
+FN Cells cells_at(float position, int count) {
     const float at = fminf(fmaxf(position, 0.0f), float(count - 1));
     const int first = int(at);
     return {first, min(first + 1, count - 1), at - first};
@@ -107,7 +107,7 @@ __device__ inline Cells cells_at(float position, int count) {
 
 // The guide's numbers as all threads of a block read them: every slope times the weight of its
 // channel.
-__device__ inline void read_guide(const View& guide, float* numbers) {
+FN void read_guide(const View& guide, float* numbers) {
     const int threads = blockDim.x * blockDim.y, thread = threadIdx.y * blockDim.x + threadIdx.x;
     for (int i = thread; i < GUIDE_SIZE; i += threads) {
         const bool slope = i >= SLOPES && i < MIX;
@@ -118,7 +118,7 @@ __device__ inline void read_guide(const View& guide, float* numbers) {
 
 // Level of a shaped colour in the grid, 0..1 before the clip: a sum of ramps over each channel of a
 // matrix's result.
-__device__ inline float level_of(const Colour& colour, const Four* numbers) {
+FN float level_of(const Colour& colour, const Four* numbers) {
     const float* const scalars = &numbers->x;
     float level = scalars[GUIDE_SIZE - 1];
     UNROLL for (int c = 0; c < 3; c++) {
@@ -134,12 +134,12 @@ __device__ inline float level_of(const Colour& colour, const Four* numbers) {
     return level;
 }
 
-__device__ inline void add(float weight, const Four& from, Four& to) {
+FN void add(float weight, const Four& from, Four& to) {
     to = {to.x + weight * from.x, to.y + weight * from.y, to.z + weight * from.z,
           to.w + weight * from.w};
 }
 
-__device__ inline float applied(const Four& row, const Colour& colour) {
+FN float applied(const Four& row, const Colour& colour) {
     return row.x * colour.r + row.y * colour.g + row.z * colour.b + row.w;
 }
 

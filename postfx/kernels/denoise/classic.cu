@@ -3,14 +3,13 @@
 #include "classic.h"
 
 // 1 / depth of a pixel of the frame, edges repeated.
-__device__ inline float nearness_at(const View& depth, int y, int x) {
+FN float nearness_at(const View& depth, int y, int x) {
     const int h = depth.size[0], w = depth.size[1];
     return nearness_of<float>(depth.at[size_t(clip(y, h)) * w + clip(x, w)]);
 }
 
 // Six planes of a pixel's surface, `plane` numbers apart.
-__device__ inline void put_surface(float* to, size_t plane, const float* normal, const View& depth,
-                                   int y, int x) {
+FN void put_surface(float* to, size_t plane, const float* normal, const View& depth, int y, int x) {
     const float here = nearness_at(depth, y, x);
     UNROLL for (int c = 0; c < 3; c++) to[c * plane] = clamped(normal[c], -1.0f, 1.0f);
     to[3 * plane] = here;
@@ -70,7 +69,7 @@ struct Tap {
     Surface<float> surface;
 };
 
-__device__ inline Tap tap_at(const View& light, const View& surface, size_t at) {
+FN Tap tap_at(const View& light, const View& surface, size_t at) {
     const size_t plane = size_t(light.size[1]) * light.size[2];
     const float *const from = light.at + at, *const on = surface.at + at;
     const float r = from[0], g = from[plane], b = from[2 * plane];
@@ -80,7 +79,7 @@ __device__ inline Tap tap_at(const View& light, const View& surface, size_t at) 
 }
 
 // 1 / (4 standard deviations of luminance), from the variance of 3x3 pixels of the picture.
-__device__ inline float sharpness_at(const View& light, int y, int x, int h, int w) {
+FN float sharpness_at(const View& light, int y, int x, int h, int w) {
     const int width = light.size[2];
     const float* const variance = light.at + 3 * size_t(light.size[1]) * width;
     float sum = 0.0f;

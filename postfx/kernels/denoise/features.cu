@@ -9,8 +9,7 @@
 // they are together, (1, hp, wp, 40).
 
 // Mean of the output pixels that render pixel (y, x) of the frame touches.
-__device__ inline Colour touched_mean(const View& warped, unsigned y, unsigned x,
-                                      const Window& part) {
+FN Colour touched_mean(const View& warped, unsigned y, unsigned x, const Window& part) {
     const unsigned h = part.h, w = part.w, height = part.height, width = part.width;
     const int left = int(x * width / w) - part.out_left,
               right = int(((x + 1) * width + w - 1) / w) - part.out_left;
@@ -34,28 +33,24 @@ __device__ inline Colour touched_mean(const View& warped, unsigned y, unsigned x
     return sum * (1.0f / float((bottom - top) * (right - left)));
 }
 
-__device__ inline Colour three(const View& picture, size_t pixel) {
-    return three(picture.at + 3 * pixel);
-}
+FN Colour three(const View& picture, size_t pixel) { return three(picture.at + 3 * pixel); }
 
-__device__ inline void put_bounded(float* to, const Colour& value, float low, float high,
-                                   size_t step = 1) {
+FN void put_bounded(float* to, const Colour& value, float low, float high, size_t step = 1) {
     put(to, {clamped(value.r, low, high), clamped(value.g, low, high), clamped(value.b, low, high)},
         step);
 }
 
-__device__ inline void put_four(float* to, const Four& value) {
+FN void put_four(float* to, const Four& value) {
     put(to, {value.x, value.y, value.z});
     to[3] = value.w;
 }
 
 // All channels of a pixel go to planes, or stay together in half precision.
-__device__ inline void keep_planes(const float* channels, const View& features, size_t pixel,
-                                   size_t plane) {
+FN void keep_planes(const float* channels, const View& features, size_t pixel, size_t plane) {
     UNROLL for (int i = 0; i < FEATURES; i++) features.at[i * plane + pixel] = channels[i];
 }
 
-__device__ inline void keep_together(const float* channels, const View& packed, size_t pixel) {
+FN void keep_together(const float* channels, const View& packed, size_t pixel) {
     Halves* const to = halves(packed) + pixel * (packed.size[3] / 8);
     UNROLL for (int first = 0; first < FEATURES; first += 8) {
         Halves some;
@@ -67,18 +62,18 @@ __device__ inline void keep_together(const float* channels, const View& packed, 
 
 // This frame's colour of a channel without reflectance, log-encoded; `share` is one over the
 // reflectance.
-__device__ inline float encoded_now(float value, float exposure, float share) {
+FN float encoded_now(float value, float exposure, float share) {
     return log1p_of(fminf(clamped(value, 0.0f, MAX_FLOAT) * exposure * share, MAX_COLOUR));
 }
 
 // The same of the last output, which is log-encoded; what no frame can hold counts as the
 // brightest.
-__device__ inline float encoded_last(float encoded, float share) {
+FN float encoded_last(float encoded, float share) {
     return log_encode(expm1_of(fminf(fmaxf(encoded, 0.0f), MOST_LOG)) * share);
 }
 
 // The change of depth since the frame before.
-__device__ inline float depth_change(float before, float depth) {
+FN float depth_change(float before, float depth) {
     const float ratio = clamped(before, NEAREST, MAX_DEPTH) / fmaxf(depth, NEAREST);
     return fminf(fmaxf(4.0f * logf(ratio), -1.0f), 1.0f);
 }

@@ -5,8 +5,8 @@
 // Bilinear between pixels that hold something, depth of the nearest.
 
 // Four channels, weighted.
-__device__ inline Four weighted_four(const View& state, const size_t (&from)[4],
-                                     const float (&share)[4], int group, float scale) {
+FN Four weighted_four(const View& state, const size_t (&from)[4], const float (&share)[4],
+                      int group, float scale) {
     Four sum = {0.0f, 0.0f, 0.0f, 0.0f};
     for (int i = 0; i < 4; i++) {
         const Four value = four(state, 3 * from[i] + group);
@@ -52,7 +52,7 @@ extern "C" __global__ void denoise_resize(View state, View last_depth, View at_r
 // (out_th,), out_columns (out_tw,) -> warped (out_th, out_tw, 3), log(1 + exposed).
 
 // Log-encoded colour, not below 0, after an exposure change; NaN stays NaN.
-__device__ inline float rescaled(float encoded, float gain) {
+FN float rescaled(float encoded, float gain) {
     const float held = encoded < 0.0f ? 0.0f : encoded;
     return gain == 1.0f ? held : log1pf(expm1f(held) * gain);
 }
@@ -172,7 +172,7 @@ extern "C" __global__ void denoise_reflections(View motion, View depth, View nor
 // which is exposure, scale and threshold -> reactive (h, w, 1).
 
 // Exposed light as a display shows it, 0 to 1.
-__device__ inline float seen(float value, float exposure) {
+FN float seen(float value, float exposure) {
     const float light = fminf(clamped(value, 0.0f, MAX_FLOAT) * exposure, MAX_COLOUR);
     return sqrtf(light / (1.0f + light));
 }

@@ -31,7 +31,7 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_half(View raw, Vi
 }
 
 // The activation of a channel of the fine head.
-__device__ inline float fine_of(int channel, float logit) {
+FN float fine_of(int channel, float logit) {
     if (channel < BLEND) return weight_of(logit);
     return channel < MEMORY ? gate_of(logit) : tanhf(logit);
 }

@@ -8,32 +8,30 @@ const int GROUP = 8, LAGS = SUMS - FIRST;
 const int PITCH = TILE + 1;  // rows begin in different banks
 
 // What was removed at a pixel, as it is seen.
-__device__ inline float removed_at(const float* noisy, const float* denoised, float exposure) {
+FN float removed_at(const float* noisy, const float* denoised, float exposure) {
     return seen_difference<float>(luminance_of<float>(noisy[0], noisy[1], noisy[2], exposure),
                                   luminance_of<float>(denoised[0], denoised[1], denoised[2],
                                                       exposure));
 }
 
-__device__ inline float held_within(float value, float limit) {
-    return fminf(fmaxf(value, -limit), limit);
-}
+FN float held_within(float value, float limit) { return fminf(fmaxf(value, -limit), limit); }
 
 // Sum over a row of products of `own` and the pixels `shift` right of each in another row; both
 // ends lie in the tile.
 template <int SHIFT>
-__device__ inline float across(const float own[TILE], const float other[TILE]) {
+FN float across(const float own[TILE], const float other[TILE]) {
     float sum = 0.0f;
     UNROLL for (int i = SHIFT < 0 ? -SHIFT : 0; i < (SHIFT < 0 ? TILE : TILE - SHIFT); i++)
         sum += own[i] * other[i + SHIFT];
     return sum * (float(TILE) / (TILE - (SHIFT < 0 ? -SHIFT : SHIFT)));  // per whole row of pairs
 }
 
-__device__ inline void load_row(const float* row, float limit, float values[TILE]) {
+FN void load_row(const float* row, float limit, float values[TILE]) {
     UNROLL for (int i = 0; i < TILE; i++) values[i] = held_within(row[i], limit);
 }
 
 // What a row of a tile adds to each sum from the third one on; rows beyond the tile do not count.
-__device__ inline void sum_row(const float* row, int y, float limit, float sums[1 + LAGS]) {
+FN void sum_row(const float* row, int y, float limit, float sums[1 + LAGS]) {
     float own[TILE], other[TILE];
     load_row(row, limit, own);
     sums[0] = across<0>(own, own);
@@ -58,7 +56,7 @@ __device__ inline void sum_row(const float* row, int y, float limit, float sums[
     }
 }
 
-__device__ inline float sum_of_rows(const float* rows) {
+FN float sum_of_rows(const float* rows) {
     float sum = 0.0f;
     UNROLL for (int i = 0; i < TILE; i++) sum += rows[i];
     return sum;
@@ -128,13 +126,12 @@ struct Tile {
     float power, noise, correlation[LAGS];
 };
 
-__device__ inline float ramp(float value, float low, float high) {
+FN float ramp(float value, float low, float high) {
     return fminf(fmaxf((value - low) / (high - low), 0.0f), 1.0f);
 }
 
 // Reads an area of tiles and its border; those beyond the frame are zeros and so do not count.
-__device__ inline void read_area(const View& sums, int top, int left, float* area, int thread,
-                                 int threads) {
+FN void read_area(const View& sums, int top, int left, float* area, int thread, int threads) {
     __syncthreads();
     for (int i = thread; i < (HIGH + 2) * AREA_PITCH; i += threads) {
         const int y = top + i / AREA_PITCH - 1, column = (left - 1) * SUMS + i % AREA_PITCH,
@@ -147,7 +144,7 @@ __device__ inline void read_area(const View& sums, int top, int left, float* are
 
 // Power, noise of the structure and correlations around a tile; neighbours count by 1 2 1 both
 // ways.
-__device__ inline Tile gather(const float* tile) {
+FN Tile gather(const float* tile) {
     float spread[SUMS];
     UNROLL for (int k = 0; k < SUMS; k++) {
         const float* const at = tile + k;
@@ -163,7 +160,7 @@ __device__ inline Tile gather(const float* tile) {
 }
 
 // Share of detail in what was removed around a tile.
-__device__ inline float detail_of(const Tile& tile, const float common[NEAR]) {
+FN float detail_of(const Tile& tile, const float common[NEAR]) {
     float structure = -tile.noise;
     UNROLL for (int k = 0; k < LAGS; k++) {
         const float own = tile.correlation[k] - (k < NEAR ? common[k] : 0.0f);
@@ -175,7 +172,7 @@ __device__ inline float detail_of(const Tile& tile, const float common[NEAR]) {
 }
 
 // Sum over all threads of the block, in a fixed order.
-__device__ inline float block_sum(float value, float* partial, int thread, int threads) {
+FN float block_sum(float value, float* partial, int thread, int threads) {
     __syncthreads();
     partial[thread] = value;
     __syncthreads();
@@ -251,7 +248,7 @@ struct Between {
 };
 
 // The tile before a pixel, the one after it, and how far the pixel lies between their centres.
-__device__ inline Between tiles_at(int position, int count) {
+FN Between tiles_at(int position, int count) {
     const float at = fminf(fmaxf((position + 0.5f) * (1.0f / TILE) - 0.5f, 0.0f), float(count - 1));
     const int first = int(at);
     return {first, min(first + 1, count - 1), at - first};
@@ -277,7 +274,7 @@ extern "C" __global__ void denoise_restore(View colour, View denoised, View deta
 // A picture from what was computed in parts of it: tiles (n, th, tw, c), places (n, 10): origin,
 // what may be used, what is used before others; frame_rows (rows,), frame_columns (columns,) ->
 // picture (rows, columns, c), 0 where no tile is.
-__device__ inline bool is_within(const float* box, int y, int x) {
+FN bool is_within(const float* box, int y, int x) {
     return y >= box[0] && x >= box[1] && y < box[2] && x < box[3];
 }
 

@@ -15,8 +15,7 @@ extern "C" __global__ void denoise_reflectance(View diffuse_albedo, View specula
 // Running mean of a part of the picture by the picture's weights: part (h, w, 3), coding (3,),
 // factor (th, tw, 3), past (th, tw, 4), moved (th, tw, 2), last_part (h, w, 3), fine (1, 80, hp,
 // wp), window (8,) -> next_part (th, tw, 3), part_level (3, hp, wp).
-__device__ inline float recalled(const float* last, const size_t (&from)[4], int c, float tx,
-                                 float ty) {
+FN float recalled(const float* last, const size_t (&from)[4], int c, float tx, float ty) {
     const float top = last[from[0] + c] + (last[from[1] + c] - last[from[0] + c]) * tx;
     const float bottom = last[from[2] + c] + (last[from[3] + c] - last[from[2] + c]) * tx;
     return top + (bottom - top) * ty;
@@ -90,8 +89,7 @@ extern "C" __global__ void denoise_balance(View parts, View reached, View whole,
 // A plane from what was filtered: filtered (H, W, 3), decoding (5,): factor, shift, bounds, kind:
 // vectors that get length 1 above 0, distances below 0, by their reciprocal and coverage -> plane
 // (H, W, c).
-__device__ inline void decode(const View& filtered, const View& decoding, const View& plane, int y,
-                              int x) {
+FN void decode(const View& filtered, const View& decoding, const View& plane, int y, int x) {
     const int channels = plane.size[2];
     const size_t pixel = size_t(y) * plane.size[1] + x;
     const Decoding& by = *reinterpret_cast<const Decoding*>(decoding.at);

@@ -1,13 +1,11 @@
 #include "prepare.h"
 
 // Harmonic mean depth of what was hit, 1 where nothing was: depth (h, w, 1) -> depth_scale (1,).
-__device__ inline bool is_hit(float z) {
-    return z > 0.0f && z < FARTHEST;
-}
+FN bool is_hit(float z) { return z > 0.0f && z < FARTHEST; }
 
 // Sum of 1 / z over four depths; a product of fractions needs one division, and 4 factors of 1e-6
 // to 1e9 stay normal.
-__device__ inline float nearness(const Four& depth) {
+FN float nearness(const Four& depth) {
     const bool a = is_hit(depth.x), b = is_hit(depth.y), c = is_hit(depth.z), d = is_hit(depth.w);
     const float p = a ? fmaxf(depth.x, NEAREST) : 1.0f, q = b ? fmaxf(depth.y, NEAREST) : 1.0f;
     const float r = c ? fmaxf(depth.z, NEAREST) : 1.0f, s = d ? fmaxf(depth.w, NEAREST) : 1.0f;
@@ -15,13 +13,12 @@ __device__ inline float nearness(const Four& depth) {
     return (left * (r * s) + right * (p * q)) / ((p * q) * (r * s));
 }
 
-__device__ inline int hits_of(const Four& depth) {
+FN int hits_of(const Four& depth) {
     return is_hit(depth.x) + is_hit(depth.y) + is_hit(depth.z) + is_hit(depth.w);
 }
 
 // Adds what the threads of a block have, in a fixed order; the first thread's are the sums.
-__device__ inline void sum_in_block(double (&near)[SUMMING], int (&hits)[SUMMING], double own_near,
-                                    int own_hits) {
+FN void sum_in_block(double (&near)[SUMMING], int (&hits)[SUMMING], double own_near, int own_hits) {
     const int thread = threadIdx.x;
     near[thread] = own_near;
     hits[thread] = own_hits;
@@ -137,7 +134,7 @@ struct Between {
     float share;
 };
 
-__device__ inline Between cells_around(int at, int size, int first) {
+FN Between cells_around(int at, int size, int first) {
     const int last = (size - 1) / TRUST_CELL;
     const float place = fminf(fmaxf((at + 0.5f) / TRUST_CELL - 0.5f, 0.0f), float(last));
     const int before = int(place);
@@ -146,8 +143,8 @@ __device__ inline Between cells_around(int at, int size, int first) {
 
 // Reflectance brought towards its mean around a pixel of the frame, as far as it is not trusted (1
 // to -1).
-__device__ inline Colour doubted(const Colour& own, const View& means, int v, int u, int h, int w,
-                                 const Window& part, float trust) {
+FN Colour doubted(const Colour& own, const View& means, int v, int u, int h, int w,
+                  const Window& part, float trust) {
     const Between down = cells_around(v, h, part.top / TRUST_CELL - 1);
     const Between across = cells_around(u, w, part.left / TRUST_CELL - 1);
     const float *const above = means.at + 3 * down.before * means.size[1];

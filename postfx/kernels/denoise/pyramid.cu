@@ -5,8 +5,7 @@ const int BLOCK = 256;
 
 // A cell whose first pixel is at (top, left) of a level, and where in a plane its pixels are. Those
 // beyond have no weight.
-__device__ inline Cell<float> pool_of(const View& importance, int top, int left,
-                                      size_t (&there)[4]) {
+FN Cell<float> pool_of(const View& importance, int top, int left, size_t (&there)[4]) {
     const int height = importance.size[1], width = importance.size[2];
     float weights[4];
     UNROLL for (int i = 0; i < 4; i++) {
@@ -127,8 +126,8 @@ struct Trusted {
 // coarse (planes, about hp / 2, about wp / 2), level (planes, hp, wp), heads (1, 26 or more, hp,
 // wp), rows (hp,) and columns (wp,) of coarse that pixels lie in.
 template <class Number>
-__device__ inline Trusted trusted_at(const View& coarse, const View& level, const View& heads,
-                                     const View& rows, const View& columns, int y, int x) {
+FN Trusted trusted_at(const View& coarse, const View& level, const View& heads, const View& rows,
+                      const View& columns, int y, int x) {
     // The full head has the channel elsewhere than the short ones of the coarser levels.
     const size_t channel = heads.size[1] > KERNEL + 1 ? MIX : KERNEL,
                  here = size_t(y) * level.size[2] + x;
@@ -136,8 +135,7 @@ __device__ inline Trusted trusted_at(const View& coarse, const View& level, cons
             size_t(int(rows.at[y])) * coarse.size[2] + int(columns.at[x])};
 }
 
-__device__ inline float mixed_at(const View& coarse, const View& level, const Trusted& by,
-                                 int plane) {
+FN float mixed_at(const View& coarse, const View& level, const Trusted& by, int plane) {
     const float from = coarse.at[size_t(plane) * coarse.size[1] * coarse.size[2] + by.below];
     const float own = level.at[size_t(plane) * level.size[1] * level.size[2] + by.here];
     return mixed_pixel<float>(from, own, by.own);
@@ -160,8 +158,8 @@ __global__ void denoise_mix(View coarse, View level, View heads, View rows, View
 const int WIDE = ACROSS + 2 * REACH, HIGH = DOWN + 2 * REACH;
 
 template <class Number, bool MIXES, class Put>
-__device__ inline void filter(const View& coarse, const View& level, const View& heads,
-                              const View& rows, const View& columns, const View& area, Put put) {
+FN void filter(const View& coarse, const View& level, const View& heads, const View& rows,
+               const View& columns, const View& area, Put put) {
     __shared__ float tile[3][HIGH][WIDE];
     const int height = level.size[1], width = level.size[2], bottom = int(area.at[0]),
               right = int(area.at[1]);
@@ -225,9 +223,8 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
 }
 
 template <class Number, bool MIXES>
-__device__ inline void filter_level(const View& coarse, const View& level, const View& heads,
-                                    const View& rows, const View& columns, const View& area,
-                                    const View& filtered) {
+FN void filter_level(const View& coarse, const View& level, const View& heads, const View& rows,
+                     const View& columns, const View& area, const View& filtered) {
     const size_t plane = size_t(filtered.size[1]) * filtered.size[2];
     filter<Number, MIXES>(coarse, level, heads, rows, columns, area,
                           [&](int k, int second, int y, int x, const Colour& light) {
@@ -276,8 +273,8 @@ __global__ void __launch_bounds__(BLOCK, 3)
 // Filtered colour times reflectance, a border of repeated pixels around it; before that, in `BOTH`,
 // the colour itself.
 template <bool BOTH>
-__device__ inline void remodulate(const View& filtered, const View& factor, const View& part_rows,
-                                  const View& part_columns, const View& radiance) {
+FN void remodulate(const View& filtered, const View& factor, const View& part_rows,
+                   const View& part_columns, const View& radiance) {
     const int height = radiance.size[1], width = radiance.size[2];
     PIXEL(width, height);
     const int v = int(part_rows.at[clip(y - 1, height - 2)]) - int(part_rows.at[0]);

@@ -18,7 +18,7 @@ struct Guide {
 };
 
 // Normalised weights of the samples at -1, 0 and 1 plus `offset` for the softened picture.
-__device__ inline void wide_gauss(float offset, float weights[3]) {
+FN void wide_gauss(float offset, float weights[3]) {
     const float scale = -0.5f * LOG2_E, before = exp2_of(scale * (offset - 1.0f) * (offset - 1.0f));
     const float here = exp2_of(scale * offset * offset),
                 after = exp2_of(scale * (offset + 1.0f) * (offset + 1.0f));
@@ -34,7 +34,7 @@ enum Multiplied { BY_NOTHING, BY_GUIDES, BY_OWN };
 
 // A sample's light at an output pixel; `plane` is the size of a channel.
 template <Multiplied BY>
-__device__ inline Colour light_at(const float* sample, int plane, const Guide& guide) {
+FN Colour light_at(const float* sample, int plane, const Guide& guide) {
     const Colour light = three(sample, plane);
     if (BY == BY_NOTHING) return light;
     const Colour whole = light * guide.factor;
@@ -47,8 +47,8 @@ __device__ inline Colour light_at(const float* sample, int plane, const Guide& g
 // The mean of light, sharpened and encoded, which LINEAR light is not; and how much of the history
 // it keeps.
 template <bool LINEAR>
-__device__ inline Enlarged finished(const Colour& sum, const Colour& soft, float total,
-                                    float sharpen, float kept) {
+FN Enlarged finished(const Colour& sum, const Colour& soft, float total, float sharpen,
+                     float kept) {
     const Colour mean = sum * over_one(total);
     if (LINEAR) return {mean, kept};
     const Colour sharp = {log_encode(mean.r), log_encode(mean.g), log_encode(mean.b)};
@@ -59,14 +59,14 @@ __device__ inline Enlarged finished(const Colour& sum, const Colour& soft, float
 }
 
 // Whether a pixel of the output was in the frame before; not if the place is NaN.
-__device__ inline bool was_inside(float x, float y, const Window& part) {
+FN bool was_inside(float x, float y, const Window& part) {
     return x >= -0.5f && x <= part.width - 0.5f && y >= -0.5f && y <= part.height - 0.5f;
 }
 
 // An output pixel at any scale, from 3x3 samples by predicted weight and distance; x and y count
 // the frame's pixels.
 template <class Number, Multiplied BY = BY_NOTHING, bool LINEAR = false>
-__device__ inline Enlarged enlarged(int x, int y, const Enlarging& of, const Guide& guide = {}) {
+FN Enlarged enlarged(int x, int y, const Enlarging& of, const Guide& guide = {}) {
     const Window& part = of.part;
     const View &radiance = of.radiance, &fine = of.fine, &moved = of.moved, &params = of.params;
     const int w = part.w, h = part.h, width = part.width, height = part.height;
@@ -112,8 +112,8 @@ __device__ inline Enlarged enlarged(int x, int y, const Enlarging& of, const Gui
 // The four output pixels of a render pixel then, from that at (y, x) on, row by row: the same with
 // each pixel's own weights.
 template <class Number, Multiplied BY = BY_NOTHING, bool LINEAR = false>
-__device__ inline void enlarged_four(int x, int y, const Enlarging& of, const Guide (&guides)[4],
-                                     Enlarged (&found)[4]) {
+FN void enlarged_four(int x, int y, const Enlarging& of, const Guide (&guides)[4],
+                      Enlarged (&found)[4]) {
     const Window& part = of.part;
     const View &radiance = of.radiance, &fine = of.fine, &moved = of.moved, &params = of.params;
     const int column = clip(x / 2 - part.left, moved.size[1]),
@@ -162,13 +162,13 @@ __device__ inline void enlarged_four(int x, int y, const Enlarging& of, const Gu
 }
 
 // Log-encoded light blended with the reprojected history.
-__device__ inline float blended(float current, float kept, float before) {
+FN float blended(float current, float kept, float before) {
     const float now = current <= MOST_LOG ? current : 0.0f, mixed = now + (before - now) * kept;
     return mixed <= MOST_LOG ? fmaxf(mixed, 0.0f) : now;  // rounding makes no light negative
 }
 
 // A pixel blended with the history, which is kept, and decoded.
-__device__ inline void blend_pixel(const Enlarged& found, size_t pixel, const Enlarging& of) {
+FN void blend_pixel(const Enlarged& found, size_t pixel, const Enlarging& of) {
     const float darken = 1.0f / of.params.at[EXPOSURE],
                 current[3] = {found.colour.r, found.colour.g, found.colour.b};
     UNROLL for (int c = 0; c < 3; c++) {
@@ -181,8 +181,8 @@ __device__ inline void blend_pixel(const Enlarged& found, size_t pixel, const En
 
 // Two pixels beside each other in every thread of a row: the first thread's begin at `first`, an
 // even pixel, from where on the row has `left` ones.
-__device__ inline void blend_two(const Enlarged& one, const Enlarged& two, size_t first, int left,
-                                 const Enlarging& of, Pair (&staged)[3 * ACROSS]) {
+FN void blend_two(const Enlarged& one, const Enlarged& two, size_t first, int left,
+                  const Enlarging& of, Pair (&staged)[3 * ACROSS]) {
     const float darken = 1.0f / of.params.at[EXPOSURE];
     const float current[6] = {one.colour.r, one.colour.g, one.colour.b,
                               two.colour.r, two.colour.g, two.colour.b};
@@ -202,7 +202,7 @@ __device__ inline void blend_two(const Enlarged& one, const Enlarged& two, size_
 // A thread makes 2x2 pixels of the output, of which `guide_at` tells what guides say: at once where
 // they have a render pixel in common.
 template <class Number, Multiplied BY, class GuideAt>
-__device__ inline void resolve(const Enlarging& of, GuideAt guide_at) {
+FN void resolve(const Enlarging& of, GuideAt guide_at) {
     __shared__ Pair staged[DOWN][3 * ACROSS];
     const Window& part = of.part;
     const int height = of.output.size[0], width = of.output.size[1];
@@ -250,14 +250,14 @@ __global__ void __launch_bounds__(256, 2)
 // (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
 
 // Where an output pixel's centre lies among the cells along a side, from centre to centre.
-__device__ inline float place_of(int position, int size, int out_size, int first, int count) {
+FN float place_of(int position, int size, int out_size, int first, int count) {
     float offset;
     const int at = clip(centre(position, size, out_size, offset) - first, count);
     const float place = (at + offset + 0.5f) / TRUST_CELL - 0.5f;
     return fminf(fmaxf(place, 0.0f), float((min(count, size - first) - 1) / TRUST_CELL));
 }
 
-__device__ inline float trusted(const View& trust, float down, float across) {
+FN float trusted(const View& trust, float down, float across) {
     const int upper = int(down), lower = min(upper + 1, trust.size[0] - 1);
     const int left = int(across), right = min(left + 1, trust.size[1] - 1);
     const float* const above = trust.at + upper * trust.size[1];
@@ -335,7 +335,7 @@ extern "C" __global__ void denoise_blend_picture(View picture, View controls, Vi
 // are now, all linear: radiance (3 n, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2),
 // past (th, tw, 4), last (n, height, width, 3), params (4,), window (8,), keep, out_rows (out_th,),
 // out_columns (out_tw,) -> light (n, out_th, out_tw, 3).
-__device__ inline float blended_light(float current, float kept, float before, float darken) {
+FN float blended_light(float current, float kept, float before, float darken) {
     const float now = current <= MAX_FLOAT ? current * darken : 0.0f,
                 held = before < 0.0f ? 0.0f : before;
     const float mixed = now + (held - now) * kept;  // NaN, which is not below 0, is recognised
@@ -343,9 +343,8 @@ __device__ inline float blended_light(float current, float kept, float before, f
 }
 
 // One pixel of a part; `to` is the part's first one.
-__device__ inline void blend_light(const Enlarged& found, int v, int u, const Window& part,
-                                   const float* picture, const View& moved, float darken,
-                                   float* to) {
+FN void blend_light(const Enlarged& found, int v, int u, const Window& part, const float* picture,
+                    const View& moved, float darken, float* to) {
     Colour before = {0.0f, 0.0f, 0.0f};
     if (found.kept > 0.0f)
         before = moved_picture(picture, {part.height, part.width}, before_of(v, u, part, moved));
