@@ -7,8 +7,6 @@ constexpr float LONGEST = 10.0f;  // frames that are averaged, at most
 constexpr float DEPTH_STEP = 0.1f;  // relative difference in depth of one surface
 constexpr float FACING = 0.8f;  // cosine of the angle between normals of one surface
 
-typedef View<const float, 3> Picture;
-
 // The render pixel that holds an output pixel's centre.
 FN Long centre(Long position, Long size, Long out_size) {
     return (2 * position + 1) * size / (2 * out_size);

@@ -163,8 +163,8 @@ struct Resampler {
             });
         } else {
             for (Long x = 0; x < w; x++) {
-                put(out, 2 * x, four_at(sides[0] + channels * x), sides[0] + channels * x);
-                put(out, 2 * x + 1, four_at(sides[1] + channels * x), sides[1] + channels * x);
+                put(out, 2 * x, load<Four>(sides[0] + channels * x), sides[0] + channels * x);
+                put(out, 2 * x + 1, load<Four>(sides[1] + channels * x), sides[1] + channels * x);
             }
         }
     }
@@ -174,7 +174,7 @@ struct Resampler {
         float* to = out + channels * x;
         const bool whole = channels == 4 || (channels == 3 && x + 1 < width);
         if (whole) {
-            __builtin_memcpy(to, &pixel, sizeof pixel);
+            store(to, pixel);
         } else {
             for (Long k = 0; k < channels; k++) to[k] = k < 4 ? pixel[k] : numbers[k];
         }
@@ -197,9 +197,9 @@ struct Resampler {
             for (int i = 0; i < TAPS; i++) taps.at[i] = weights.at[i * width + x];
             const Long a = index.at[x], b = a + channels, c = b + channels, d = c + channels;
             if (channels <= 4) {
-                put(out, x, sample<Four>(taps, four_at(value + a), four_at(value + b),
-                                         four_at(value + c), four_at(value + d),
-                                         four_at(least + b), four_at(most + b)), nullptr);
+                put(out, x, sample<Four>(taps, load<Four>(value + a), load<Four>(value + b),
+                                         load<Four>(value + c), load<Four>(value + d),
+                                         load<Four>(least + b), load<Four>(most + b)), nullptr);
                 continue;
             }
             for (Long k = 0; k < channels; k++) {
@@ -255,7 +255,7 @@ static Status enlarge_rows(Long first, Long last, Picture image, Places rows, Pl
             below = clip(at + 1, h);
             const float infinite = __builtin_inff();
             for (Long x = 0; x < w; x++) {
-                const Four upper = four_at(image(above, x)), lower = four_at(image(below, x));
+                const Four upper = load<Four>(image(above, x)), lower = load<Four>(image(below, x));
                 bounds.at[2 * x] =
                     smaller_four(straight(upper, infinite), straight(lower, infinite));
                 bounds.at[2 * x + 1] = larger_four(straight(upper, -infinite),
@@ -266,9 +266,9 @@ static Status enlarge_rows(Long first, Long last, Picture image, Places rows, Pl
             const Long left = floor_to_whole(columns.at[x]);
             const Four* one = bounds.at + 2 * clip(left, w);
             const Four* other = bounds.at + 2 * clip(left + 1, w);
-            const Four pixel = held(four_at(out + 4 * x), smaller_four(one[0], other[0]),
+            const Four pixel = held(load<Four>(out + 4 * x), smaller_four(one[0], other[0]),
                                     larger_four(one[1], other[1]));
-            __builtin_memcpy(out + 4 * x, &pixel, sizeof pixel);
+            store(out + 4 * x, pixel);
         }
     }
     return DONE;

@@ -211,7 +211,7 @@ struct Correlation {
                 __builtin_memcpy(&all, to, sizeof all);
                 __builtin_memcpy(&more, sums + v * ACROSS, sizeof more);
                 all += more;
-                __builtin_memcpy(to, &all, sizeof all);
+                store(to, all);
             }
             return;
         }

@@ -1,9 +1,6 @@
 // Rows that mix a picture with another denoiser's; `partner.py` says how.
 #include "rows.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-
 constexpr float MOST_LIGHT = 1e30f;
 constexpr float MOST_MOVED = 1 << 24;
 enum Settings { EXPOSURE, REACH, KEEP, STRENGTH };

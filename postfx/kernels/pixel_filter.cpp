@@ -2,9 +2,6 @@
 // says how.
 #include "rows.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-
 constexpr float MOST = 1e30f;  // numbers beyond count as this, so that sums stay finite
 
 // Sums of the pixels around each in both directions, by weights that are the same on both sides: of
@@ -51,8 +48,7 @@ struct Weighed {
     }
 };
 
-static Status spread_rows(Long first, Long last, Picture plane, Places weights,
-                          NewPicture output) {
+static Status spread_rows(Long first, Long last, Picture plane, Places weights, NewPicture output) {
     const Weighed sums(plane, weights);
     if (!sums) return NO_MEMORY;
     for (Long y = first; y < last; y++) {

@@ -20,7 +20,7 @@ constexpr float SUBNORMALS = 1 << 24;
 FN void store_words(Word16* at, int x) { *at = Word16(x); }
 FN void store_words(Word16* at, WideInt x) {
     const WideWord16 words = __builtin_convertvector(x, WideWord16);
-    __builtin_memcpy(at, &words, sizeof words);
+    store(at, words);
 }
 template <class F> FN typename Of<F>::Int load_words(const Word16* at) {
     if constexpr (Of<F>::COUNT == 1) {
@@ -162,7 +162,7 @@ EXPORT_ALONE(look_up, look_up)
 FN void store_bytes(byte* at, int x) { *at = byte(x); }
 FN void store_bytes(byte* at, WideInt x) {
     const WideByte bytes = __builtin_convertvector(x, WideByte);
-    __builtin_memcpy(at, &bytes, sizeof bytes);
+    store(at, bytes);
 }
 
 // The whole part of codes times the largest byte, cut to 0..1, plus a threshold of a pattern that
@@ -234,12 +234,6 @@ constexpr int PIECE = 512, EIGHT = 8;  // numbers that stay in the cache, and by
 constexpr int EIGHTS = WIDE / 2;
 typedef Word64 Words __attribute__((ext_vector_type(EIGHTS)));
 
-template <class W> FN W words_at(const void* at) {
-    W x;
-    __builtin_memcpy(&x, at, sizeof x);
-    return x;
-}
-template <class W> FN void put_words(void* at, W x) { __builtin_memcpy(at, &x, sizeof x); }
 template <class Some> FN void each_eight(Long size, const Some& some) {
     Long i = 0;
     for (; i + EIGHTS <= size; i += EIGHTS) some(Words(), i);
@@ -268,9 +262,9 @@ struct Sums {
     // Those of odd places in lanes, with bits above; what even places are less; what comes before.
     FN_MEMBER void add(const byte* differences, Long size) {
         each_eight(size, EACH(W, Long i) {
-            const W eight = words_at<W>(differences + EIGHT * i) ^ TOPS, high = eight >> 8 & BYTES;
-            put_words<W>(less + i, high);
-            put_words<W>(odd + i, sum_lanes<W>((eight & BYTES) + high));
+            const W eight = load<W>(differences + EIGHT * i) ^ TOPS, high = eight >> 8 & BYTES;
+            store<W>(less + i, high);
+            store<W>(odd + i, sum_lanes<W>((eight & BYTES) + high));
         });
         for (Long i = 0; i < size; i++) {
             before[i] = total;
@@ -278,9 +272,9 @@ struct Sums {
         }
     }
     template <class W> FN_MEMBER W at(Long i) const {
-        const W lane = words_at<W>(before + i) & LOW, two = lane | lane << 16;
-        const W sums = words_at<W>(odd + i) + (two | two << 32);
-        return ((sums - words_at<W>(less + i)) & BYTES) | (sums & BYTES) << 8;
+        const W lane = load<W>(before + i) & LOW, two = lane | lane << 16;
+        const W sums = load<W>(odd + i) + (two | two << 32);
+        return ((sums - load<W>(less + i)) & BYTES) | (sums & BYTES) << 8;
     }
 };
 
@@ -296,8 +290,8 @@ static void unpredict_eights(const byte* differences, Long count, byte low, byte
             const W a = lows.at<W>(i), b = highs.at<W>(i);
             const __make_integer_seq<List, int, sizeof(W)> places;
             byte* to = out + 2 * EIGHT * (first + i);
-            put_words<W>(to, in_turn<0, W>(a, b, places));
-            put_words<W>(to + sizeof(W), in_turn<int(sizeof(W)) / 2, W>(a, b, places));
+            store<W>(to, in_turn<0, W>(a, b, places));
+            store<W>(to + sizeof(W), in_turn<int(sizeof(W)) / 2, W>(a, b, places));
         });
     }
 }

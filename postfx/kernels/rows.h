@@ -33,7 +33,12 @@ template <class T, int AXES> struct View {
     }
 };
 
-typedef View<const float, 1> Places;  // rows or columns of a picture
+// Rows or columns of a picture; numbers of its pixels, one of each or several, read or written.
+typedef View<const float, 1> Places;
+typedef View<const float, 2> Plane;
+typedef View<const float, 3> Picture;
+typedef View<float, 2> NewPlane;
+typedef View<float, 3> NewPicture;
 
 // A small array of numbers that have names.
 template <class T> struct Given {

@@ -2,8 +2,6 @@
 #include "rows.h"
 #include "scene.h"
 
-typedef View<const float, 3> Picture;
-
 static void scene_points_rows(Long first, Long last, Given<SceneCamera> camera,
                               Given<SceneBox> box, Picture depth, Picture normal,
                               View<float, 2> points) {
@@ -11,8 +9,7 @@ static void scene_points_rows(Long first, Long last, Given<SceneCamera> camera,
     for (Long y = first / width; y * width < last; y++) {
         const Long start = y * width;
         const float row = camera->at_row(int(y), int(height));
-        across(larger<Long>(first - start, 0), smaller<Long>(last - start, width),
-               EACH(F, Long x) {
+        across(larger<Long>(first - start, 0), smaller<Long>(last - start, width), EACH(F, Long x) {
             const float* facing = normal(y, x);
             const F normals[3] = {pick<F, 3>(facing), pick<F, 3>(facing + 1),
                                   pick<F, 3>(facing + 2)};

@@ -2,8 +2,6 @@
 #include "statistics.h"
 #include "rows.h"
 
-typedef View<const float, 3> Picture;
-typedef View<const float, 2> Plane;
 typedef View<const unsigned, 1> Bits;
 typedef View<const Long, 1> Lengths;
 typedef View<const double, 2> Columns;
@@ -83,10 +81,10 @@ ONCE void add_lights(const float* row, Long width, double* total, double* bright
                      double* unknown) {
     across_once(0, width, EACH(F, Long x) {
         const Light<F> found = light_of<F>(row + 3 * x);
-        const Double<F> most = load_double<F>(brightest + x);
-        store_double(total + x, load_double<F>(total + x) + found.light);
-        store_double(brightest + x, found.light > most ? found.light : most);
-        store_double(unknown + x, load_double<F>(unknown + x) + found.unknown);
+        const Double<F> most = load<Double<F>>(brightest + x);
+        store(total + x, load<Double<F>>(total + x) + found.light);
+        store(brightest + x, found.light > most ? found.light : most);
+        store(unknown + x, load<Double<F>>(unknown + x) + found.unknown);
     });
 }
 
@@ -294,7 +292,7 @@ FN void box_row(const Cells& planes, Long y, Long width, double* line, double* m
     for (Long v = y - near; v <= y + near; v++) {
         const double* row = planes(clip(v, rows));
         across_once(0, count, EACH(F, Long i) {
-            store_double(inner + i, load_double<F>(inner + i) + load_double<F>(row + i));
+            store(inner + i, load<Double<F>>(inner + i) + load<Double<F>>(row + i));
         });
     }
     for (Long i = 0; i < near * channels; i++) {
@@ -303,9 +301,9 @@ FN void box_row(const Cells& planes, Long y, Long width, double* line, double* m
     }
     const double share = 1.0 / double(width * width);
     across(0, count, EACH(F, Long i) {
-        Double<F> sum = load_double<F>(line + i);
-        for (Long u = 1; u < width; u++) sum += load_double<F>(line + u * channels + i);
-        store_double(means + i, sum * share);
+        Double<F> sum = load<Double<F>>(line + i);
+        for (Long u = 1; u < width; u++) sum += load<Double<F>>(line + u * channels + i);
+        store(means + i, sum * share);
     });
 }
 
@@ -338,21 +336,16 @@ template <class Term> FN double sum_of(Long count, const Term& term) {
     AS_IT_IS for (; i < count; i++) total += term(double(), i);
     return total;
 }
-template <class D> FN D numbers_at(const double* at) {
-    D x;
-    __builtin_memcpy(&x, at, sizeof x);
-    return x;
-}
 
 ONCE double mean_of(const double* x, Long count) {
     return sum_of(count, EACH(D, Long i) {
-        return numbers_at<D>(x + i);
+        return load<D>(x + i);
     }) / double(count);
 }
 ONCE double sum_of_products(const double* x, double mean_x, const double* y, double mean_y,
                             Long count) {
     return sum_of(count, EACH(D, Long i) {
-        return (numbers_at<D>(x + i) - mean_x) * (numbers_at<D>(y + i) - mean_y);
+        return (load<D>(x + i) - mean_x) * (load<D>(y + i) - mean_y);
     });
 }
 

@@ -136,13 +136,12 @@ struct Former {
         float four[4];
         if (start[x] >= 0) {
             const float* at = samples + start[x];
-            const Eight second = load_many<Eight>(at + width),
-                        third = load_many<Eight>(at + 2 * width);
-            const Eight fourth = load_many<Eight>(at + 3 * width);
-            const Eight upper = load_many<Eight>(at) * rows[0] + second * rows[1] + third * rows[2]
+            const Eight second = load<Eight>(at + width), third = load<Eight>(at + 2 * width);
+            const Eight fourth = load<Eight>(at + 3 * width);
+            const Eight upper = load<Eight>(at) * rows[0] + second * rows[1] + third * rows[2]
                               + fourth * rows[3];
             const Eight lower = second * rows[0] + third * rows[1] + fourth * rows[2]
-                              + load_many<Eight>(at + 4 * width) * rows[3];
+                              + load<Eight>(at + 4 * width) * rows[3];
             const Four one = __builtin_shufflevector(upper, lower, 0, 1, 8, 9) * columns[0]
                            + __builtin_shufflevector(upper, lower, 1, 2, 9, 10) * columns[1]
                            + __builtin_shufflevector(upper, lower, 2, 3, 10, 11) * columns[2]

@@ -189,8 +189,7 @@ FN float by_colour(const View& picture, const View& fit, const Beside& rows, con
         const size_t line = size_t(clip((j < 3 ? rows.first : rows.second) + j % 3 - 1, h)) * w;
         for (int i = 0; i < 6; i++) {
             const float weight = down * (i < 3 ? 1.0f - columns.share : columns.share);
-            const size_t at = line
-                              + clip((i < 3 ? columns.first : columns.second) + i % 3 - 1, w);
+            const size_t at = line + clip((i < 3 ? columns.first : columns.second) + i % 3 - 1, w);
             for (int c = 0; c < 4; c++) sums[c] += weight * fit.at[c * size_t(h) * w + at];
         }
     }

@@ -85,8 +85,7 @@ FN float sharpness_at(const View& light, int y, int x, int h, int w) {
     float sum = 0.0f;
     UNROLL for (int j = -1; j <= 1; j++) {
         const float* const row = variance + size_t(clip(y + j, h)) * width;
-        const float across = 0.25f * (row[clip(x - 1, w)] + row[clip(x + 1, w)])
-                             + 0.5f * row[x];
+        const float across = 0.25f * (row[clip(x - 1, w)] + row[clip(x + 1, w)]) + 0.5f * row[x];
         sum += (j ? 0.25f : 0.5f) * across;
     }
     return 1.0f / (LUMINANCE * sqrtf(sum) + 1e-4f);

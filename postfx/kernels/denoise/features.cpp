@@ -7,9 +7,6 @@
 #include "store.h"
 #include "tints.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-
 struct Looks {
     Picture colour, diffuse, specular, normal, roughness, depth, moved, state, last_depth, warped;
     float depth_scale;

@@ -3,9 +3,6 @@
 #include "output.h"
 #include "../rows.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-
 constexpr int TILE = 16;
 constexpr int LAGS = 8;
 constexpr int NEAR = 6;  // the first lags, which a pixel filter reaches

@@ -25,7 +25,7 @@ EXPORT_ALONE(denoise_reflectance, reflectance_row)
 
 // Four numbers from a pixel on; of the last pixel there are three.
 FN Four load_pixel(const float* at, const float* end) {
-    if (at + 4 <= end) return load_many<Four>(at);
+    if (at + 4 <= end) return load<Four>(at);
     return Four{at[0], at[1], at[2], 0.0f};
 }
 
@@ -85,7 +85,7 @@ static Status accumulate_rows(Long first, Long last, Picture part, Given<Coding>
         const float* counts = past(y) + 3;
         for (Long x = 0; x < held; x++) {
             const Four found = counts[4 * x] > 0.0f ? recalled.sample(x) : Four{};
-            __builtin_memcpy(before + 3 * x, &found, sizeof found);
+            store(before + 3 * x, found);
         }
         const float *values = part(top + y, left), *divisor = factor(y),
                     *distrust = fine(0, DISTRUST, y);

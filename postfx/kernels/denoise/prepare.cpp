@@ -3,9 +3,6 @@
 #include "tints.h"
 #include "window.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-
 // Harmonic mean depth of all hits, 1 without any. Sixteen sums are kept at every level, so that all
 // give the same bits.
 constexpr int SUMS = 16;

@@ -2,9 +2,6 @@
 #include "denoise.h"
 #include "../rows.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-
 // Exposed light as a display shows it, 0 to 1.
 template <class F> FN F shown(F light, float exposure) {
     const F held = smaller<F>(within<F>(light, 0.0f, MAX_FLOAT) * exposure, F(MAX_COLOUR));
@@ -86,12 +83,6 @@ EXPORT(denoise_keep, keep_rows)
 // A state at another render size: bilinear, edge repeated, and depth of the nearest pixel. Pixels
 // whose count is 0 are unknown and have no weight. Where they would have half of it, the result is
 // unknown.
-typedef float Eight __attribute__((ext_vector_type(8)));
-template <class Vector> FN Vector load_state(const float* at) {
-    Vector x;
-    __builtin_memcpy(&x, at, sizeof x);
-    return x;
-}
 static void resize_row(Long y, Picture state, Picture last_depth, Places rows, Places columns,
                        NewPicture resized, NewPicture resized_depth) {
     const Long h = state.size[0], w = state.size[1];
@@ -112,13 +103,13 @@ static void resize_row(Long y, Picture state, Picture last_depth, Places rows, P
         Four light = 0.0f;
         Eight hidden = 0.0f;
         for (int i = 0; i < 4; i++) {
-            light += share[i] * load_state<Four>(from[i]);
-            hidden += share[i] * load_state<Eight>(from[i] + 4);
+            light += share[i] * load<Four>(from[i]);
+            hidden += share[i] * load<Eight>(from[i] + 4);
         }
         light *= scale;
         hidden *= scale;
-        __builtin_memcpy(resized(y, x), &light, sizeof light);
-        __builtin_memcpy(resized(y, x) + 4, &hidden, sizeof hidden);
+        store(resized(y, x), light);
+        store(resized(y, x) + 4, hidden);
         *resized_depth(y, x) = depths[clip(Long(nearest_of(columns.at[x])), w)];
     }
 }

@@ -2,8 +2,6 @@
 #include "reflections.h"
 #include "../rows.h"
 
-typedef View<const float, 3> Picture;
-
 static void reflection_row(Long y, Picture motion, Picture depth, Picture normal, Picture roughness,
                            Picture diffuse, Picture specular, Picture hit_distance,
                            Given<Camera> camera, View<float, 3> reflected) {

@@ -317,8 +317,7 @@ extern "C" __global__ void denoise_blend_picture(View picture, View controls, Vi
     const Window part = window_of(window);
     const int v = min(part.out_top + y, part.height - 1),
               u = min(part.out_left + x, part.width - 1);
-    const int row = clip(v - part.top, moved.size[0]),
-              column = clip(u - part.left, moved.size[1]);
+    const int row = clip(v - part.top, moved.size[0]), column = clip(u - part.left, moved.size[1]);
     const size_t plane = size_t(picture.size[2]) * picture.size[3],
                  at = size_t(row) * picture.size[3] + column;
     const float* const motion = moved.at + 2 * (row * moved.size[1] + column);

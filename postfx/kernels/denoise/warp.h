@@ -46,7 +46,7 @@ FN void warp_run(const Pixels& picture, const Moved<float>& moved, Long y, const
         if (is_inside(picture, top, left) && (beside || x + 1 == last)) {
             const Eight found = warp_two(picture, moved, (top * picture.width + left) * 3);
             if (x + 3 <= end) {
-                __builtin_memcpy(out + 3 * x, &found, sizeof found);
+                store(out + 3 * x, found);
             } else {
                 for (int i = 0; i < 3 * (beside ? 2 : 1); i++) out[3 * x + i] = found[i];
             }
@@ -111,7 +111,7 @@ struct Warper {
             const Long start = starts.at[x], to = begin.at[x];
             if (start >= 0) {
                 const Eight found = warp_two(picture, row().get(x), start);
-                __builtin_memcpy(out + 3 * to, &found, sizeof found);
+                store(out + 3 * to, found);
             } else {
                 warp_run(picture, row().get(x), y, columns, to, begin.at[x + 1], out, count);
             }

@@ -64,7 +64,7 @@ FN bool shows_same(const float* one, const float* other) {
     return one[FIRST] == other[FIRST] && one[LAST] == other[LAST];
 }
 FN Four apart(const float* one, const float* other) {
-    return magnitude(numbers_at<Four>(other) - numbers_at<Four>(one));
+    return magnitude(load<Four>(other) - load<Four>(one));
 }
 
 // Marks cells that follow one path with those to the right and below by 1, and by 2 where it
@@ -183,8 +183,7 @@ struct Row {
             const Cells& at = places.at[x];
             const float *one = cells + NUMBERS * at.first, *other = cells + NUMBERS * at.second;
             float* to = wide + NUMBERS * x;
-            put_numbers<Eight>(to, mixed<Eight>(numbers_at<Eight>(one), numbers_at<Eight>(other),
-                                                at.share));
+            store<Eight>(to, mixed<Eight>(load<Eight>(one), load<Eight>(other), at.share));
             to[JOIN] = larger<float>(other[SHARP], one[SHARP]);
         }
     }
@@ -215,8 +214,8 @@ struct Row {
             float* path = paths + NUMBERS * x;
             if (joined > 0.0f) {
                 const float *above = upper + NUMBERS * x, *below = lower + NUMBERS * x;
-                put_numbers<Eight>(path, mixed<Eight>(numbers_at<Eight>(above),
-                                                      numbers_at<Eight>(below), down.share));
+                store<Eight>(path, mixed<Eight>(load<Eight>(above), load<Eight>(below),
+                                                down.share));
                 const float most = larger<float>(below[JOIN], above[JOIN]);
                 if (most > CRISP) path[SHARP] = most;
             }
@@ -289,7 +288,7 @@ struct Row {
         const float* cells[4] = {};
         Alike alike = {};
         const auto add = PIXELS(const float* path, Long x) {
-            put_numbers<Eight>(listed.at[count].path, numbers_at<Eight>(path));
+            store<Eight>(listed.at[count].path, load<Eight>(path));
             listed.at[count++].x = x;
         };
         for (Long x = 0; x < w; x++) {
@@ -363,8 +362,7 @@ struct Row {
                                            path[SHARP]);
                 }
                 if (after) {
-                    one.after = colour_at(of.pictures.after, v + path[3], u + path[2],
-                                          path[SHARP]);
+                    one.after = colour_at(of.pictures.after, v + path[3], u + path[2], path[SHARP]);
                 }
             }
             if (of.depth.before.size[0]) find_depth(one);
@@ -381,8 +379,7 @@ struct Row {
             if (row[3 * x] == row[3 * x]) continue;
             if (paths[NUMBERS * x + JOIN] > 0.0f) {
                 shares.at[x] = next->shares;
-                const Shares by =
-                    settled(next->shares, next->before.sum(), next->after.sum(), dim);
+                const Shares by = settled(next->shares, next->before.sum(), next->after.sum(), dim);
                 put(row + 3 * x, mean_of(by, next->before, next->after));
                 next++;
                 continue;

@@ -57,7 +57,7 @@ static void merge_row(Long y, Arrived of, Places scales, NewField own) {
         } else if (!(a < b)) {
             path = other;
         }
-        __builtin_memcpy(own(y, x), &path, sizeof path);
+        store(own(y, x), path);
     }
 }
 EXPORT(merge_sides, merge_row)
@@ -161,8 +161,7 @@ FN float end_misfit(const Choice& of, const Field& ends, const Plane& seen, doub
 // `most` or less: the flow then leads from one thing to another.
 static inline bool is_explained(const Choice& of, double y, double x, const Path& path,
                                 float most) {
-    const float one =
-        end_misfit(of, of.ends.before, of.seen.before, y + path.ay, x + path.ax);
+    const float one = end_misfit(of, of.ends.before, of.seen.before, y + path.ay, x + path.ax);
     if (0.0f <= one && one <= most) return true;
     const float other = end_misfit(of, of.ends.after, of.seen.after, y + path.by, x + path.bx);
     return 0.0f <= other && other <= most;
@@ -318,7 +317,7 @@ static void choose_row(Long y, Choice of, NewField cells) {
         // around what turns, no window that is moved alone fits
         const bool turns = own[4] + own[5] == 2.0f && is_turning(of.own, y, x, scale);
         if ((alone && !has_flow) || turns) {
-            put_numbers<Eight>(cells(y, x), numbers_at<Eight>(own));
+            store<Eight>(cells(y, x), load<Eight>(own));
             continue;
         }
         Chooser chooser(of, y, x, double(scale) * double(y) + middle,
@@ -326,7 +325,7 @@ static void choose_row(Long y, Choice of, NewField cells) {
         chooser.consider_all(alone);
         Path path = chooser.taken;
         if (chooser.is_seen) path.first = path.last = 1.0f;
-        __builtin_memcpy(cells(y, x), &path, sizeof path);
+        store(cells(y, x), path);
     }
 }
 EXPORT(choose_paths, choose_row)

@@ -64,7 +64,7 @@ static Status enlarge_rows(Long first, Long last, Field flow, NewField larger_fl
         const Beside down = centre_between(y, h, height);
         for (Long x = 0; x < width; x++) {
             const WideTwo moved = motion_between(flow, down, places.at[x]) * size;
-            put_numbers<Two>(larger_flow(y, x), __builtin_convertvector(moved, Two));
+            store<Two>(larger_flow(y, x), __builtin_convertvector(moved, Two));
         }
     }
     return DONE;
@@ -120,7 +120,7 @@ static void spread_row(Long y, Plane one, Plane other, Field moved, NewField flo
     const Long last_row = smaller<Long>(y / STRIDE, rows - 1);
     for (Long x = 0; x < of.w; x += STRIDE) {
         const Long last_column = smaller<Long>(x / STRIDE, columns - 1);
-        const Four own = numbers_at<Four>(of.patch(y, x));
+        const Four own = load<Four>(of.patch(y, x));
         WideFour sum = 0.0, across = 0.0, down = 0.0;
         for (Long row = larger<Long>(last_row - reach, 0); row <= last_row; row++) {
             for (Long column = larger<Long>(last_column - reach, 0); column <= last_column;
@@ -213,7 +213,7 @@ static void move_row(Long y, Field flow, Field known, Both<Plane> pictures, Plac
             const Long b = top + corner / 2, a = left + corner % 2;
             if (b < 0 || b >= h || a < 0 || a >= w || !(apart < least(b)[a])) continue;
             least(b)[a] = apart;
-            put_numbers<Two>(brought(b, a), numbers_at<Two>(own));
+            store<Two>(brought(b, a), load<Two>(own));
         }
     }
 }

@@ -146,7 +146,7 @@ static void back_rows(Long first, Long last, Between of, Field goes, Paths paths
     for (Long y = first; y < last; y++) {
         for (Long x = 0; x < w; x++) {
             const float mx = of.motion(y, x)[0], my = of.motion(y, x)[1];
-            put_numbers<Four>(paths.ends(y, x), Four{mx, my, 0.0f, 0.0f});
+            store<Four>(paths.ends(y, x), Four{mx, my, 0.0f, 0.0f});
             paths.seen(y)[x] = 0.0f;
             const double u = double(x) + mx + 0.5, v = double(y) + my + 0.5;
             const bool inside = u >= 0.0 && u < double(w) && v >= 0.0 && v < double(h);
@@ -157,7 +157,7 @@ static void back_rows(Long first, Long last, Between of, Field goes, Paths paths
             const Led led = {v - 0.5, u - 0.5, mx, my, *of.depth.after(y, x)};
             if (is_same && !is_touched(of.ahead, of.depth.before, led)) paths.seen(y)[x] = 1.0f;
             const WideTwo bend = bend_of(mx, my, sides_of(of, goes, led, is_same, y, x));
-            put_numbers<Two>(paths.bend(y, x), __builtin_convertvector(bend, Two));
+            store<Two>(paths.bend(y, x), __builtin_convertvector(bend, Two));
         }
     }
 }
@@ -173,10 +173,10 @@ static void ahead_row(Long y, Between of, Field bend_after, Paths paths) {
             const float none = __builtin_nanf("");
             fx = of.came.size[0] ? -of.came(y, x)[0] : none;
             fy = of.came.size[0] ? -of.came(y, x)[1] : none;
-            put_numbers<Four>(paths.ends(y, x), Four{0.0f, 0.0f, fx, fy});
+            store<Four>(paths.ends(y, x), Four{0.0f, 0.0f, fx, fy});
             continue;
         }
-        put_numbers<Four>(paths.ends(y, x), Four{0.0f, 0.0f, fx, fy});
+        store<Four>(paths.ends(y, x), Four{0.0f, 0.0f, fx, fy});
         const double u = double(x) + fx, v = double(y) + fy;
         const Long i = Long(within_double(u + 0.5, double(w - 1)));
         const Long j = Long(within_double(v + 0.5, double(h - 1)));
@@ -184,12 +184,12 @@ static void ahead_row(Long y, Between of, Field bend_after, Paths paths) {
         const bool leads_back = size_of<float>(back[0] + fx) <= SEEN
                              && size_of<float>(back[1] + fy) <= SEEN;
         if (!leads_back) continue;  // a filled crack
-        Two bend = numbers_at<Two>(bend_after(j, i));
+        Two bend = load<Two>(bend_after(j, i));
         if (is_sloping(bend_after, v, u)) {
             const Sampled between = sample_two(bend_after, v, u);
             if (between.is_even) bend = Two{between.x, between.y};
         }
-        put_numbers<Two>(paths.bend(y, x), bend);
+        store<Two>(paths.bend(y, x), bend);
         const Led led = {v, u, fx, fy, *of.depth.before(y, x)};
         if (!is_touched(of.motion, of.depth.after, led)) paths.seen(y)[x] = 1.0f;
     }
@@ -201,8 +201,8 @@ struct Moment {
     float time, bend;
 };
 FN Two place_at(const float* ends, const float* bend, const Moment& at) {
-    const Two start = numbers_at<Two>(ends), end = numbers_at<Two>(ends + 2);
-    return start + at.time * (end - start) + at.bend * numbers_at<Two>(bend);
+    const Two start = load<Two>(ends), end = load<Two>(ends + 2);
+    return start + at.time * (end - start) + at.bend * load<Two>(bend);
 }
 
 // Least depth of the paths that are nearest to each pixel; FAR where there is none.
@@ -245,8 +245,7 @@ static void mean_row(Long y, Field ends, Field bend, Field depth, Plane seen, Gi
             const float front = nearest(b)[a];
             if (!(size_of<float>(z - front) <= ALIKE * front)) continue;
             float* sum = found(b, a);
-            put_numbers<Eight>(sum, added<Eight>(numbers_at<Eight>(sum), path,
-                                                 float(weights[corner])));
+            store<Eight>(sum, added<Eight>(load<Eight>(sum), path, float(weights[corner])));
         }
     }
 }
@@ -263,7 +262,7 @@ static void crack_rows(Long, Long, Plane nearest, NewField found, NewPlane depth
             float* sum = found(y, x);
             const float weight = sum[5];
             const Eight weights = {weight, weight, weight, weight, weight, 1.0f, 1.0f, 1.0f};
-            put_numbers<Eight>(sum, numbers_at<Eight>(sum) / weights);
+            store<Eight>(sum, load<Eight>(sum) / weights);
         }
     }
     for (Long y = 0; y < h; y++) {
@@ -333,8 +332,8 @@ static Status hole_rows(Long, Long, Plane depth, NewField field) {
     for (Long k = 0; k < count; k++) {
         const Hole& hole = holes.at[k];
         const bool is_known = hole.row >= 0;
-        const Eight path = is_known ? numbers_at<Eight>(field(hole.row, hole.column)) : still;
-        put_numbers<Eight>(field(hole.y, hole.x), path);
+        const Eight path = is_known ? load<Eight>(field(hole.row, hole.column)) : still;
+        store<Eight>(field(hole.y, hole.x), path);
     }
     return DONE;
 }

@@ -81,8 +81,7 @@ EXPORT(curve_light, curve_row)
 
 // Light of the brightest pixel of each cell of so many pixels along a side, one or two, summed over
 // channels.
-static Status brightest_rows(Long first, Long last, Field picture, Places scales,
-                             NewPlane bright) {
+static Status brightest_rows(Long first, Long last, Field picture, Places scales, NewPlane bright) {
     const Long h = picture.size[0], w = picture.size[1], scale = Long(*scales.at);
     const Room<float> room(2 * (w + 1));
     if (!room) return NO_MEMORY;
