@@ -72,6 +72,16 @@ template <class T> struct Room {
     explicit operator bool() const { return at != nullptr; }
 };
 
+// Numbers of a row from one on.
+FN void fill(float* row, Long first, Long last, float value) {
+    for (Long x = first; x < last; x++) row[x] = value;
+}
+// A row with a number more on either side: its first and its last one once more.
+FN void repeat_edges(float* row, Long count) {
+    row[0] = row[1];
+    row[count + 1] = row[count];
+}
+
 // Calls.
 
 template <class T, class M> struct FromMembers;

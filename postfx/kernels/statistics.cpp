@@ -196,9 +196,6 @@ ONCE void extreme_of(Plane plane, Long first, Long last, float* found) {
         });
     }
 }
-FN void fill(float* row, Long count, float value) {
-    for (Long x = 0; x < count; x++) row[x] = value;
-}
 
 // The lowest and highest value, 0 to 1, in each cell of so many pixels along a side.
 static Status bounds_rows(Long first, Long last, Plane plane, Lengths side, View<float, 2> low,
@@ -209,8 +206,8 @@ static Status bounds_rows(Long first, Long last, Plane plane, Lengths side, View
     float *least = room.at, *most = least + w;
     for (Long j = first; j < last; j++) {
         const Long begin = j * block, end = smaller<Long>(begin + block, h);
-        fill(least, w, 1.0f);
-        fill(most, w, 0.0f);
+        fill(least, 0, w, 1.0f);
+        fill(most, 0, w, 0.0f);
         extreme_of<false>(plane, begin, end, least);
         extreme_of<true>(plane, begin, end, most);
         for (Long i = 0; i < low.size[1]; i++) {
@@ -233,7 +230,7 @@ static Status positive_rows(Long first, Long last, Plane plane, Lengths side, Vi
     const Room<float> most(w);
     if (!most) return NO_MEMORY;
     for (Long j = first; j < last; j++) {
-        fill(most.at, w, 0.0f);
+        fill(most.at, 0, w, 0.0f);
         extreme_of<true>(plane, j * block, smaller<Long>((j + 1) * block, h), most.at);
         for (Long x = 0; x < w; x++) {
             if (most.at[x] > 0.0f) cells(j)[x / block] = true;

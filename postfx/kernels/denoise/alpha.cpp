@@ -61,12 +61,6 @@ FN void each_span_around(const Cells& near, Long y, Long width, const Work& work
     }, work);
 }
 
-// A row's first and last number once more on either side.
-FN void repeat_edges(float* row, Long count) {
-    row[0] = row[1];
-    row[count + 1] = row[count];
-}
-
 // Means of samples.
 
 // What samples of a row were before, by quarter-pixels, what the frame's alpha adds to their means,

@@ -11,12 +11,7 @@ FN void fill_near(const float* depth, Long count, float* near) {
     across(0, count, EACH(F, Long x) {
         store<F>(near + 1 + x, nearness_of<F>(load<F>(depth + x)));
     });
-    near[0] = near[1];
-    near[count + 1] = near[count];
-}
-
-FN void clear(float* row, Long from, Long to) {
-    for (Long i = from; i < to; i++) row[i] = 0.0f;
+    repeat_edges(near, count);
 }
 
 // A state of zeros is unknown, and so it is at the part's edges within the frame.
@@ -36,11 +31,11 @@ static Status gather_rows(Long first, Long last, Picture colour, Picture diffuse
     float *past = room.at, *hidden = past + 4 * columns, *near = hidden + HIDDEN * columns;
     for (Long y = first; y < last; y++) {
         const Long held = y < rows ? columns : 0, v = top + y;
-        for (int c = 0; c < 4; c++) clear(light(c, y), held, tw);
-        for (int c = 0; c < 6; c++) clear(surface(c, y), held, tw);
-        clear(factor(y), 3 * held, 3 * tw);
-        clear(next_state(y), STATE * held, STATE * tw);
-        clear(next_depth(y), held, tw);
+        for (int c = 0; c < 4; c++) fill(light(c, y), held, tw, 0.0f);
+        for (int c = 0; c < 6; c++) fill(surface(c, y), held, tw, 0.0f);
+        fill(factor(y), 3 * held, 3 * tw, 0.0f);
+        fill(next_state(y), STATE * held, STATE * tw, 0.0f);
+        fill(next_depth(y), held, tw, 0.0f);
         if (held == 0) continue;
         locate_row(from, y, rooms);
         recall_row(from, rooms, past, hidden, columns);
@@ -87,10 +82,10 @@ static Status gather_rows(Long first, Long last, Picture colour, Picture diffuse
             }
         });
         if ((y == 0 && top > 0) || (y == th - 1 && under)) {
-            clear(kept, 0, STATE * tw);
+            fill(kept, 0, STATE * tw, 0.0f);
         } else {
-            if (left > 0) clear(kept, 0, STATE);
-            if (beside) clear(kept, STATE * (tw - 1), STATE * tw);
+            if (left > 0) fill(kept, 0, STATE, 0.0f);
+            if (beside) fill(kept, STATE * (tw - 1), STATE * tw, 0.0f);
         }
     }
     return DONE;
@@ -182,8 +177,7 @@ FN void fill_spread(const float* above, const float* here, const float* below, L
         const F outer = load<F>(above + x) + load<F>(below + x);
         store<F>(line + 1 + x, 0.25f * outer + 0.5f * load<F>(here + x));
     });
-    line[0] = line[1];
-    line[w + 1] = line[w];
+    repeat_edges(line, w);
     across(0, w, EACH(F, Long x) {
         const F outer = load<F>(line + x) + load<F>(line + 2 + x);
         const F found = 0.25f * outer + 0.5f * load<F>(line + 1 + x);
@@ -203,7 +197,7 @@ static Status atrous_rows(Long first, Long last, Picture light, Picture surface,
     const Long begin = smaller<Long>(reach, w), end = larger<Long>(w - reach, begin);
     for (Long y = first; y < last; y++) {
         float* const out[4] = {smooth(0, y), smooth(1, y), smooth(2, y), smooth(3, y)};
-        for (float* row : out) clear(row, y < h ? w : 0, smooth.size[2]);
+        for (float* row : out) fill(row, y < h ? w : 0, smooth.size[2], 0.0f);
         if (y >= h) continue;
         fill_spread(light(3, larger<Long>(y - 1, 0)), light(3, y),
                     light(3, smaller<Long>(y + 1, h - 1)), w, line, spread);
@@ -246,11 +240,7 @@ FN void shade(const Picture& light, const Picture& factor, Long y, Long count, f
                      load<F>(light(c, y) + x) * pick<F, 3>(by + 3 * x + c));
         }
     });
-    for (int c = 0; c < 3; c++) {
-        float* row = rows + c * apart;
-        row[0] = row[1];
-        row[count + 1] = row[count];
-    }
+    for (int c = 0; c < 3; c++) repeat_edges(rows + c * apart, count);
 }
 
 static Status resolve_rows(Long first, Long last, Picture light, Picture factor,

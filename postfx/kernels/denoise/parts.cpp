@@ -292,42 +292,29 @@ EXPORT_ALONE(denoise_balance, balance_rows)
 
 // Values of a plane from filtered ones. Planes of one channel were filtered as three.
 template <int CHANNELS>
-FN void decode_rows(Long first, Long last, const Picture& filtered, const Decoding& by,
-                    const NewPicture& plane) {
-    for (Long y = first; y < last; y++) {
-        const float* from = filtered(y);
-        float* out = plane(y);
-        across(0, plane.size[1], EACH(F, Long x) {
-            F found[3];
-            if (by.kind < 0.0f) {
-                found[0] = distance_of<F>(pick<F, 3>(from + 3 * x), pick<F, 3>(from + 3 * x + 1),
-                                          by);
-                found[1] = found[2] = found[0];
-            } else {
-                for (int c = 0; c < CHANNELS; c++)
-                    found[c] = decoded<F>(pick<F, 3>(from + 3 * x + c), by);
+static void decode_row(Long y, Picture filtered, Given<Decoding> decoding, NewPicture plane) {
+    const Decoding& by = *decoding;
+    const float* from = filtered(y);
+    float* out = plane(y);
+    across(0, plane.size[1], EACH(F, Long x) {
+        F found[3];
+        if (by.kind < 0.0f) {
+            found[0] = distance_of<F>(pick<F, 3>(from + 3 * x), pick<F, 3>(from + 3 * x + 1), by);
+            found[1] = found[2] = found[0];
+        } else {
+            for (int c = 0; c < CHANNELS; c++) {
+                found[c] = decoded<F>(pick<F, 3>(from + 3 * x + c), by);
             }
-            if (by.kind > 0.0f) {
-                F square = F(0.0f);
-                for (int c = 0; c < CHANNELS; c++) square += found[c] * found[c];
-                const F scale = scale_to_one<F>(square);
-                for (int c = 0; c < CHANNELS; c++) found[c] *= scale;
-            }
-            if constexpr (CHANNELS == 3)
-                store_triples<F>(out + 3 * x, found[0], found[1], found[2]);
-            else store<F>(out + x, found[0]);
-        });
-    }
+        }
+        if (by.kind > 0.0f) {
+            F square = F(0.0f);
+            for (int c = 0; c < CHANNELS; c++) square += found[c] * found[c];
+            const F scale = scale_to_one<F>(square);
+            for (int c = 0; c < CHANNELS; c++) found[c] *= scale;
+        }
+        if constexpr (CHANNELS == 3) store_triples<F>(out + 3 * x, found[0], found[1], found[2]);
+        else store<F>(out + x, found[0]);
+    });
 }
-
-static void decode_three(Long first, Long last, Picture filtered, Given<Decoding> by,
-                         NewPicture plane) {
-    decode_rows<3>(first, last, filtered, *by, plane);
-}
-EXPORT_ALONE(denoise_decode, decode_three)
-
-static void decode_one(Long first, Long last, Picture filtered, Given<Decoding> by,
-                       NewPicture plane) {
-    decode_rows<1>(first, last, filtered, *by, plane);
-}
-EXPORT_ALONE(denoise_decode_one, decode_one)
+EXPORT_ALONE(denoise_decode, decode_row<3>)
+EXPORT_ALONE(denoise_decode_one, decode_row<1>)

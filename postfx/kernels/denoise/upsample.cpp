@@ -74,10 +74,6 @@ static void fill_guides(const Guides& guides, Long y, Long left, const Rooms& ro
     }
 }
 
-FN void fill(float* row, Long count, float value) {
-    for (Long x = 0; x < count; x++) row[x] = value;
-}
-
 // The render pixels' reflectance in a row of the output, planar.
 static void fill_own(const float* factor, const Rooms& rooms) {
     for (Long x = 0; x < rooms.width; x++) {
@@ -201,7 +197,7 @@ static Status unscaled_rows(Long first, Long last, Upsample given, const Picture
     if (resampled) given.radiance.at = given.radiance(3);
     const Rooms rooms(given.output.size[1], given.moved.size[1]);
     if (!rooms || !heads) return NO_MEMORY;
-    if (resampled) fill(rooms.guide(0), 3 * rooms.width, 1.0f);
+    if (resampled) fill(rooms.guide(0), 0, 3 * rooms.width, 1.0f);
     return upsample_rows<OWN>(first, last, given, heads, rooms, [&](Long, Place at) {
         if (!resampled) fill_own(factor(at.index), rooms);
     });
