@@ -78,10 +78,6 @@ EXPORT(halve_pixels, halve_pixels)
 
 enum Stored { HALVES = 1, FLOATS = 2 };  // and how many words of 16 bits a number has
 
-template <bool VALUE> struct Known {
-    static constexpr bool value = VALUE;
-};
-
 // Numbers of a channel that is stored as words of 16 bits.
 template <class F> FN F stored_at(const Word16* words, Long kind, Long x) {
     if (kind == HALVES) return float_of<F>(load_words<F>(words + x));
@@ -105,17 +101,15 @@ FN void widen_some(const Word16* words, View<const Long, 2> channels, Long width
         begin[c] = words + channels(c)[1];
         halves &= kinds[c] == HALVES;
     }
-    const auto widen = PIXELS(auto all_halves) {
+    with_flag(halves, PIXELS(auto all_halves) {
         across(0, width, EACH(F, Long x) {
             F numbers[COUNT];
             for (int c = 0; c < COUNT; c++) {
-                numbers[c] = stored_at<F>(begin[c], all_halves.value ? HALVES : kinds[c], x);
+                numbers[c] = stored_at<F>(begin[c], all_halves() ? HALVES : kinds[c], x);
             }
             store_pixels<COUNT, F>(out + COUNT * x, numbers);
         });
-    };
-    if (halves) widen(Known<true>());
-    else widen(Known<false>());
+    });
 }
 static void widen_row(Long y, View<const Word16, 2> words, View<const Long, 2> channels,
                       View<float, 3> pixels) {

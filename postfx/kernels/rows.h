@@ -72,6 +72,15 @@ template <class T> struct Room {
     explicit operator bool() const { return at != nullptr; }
 };
 
+// Calls use(Is) with a flag that the compiler knows: each has code of its own.
+template <bool VALUE> struct Is {
+    constexpr bool operator()() const { return VALUE; }
+};
+template <class Use> FN void with_flag(bool value, const Use& use) {
+    if (value) use(Is<true>());
+    else use(Is<false>());
+}
+
 // Numbers of a row from one on.
 FN void fill(float* row, Long first, Long last, float value) {
     for (Long x = first; x < last; x++) row[x] = value;

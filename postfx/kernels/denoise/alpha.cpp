@@ -698,16 +698,15 @@ static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fin
         row.radiance = lines.at;
         row.line = w + 2;
         const int lower = int(Long(out_rows.at[n]) % 2);
-        const Weights sides[2] = {weights_of(down, distances_of(params->jitter_x + 0.25f)),
-                                  weights_of(down, distances_of(params->jitter_x - 0.25f))};
+        const Sides sides = sides_of(down, *params);
         Long done = 0;
         each_span_at(near, top + at.index, 1.0f, left + w, PIXELS(Long from, Long to) {
             const Long x0 = larger<Long>(from - left, 0), x1 = smaller<Long>(to - left, w);
             if (x0 >= x1) return;
             if (doubles) {
                 across(x0, x1, EACH(F, Long x) {
-                    const AtCorner even = {row, sides[0], x, 2 * lower, 0},
-                                   odd = {row, sides[1], x, 2 * lower + 1, 1};
+                    const AtCorner even = {row, sides.left, x, 2 * lower, 0};
+                    const AtCorner odd = {row, sides.right, x, 2 * lower + 1, 1};
                     const F a = light_sample<F>(row, even, light_weights<F>(even), 0);
                     const F b = light_sample<F>(row, odd, light_weights<F>(odd), 0);
                     store_pairs<F>(out + 2 * x, within<F>(a, 0.0f, 1.0f), within<F>(b, 0.0f, 1.0f));

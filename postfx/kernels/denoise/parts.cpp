@@ -116,11 +116,11 @@ struct LightRows {
     FN_MEMBER float* row(Long channel) const { return at + channel * width; }
 };
 
-FN void light_at_corners(const Row& row, const Weights (&weights)[2], int lower, const Rooms& rooms,
+FN void light_at_corners(const Row& row, const Sides& sides, int lower, const Rooms& rooms,
                          const LightRows& light) {
     across(0, rooms.columns, EACH(F, Long x) {
-        const AtCorner left = {row, weights[0], x, 2 * lower, 0};
-        const AtCorner right = {row, weights[1], x, 2 * lower + 1, 1};
+        const AtCorner left = {row, sides.left, x, 2 * lower, 0};
+        const AtCorner right = {row, sides.right, x, 2 * lower + 1, 1};
         const LightWeights<F> even = light_weights<F>(left), odd = light_weights<F>(right);
         for (Long c = 0; c < 3 * light.parts; c++) {
             store_pairs<F>(light.row(c) + 2 * x, light_sample<F>(row, left, even, c),
@@ -170,11 +170,7 @@ static Status light_rows(Long first, Long last, Picture radiance, FineHead fine,
         const Distances down = distances_of(params->jitter_y - at.offset);
         const Row row = row_of_samples(given, rooms, head_of(fine, at.index), y, at.index);
         if (doubles) {
-            const Weights sides[2] = {
-                weights_of(down, distances_of(params->jitter_x + 0.25f)),
-                weights_of(down, distances_of(params->jitter_x - 0.25f)),
-            };
-            light_at_corners(row, sides, int(y % 2), rooms, enlarged);
+            light_at_corners(row, sides_of(down, *params), int(y % 2), rooms, enlarged);
         } else if (same) {
             const Weights weights = weights_of(down, distances_of(params->jitter_x));
             across(0, width, EACH(F, Long x) {
@@ -278,13 +274,12 @@ static Status balance_rows(Long first, Long last, View<const float, 4> parts, Pi
     for (Long y = first; y < last; y++) {
         const float *all = whole(y), *target = picture(y);
         if (covered) fill_covers(reached, y, height, width, covers.at);
-        if (covered && beyond) keep_row<true>(parts, covers.at, y, balanced);
-        else if (beyond) keep_row<false>(parts, covers.at, y, balanced);
-        else if (covered && alone)
-            balance_row<true, true>(parts, covers.at, all, target, y, balanced);
-        else if (covered) balance_row<true, false>(parts, covers.at, all, target, y, balanced);
-        else if (alone) balance_row<false, true>(parts, covers.at, all, target, y, balanced);
-        else balance_row<false, false>(parts, covers.at, all, target, y, balanced);
+        with_flag(covered, PIXELS(auto is_covered) {
+            if (beyond) return keep_row<is_covered()>(parts, covers.at, y, balanced);
+            with_flag(alone, PIXELS(auto is_alone) {
+                balance_row<is_covered(), is_alone()>(parts, covers.at, all, target, y, balanced);
+            });
+        });
     }
     return DONE;
 }
