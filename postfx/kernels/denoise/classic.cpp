@@ -76,10 +76,7 @@ static Status gather_rows(Long first, Long last, Picture colour, Picture diffuse
                      slope<F>(load<F>(lines[1] + x), here, load<F>(lines[1] + 2 + x)));
             store<F>(surface(5, y) + x,
                      slope<F>(load<F>(lines[0] + 1 + x), here, load<F>(lines[2] + 1 + x)));
-            UNROLL for (int i = 0; i < STATE; i += 4) {
-                spread_four<STATE>(kept + STATE * x + i, found.state[i], found.state[i + 1],
-                                   found.state[i + 2], found.state[i + 3]);
-            }
+            store_state<F>(kept + STATE * x, found.state);
         });
         if ((y == 0 && top > 0) || (y == th - 1 && under)) {
             fill(kept, 0, STATE * tw, 0.0f);

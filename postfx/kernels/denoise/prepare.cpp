@@ -232,10 +232,7 @@ static Status accumulate_rows(Long first, Long last, Picture colour, Picture dif
             for (int c = 0; c < 3; c++) store<F>(level(c, y) + x, found.level[c]);
             store<F>(level(3, y) + x, found.importance);
             store<F>(far + x, load<F>(z + x));
-            UNROLL for (int i = 0; i < STATE; i += 4) {
-                spread_four<STATE>(kept + STATE * x + i, found.state[i], found.state[i + 1],
-                                   found.state[i + 2], found.state[i + 3]);
-            }
+            store_state<F>(kept + STATE * x, found.state);
         });
         if ((y == 0 && top > 0) || (y == th - 1 && under)) {
             clear(state(y), 0, STATE * tw);

@@ -197,40 +197,28 @@ EXPORT(denoise_filter_codes, filter_codes_rows)
 // Filtered colour times reflectance: a border of repeated pixels lies around it, and rows and
 // columns of the part that lie beyond the frame repeat its last ones.
 
-ONCE void remodulate_planes(Long first, Long last, const Planes& filtered,
-                            const View<const float, 3>& factor, const Places& part_rows,
-                            const Places& part_columns, const NewPlanes& radiance, Long plane,
-                            bool with_factor) {
-    const Long h = part_rows.size[0], w = part_columns.size[0];
-    const Long top = Long(part_rows.at[0]);
-    const Long held = Long(part_columns.at[w - 1]) - Long(part_columns.at[0]) + 1;
-    for (Long row = first; row < last; row++) {
-        const Long y = Long(part_rows.at[clip(row - 1, h)]) - top;
-        const float* by = factor(y);
-        for (int c = 0; c < 3; c++) {
-            const float* from = filtered(c, y);
-            float* out = radiance(plane + c, row) + 1;
-            across(0, held, EACH(F, Long x) {
-                const F light = load<F>(from + x);
-                store<F>(out + x, with_factor ? light * pick<F, 3>(by + 3 * x + c) : light);
-            });
-            AS_IT_IS for (Long x = held; x <= w; x++) out[x] = out[held - 1];
-            out[-1] = out[0];
-        }
+ONCE void remodulate_row(Long row, const Planes& filtered, const float* factor, Long y, Long held,
+                         Long w, Long plane, const NewPlanes& radiance) {
+    for (int c = 0; c < 3; c++) {
+        const float* from = filtered(c, y);
+        float* out = radiance(plane + c, row) + 1;
+        across(0, held, EACH(F, Long x) {
+            const F light = load<F>(from + x);
+            store<F>(out + x, factor ? light * pick<F, 3>(factor + 3 * x + c) : light);
+        });
+        fill(out, held, w + 1, out[held - 1]);
+        out[-1] = out[0];
     }
 }
-
-static void remodulate_rows(Long first, Long last, Planes filtered, View<const float, 3> factor,
-                            Places part_rows, Places part_columns, NewPlanes radiance) {
-    remodulate_planes(first, last, filtered, factor, part_rows, part_columns, radiance, 0, true);
+// BOTH: filtered colour, then the same times reflectance.
+template <bool BOTH>
+static void remodulate(Long row, Planes filtered, Picture factor, Places part_rows,
+                       Places part_columns, NewPlanes radiance) {
+    const Long h = part_rows.size[0], w = part_columns.size[0];
+    const Long y = Long(part_rows.at[clip(row - 1, h)]) - Long(part_rows.at[0]);
+    const Long held = Long(part_columns.at[w - 1]) - Long(part_columns.at[0]) + 1;
+    if (BOTH) remodulate_row(row, filtered, nullptr, y, held, w, 0, radiance);
+    remodulate_row(row, filtered, factor(y), y, held, w, BOTH ? 3 : 0, radiance);
 }
-EXPORT(denoise_remodulate, remodulate_rows)
-
-// Filtered colour, then the same times reflectance.
-static void remodulate_both_rows(Long first, Long last, Planes filtered,
-                                 View<const float, 3> factor, Places part_rows, Places part_columns,
-                                 NewPlanes both) {
-    remodulate_planes(first, last, filtered, factor, part_rows, part_columns, both, 0, false);
-    remodulate_planes(first, last, filtered, factor, part_rows, part_columns, both, 3, true);
-}
-EXPORT(denoise_remodulate_both, remodulate_both_rows)
+EXPORT(denoise_remodulate, remodulate<false>)
+EXPORT(denoise_remodulate_both, remodulate<true>)
