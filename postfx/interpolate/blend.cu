@@ -1,18 +1,6 @@
 // The picture that the paths make, as blend.py makes it. Pictures and their depth are held as
 // (h, w, 4), cells are (rows, columns, 8).
 
-// The cells before and after a pixel's middle, and how far it is from the first to the second one.
-struct Between {
-    int first, second;
-    float share;
-};
-
-FN Between between_cells(int position, float size, int count) {
-    const float at = fminf(fmaxf((position + 0.5f) * size - 0.5f, 0.0f), float(count - 1));
-    const int first = int(at);
-    return {first, min(first + 1, count - 1), at - first};
-}
-
 // A path, and how sharp the pictures are there.
 struct Led {
     Path path;
@@ -195,7 +183,8 @@ struct Around {
 FN Around around_of(const View& cells, float scale, int y, int x) {
     const int rows = cells.size[0], columns = cells.size[1];
     const float size = 1.0f / scale;
-    const Between down = between_cells(y, size, rows), across = between_cells(x, size, columns);
+    const Between down = between_cells((y + 0.5f) * size - 0.5f, rows);
+    const Between across = between_cells((x + 0.5f) * size - 0.5f, columns);
     return {{down.first * columns + across.first, down.first * columns + across.second,
              down.second * columns + across.first, down.second * columns + across.second},
             down.share,

@@ -97,6 +97,19 @@ FN Light<float> light_without(const float* rgb, const Colour& by, float exposure
     return light_of<float>({rgb[0], rgb[1], rgb[2]}, {by.r, by.g, by.b}, exposure);
 }
 
+// The two of some cells along a side that a place lies between, which is held within them, and how
+// far it is from the first to the second one.
+struct Between {
+    int first, second;
+    float share;
+};
+
+FN Between between_cells(float place, int count) {
+    const float at = fminf(fmaxf(place, 0.0f), float(count - 1));
+    const int first = int(at);
+    return {first, min(first + 1, count - 1), at - first};
+}
+
 // Two or four neighbouring floats, read or written in one transfer.
 struct alignas(8) Pair {
     float x, y;
@@ -118,10 +131,17 @@ struct Recalled {
     float depth, valid;
 };
 
-// Bilinear between four numbers.
+// Bilinear between four numbers, or those of a plane.
 FN float between(float a, float b, float c, float d, float tx, float ty) {
     const float top = a + (b - a) * tx, bottom = c + (d - c) * tx;
     return top + (bottom - top) * ty;
+}
+
+FN float between(const View& plane, const Between& row, const Between& column) {
+    const float* const top = plane.at + row.first * plane.size[1];
+    const float* const bottom = plane.at + row.second * plane.size[1];
+    return between(top[column.first], top[column.second], bottom[column.first],
+                   bottom[column.second], column.share, row.share);
 }
 
 // Four channels of the state, bilinear between the pixels at four indices of such groups.

@@ -93,18 +93,6 @@ extern "C" __global__ void expose(View previous, View current, View keep, View p
 // the result up in a cube: colour (height, width, 3), params (3,), matrix (9,), guide (112,), grid
 // (1, 16, 16, 8, 12), cube (size, size, size, 3) -> output (height, width, 3).
 
-// Shares of the two cells around a position along an axis.
-struct Cells {
-    int first, second;
-    float share;
-};
-
-FN Cells cells_at(float position, int count) {
-    const float at = fminf(fmaxf(position, 0.0f), float(count - 1));
-    const int first = int(at);
-    return {first, min(first + 1, count - 1), at - first};
-}
-
 // The guide's numbers as all threads of a block read them: every slope times the weight of its
 // channel.
 FN void read_guide(const View& guide, float* numbers) {
@@ -152,9 +140,9 @@ extern "C" __global__ void slice_apply(View colour, View params, View matrix, Vi
     const int cells_high = grid.size[1], cells_wide = grid.size[2], levels = grid.size[3];
     const int here = 3 * (y * width + x);
     const Colour seen = shaped(shaper(params, matrix), colour.at + here);
-    const Cells row = cells_at((y + 0.5f) * cells_high / height - 0.5f, cells_high);
-    const Cells column = cells_at((x + 0.5f) * cells_wide / width - 0.5f, cells_wide);
-    const Cells level = cells_at(level_of(seen, numbers) * levels - 0.5f, levels);
+    const Between row = between_cells((y + 0.5f) * cells_high / height - 0.5f, cells_high);
+    const Between column = between_cells((x + 0.5f) * cells_wide / width - 0.5f, cells_wide);
+    const Between level = between_cells(level_of(seen, numbers) * levels - 0.5f, levels);
     Four red = {0.0f, 0.0f, 0.0f, 0.0f}, green = red, blue = red;
     UNROLL for (int corner = 0; corner < 8; corner++) {
         const int j = corner & 4 ? row.second : row.first,

@@ -124,12 +124,7 @@ FN Lacking<float> lacking_at(const View& filtered, const View& samples, const Vi
 
 // The two of `size` pixels between whose centres one of `out` pixels has its own, and the second
 // one's share.
-struct Beside {
-    int first, second;
-    float share;
-};
-
-FN Beside beside(int position, int size, int out) {
+FN Between beside(int position, int size, int out) {
     float offset;
     const int at = centre(position, size, out, offset), first = offset < 0.0f ? at - 1 : at;
     return {max(first, 0), min(first + 1, size - 1), offset < 0.0f ? offset + 1.0f : offset};
@@ -180,7 +175,7 @@ extern "C" __global__ void denoise_fit(View picture, View next_samples, View nea
 }
 
 // Alpha by the colour of an output pixel: the fits of 3x3 pixels, averaged, and interpolated.
-FN float by_colour(const View& picture, const View& fit, const Beside& rows, const Beside& columns,
+FN float by_colour(const View& picture, const View& fit, const Between& rows, const Between& columns,
                    int y, int x) {
     const int h = fit.size[1], w = fit.size[2];
     float sums[4] = {0.0f, 0.0f, 0.0f, 0.0f};
@@ -204,7 +199,7 @@ extern "C" __global__ void denoise_correct(View enlarged, View picture, View fit
               w = next_doubt.size[1];
     PIXEL(width, height);
     const Gain& by = *reinterpret_cast<const Gain*>(gain.at);
-    const Beside rows = beside(y, h, height), columns = beside(x, w, width);
+    const Between rows = beside(y, h, height), columns = beside(x, w, width);
     float offset, lacks[2][2];
     const int at_y = centre(y, h, height, offset), at_x = centre(x, w, width, offset);
     float* const to = corrected.at + size_t(y) * width + x;
@@ -226,7 +221,7 @@ extern "C" __global__ void denoise_correct(View enlarged, View picture, View fit
                   + mixed(lacks[0][0], lacks[0][1], lacks[1][0], lacks[1][1], columns.share,
                           rows.share);
     if (moves_at(moved, size_t(at_y) * w + at_x)) {
-        const Beside down = beside(y, 2 * h, height), across = beside(x, 2 * w, width);
+        const Between down = beside(y, 2 * h, height), across = beside(x, 2 * w, width);
         const float* const upper = next_samples.at + size_t(down.first) * 2 * w;
         const float* const lower = next_samples.at + size_t(down.second) * 2 * w;
         found += own.weight

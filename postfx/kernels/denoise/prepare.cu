@@ -127,18 +127,11 @@ extern "C" __global__ void __launch_bounds__(SUMMING, 2)
     }
 }
 
-// Where a pixel of a side lies among the frame's cells: the two whose centres are around it, from
-// the first of `means` on, and how far it is from the one before it.
-struct Between {
-    int before, after;
-    float share;
-};
-
-FN Between cells_around(int at, int size, int first) {
-    const int last = (size - 1) / TRUST_CELL;
-    const float place = fminf(fmaxf((at + 0.5f) / TRUST_CELL - 0.5f, 0.0f), float(last));
-    const int before = int(place);
-    return {before - first, min(before + 1, last) - first, place - before};
+// Where a pixel of a side lies among the frame's cells, of which `means` has some from one on.
+FN Between cells_around(int at, int size, int from) {
+    const Between found = between_cells((at + 0.5f) / TRUST_CELL - 0.5f,
+                                        (size - 1) / TRUST_CELL + 1);
+    return {found.first - from, found.second - from, found.share};
 }
 
 // Reflectance brought towards its mean around a pixel of the frame, as far as it is not trusted (1
@@ -147,11 +140,11 @@ FN Colour doubted(const Colour& own, const View& means, int v, int u, int h, int
                   const Window& part, float trust) {
     const Between down = cells_around(v, h, part.top / TRUST_CELL - 1);
     const Between across = cells_around(u, w, part.left / TRUST_CELL - 1);
-    const float *const above = means.at + 3 * down.before * means.size[1];
-    const float *const below = means.at + 3 * down.after * means.size[1];
+    const float *const above = means.at + 3 * down.first * means.size[1];
+    const float *const below = means.at + 3 * down.second * means.size[1];
     float mean[3];
     UNROLL for (int c = 0; c < 3; c++) {
-        const int left = 3 * across.before + c, right = 3 * across.after + c;
+        const int left = 3 * across.first + c, right = 3 * across.second + c;
         const float first = above[left] + (below[left] - above[left]) * down.share;
         const float second = above[right] + (below[right] - above[right]) * down.share;
         mean[c] = first + (second - first) * across.share;

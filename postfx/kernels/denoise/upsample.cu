@@ -250,21 +250,11 @@ __global__ void __launch_bounds__(256, 2)
 // (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
 
 // Where an output pixel's centre lies among the cells along a side, from centre to centre.
-FN float place_of(int position, int size, int out_size, int first, int count) {
+FN Between cells_at(int position, int size, int out_size, int first, int count) {
     float offset;
     const int at = clip(centre(position, size, out_size, offset) - first, count);
-    const float place = (at + offset + 0.5f) / TRUST_CELL - 0.5f;
-    return fminf(fmaxf(place, 0.0f), float((min(count, size - first) - 1) / TRUST_CELL));
-}
-
-FN float trusted(const View& trust, float down, float across) {
-    const int upper = int(down), lower = min(upper + 1, trust.size[0] - 1);
-    const int left = int(across), right = min(left + 1, trust.size[1] - 1);
-    const float* const above = trust.at + upper * trust.size[1];
-    const float* const below = trust.at + lower * trust.size[1];
-    const float high = above[left] + (above[right] - above[left]) * (across - left);
-    const float low = below[left] + (below[right] - below[left]) * (across - left);
-    return high + (low - high) * (down - upper);
+    return between_cells((at + offset + 0.5f) / TRUST_CELL - 0.5f,
+                         (min(count, size - first) - 1) / TRUST_CELL + 1);
 }
 
 template <class Number>
@@ -275,8 +265,8 @@ __global__ void __launch_bounds__(256, 2)
     const Window part = window_of(window);
     const auto guide_at = [&](int v, int u) -> Guide {
         return {demodulation(guide_diffuse_albedo, guide_specular_albedo, v, u),
-                trusted(trust, place_of(v, part.h, part.height, part.top, moved.size[0]),
-                        place_of(u, part.w, part.width, part.left, moved.size[1]))};
+                between(trust, cells_at(v, part.h, part.height, part.top, moved.size[0]),
+                        cells_at(u, part.w, part.width, part.left, moved.size[1]))};
     };
     resolve<Number, BY_GUIDES>(
         {part, radiance, fine, moved, past, warped, params, keep, output, next_history}, guide_at);
