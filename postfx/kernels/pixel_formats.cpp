@@ -20,7 +20,7 @@ constexpr float SUBNORMALS = 1 << 24;
 FN void store_words(Word16* at, int x) { *at = Word16(x); }
 FN void store_words(Word16* at, WideInt x) {
     const WideWord16 words = __builtin_convertvector(x, WideWord16);
-    __builtin_memcpy(at, &words, sizeof words);
+    store(at, words);
 }
 template <class F> FN typename Of<F>::Int load_words(const Word16* at) {
     if constexpr (Of<F>::COUNT == 1) {
@@ -55,8 +55,7 @@ template <class F> FN F float_of(typename Of<F>::Int half) {
 // Pixels of some channels beside one another, as half floats of one channel after the other.
 template <int COUNT>
 FN void halve_some(Long first, Long last, const float* values, View<Word16, 2> halves) {
-    across(first, last, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(first, last, EACH(F, Long x) {
         for (int c = 0; c < COUNT; c++) {
             store_words(halves(c) + x, half_of<F>(pick<F, COUNT>(values + COUNT * x + c)));
         }
@@ -79,10 +78,6 @@ EXPORT(halve_pixels, halve_pixels)
 
 enum Stored { HALVES = 1, FLOATS = 2 };  // and how many words of 16 bits a number has
 
-template <bool VALUE> struct Known {
-    static constexpr bool value = VALUE;
-};
-
 // Numbers of a channel that is stored as words of 16 bits.
 template <class F> FN F stored_at(const Word16* words, Long kind, Long x) {
     if (kind == HALVES) return float_of<F>(load_words<F>(words + x));
@@ -97,7 +92,7 @@ template <int COUNT, class F> FN void store_pixels(float* at, const F* numbers) 
     if constexpr (COUNT == 4) spread_four<4, F>(at, numbers[0], numbers[1], numbers[2], numbers[3]);
 }
 template <int COUNT>
-FN void widen_row(const Word16* words, View<const Long, 2> channels, Long width, float* out) {
+FN void widen_some(const Word16* words, View<const Long, 2> channels, Long width, float* out) {
     Long kinds[COUNT];
     const Word16* begin[COUNT];
     bool halves = true;
@@ -106,37 +101,32 @@ FN void widen_row(const Word16* words, View<const Long, 2> channels, Long width,
         begin[c] = words + channels(c)[1];
         halves &= kinds[c] == HALVES;
     }
-    const auto widen = PIXELS(auto all_halves) {
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+    with_flag(halves, PIXELS(auto all_halves) {
+        across(0, width, EACH(F, Long x) {
             F numbers[COUNT];
             for (int c = 0; c < COUNT; c++) {
-                numbers[c] = stored_at<F>(begin[c], all_halves.value ? HALVES : kinds[c], x);
+                numbers[c] = stored_at<F>(begin[c], all_halves() ? HALVES : kinds[c], x);
             }
             store_pixels<COUNT, F>(out + COUNT * x, numbers);
         });
-    };
-    if (halves) widen(Known<true>());
-    else widen(Known<false>());
+    });
 }
-static void widen_rows(Long first, Long last, View<const Word16, 2> words,
-                       View<const Long, 2> channels, View<float, 3> pixels) {
+static void widen_row(Long y, View<const Word16, 2> words, View<const Long, 2> channels,
+                      View<float, 3> pixels) {
     const Long count = channels.size[0], width = pixels.size[1];
-    for (Long y = first; y < last; y++) {
-        float* out = pixels(y);
-        if (count == 1) widen_row<1>(words(y), channels, width, out);
-        else if (count == 2) widen_row<2>(words(y), channels, width, out);
-        else if (count == 3) widen_row<3>(words(y), channels, width, out);
-        else if (count == 4) widen_row<4>(words(y), channels, width, out);
-        for (Long c = 0; count > 4 && c < count; c++) {
-            const Word16* begin = words(y) + channels(c)[1];
-            for (Long x = 0; x < width; x++) {
-                out[count * x + c] = stored_at<float>(begin, *channels(c), x);
-            }
+    float* out = pixels(y);
+    if (count == 1) widen_some<1>(words(y), channels, width, out);
+    else if (count == 2) widen_some<2>(words(y), channels, width, out);
+    else if (count == 3) widen_some<3>(words(y), channels, width, out);
+    else if (count == 4) widen_some<4>(words(y), channels, width, out);
+    for (Long c = 0; count > 4 && c < count; c++) {
+        const Word16* begin = words(y) + channels(c)[1];
+        for (Long x = 0; x < width; x++) {
+            out[count * x + c] = stored_at<float>(begin, *channels(c), x);
         }
     }
 }
-EXPORT(widen_rows, widen_rows)
+EXPORT(widen_rows, widen_row)
 
 FN bool is_any(bool one) { return one; }
 FN bool is_any(WideInt some) { return __builtin_reduce_or(some) != 0; }
@@ -147,8 +137,7 @@ static void look_up(Long first, Long last, View<const float, 1> codes, View<cons
                     View<float, 1> values, View<bool, 1> inside) {
     const float steps = float(table.size[0] - 2);
     bool all = true;
-    across(first, last, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(first, last, EACH(F, Long x) {
         const F given = load<F>(codes.at + x), code = within<F>(given, 0.0f, 1.0f);
         const F place = code * steps;
         const typename Of<F>::Int entry = whole(place);
@@ -167,58 +156,53 @@ EXPORT_ALONE(look_up, look_up)
 FN void store_bytes(byte* at, int x) { *at = byte(x); }
 FN void store_bytes(byte* at, WideInt x) {
     const WideByte bytes = __builtin_convertvector(x, WideByte);
-    __builtin_memcpy(at, &bytes, sizeof bytes);
+    store(at, bytes);
 }
 
 // The whole part of codes times the largest byte, cut to 0..1, plus a threshold of a pattern that
 // is repeated.
-static void dither_rows(Long first, Long last, View<const float, 2> codes, Given<float> top,
-                        View<const float, 2> pattern, View<byte, 2> bytes) {
+static void dither_row(Long y, View<const float, 2> codes, Given<float> top,
+                       View<const float, 2> pattern, View<byte, 2> bytes) {
     const Long width = codes.size[1], period = pattern.size[1];
     const float highest = *top;
-    for (Long y = first; y < last; y++) {
-        const float* thresholds = pattern(y % pattern.size[0]);
-        for (Long start = 0; start < width; start += period) {
-            const float* some = codes(y) + start;
-            byte* out = bytes(y) + start;
-            const Long size = smaller<Long>(period, width - start);
-            const auto dither = PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
-                const F code = within<F>(load<F>(some + x), 0.0f, 1.0f);
-                store_bytes(out + x, whole(F(code * highest + load<F>(thresholds + x))));
-            };
-            Long x = 0;
-            for (; x + 4 * WIDE <= size; x += 4 * WIDE) {
-                UNROLL for (int k = 0; k < 4; k++) dither(Wide(), x + k * WIDE);
-            }
-            across(x, size, dither);
+    const float* thresholds = pattern(y % pattern.size[0]);
+    for (Long start = 0; start < width; start += period) {
+        const float* some = codes(y) + start;
+        byte* out = bytes(y) + start;
+        const Long size = smaller<Long>(period, width - start);
+        const auto dither = EACH(F, Long x) {
+            const F code = within<F>(load<F>(some + x), 0.0f, 1.0f);
+            store_bytes(out + x, whole(F(code * highest + load<F>(thresholds + x))));
+        };
+        Long x = 0;
+        for (; x + 4 * WIDE <= size; x += 4 * WIDE) {
+            UNROLL for (int k = 0; k < 4; k++) dither(Wide(), x + k * WIDE);
         }
+        across(x, size, dither);
     }
 }
-EXPORT_ALONE(dither_rows, dither_rows)
+EXPORT_ALONE(dither_rows, dither_row)
 
 // PNG's filter 4 (ISO/IEC 15948, 9.4) of rows, after its number; `above` is the row before.
 FN int distance(int x, int other) { return x < other ? other - x : x - other; }
-static void filter_rows(Long first, Long last, View<const byte, 2> rows, View<const byte, 1> above,
-                        View<const Long, 1> bytes_of_pixel, View<byte, 2> filtered) {
+static void filter_row(Long y, View<const byte, 2> rows, View<const byte, 1> above,
+                       View<const Long, 1> bytes_of_pixel, View<byte, 2> filtered) {
     const Long size = rows.size[1], step = *bytes_of_pixel.at;
-    for (Long y = first; y < last; y++) {
-        const byte* __restrict row = rows(y);
-        const byte* __restrict up = y ? rows(y - 1) : above.at;
-        byte* __restrict out = filtered(y) + 1;
-        out[-1] = 4;
-        for (Long i = 0; i < step; i++) out[i] = byte(row[i] - up[i]);
-        for (Long i = step; i < size; i++) {
-            const short a = row[i - step], b = up[i], c = up[i - step];
-            const short to_left = short(distance(b, c)), to_up = short(distance(a, c));
-            const short over = short(a + b - 2 * c), to_corner = short(over < 0 ? -over : over);
-            const short nearer = to_up <= to_corner ? b : c;
-            const bool left = to_left <= to_up && to_left <= to_corner;
-            out[i] = byte(row[i] - (left ? a : nearer));
-        }
+    const byte* __restrict row = rows(y);
+    const byte* __restrict up = y ? rows(y - 1) : above.at;
+    byte* __restrict out = filtered(y) + 1;
+    out[-1] = 4;
+    for (Long i = 0; i < step; i++) out[i] = byte(row[i] - up[i]);
+    for (Long i = step; i < size; i++) {
+        const short a = row[i - step], b = up[i], c = up[i - step];
+        const short to_left = short(distance(b, c)), to_up = short(distance(a, c));
+        const short over = short(a + b - 2 * c), to_corner = short(over < 0 ? -over : over);
+        const short nearer = to_up <= to_corner ? b : c;
+        const bool left = to_left <= to_up && to_left <= to_corner;
+        out[i] = byte(row[i] - (left ? a : nearer));
     }
 }
-EXPORT_ALONE(filter_rows, filter_rows)
+EXPORT_ALONE(filter_rows, filter_row)
 
 // Bytes as OpenEXR compresses them (ImfZip.cpp): those in even places before those in odd ones,
 // each less the one before it, plus 128.
@@ -244,12 +228,6 @@ constexpr int PIECE = 512, EIGHT = 8;  // numbers that stay in the cache, and by
 constexpr int EIGHTS = WIDE / 2;
 typedef Word64 Words __attribute__((ext_vector_type(EIGHTS)));
 
-template <class W> FN W words_at(const void* at) {
-    W x;
-    __builtin_memcpy(&x, at, sizeof x);
-    return x;
-}
-template <class W> FN void put_words(void* at, W x) { __builtin_memcpy(at, &x, sizeof x); }
 template <class Some> FN void each_eight(Long size, const Some& some) {
     Long i = 0;
     for (; i + EIGHTS <= size; i += EIGHTS) some(Words(), i);
@@ -277,11 +255,10 @@ struct Sums {
 
     // Those of odd places in lanes, with bits above; what even places are less; what comes before.
     FN_MEMBER void add(const byte* differences, Long size) {
-        each_eight(size, PIXELS(auto one, Long i) {
-            typedef decltype(one) W;
-            const W eight = words_at<W>(differences + EIGHT * i) ^ TOPS, high = eight >> 8 & BYTES;
-            put_words<W>(less + i, high);
-            put_words<W>(odd + i, sum_lanes<W>((eight & BYTES) + high));
+        each_eight(size, EACH(W, Long i) {
+            const W eight = load<W>(differences + EIGHT * i) ^ TOPS, high = eight >> 8 & BYTES;
+            store<W>(less + i, high);
+            store<W>(odd + i, sum_lanes<W>((eight & BYTES) + high));
         });
         for (Long i = 0; i < size; i++) {
             before[i] = total;
@@ -289,9 +266,9 @@ struct Sums {
         }
     }
     template <class W> FN_MEMBER W at(Long i) const {
-        const W lane = words_at<W>(before + i) & LOW, two = lane | lane << 16;
-        const W sums = words_at<W>(odd + i) + (two | two << 32);
-        return ((sums - words_at<W>(less + i)) & BYTES) | (sums & BYTES) << 8;
+        const W lane = load<W>(before + i) & LOW, two = lane | lane << 16;
+        const W sums = load<W>(odd + i) + (two | two << 32);
+        return ((sums - load<W>(less + i)) & BYTES) | (sums & BYTES) << 8;
     }
 };
 
@@ -303,13 +280,12 @@ static void unpredict_eights(const byte* differences, Long count, byte low, byte
         const Long size = smaller<Long>(PIECE, count - first);
         lows.add(differences + EIGHT * first, size);
         highs.add(differences + EIGHT * (count + first), size);
-        each_eight(size, PIXELS(auto one, Long i) {
-            typedef decltype(one) W;
+        each_eight(size, EACH(W, Long i) {
             const W a = lows.at<W>(i), b = highs.at<W>(i);
             const __make_integer_seq<List, int, sizeof(W)> places;
             byte* to = out + 2 * EIGHT * (first + i);
-            put_words<W>(to, in_turn<0, W>(a, b, places));
-            put_words<W>(to + sizeof(W), in_turn<int(sizeof(W)) / 2, W>(a, b, places));
+            store<W>(to, in_turn<0, W>(a, b, places));
+            store<W>(to + sizeof(W), in_turn<int(sizeof(W)) / 2, W>(a, b, places));
         });
     }
 }
