@@ -41,6 +41,7 @@ from postfx.cli.summary import (
     FrameResult,
     Preparation,
     Report,
+    describe_between,
     describe_frames,
     describe_outputs,
     describe_preroll,
@@ -80,7 +81,7 @@ from postfx.passes.registry import create, insert_passes, parse_pass
 from postfx.pipeline import Pipeline
 from postfx.plan import Skip, from_files
 from postfx.runs.run import Options, Run, provenance_of
-from postfx.runs.schedule import Work, find_preroll
+from postfx.runs.schedule import Work, fill_gaps, find_preroll
 from postfx.runtime import Device
 from postfx.temporal.plain_albedo import is_plain
 from postfx.temporal.reverse_order import Backwards
@@ -297,10 +298,14 @@ class Job:
         """What would run."""
         exposure = self._exposure if self._exposure.multipliers else self._exposure_of_first()
         preroll = Options(**self._values("run")).preroll
-        before = (find_preroll(self.sequence, self.first, preroll)
-                  if self.pipeline.remembers(self.plan) else [])
+        before, between = [], []
+        if self.pipeline.remembers(self.plan):
+            before = find_preroll(self.sequence, self.first, preroll)
+            listed = self.sequence.numbers
+            between = [number for number in fill_gaps(self.sequence, listed, preroll)
+                       if number not in listed]
         return Explanation(self.plan, self.sequence, self.first, self.skips, self._run_up, exposure,
-                           before)
+                           before, between)
 
     def _exposure_of_first(self) -> ExposureUsed:
         """What --exposure says of the first frame, by its colour alone."""
@@ -449,10 +454,15 @@ class Job:
             for line in str(self.plan).splitlines():
                 progress.note(line)
         wanted = [work.number for work in run.works if work.write]
-        before = [work.number for work in run.works if work.number not in self.sequence.numbers]
+        listed = self.sequence.numbers
+        others = [work.number for work in run.works if work.number not in listed]
+        before = [number for number in others if number < listed[0]]
+        between = [number for number in others if number > listed[0]]
         if before:
-            progress.note(f"{describe_preroll(before)} for the history of frame "
-                          f"{self.sequence.numbers[0]} (--preroll 0 leaves it out)")
+            progress.note(f"{describe_preroll(before)} for the history of frame {listed[0]} "
+                          "(--preroll 0 leaves it out)")
+        if between:
+            progress.note(describe_between(between))
         if self._arguments.on_error == OnError.STOP:
             self.sequence.refuse_holes(wanted)
         elif missing := [number for number in wanted if not self.sequence.holds(number)]:

@@ -46,6 +46,7 @@ class Explanation:
         run_up: what runs before the first frame of a shot.
         exposure: of that frame, or the mode alone where all frames have to be metered.
         before: frames that run before that one, for its history.
+        between: frames that run between those that are asked for, for theirs.
     """
 
     plan: Plan
@@ -55,6 +56,7 @@ class Explanation:
     run_up: RunUp | None
     exposure: ExposureUsed
     before: list[int]
+    between: list[int]
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
@@ -81,6 +83,8 @@ class Explanation:
         if self.before:
             lines.append(f"history {describe_preroll(self.before)} for frame {first} (--preroll 0 "
                          "leaves it out)")
+        if self.between:
+            lines.append(f"history {describe_between(self.between)}")
         if ahead := self._list_ahead():
             listed = f"frame{'s' * (len(ahead) > 1)} {', '.join(map(str, ahead))}"
             lines.append(f"run-up  of each shot: {listed} before frame {self._begin} (--run-up 0 "
@@ -115,6 +119,13 @@ def describe_preroll(numbers: list[int]) -> str:
     first, last = numbers[0], numbers[-1]
     return (f"frame {first} first, unwritten," if first == last
             else f"frames {first} to {last} first, unwritten,")
+
+
+def describe_between(numbers: list[int]) -> str:
+    """Which frames run between those of a range with gaps."""
+    run = (f"frame {numbers[0]} runs" if len(numbers) == 1
+           else f"frames {format_frames(numbers)} run")
+    return f"{run}, too, unwritten, for the history of later ones (--preroll 0 leaves that out)"
 
 
 def describe_sizes(plan: Plan, sequence: Sequence) -> str:
