@@ -351,7 +351,7 @@ class Job:
                 self._announce(run, progress)
                 if run.works:
                     self._prepare()
-                begin = progress.start(len(run.skips))
+                begin = progress.start(len(run.skips), self._count_unwritten(run.works))
                 self._process_all(run, stop, progress)
         finally:
             if self._viewer:
@@ -498,6 +498,17 @@ class Job:
             write_frame(Path(folder) / f"any{self._files().path(self.first).suffix}", frame,
                         **self._format)
 
+    def _count_unwritten(self, works: list[Work]) -> int:
+        """Frames that run and are not written, as far as they are known before the first one: in a
+        run-up, for the history, and in reverse order."""
+        ran = [work for work in works if not work.checkpoint]
+        count = sum(not work.write for work in ran)
+        if works and self._run_up and not works[0].checkpoint and self.plan.accumulating_steps():
+            count += len(self._run_up.after(works[0].number)) * (1 + len(self.sequence.views))
+        if self._backwards:
+            count += self._backwards.count([work.number for work in ran if work.write])
+        return count
+
     def _process_all(self, run: Run, stop: Stop, progress: FrameProgress) -> None:
         """Process a run's frames in order: they are read ahead, and written behind."""
         if self._run_up:
@@ -528,7 +539,7 @@ class Job:
                         frame = self._faults.attempt(work.number, work.write, ahead)
                         is_unseen = frame is None
                 with capturing(work.number):
-                    done = None if frame is None else self._process(work, frame, progress.note)
+                    done = None if frame is None else self._process(work, frame, progress)
                 if done is None and work.write:
                     done = self._faults.substitute(work.number)
                 if work.write and done:
@@ -614,7 +625,11 @@ class Job:
         part = backwards.part(frame.number) if write else None
         if part and part[0] != part[1]:
             progress.note(f"frames {part[1]} to {part[0]} first, in reverse order")  # may take long
-        return backwards(frame, write, stop.check)
+        begin = time.perf_counter()
+        found = backwards(frame, write, stop.check)
+        if part:
+            progress.pass_by(backwards.count([frame.number]), time.perf_counter() - begin)
+        return found
 
     def _read(self, run: Run, work: Work) -> Frame | None:
         read = partial(self._read_checked, run, work.number)
@@ -632,7 +647,7 @@ class Job:
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         return frame
 
-    def _process(self, work: Work, frame: Frame, tell: Callable[[str], None]) -> FrameResult | None:
+    def _process(self, work: Work, frame: Frame, progress: FrameProgress) -> FrameResult | None:
         """A frame after the passes; None if they failed and the run goes on."""
         begin, passes, compiling = time.perf_counter(), self.pipeline, self._watch.seconds
         result = self._faults.attempt(work.number, work.write, partial(passes, frame))
@@ -642,9 +657,12 @@ class Job:
         if passes.cut:
             self._cuts.append(work.number)
         for text in passes.noticed:
-            self._tell([f"frame {work.number}: {text}"], tell)
+            self._tell([f"frame {work.number}: {text}"], progress.note)
         milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
         milliseconds -= passes.run_up_ms
+        progress.pass_by(len(passes.ahead), passes.run_up_ms / 1000)
+        if not work.write:
+            progress.pass_by(1, milliseconds / 1000)
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0
         done = FrameResult(frame, result, passes.exposure_factor, passes.cut, milliseconds,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import takewhile
@@ -233,6 +233,13 @@ class Backwards:
         if number in self._results or number not in self._at:
             return None
         return number, self._numbers[self._limits(self._at[number])[1] - 1]
+
+    def count(self, numbers: Iterable[int]) -> int:
+        """How many frames run in reverse order for the results of frames, which are in order."""
+        firsts: dict[tuple[int, int], int] = {}
+        for index in (self._at[number] for number in numbers):
+            firsts.setdefault(self._limits(index), index)
+        return sum(begin - first for (_, begin), first in firsts.items())
 
     def __call__(self, frame: Frame, wanted: bool = True,
                  check: Callable[[], None] = lambda: None) -> Frame:
