@@ -642,8 +642,17 @@ class Job:
             self._warnings.append(f"the history begins after frame {work.number}: {error}")
             return None
 
+    @cached_property
+    def _holds_rows(self) -> bool:
+        """Whether frames hold what was unpacked of their files: where outputs keep channels of them
+        bit for bit, and nothing limits memory or keeps frames for longer."""
+        sizes = [(spec.width, spec.height) for spec in (self.plan.available, self.plan.output)]
+        keeps = (self.outputs is not None and not self.outputs.display
+                 and self._format["keep"] is not False and sizes[0] == sizes[1])
+        return keeps and not (self.pipeline.device.scratch or self._page)
+
     def _read_checked(self, run: Run, number: int) -> Frame:
-        read = partial(self.sequence.read, number, self.plan.planes, self._guides)
+        read = partial(self.sequence.read, number, self.plan.planes, self._guides, self._holds_rows)
         frame = read_patiently(read, partial(run.note_retry, number))
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         return frame

@@ -220,86 +220,60 @@ static void predict_bytes(Long, Long, View<const byte, 1> plain, View<byte, 1> d
 }
 EXPORT(predict_bytes, predict_bytes)
 
-// Back again, eight bytes in a number, of which a vector holds several. Only what comes before each
-// number is added one by one.
+// Back again, a vector of bytes at once.
 
-constexpr Word64 TOPS = 0x8080808080808080, BYTES = 0x00FF00FF00FF00FF, LOW = 0xFF;
-constexpr int PIECE = 512, EIGHT = 8;  // numbers that stay in the cache, and bytes of each
-constexpr int EIGHTS = WIDE / 2;
-typedef Word64 Words __attribute__((ext_vector_type(EIGHTS)));
+constexpr int COUNT = 4 * WIDE;  // bytes of a vector
+typedef byte Bytes __attribute__((ext_vector_type(COUNT)));
+const __make_integer_seq<List, int, COUNT> BYTE_PLACES;
 
-template <class Some> FN void each_eight(Long size, const Some& some) {
-    Long i = 0;
-    for (; i + EIGHTS <= size; i += EIGHTS) some(Words(), i);
-    for (; i < size; i++) some(Word64(), i);
+// The bytes STEP places later, after zeros.
+template <int STEP, int... I> FN Bytes later(Bytes x, List<int, I...>) {
+    return TWO_OF(Bytes(0), x, I < STEP ? I : COUNT + I - STEP);
 }
 
-// In each of four lanes of 16 bits, the sum of those before it and its own.
-template <class W> FN W sum_lanes(W x) {
-    x += x << 16;
-    return x + (x << 32);
+// Each byte and those before it in the vector, added up modulo 256.
+template <int STEP = 1> FN Bytes running_sums(Bytes x) {
+    x += later<STEP>(x, BYTE_PLACES);
+    if constexpr (2 * STEP < COUNT) return running_sums<2 * STEP>(x);
+    return x;
 }
 
-// A half of the bytes of two streams, in turn.
-template <class W> using BytesOf = byte __attribute__((ext_vector_type(sizeof(W))));
-template <int FIRST, class W, int... I> FN W in_turn(W low, W high, List<int, I...>) {
-    constexpr int COUNT = sizeof(W);
-    const auto a = __builtin_bit_cast(BytesOf<W>, low), b = __builtin_bit_cast(BytesOf<W>, high);
-    return __builtin_bit_cast(W, BytesOf<W>(TWO_OF(a, b, FIRST + I / 2 + I % 2 * COUNT)));
+// The last byte in all places.
+template <int... I> FN Bytes last_of(Bytes x, List<int, I...>) {
+    return TWO_OF(x, x, 0 * I + COUNT - 1);
 }
 
-// Running sums of some bytes, modulo 256.
-struct Sums {
-    Word64 odd[PIECE], less[PIECE], before[PIECE];
-    Word64 total;
-
-    // Those of odd places in lanes, with bits above; what even places are less; what comes before.
-    FN_MEMBER void add(const byte* differences, Long size) {
-        each_eight(size, EACH(W, Long i) {
-            const W eight = load<W>(differences + EIGHT * i) ^ TOPS, high = eight >> 8 & BYTES;
-            store<W>(less + i, high);
-            store<W>(odd + i, sum_lanes<W>((eight & BYTES) + high));
-        });
-        for (Long i = 0; i < size; i++) {
-            before[i] = total;
-            total += odd[i] >> 48;
-        }
-    }
-    template <class W> FN_MEMBER W at(Long i) const {
-        const W lane = load<W>(before + i) & LOW, two = lane | lane << 16;
-        const W sums = load<W>(odd + i) + (two | two << 32);
-        return ((sums - load<W>(less + i)) & BYTES) | (sums & BYTES) << 8;
-    }
-};
-
-static void unpredict_eights(const byte* differences, Long count, byte low, byte high, byte* out) {
-    Sums lows, highs;
-    lows.total = low;
-    highs.total = high;
-    for (Long first = 0; first < count; first += PIECE) {
-        const Long size = smaller<Long>(PIECE, count - first);
-        lows.add(differences + EIGHT * first, size);
-        highs.add(differences + EIGHT * (count + first), size);
-        each_eight(size, EACH(W, Long i) {
-            const W a = lows.at<W>(i), b = highs.at<W>(i);
-            const __make_integer_seq<List, int, sizeof(W)> places;
-            byte* to = out + 2 * EIGHT * (first + i);
-            store<W>(to, in_turn<0, W>(a, b, places));
-            store<W>(to + sizeof(W), in_turn<int(sizeof(W)) / 2, W>(a, b, places));
-        });
-    }
+// A half of the bytes of two vectors, in turn.
+template <int FIRST, int... I> FN Bytes in_turn(Bytes low, Bytes high, List<int, I...>) {
+    return TWO_OF(low, high, FIRST + I / 2 + I % 2 * COUNT);
 }
 
 static void unpredict_bytes(Long, Long, View<const byte, 1> differences, View<Word16, 1> words) {
-    const Long half = words.size[0];
-    byte low = MIDDLE, high = MIDDLE;
-    for (Long i = 0; i < half; i++) high = byte(high + differences.at[i] - MIDDLE);
-    if (half % EIGHT == 0) {
-        return unpredict_eights(differences.at, half / EIGHT, low, high, (byte*)words.at);
+    const Long half = words.size[0], whole = half / COUNT * COUNT;
+    const byte* lower = differences.at;
+    const byte* upper = differences.at + half;
+
+    // The differences of the upper bytes go on where those of the lower ones end.
+    Bytes sums = Bytes(0);
+    for (Long i = 0; i < whole; i += COUNT) sums += load<Bytes>(lower + i) - MIDDLE;
+    Bytes lows = Bytes(MIDDLE), highs = lows + last_of(running_sums(sums), BYTE_PLACES);
+    for (Long i = whole; i < half; i++) highs += byte(lower[i] - MIDDLE);
+
+    for (Long i = 0; i < whole; i += COUNT) {
+        const Bytes own_lows = running_sums(load<Bytes>(lower + i) - MIDDLE);
+        const Bytes own_highs = running_sums(load<Bytes>(upper + i) - MIDDLE);
+        const Bytes a = own_lows + lows, b = own_highs + highs;
+        const Bytes first = in_turn<0>(a, b, BYTE_PLACES);
+        const Bytes second = in_turn<COUNT / 2>(a, b, BYTE_PLACES);
+        store(words.at + i, first);
+        store(words.at + i + COUNT / 2, second);
+        lows += last_of(own_lows, BYTE_PLACES);
+        highs += last_of(own_highs, BYTE_PLACES);
     }
-    for (Long i = 0; i < half; i++) {
-        low = byte(low + differences.at[i] - MIDDLE);
-        high = byte(high + differences.at[half + i] - MIDDLE);
+    byte low = lows[0], high = highs[0];
+    for (Long i = whole; i < half; i++) {
+        low = byte(low + lower[i] - MIDDLE);
+        high = byte(high + upper[i] - MIDDLE);
         words.at[i] = Word16(low | high << 8);
     }
 }
