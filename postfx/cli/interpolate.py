@@ -284,8 +284,9 @@ class Interpolation:
                     self._is_told = True
                     self._warn_of_left_out(frame)
                     if any(frame.jitter):
-                        self._sequence.warn("frames are jittered, which the output does not tell: "
-                                            "run 'postfx run' first, and interpolate its frames")
+                        self._sequence.warn("frames are jittered, and new ones between them are "
+                                            "not: run 'postfx run' first, and interpolate its "
+                                            "frames")
                 if self._arguments.planes:
                     frame = with_cryptomattes(frame)
                 self._first = self._first or frame.metadata

@@ -68,6 +68,7 @@ from postfx.files import WriteBehind, read_ahead, read_patiently
 from postfx.frame import Frame, FrameSpec, Part, Role
 from postfx.io.parts import group_parts
 from postfx.io.pattern import format_frames
+from postfx.io.read_options import ESTIMATED_MOTION
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
@@ -228,6 +229,8 @@ class Job:
             self.skips += explain_overlay(self._arguments, files)
             self._channels = {role: match.names for role, match in files.layout.planes.items()}
             self._enable = files.layout.hints()
+            if self.sequence.options.motion == ESTIMATED_MOTION:  # which is no fault of the files
+                self._enable.pop(Role.MOTION, None)
             spec = files.spec()
             self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards
                                               else spec)

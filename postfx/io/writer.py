@@ -26,6 +26,7 @@ from postfx.frame import LINEAR, TOLD, Frame, Role
 from postfx.io.encoder import cut_pieces, display_of, encode_all, encode_pixel, tag_codes
 from postfx.io.exr import Header
 from postfx.io.exr.container import COMPRESSIONS, Rows, can_compress
+from postfx.io.exr.passthrough import JITTER
 from postfx.io.exr.picture import (
     Picture,
     PictureHeader,
@@ -186,13 +187,19 @@ def write_frame(
     exact = any(source.exact for name, source in frame.part_sources.items() if name in frame.parts)
     half = not exact if bits is None else bits == 16
     with output_file(path) as temporary:
-        found = [(view, *find_light_plan(view, half, compression, provenance or {}))
+        found = [(view, *find_light_plan(view, half, compression,
+                                         {**(provenance or {}), **_tell_jitter(view)}))
                  for view in (frame, *frame.views.values())]
         keep = not found[0][1].is_enlarged if keep is None else keep
         notes = _write_light(temporary, found, keep, relax)
     for note, *facts in notes:
         TOLD.warning(note, path, *facts)
     return path
+
+
+def _tell_jitter(frame: Frame) -> dict[str, Any]:
+    """The attribute of a frame's jitter, where its samples still lie off the pixels' centres."""
+    return {} if frame.jitter == (0.0, 0.0) else {JITTER: tuple(map(float, frame.jitter))}
 
 
 def _write_light(path: Path, found: list[tuple[Frame, LightPlan, Header]], keep: bool,

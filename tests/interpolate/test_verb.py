@@ -160,7 +160,7 @@ def test_jittered_frames_are_told_to_be_denoised_first(write_exr, tmp_path, caps
         planes = {name: np.full((32, 48), 0.1 * number) for name in "RGB"}
         write_exr(f"in/a.{number:04d}.exr", planes, postfx__jitter=(0.25, -0.25))
     assert main(["interpolate", str(tmp_path / "in"), "-o", f"{tmp_path}/out/"]) == 0
-    assert "frames are jittered, which the output does not tell" in capsys.readouterr().out
+    assert "frames are jittered, and new ones between them are not" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("more", [[], ["--planes"]])

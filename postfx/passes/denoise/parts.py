@@ -299,7 +299,8 @@ class Layers:
         found: dict[str, Tensor] = {}
         for layer, name in self._below.items():
             before = self._history.layers.get(layer)
-            if (before and before.frames) or lies_below(frame.host_parts[name]):
+            if (before and before.frames) or lies_below(
+                frame.host_parts[name], frame.host_planes[Role.COLOUR]):
                 found |= self._signed.split(commands, name, self._three(name, frame))
         return found
 
