@@ -269,6 +269,8 @@ def test_two_halves_of_a_shot_are_one_with_all_samples(tmp_path: Path, capsys):
     facts = json.loads(capsys.readouterr().out)
     assert (facts["error_from"] == ["two halves of the samples"]
             and facts["frames"][0]["samples"] == 16)
+    assert main([*words[:4], "--json"]) == 0
+    assert ", as 'postfx run' does; --denoised takes the frames that" in capsys.readouterr().err
     assert main([*words, "--profile", "generic"]) == 0
     assert json.loads(capsys.readouterr().out)["frames"] == facts["frames"]
     assert main([*words, "--denoised", names[0], names[1]]) == 2
