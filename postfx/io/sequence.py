@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import update_wrapper
 from inspect import Signature, signature
 from itertools import takewhile
+from numbers import Integral
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec
@@ -103,9 +104,8 @@ class Sequence:
         # Which frames are wanted.
         self._step = _step(self.present())
         self._last: int | None = None
-        wanted = options.frames if options.frames is not None else named or self._on_disk()
-        if isinstance(wanted, int):
-            wanted = [wanted]
+        asked = options.frames if options.frames is not None else named or self._on_disk()
+        wanted = [int(asked)] if isinstance(asked, int | Integral) else asked  # or NumPy's
         try:
             self.numbers = tuple(
                 parse_frames(wanted) if isinstance(wanted, str) else map(index, wanted)
