@@ -129,8 +129,8 @@ class SamplesJob:
         self._errors = Sequence(arguments.error) if arguments.error else None
         self._meter = ExposureMeter(arguments.exposure)
         existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
-        self._outputs = (OutputFiles(arguments.output, self._sequence, existing) if arguments.output
-                         else None)
+        self._outputs = (OutputFiles(arguments.output, self._sequence, existing, can_skip=False)
+                         if arguments.output else None)
         if self._outputs:
             if self._outputs.display:
                 raise WriteError(f"{arguments.output}: maps are EXR files: --pictures writes PNG")

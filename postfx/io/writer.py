@@ -460,14 +460,17 @@ class OutputFiles:
     unknown, when several frames would share a file, when views that were read from files of their
     own would, or when an output would be an input; OutputExistsError from `check`.
 
+    `can_skip`: whether the command that writes them has --skip-existing.
+
     Attributes:
         display: whether they are pictures for a display.
         has_views: whether every view has a file of its own.
     """
 
     def __init__(self, target: str, sequence: Sequence,
-                 existing: ExistingFiles = ExistingFiles.REFUSE) -> None:
+                 existing: ExistingFiles = ExistingFiles.REFUSE, can_skip: bool = True) -> None:
         self.existing, self._sequence = existing, sequence
+        self._can_skip = can_skip
         target = with_slashes(os.path.expanduser(target))
         if target == "-":
             raise WriteError("-: frames are written to files, not to standard output: write it "
@@ -522,8 +525,8 @@ class OutputFiles:
         if self.existing is ExistingFiles.REFUSE:
             for path in self._guess_paths(numbers):
                 if os.path.lexists(path):
-                    raise OutputExistsError(f"{path}: is already there: give --overwrite or "
-                                            "--skip-existing")
+                    ways = "--overwrite or --skip-existing" if self._can_skip else "--overwrite"
+                    raise OutputExistsError(f"{path}: is already there: give {ways}")
 
     def check_storage(self, encoding: str, bits: int | None = None,
                       compression: str = "zip") -> None:
