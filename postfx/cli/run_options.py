@@ -276,8 +276,8 @@ DENOISING = Section("denoising and size", (
            help="output size over render size, 1 to 3, e.g. 2 for frames twice as large (default: "
            "1, or the guides' size)"),
     Option(flag="--denoise-only", basic=True, either="size", sets="denoiser.scale",
-           convert=lambda _: 1.0, excludes=_FOR_DENOISER,
-           help="keep the render's size even if there are larger guides; the same as --scale 1"),
+           convert=lambda _: 1.0, also={"sequence.own_size": bool}, excludes=_FOR_DENOISER,
+           help="keep the render's size, as --scale 1 does, and leave out larger guides"),
     Option(flag="--size", metavar="WxH", type=parse_size, either="size", sets="denoiser.size",
            excludes=_FOR_DENOISER,
            help="size of the output, overscan included, e.g. 1920x1080. The render's size may then "

@@ -109,9 +109,9 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
         if not matches and name != AUTO_PARTS:
             matches = _by_name(index, name)
         if not matches and name == AUTO_PARTS:
-            layout.warnings.append("--aov auto: no light groups or passes are known by profile "
-                                   f"{layout.profile.name}; if there are any, name them, as "
-                                   "--aov key,fill")
+            layout.warnings.append("--aov auto: the files hold no light groups or passes that "
+                                   f"profile {layout.profile.name} knows; if they hold others, "
+                                   "name them, as --aov key,fill")
         elif not matches:
             raise _missing_error(name, index, path, known=_by_profile(index, layout, "*"))
         taken = {part.channels for part in found.values()}

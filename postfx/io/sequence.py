@@ -100,6 +100,8 @@ class Sequence:
         self.guides = self._find_guides()
         self.warnings: list[str] = []
         self._warn_of_overlooked()
+        if options.guides is not None and options.own_size:
+            self.warn(f"{options.guides}: guides are not read, as frames keep their own size")
 
         # Which frames are wanted.
         self._step = _step(self.present())
@@ -465,7 +467,7 @@ class Sequence:
     def _find_guides(self) -> Sequence | None:
         """Files of guides, of the same views where these have files of their own."""
         options = self.options
-        if options.guides is None:
+        if options.guides is None or options.own_size:
             return None
         own = ",".join(filter(None, self._known_views)) if self.pattern.has_views else None
         return Sequence(

@@ -238,7 +238,7 @@ def test_a_run_goes_on_where_auto_finds_no_parts_and_says_so(
     files = [tmp_path / "auto.exr", tmp_path / "plain.exr"]
     for out, options in zip(files, (("--aov", "auto"), ()), strict=True):
         assert main(["run", str(source), "-o", str(out), "--model", "s", *options]) == 0
-    assert capsys.readouterr().err.count("warning  --aov auto: no light groups or passes") == 1
+    assert capsys.readouterr().err.count("warning  --aov auto: the files hold no light groups") == 1
     auto, plain = map(read, files)
     np.testing.assert_array_equal(layer(auto, ""), layer(plain, ""))
 
