@@ -18,6 +18,8 @@ from postfx.runtime.states import State
 LEAST_BELOW = 3e-3
 """Share of a part's light that must lie below 0: pixel filters leave less, which is cut as in the
 picture."""
+LEAST_OF_PICTURE = 1e-5
+"""Share of the picture's light that must lie below 0: a part without light has rounding alone."""
 ROW_STEP = 8
 """One row in so many is looked at for that."""
 
@@ -31,13 +33,18 @@ def below(name: str) -> str:
     return f"{name} below 0"
 
 
-def lies_below(part: np.ndarray) -> bool:
-    """Whether a part (h, w, n) has light below 0, and more of it than a pixel filter leaves."""
+def lies_below(part: np.ndarray, picture: np.ndarray | None) -> bool:
+    """Whether a part (h, w, n) has light below 0, and more of it than rounding or a pixel filter
+    leaves; `picture`: (h, w, 3), whose part it is, None where that is not known."""
     seen = part[::ROW_STEP]
     seen = seen[np.isfinite(seen)]
     under = np.maximum(-seen, 0).sum(dtype=np.float64)
-    light = np.abs(seen).sum(dtype=np.float64)
-    return bool(under > LEAST_BELOW * light)
+    if under <= LEAST_BELOW * np.abs(seen).sum(dtype=np.float64):
+        return False
+    if picture is None:
+        return True
+    whole = picture[::ROW_STEP]
+    return bool(under > LEAST_OF_PICTURE * np.abs(whole[np.isfinite(whole)]).sum(dtype=np.float64))
 
 
 class SignedLight:

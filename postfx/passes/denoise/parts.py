@@ -277,7 +277,8 @@ class Layers:
         found: dict[str, Tensor] = {}
         for layer, name in self._below.items():
             before = self._history.layers.get(layer)
-            if (before and before.frames) or lies_below(frame.host_parts[name]):
+            if (before and before.frames) or lies_below(
+                frame.host_parts[name], frame.host_planes[Role.COLOUR]):
                 light = self._values.three_channels(name, frame)
                 found |= self._signed.split(commands, name, light)
         return found
