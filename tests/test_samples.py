@@ -471,6 +471,7 @@ def test_every_script_is_run_here():
              "compare_speed.py", "masked_speed.py", "leave_alone.py",
              "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py",
              "measure_memory.py", "ray_caster.py", "integration_mistakes.py", "look_speed.py",
+             "convolution_speed.py",
              "both_ways.py", "command_speed.py", "external_tone_mapper.py", "between_frames.py",
              "mlp_in_kernel.py", "neural_speed.py", "sky.py", "sky_probe.py",
              "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py",
@@ -478,3 +479,11 @@ def test_every_script_is_run_here():
              "display.py", "reflections.py", "detail.py", "site_pictures.py", "scene_passes.py",
              "blender_panels.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named
+
+
+def test_convolutions_by_tiles_are_compared_with_onnx_runtimes():
+    pytest.importorskip("onnx")
+    said = run("convolution_speed.py", "--width", "48", "--height", "32", "--runs", "1")
+    lines = re.findall(r"(?m)^(.+?) +[\d.]+ ms +[\d.]+ ms +[\d.]+  off by (\S+)$", said)
+    assert [name for name, _ in lines[-2:]] == ["xl, 48x32", "l, 48x32"] and len(lines) == 12
+    assert all(0 < float(error) < 1e-4 for _, error in lines)
