@@ -2,8 +2,10 @@
 // tiles. Its interface is a table of C functions that only grows. What is used of it is declared
 // here, with the places in the table that onnxruntime_c_api.h gives.
 //
-//     Convolve3x3(image (1, C, h, w), weights (K, C, 3, 3), bias (K), may be missing) -> (1, K, h, w)
+//     Convolve3x3(image (1, C, h, w), weights (K, C, 3, 3), bias (K)) -> (1, K, h, w)
 //     Convolve3x3Relu: the same, and results below 0 become 0
+//
+// The bias may be missing.
 #include "winograd.h"
 
 struct Failure;
@@ -124,7 +126,7 @@ struct Work {
     bool has_failed;
 };
 static void make_part(Work* work, Size part) {
-    const Strips strips(work->layer, work->image, work->convolution->weights(),
+    Strips strips(work->layer, work->image, work->convolution->weights(),
                         work->bias, work->out, work->convolution->is_rectified);
     const Long count = work->layer.strips();
     if (!strips.room) work->has_failed = true;

@@ -12,22 +12,25 @@ constexpr int SIDE = TILE + 2;      // numbers along a side that they are made o
 constexpr int PLACES = SIDE * SIDE;
 constexpr int AT_ONCE = 2 * WIDE;   // tiles whose sums lie in registers
 #if defined(__AVX512F__) || defined(__aarch64__)
-constexpr int GROUP = 12;           // results whose sums do, of 32 registers
+constexpr int GROUP = 8;            // results whose sums do, of 32 registers
 #else
 constexpr int GROUP = 6;            // of 16
 #endif
-constexpr int MOST_TILES = 4 * AT_ONCE > 64 ? 64 : 3 * AT_ONCE;  // of a strip: they stay in caches
+constexpr int MOST_TILES = WIDE == 16 ? 64 : 48;  // of a strip, so that they stay in caches
+
+FN Long rounded_up(Long count, Long step) { return (count + step - 1) / step * step; }
 
 struct Layer {
     Long channels, results, height, width;
 
     Long groups() const { return (results + GROUP - 1) / GROUP; }
     Long tiles_across() const { return (width + TILE - 1) / TILE; }
-    // Equal strips, whose tiles are multiples of AT_ONCE.
+    // Of a strip: as many as leave fewest unused in a row of strips, and then as many as may be.
     Long tiles() const {
-        const Long strips = (tiles_across() + MOST_TILES - 1) / MOST_TILES;
-        const Long even = (tiles_across() + strips - 1) / strips;
-        return (even + AT_ONCE - 1) / AT_ONCE * AT_ONCE;
+        Long best = AT_ONCE;
+        for (Long some = AT_ONCE; some <= MOST_TILES; some += AT_ONCE)
+            if (rounded_up(tiles_across(), some) <= rounded_up(tiles_across(), best)) best = some;
+        return best;
     }
     Long strips_across() const { return (tiles_across() + tiles() - 1) / tiles(); }
     Long strips() const { return (height + TILE - 1) / TILE * strips_across(); }
@@ -91,6 +94,7 @@ struct Strips {
     const Long tiles, row_size;
     Room<float> room;
     float *numbers, *sums, *rows, *phases;
+    const float* taken[SIDE];  // the rows that are transformed next
 
     Strips(Layer of, const float* from, const float* by, const float* add, float* to, bool clipped)
         : layer(of), image(from), weights(by), bias(add), out(to), is_rectified(clipped),
@@ -103,7 +107,7 @@ struct Strips {
         phases = rows + SIDE * row_size;                    // (TILE, tiles + WIDE)
     }
 
-    void make(Long strip) const {
+    void make(Long strip) {
         const Long top = strip / layer.strips_across() * TILE;
         const Long left = strip % layer.strips_across() * TILE * tiles;
         for (Long c = 0; c < layer.channels; c++) {
@@ -123,20 +127,25 @@ struct Strips {
     }
 
 private:
-    // Six rows of a channel from a place on, with zeros around the picture.
-    FN_MEMBER void take_rows(const float* plane, Long top, Long left) const {
+    // Where six rows of a channel are from a place on: in the picture, or with zeros around it.
+    FN_MEMBER void take_rows(const float* plane, Long top, Long left) {
         const Long size = TILE * tiles + 2;
         const Long first = left < 0 ? 0 : left, end = smaller(left + size, layer.width);
+        const bool is_inside = left >= 0 && left + size + WIDE <= layer.width;
         for (Long i = 0; i < SIDE; i++) {
             float* row = rows + i * row_size;
-            if (top + i < 0 || top + i >= layer.height) {
+            const Long y = top + i;
+            taken[i] = row;
+            if (y < 0 || y >= layer.height) {
                 fill(row, 0, size, 0.0f);
-                continue;
+            } else if (is_inside) {
+                taken[i] = plane + y * layer.width + left;
+            } else {
+                fill(row, 0, first - left, 0.0f);
+                __builtin_memcpy(row + first - left, plane + y * layer.width + first,
+                                 sizeof(float) * (end - first));
+                fill(row, end - left, size, 0.0f);
             }
-            fill(row, 0, first - left, 0.0f);
-            __builtin_memcpy(row + first - left, plane + (top + i) * layer.width + first,
-                             sizeof(float) * (end - first));
-            fill(row, end - left, size, 0.0f);
         }
     }
 
@@ -165,7 +174,7 @@ private:
             }
         }
     }
-    FN_MEMBER Wide row_at(int i, Long x) const { return load<Wide>(rows + i * row_size + x); }
+    FN_MEMBER Wide row_at(int i, Long x) const { return load<Wide>(taken[i] + x); }
 
     // The sums over all channels of a group's weights times the numbers of some tiles.
     FN_MEMBER void add_products(const float* by, const float* from, float* to) const {
@@ -190,12 +199,14 @@ private:
         const Wide add = bias ? bias[k] : 0.0f;
         float* to = out + (k * layer.height + top) * layer.width + left;
         for (Long t = 0; t < tiles && left + TILE * t < layer.width; t += WIDE) {
-            const float* at = sums + k % GROUP * tiles + t;
+            const float* from = sums + k % GROUP * tiles + t;
+            const auto sum_at = [=](int y, int x) {
+                return load<Wide>(from + (SIDE * y + x) * place);
+            };
             Wide columns[SIDE][TILE];
-            for (int x = 0; x < SIDE; x++, at += place)
-                back(load<Wide>(at), load<Wide>(at + SIDE * place), load<Wide>(at + 2 * SIDE * place),
-                     load<Wide>(at + 3 * SIDE * place), load<Wide>(at + 4 * SIDE * place),
-                     load<Wide>(at + 5 * SIDE * place), columns[x]);
+            for (int x = 0; x < SIDE; x++)
+                back(sum_at(0, x), sum_at(1, x), sum_at(2, x), sum_at(3, x), sum_at(4, x),
+                     sum_at(5, x), columns[x]);
             for (Long y = 0; y < height; y++) {
                 Wide four[TILE];
                 back(columns[0][y], columns[1][y], columns[2][y], columns[3][y], columns[4][y],
@@ -204,10 +215,12 @@ private:
                     four[x] += add;
                     if (is_rectified) four[x] = larger(four[x], Wide(0.0f));
                 }
+                float* row = to + y * layer.width + TILE * t;
+                const Long count = layer.width - left - TILE * t;
                 float line[TILE * WIDE];
-                spread_four<TILE>(line, four[0], four[1], four[2], four[3]);
-                const Long count = smaller<Long>(TILE * WIDE, layer.width - left - TILE * t);
-                __builtin_memcpy(to + y * layer.width + TILE * t, line, sizeof(float) * count);
+                float* at = count < TILE * WIDE ? line : row;
+                spread_four<TILE>(at, four[0], four[1], four[2], four[3]);
+                if (at == line) __builtin_memcpy(row, line, sizeof(float) * count);
             }
         }
     }
