@@ -326,7 +326,9 @@ class FrameFiles(ExitStack):
             return None
         if len(part.channels) <= MOST_PICTURE_CHANNELS:
             return None
-        container.hold_rows(part.index)
+        storage = container.storages[part.index]
+        rows = np.empty((storage.height, storage.line_bytes // 2), np.uint16)
+        container.unpacked[part.index] = rows
         return container
 
     def _choose(

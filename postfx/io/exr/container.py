@@ -351,11 +351,6 @@ class ExrContainer(ExitStack):
         for place in sorted(range(len(chunks)), key=lambda place: chunks[place].at):
             yield place, self.read(chunks[place])
 
-    def hold_rows(self, part: int) -> None:
-        """Let `read_rows` keep what it unpacks of a part."""
-        storage = self.storages[part]
-        self.unpacked[part] = np.empty((storage.height, storage.line_bytes // 2), np.uint16)
-
     def check_whole(self) -> None:
         """ReadError unless all chunks of all parts are there."""
         for part in range(len(self.headers)):
