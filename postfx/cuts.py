@@ -1,11 +1,14 @@
 """Scene cuts, found by comparing each frame with the one before it, warped by its motion.
 
-Two pictures are related when what they show at corresponding places goes up and down together. They
-are compared on a coarse grid, after taking away what is wider than a fifth of the picture: sky
-above ground is common to unrelated pictures. A correlation near 1 means the same scene; a changing
-exposure does not count. The noise of a plane is measured in each frame by its two halves, and what
-it takes from the correlation is given back (Spearman 1904, correction for attenuation). Frames
-without evidence count as related.
+Two frames are compared on a coarse grid, by the correlation of their light and of their albedo,
+normals and depth; near 1 they show the same scene. Structure that is wider than a fifth of the
+picture ("layout") is left out: unrelated pictures have sky above ground, too. A changing exposure
+does not count. Noise lowers a correlation: it is measured in each frame by the two halves of its
+cells, and corrected for (Spearman 1904, correction for attenuation).
+
+If that says that another shot begins, three more looks may say otherwise: guides of things thinner
+than the samples are left out, detail between drops or flakes is compared, and, if nothing could be
+compared, windows are searched for in the frame before. Frames without evidence count as related.
 """
 
 from __future__ import annotations
@@ -32,67 +35,75 @@ from postfx.sampling import bilinear
 SAME_SHOT_CORRELATION = 0.65
 """Correlation from which two frames are of one shot; see docs/howto/integration.md."""
 
+# The coarse grid
+
 MOST_CELLS = 80
+"""Cells along a picture's longer side, at most."""
 LEAST_BLOCK = 4
-LEAST_COMPARED = 48  # cells; fewer do not tell one picture from another
-LEAST_OVERLAP = 0.1  # of the cells that must lead into the frame before
+"""Pixels along the side of a cell, at least."""
+LEAST_COMPARED = 48
+"""Cells that must be compared: fewer do not tell one picture from another."""
+LEAST_OVERLAP = 0.1
+"""Share of the cells that must lead into the frame before."""
 BAND_CELLS = 3, 17
 """Cells over which the finest noise is smoothed, and beyond which structure is layout."""
 LEAST_MISS = DEPTH_MISS / 8
 """Mean depth of a pair of pixels from which one of them is a miss."""
-LEAST_RELIABILITY = 0.5  # share of a plane's variance that is no noise
-BLACK_LIGHT_RATIO = 1e-2  # of the mean light: anything darker is just black
-FIREFLY_LIGHT_RATIO = 16  # of the middle light of windows: anything brighter is just bright
+LEAST_RELIABILITY = 0.5
+"""Share of a plane's variance that must not be noise."""
+BLACK_LIGHT_RATIO = 1e-2
+"""Light over the mean light, below which it counts as black."""
 LEAST_BAND_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role.DEPTH: 0.02}
-"""Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors,
-doublings."""
-
-
+"""Standard deviation below which a plane tells nothing: in stops, reflectance, parts of unit
+vectors, doublings."""
 LEAST_CELLS = 0.1
-"""Share of the cells that hold a guide's structure, below which it is that of a thing, such as a
-wire, that may have moved; water has 0.11, other scenes 0.14 and more."""
-
-
+"""Share of the cells that hold a guide's structure, below which it may be that of one thing that
+has moved, such as a wire; water has 0.11, other scenes 0.14 and more."""
 LEAST_SAMPLED = 0.9
 """Correlation of a guide's samples with the means of all pixels, below which things are thinner
-than what is sampled, and it tells nothing: 0.98 and more in nine renders, 0.5 to 0.85 with wires of
-a pixel."""
+than the samples and the guide tells nothing: 0.98 and more in nine renders, 0.5 to 0.85 with wires
+of a pixel."""
 
+# Detail between drops or flakes
 
 DARK_PLACES = 3
-"""Rows and columns of pixels of a cell of which the darkest is looked at."""
+"""The darkest of so many rows and columns of pixels of a cell is looked at."""
 SAME_DETAIL = 0.02
 """Relative difference of light up to which a pixel is the same in both frames, and from which it is
 detail beside its neighbours."""
 REGION_CELLS = 5
-"""Cells along the side of a region, with four places of detail each."""
+"""Cells along the side of a region. Each cell has four places where detail is looked at."""
 LEAST_DETAIL = 12
-"""Places of detail of a region that tells, and regions that tell together."""
+"""Places with detail that a region must have to tell, and regions that must tell."""
 SAME_SHARE = 0.04
-"""Share of its detail that is the same, from which a region is the same."""
+"""Share of a region's detail that must be the same for the region to be the same."""
 SAME_REGIONS = 0.5
-"""Share of the regions that are the same, from which frames are of one shot: 0.8 and more in rain
+"""Share of the regions that must be the same for frames to be of one shot: 0.8 and more in rain
 that covers two thirds of each frame, up to 0.2 in two shots."""
 
+# Windows that are searched for
 
 WINDOW_PX = 32
-"""Side of the windows that are looked for."""
+"""Side of a window."""
 SEARCHED_PX = 48
-"""Pixels each way in which they are."""
+"""Pixels in each direction in which it is searched for."""
 SEARCHED_SIDE_PX = WINDOW_PX + 2 * SEARCHED_PX
-"""Side of a window with what is around it."""
+"""Side of a window with the pixels around it."""
 WINDOWS = 3, 4
 """Rows and columns of windows."""
+FIREFLY_LIGHT_RATIO = 16
+"""Light over the middle light of windows, above which it is cut."""
 LEAST_SMOOTH = 0.6
-"""Correlation of pixels beside each other in a window, below which it is noise, or too fine."""
+"""Correlation of neighbouring pixels in a window, below which it is noise, or too fine."""
 LEAST_WINDOWS = 6
-"""Windows that tell together."""
+"""Windows that must tell."""
 FOUND_CORRELATION = 0.48
 """Median of how well windows are found, from which frames are of one shot: 0.66 and more where the
-camera pans, zooms or turns, 0.51 and more in dissolves, 0.2 to 0.47 of two walls, 0.55 of waves."""
+camera pans, zooms or turns, 0.51 and more in dissolves, 0.2 to 0.47 for two walls, 0.55 for
+waves."""
 
 MOST_PICTURE_SIZES = 8
-"""Sizes of pictures for which it is kept where they are looked at."""
+"""Sizes of pictures for which the places to look at are kept."""
 
 
 @dataclass(slots=True)
@@ -103,15 +114,15 @@ class Picture:
         light: (rows, columns, 2) log2 of the light of both halves of each cell, without layout.
         guides: role -> (rows, columns, 2, channels) with layout: diffuse albedo, normal, log2 of
             depth.
-        motion: (rows, columns, 2) in cells, NaN where unknown, or None.
-        cell: height and width of a cell as parts of the frame's.
-        dark: `light` of the darkest of some pixels.
-        detail: (2 rows, 2 columns, 3) light of a pixel, the one to the right, and the one below, at
-            four places of each cell.
-        windows: (windows, rows, columns) light of windows with what is around them; none of small
-            pictures.
-        longest: pixels of the motion that is longest at a window's middle, 0 where unknown.
-        bands: role -> a guide without layout, of those that were compared so far.
+        motion: (rows, columns, 2) in cells, NaN where unknown; None without motion.
+        cell: height and width of a cell, as shares of the frame's.
+        dark: like `light`, of the darkest of some pixels of each cell.
+        detail: (2 rows, 2 columns, 3) light of a pixel, of the one to the right, and of the one
+            below, at four places of each cell.
+        windows: (windows, rows, columns) light of windows with the pixels around them; small
+            pictures have none.
+        longest: length in pixels of the longest motion at the windows' middles, 0 if unknown.
+        bands: role -> guide without layout, for guides that were compared so far.
     """
 
     light: np.ndarray
@@ -135,8 +146,8 @@ class CutDetector:
     """Stateful: call it with each frame in order; True where a frame is unrelated to the one before
     it.
 
-    It looks at this frame and the last one only, which may have another size. The first frame is no
-    cut, nor are frames marked with `frame.reset` compared: the history is dropped there anyway.
+    It looks only at this frame and at the last one, which may have another size. The first frame is
+    no cut. Frames marked with `frame.reset` are not compared: the history is dropped there anyway.
 
     Attributes:
         relation: correlation of the last two frames, 1 the same scene, about 0 another one; None
@@ -193,11 +204,11 @@ class CutDetector:
 
 
 def relation(before: Picture, now: Picture) -> float | None:
-    """Correlation of two frames, one warped onto the other; None where nothing tells.
+    """Correlation of two frames, one warped onto the other; None if nothing tells.
 
-    By the motion vectors; where they do not lead to what is shown, which may be their fault,
-    without motion as well. Frames that lack some or all of them are compared without motion there,
-    then shifted as a whole by what fits best.
+    They are compared along the motion vectors. If these do not fit, which may be their own fault,
+    the frames are compared without motion, too. Frames that lack vectors are compared without
+    motion there, then shifted as a whole by the shift that fits best.
     """
     still = np.zeros_like(now.light)
     is_whole = now.motion is not None and bool(np.isfinite(now.motion).all())
@@ -209,7 +220,7 @@ def relation(before: Picture, now: Picture) -> float | None:
 
 
 def _on_grid(before: Picture, now: Picture) -> Picture:
-    """The earlier picture, of a frame of another size, on the later one's cells."""
+    """The earlier picture, if its frame has another size, on the later one's cells."""
     sides = zip(now.light.shape, before.light.shape, now.cell, before.cell, strict=False)
     rows, columns = (np.clip((np.arange(count) + 0.5) * cell / last_cell - 0.5, 0, last - 1)
                      for count, last, cell, last_cell in sides)
@@ -223,7 +234,7 @@ def _on_grid(before: Picture, now: Picture) -> Picture:
 
 
 def _picture(frame: Frame) -> Picture | None:
-    """A frame's picture; None without a colour, and of a frame of too few cells."""
+    """A frame's picture; None without a colour, and for a frame of too few cells."""
     planes, colour = frame.planes, frame.planes.get(Role.COLOUR)
     if colour is None:
         return None
@@ -276,10 +287,10 @@ class Places(NamedTuple):
         block: pixels along the side of a cell.
         cells: rows and columns of whole cells.
         middles: cells in the middle of windows.
-        dark: pixels of both halves of each cell, which are its even and its odd rows: places, half,
-            cell; places, cell.
-        detail: four pixels of each cell and those beside them: that or the next one, place.
-        windows: pixels of windows with what is around them, edges repeated; None of small pictures.
+        dark: pixels of the two halves of each cell, which are its even and its odd rows; rows by
+            place, half and cell, columns by place and cell.
+        detail: four pixels of each cell, and the ones beside them.
+        windows: pixels of windows with those around them, edges repeated; None for small pictures.
     """
 
     block: int
@@ -292,7 +303,7 @@ class Places(NamedTuple):
 
 @lru_cache(MOST_PICTURE_SIZES)
 def _places(height: int, width: int) -> Places:
-    """They follow from the size alone."""
+    """The places of pictures of a size."""
     sides = height, width
     block = max(LEAST_BLOCK, math.ceil(max(sides) / MOST_CELLS))
     first_rows, first_columns = (block * np.arange(side // block) for side in sides)
@@ -323,8 +334,8 @@ def _places(height: int, width: int) -> Places:
 
 
 def _relation_of_windows(before: Picture, now: Picture) -> float | None:
-    """The median of how well windows are found in the frame before; None where too few tell, or
-    their motion is longer than what is looked at."""
+    """The median of how well windows are found in the frame before; None if too few tell, or
+    motion is longer than the distance that is searched."""
     if now.longest > SEARCHED_PX:
         return None
     inner = slice(SEARCHED_PX, -SEARCHED_PX)
@@ -336,7 +347,7 @@ def _relation_of_windows(before: Picture, now: Picture) -> float | None:
 
 
 def _in_stops(windows: np.ndarray) -> np.ndarray:
-    """log2 of light above what is black beside it, and below what is a firefly."""
+    """log2 of light, between black and fireflies beside the middle light."""
     middle = float(np.median(windows)) if windows.size else 0.0
     held = np.minimum(windows, FIREFLY_LIGHT_RATIO * middle)
     stops: np.ndarray = np.log2(held + (BLACK_LIGHT_RATIO * middle or 1.0))
@@ -355,8 +366,8 @@ def _is_telling(window: np.ndarray) -> bool:
 
 
 def _find(window: np.ndarray, around: np.ndarray) -> float:
-    """The largest correlation of a window with any place of its size in what is around (normalized
-    cross-correlation; Lewis 1995)."""
+    """The largest correlation of a window with any place of its size in the pixels `around` it
+    (normalized cross-correlation; Lewis 1995)."""
     shape, size = around.shape, window.size
     apart = window - window.mean()
     of_one, of_window = (np.conj(np.fft.rfft2(one, shape))
@@ -372,8 +383,7 @@ def _find(window: np.ndarray, around: np.ndarray) -> float:
 
 
 def _relation_behind(before: Picture, now: Picture) -> float:
-    """Correlation of what is seen between drops or flakes; 1 where most regions show the same
-    detail."""
+    """Correlation of the scene between drops or flakes; 1 if most regions show the same detail."""
     apart = np.abs(now.detail - before.detail) <= SAME_DETAIL / 2 * (now.detail + before.detail)
     slope = np.abs(now.detail[..., 1:] - now.detail[..., :1]).max(-1)
     is_detail = slope > SAME_DETAIL * now.detail[..., 0]
@@ -390,7 +400,7 @@ def _relation_behind(before: Picture, now: Picture) -> float:
 
 
 def _without_thin(picture: Picture, frame: Frame) -> Picture:
-    """The picture with those guides alone whose samples show what all pixels of the frame do."""
+    """The picture without the guides whose samples differ from the means of all pixels."""
     guides = {}
     for role, samples in picture.guides.items():
         rows, columns = samples.shape[:2]
@@ -409,10 +419,10 @@ def _without_thin(picture: Picture, frame: Frame) -> Picture:
 
 
 def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
-    """Correlation under one motion: the light's; where that is not related, the mean of the guides'
-    if it is higher.
+    """Correlation under one motion: the light's, or the guides' mean if the light is not related
+    and that is higher.
 
-    None where no plane tells anything, 0 where the motion leads out of the frame before.
+    None if no plane tells anything, 0 if the motion leads out of the frame before.
     """
     cells = now.light.shape[0] * now.light.shape[1]
     light, inside = relate_cells(before.light, now.light, motion, LEAST_BAND_SPREAD["light"],
@@ -431,7 +441,7 @@ def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
 
 
 def _extent(band: np.ndarray) -> float:
-    """Share of the cells (rows, columns, 2 halves, channels) over which the variance of a band is
+    """Share of the cells over which the variance of a band (rows, columns, 2 halves, channels) is
     spread."""
     cells = band.mean(2).reshape(band.shape[0] * band.shape[1], -1)
     energy = np.square(cells - cells.mean(0)).sum(1)

@@ -1,10 +1,10 @@
-"""Exposure metering: one multiplier a frame, from the picture, from its header or fixed; or from
-the whole sequence.
+"""Exposure metering: one multiplier a frame, from the picture, from its header, fixed, or from the
+whole sequence.
 
-The tone mapper and the eye should see colour times the multiplier; mid grey is 0.18.
-`ExposureMeter` uses only this frame and earlier ones, so a sequence gives the same numbers in one
-run and frame by frame. `SmoothExposure` meters the whole sequence first, then fits a smooth curve
-that looks both ways in time.
+The tone mapper and the eye should see colour times the multiplier; middle grey is 0.18.
+`ExposureMeter` uses only this frame and earlier ones, so a sequence gets the same numbers in one
+run as frame by frame. `SmoothExposure` meters the whole sequence first, then fits a smooth curve,
+which depends on earlier and on later frames.
 """
 
 from __future__ import annotations
@@ -24,24 +24,28 @@ if TYPE_CHECKING:
     from postfx.io.sequence import Sequence as FrameSequence
 
 LIMITS_EV = (-40.0, 40.0)
-"""Beyond them light is not finite in what follows."""
+"""Least and largest exposure in stops. Beyond them light would not stay finite."""
 PERCENTILES = (2.0, 98.0)
-RANGE_EV = 9.0  # anything further below the 98th percentile counts as black
+"""Percentiles of a picture's blocks between which they are metered."""
+RANGE_EV = 9.0
+"""Stops below the upper percentile that count at most: darker blocks count as if they had these."""
 BLACK_LUMINANCE = KEY / 2.0 ** LIMITS_EV[1]
-"""Mean luminance of a block that nothing brings to mid grey. Pixels of all pictures are the same in
-any unit of light above it, so half floats' least light is no limit."""
+"""Mean luminance of a block up to which no exposure brings it to middle grey. It is far below the
+least light of half floats, so that pictures in any unit of light are metered alike."""
 EMPTY_SHARE = 2.0**-24
-"""Luminance of an empty block, such as borders and misses, in that of bright ones."""
+"""Luminance of a block over that of bright ones, up to which it is empty, as borders and misses
+are."""
 METERED_BLOCK_PX = 8
+"""Side of a block, at least."""
 MOST_METERED_BLOCKS = 160
-"""Blocks along a picture's longer side: in larger pictures blocks are larger."""
+"""Blocks along a picture's longer side, at most: in larger pictures blocks are larger."""
 
-# Eyes and cameras close faster than they open
+# Time constants; eyes and cameras close faster than they open.
 BRIGHTEN_SECONDS = 1.0
 DARKEN_SECONDS = 0.4
 
 FRAMES_PER_SECOND = 24.0
-"""Where a header does not say it."""
+"""Frame rate of files whose header does not say it."""
 MODES = ("auto", "lit", "metadata")
 USED_EXPOSURE_ATTRIBUTE = "postfx:exposureUsedEV"
 """Header attribute with the stops that a run used, for later programs; the author's own is
@@ -54,14 +58,15 @@ USED_FACTOR = "postfx:exposureUsed"
 SMOOTH_MODE = "smooth"
 SECONDS = 0.5
 """Standard deviation of the Gaussian weights in time."""
-REACH_DEVIATIONS = 4  # standard deviations; frames further away have no weight
+REACH_DEVIATIONS = 4
+"""Standard deviations beyond which frames have no weight."""
 
 
 def measure(colour: np.ndarray) -> float | None:
-    """EV that brings a picture to mid grey, or None when it is black.
+    """EV that brings a picture to middle grey, or None if it is black.
 
     colour: (height, width, 3) scene-linear Rec.709. The mean of log2 luminance over blocks of
-    pixels, between the 2nd and the 98th percentile, is brought to log2(0.18); values more than 9
+    pixels, between the 2nd and the 98th percentile, is brought to log2(0.18); blocks more than 9
     stops below the 98th percentile count as 9 stops below. The result is limited to +-40 EV.
     """
     height, width = colour.shape[:2]

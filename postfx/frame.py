@@ -1,5 +1,5 @@
-"""Frames as named planes, and what the planes mean: the one convention that everything after
-reading relies on."""
+"""Frames as named planes, and what the planes mean: the one convention that all code relies on once
+a file was read."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from postfx.errors import ColourError, FrameError, GuideError, suggest
 from postfx.system import host_floats
 
 LOG = logging.getLogger("postfx")
-"""What the library has to tell on the way; it is silent unless a program sets up logging."""
+"""The library's logger; it is silent unless a program sets up logging."""
 LOG.addHandler(logging.NullHandler())
 TOLD = LOG.getChild("told")
-"""Part of it: what commands pass on to their users, each kind once. The first argument is the file
-or frame."""
+"""Part of it, for lines that commands pass on to their users, each kind once. The first argument is
+the file or frame."""
 
 
 class Role(StrEnum):
@@ -129,10 +129,10 @@ ROLES: Mapping[Role, RoleInfo] = {
 }
 
 VARIANCES = (Role.SAMPLE_VARIANCE, Role.SECOND_MOMENT, Role.VARIANCE_OF_MEAN)
-"""Planes that tell a pixel's error; the first that a frame has counts."""
+"""Planes that tell a pixel's error; the first one that a frame has is used."""
 ERROR_ROLES = (*VARIANCES, Role.SAMPLE_COUNT)
-"""Planes that tell how far a render has converged. They are only read when somebody asks for that,
-so no pass misses them."""
+"""Planes that tell how far a render has converged. They are only read for masks of converged
+pixels, so no pass misses them."""
 
 DEPTH_MISS = 1e10
 """Depth of a pixel whose ray hit nothing."""
@@ -147,13 +147,13 @@ ALBEDOS = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 """Planes whose sum is a surface's reflectance."""
 
 GUIDE_ROLES = (*ALBEDOS, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH)
-"""Planes at output size that make edges exact."""
+"""Planes that make edges exact if they come at output size."""
 
 OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY, Role.LATER)
-"""Planes that may come at output size: as guides."""
+"""All planes that may come at output size, as guides."""
 
 KEY = 0.18
-"""Light of middle grey: what exposure puts the mean of a picture at."""
+"""Light of middle grey, to which exposure brings the mean of a picture."""
 
 
 def factor_of_stops(stops: float) -> float:
@@ -170,11 +170,12 @@ def stops_of_factor(factor: float) -> float:
 
 PART_KINDS = ("light", "diffuse", "specular", "scatter", "emission", "albedo", "normal", "position",
               "depth", "mist", "shadow", "ao", "factor")
-"""Meanings of a part. Light is added up to the picture: with all of the reflectance in it, the
-diffuse or the specular one, or none (fog; lamps and a background, which are seen as they are). The
-others are no light and add up to nothing. A factor is what files divide parts by: it is not
-filtered, only brought to the output's size."""
+"""Meanings of a part. The first five are light, which adds up to the picture: light with all of the
+reflectance in it, with the diffuse or the specular one, or with none (fog; lamps and a background,
+which are seen directly). The others add up to nothing. Files divide some parts by a factor; it is
+not filtered, only brought to the output's size."""
 ADDITIVE = PART_KINDS[:5]
+"""Kinds of parts that are light."""
 
 
 @dataclass(frozen=True)
@@ -184,10 +185,10 @@ class Part:
     Attributes:
         name: as the frame's `parts` name it.
         kind: one of `PART_KINDS`.
-        group: parts of one group add up to the picture, or to some of it; a frame may be taken
-            apart in several ways.
-        factor: name of the part of the kind 'factor' that this one is divided by in files: where
-            that is 0, there is nothing of it.
+        group: parts of one group add up to the picture, or to some of it. The same picture may be
+            divided in several ways, each a group.
+        factor: name of the part of the kind 'factor' that this one is divided by in files. Where
+            the factor is 0, the part is, too.
 
     Raises FrameError for another kind.
     """
@@ -273,7 +274,7 @@ class FrameSpec:
             object.__setattr__(self, name, value)
 
     def of_files(self, source: str | None, guide_source: str | None) -> FrameSpec:
-        """This spec, for a frame that comes from these files."""
+        """This spec, with the files that a frame comes from."""
         found = object.__new__(FrameSpec)
         found.__dict__.update(self.__dict__, source=source)
         if self.guides:
@@ -310,7 +311,7 @@ class FrameSpec:
 @lru_cache(16)
 def _spec_of(shapes: tuple[tuple[Role, tuple[int, ...]], ...], encoding: str,
              guides: tuple[Any, ...] | None, parts: tuple[tuple[str, int], ...]) -> FrameSpec:
-    """The spec of all frames that are alike, whatever files they come from."""
+    """The spec of frames with planes of these shapes, without their files; made once."""
     height, width, _ = shapes[0][1]
     planes = {role: shape[2] for role, shape in shapes}
     sharp = GuideSpec(*guides) if guides else None
@@ -318,7 +319,7 @@ def _spec_of(shapes: tuple[tuple[Role, tuple[int, ...]], ...], encoding: str,
 
 
 def _complete_encoding(encoding: str) -> str:
-    """An encoding with everything that was left out."""
+    """An encoding with its peak and white, if these were left out."""
     try:
         return encoding if encoding in LINEAR else str(parse_display(encoding))
     except ColourError as error:
@@ -345,6 +346,18 @@ def _pair(item: Role | str | tuple[Role, int]) -> tuple[Role, int]:
     return role, ROLES[role].channels
 
 
+class StoredRows(NamedTuple):
+    """Parts of a file as they were unpacked, for whoever writes channels of them again.
+
+    Attributes:
+        identity: what tells the file from others, and from what it may become.
+        parts: index of a part -> words of its rows, (height, words) uint16.
+    """
+
+    identity: tuple[int, ...]
+    parts: Mapping[int, np.ndarray]
+
+
 @dataclass(frozen=True)
 class ColourSource:
     """Where a frame's colour is in the file that it was read from.
@@ -357,6 +370,7 @@ class ColourSource:
             the layers beside the one that was read included.
         pixels: part and name of channels whose values are distances in pixels -> their axis, 0
             across and 1 down.
+        rows: of the file, as they were unpacked; None where nobody asked for them.
     """
 
     part: int
@@ -364,6 +378,7 @@ class ColourSource:
     attributes: Mapping[str, Any]
     renders: frozenset[tuple[int, str]] = frozenset()
     pixels: Mapping[tuple[int, str], int] = field(default_factory=dict)
+    rows: StoredRows | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -418,8 +433,8 @@ class Frame:
         views: name -> frame of another view of the same moment, such as the right eye of a stereo
             pair; the frame itself is the first view.
 
-    Two frames are equal when all of that is, NaN being equal to NaN; only the files that they come
-    from may differ. `print` shows a table of the planes, and a notebook the picture as well.
+    Two frames are equal if all of these are, NaN being equal to NaN; only the files that they come
+    from may differ. `print` shows a table of the planes, and a notebook shows the picture as well.
 
     Raises FrameError when a plane or guide has a wrong shape, channel count or data type, or when
     sizes differ; GuideError, one of its kind, when a guide is of another role.
@@ -504,8 +519,8 @@ class Frame:
         return alike.of_files(self.source, self.guide_source)
 
     def copy_with(self, check: bool = False, **fields: Any) -> Self:
-        """A copy with other values of some fields, which fit together, unless everything is to be
-        checked anew."""
+        """A copy with other values of some fields. They are taken as they are, unless `check` has
+        the whole frame checked anew."""
         copied = object.__new__(type(self))
         copied.__dict__.update(self.__dict__, **fields)
         if check:

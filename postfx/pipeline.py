@@ -1,4 +1,5 @@
-"""The flow of one frame through the passes: plan, upload, encode, commit, wait, download."""
+"""Passes on frame after frame: the plan for each, what is done to it before the passes run, and the
+history from frame to frame. `postfx.flow` takes a frame through its passes."""
 
 from __future__ import annotations
 
@@ -6,26 +7,23 @@ import copy
 import dataclasses
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from functools import partial
 from math import log2
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from postfx.caching import LRUCache, SpareMemory
 from postfx.cuts import CutDetector
-from postfx.errors import CutError, DeviceError, FrameError, PassContractError, PassOptionError
+from postfx.errors import CutError, DeviceError, FrameError, PassOptionError
 from postfx.exposure import ExposureMeter, SmoothExposure, factor_of
-from postfx.frame import GUIDE_ROLES, LOG, Frame, FrameSpec, Role
-from postfx.passes import MOST_SIZES, Downloads, Pass, ResidentFrame, share_planes, spec_of
+from postfx.flow import Flow
+from postfx.frame import LOG, Frame, FrameSpec, Role
+from postfx.passes import Downloads, Pass, ResidentFrame, share_planes, spec_of
 from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skip, Step, make_plan
 from postfx.planes import lend
 from postfx.repair import is_unusable, repair_nonfinite
-from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Tensor, default_device
-from postfx.runtime.encoders import Recordings
-from postfx.runtime.memory import address
+from postfx.runtime import BindingError, Device, Tensor, default_device
 from postfx.wrap import (
     WRAP_AROUND,
     WRAP_AUTO,
@@ -39,14 +37,9 @@ from postfx.wrap import (
 if TYPE_CHECKING:
     from postfx.doctor.first_frames import FirstFrames
 
-# Planes and guides of all sizes that are kept ready; bytes that are copied sooner than commands
-# are recorded.
-MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
-SMALL_COPY_BYTES = 1 << 20
-
 RunUp = Callable[[Frame, Callable[[Frame], None]], Frame]
-"""Runs frames before one that begins a shot, by the function that it is given, and says as what
-that one is run."""
+"""Called with a frame that begins a shot, and with a function that runs a frame for nothing but the
+history. Runs other frames by that function; returns the frame to run for the given one."""
 
 
 def _kind(thing: object) -> str:
@@ -143,18 +136,19 @@ class Pipeline:
         self._run_up = run_up
         self._checks = checks
         self._looker: FirstFrames | None = None
-        # planes that came or went within a shot, which the log was told of
-        self._changed = set[Role]()
+        # planes that came or went within a shot, as the log was told
+        self._changed_roles = set[Role]()
         self._wrap = validate_wrap(wrap)
-        # the plan for frames with a margin, and the margin
-        self._wide: tuple[Plan, int] | None = None
-        self._begins = True  # nothing is known of the frames before
+        # for panoramas: the plan for frames with a margin, and the margin in pixels
+        self._widened: tuple[Plan, int] | None = None
+        # whether nothing is known of the frames before
+        self._begins_shot = True
         self._flow = Flow(self.device)
         self._own_device = own
         self._cuts = cuts
         self._views: dict[str, Pipeline] = {}
-        # the last frame's, in the device's memory
-        self._lent: tuple[dict[Role, Tensor], dict[Role, Tensor]] = {}, {}
+        # planes and guides of the last frame that came in the device's memory
+        self._last_on_device: tuple[dict[Role, Tensor], dict[Role, Tensor]] = {}, {}
 
     @property
     def exposure(self) -> float | None:
@@ -194,8 +188,9 @@ class Pipeline:
 
     def _process(self, frame: Frame) -> Frame:
         """One frame: its plan, repair, cut and exposure, then the passes, and its other views."""
-        before = self.plan if not (self._begins or frame.reset) else None
-        plan = self._make_plan(frame.spec, self._goes_around(frame))
+        # What runs on it.
+        before = self.plan if not (self._begins_shot or frame.reset) else None
+        plan = self._make_plan(frame.spec, self._is_panorama(frame))
         self.ahead = ()
         self.run_up_ms = 0.0
         if self._checks and before and before is not plan:
@@ -207,6 +202,8 @@ class Pipeline:
             self.bad_pixels = {}
             self.noticed = ()
             return frame
+
+        # What is done to it before, and what is found out about it.
         frame, self.bad_pixels = repair_nonfinite(frame, plan.planes, self.device.scratch)
         self.cut = (self._detector is not None and frame.encoding == "scene-linear"
                     and self._detector(frame))
@@ -218,11 +215,14 @@ class Pipeline:
         self.exposure_factor = self._meter(frame) if Role.COLOUR in frame.planes else 1.0
         if self._checks and not self.device.scratch:
             self._look(frame, plan)
-        run = self._run_up_to(frame, plan) if self._begins else frame
-        run_flow = self._run_widened if self._wide else self._flow.run
-        result = run_flow(run, plan, self.exposure_factor, is_unusable(frame, self.bad_pixels),
-                          frame)
-        self._begins = False
+
+        # The passes, on this frame or on one that a run-up gave a longer history.
+        seen = self._run_up_to(frame, plan) if self._begins_shot else frame
+        run = self._run_widened if self._widened else self._flow.run
+        result = run(seen, plan, self.exposure_factor, is_unusable(frame, self.bad_pixels), frame)
+        self._begins_shot = False
+
+        # What they told.
         self.timings = dict(self._flow.timings)
         self.noticed = tuple([text for step in plan.steps for text in step.instance.notices])
         for step in plan.steps:
@@ -240,14 +240,14 @@ class Pipeline:
     def _run_widened(self, frame: Frame, plan: Plan, exposure_factor: float, unusable: bool,
                      given: Frame) -> Frame:
         """`Flow.run` of a panorama, with what lies beyond its edges."""
-        assert self._wide is not None, "a panorama's plan has a margin"
-        wide, margin = self._wide
+        assert self._widened is not None, "a panorama's plan has a margin"
+        wide, margin = self._widened
         run = widen(frame, margin)
         whole = run if frame is given else widen(given, margin)
         found = self._flow.run(run, wide, exposure_factor, unusable, whole)
         return crop(found, given, plan)
 
-    def _goes_around(self, frame: Frame) -> bool:
+    def _is_panorama(self, frame: Frame) -> bool:
         """Whether a frame's right edge goes on at the left one."""
         if self._wrap == WRAP_AUTO:
             return "textureformat" in frame.metadata and is_panorama(frame.metadata)
@@ -276,9 +276,9 @@ class Pipeline:
         gone = {*before.planes} - {*plan.planes}
         for roles, text in ((come, "has {}, which the frame before had not"),
                             (gone, "lacks {}, which the frame before had")):
-            new = sorted(map(str, roles - self._changed))
+            new = sorted(map(str, roles - self._changed_roles))
             if new:
-                self._changed |= roles
+                self._changed_roles |= roles
                 LOG.warning("frame %d %s: its history begins anew; give it in all frames of a shot "
                             "or in none", number, text.format(" and ".join(new)))
 
@@ -340,10 +340,10 @@ class Pipeline:
         be read, ExposureError for stops that are not a number within -64..64.
         """
         try:
-            lent, lent_guides = self._lent
-            tensors = share_planes(self.device, "plane", planes, lent)
-            sharp = share_planes(self.device, "guide", guides or {}, lent_guides)
-            self._lent = tensors, sharp
+            last, last_guides = self._last_on_device
+            tensors = share_planes(self.device, "plane", planes, last)
+            sharp = share_planes(self.device, "guide", guides or {}, last_guides)
+            self._last_on_device = tensors, sharp
             spec = spec_of(tensors, sharp, encoding)
             plan = self._make_plan(spec)
             self.ahead = ()
@@ -358,13 +358,13 @@ class Pipeline:
             resident = ResidentFrame(
                 plan.input, dict(used), number, jitter, self.exposure_factor, reset,
                 samples=samples, fov_x=fov_x, world_to_camera=world_to_camera, guides=seen,
-                guide_jitter=guide_jitter, is_away=True,
+                guide_jitter=guide_jitter, came_on_device=True,
                 host_planes=Downloads(used), host_guides=Downloads(seen))
-            result = self._flow.run_away(resident, plan)
+            result = self._flow.run_on_device(resident, plan)
         except BaseException:
             self._reset_passes()
             raise
-        self._begins, self.timings = False, dict(self._flow.timings)
+        self._begins_shot, self.timings = False, dict(self._flow.timings)
         same_size = (plan.output.width, plan.output.height) == (spec.width, spec.height)
         return {role: tensor for role, tensor in tensors.items()
                 if same_size and role not in plan.planes} | result
@@ -416,14 +416,16 @@ class Pipeline:
             own.reset()
 
     def remembers(self, plan: Plan) -> bool:
-        """Whether what comes out, with this plan, may depend on the frames before."""
+        """Whether results of this plan may depend on earlier frames."""
         passes = any(type(step.instance).reset is not Pass.reset for step in plan.steps)
         return bool(plan.steps) and (passes or getattr(self._meter, "remembers", True))
 
     def history(self) -> dict[str, np.ndarray] | None:
-        """Between two frames: what the next one's result depends on beside the frame itself, by
-        name; None where a pass or the meter has a history and does not tell it, and before the
-        first frame. To be looked at before the next frame begins."""
+        """Between two frames: everything beside the next frame that its result depends on, by name.
+
+        None before the first frame, and where a pass or the meter has a history that it does not
+        tell. The arrays hold until the next frame begins.
+        """
         if self.plan is None:
             return None
         found = {name: part.history()
@@ -440,7 +442,7 @@ class Pipeline:
         Raises FrameError when it is the history of other passes or of frames of another size.
         """
         self.reset()
-        self._make_plan(frame.spec, self._goes_around(frame))
+        self._make_plan(frame.spec, self._is_panorama(frame))
         try:
             for key in history:
                 if not key.startswith(_VIEW):
@@ -449,7 +451,7 @@ class Pipeline:
                 part.recall(_histories_under(name, history))
             for name, view in frame.views.items():
                 self._of_view(name).recall(view, _histories_under(f"{_VIEW}{name}", history))
-            self._begins = False
+            self._begins_shot = False
         except (KeyError, ValueError, IndexError, BindingError) as error:
             self.reset()
             raise FrameError(f"frame {frame.number}: the history does not fit the passes: "
@@ -462,17 +464,17 @@ class Pipeline:
         return found | {"meter": self._meter} | ({"cuts": self._detector} if self._detector else {})
 
     def _make_plan(self, spec: FrameSpec, around: bool = False) -> Plan:
-        """The plan for frames of a spec, whose passes are ready then. around: whether their right
+        """The plan for frames of a spec, with its passes ready. around: whether the frames' right
         edge goes on at the left one."""
         if (self.plan is not None and self.plan.available == spec
-            and around == (self._wide is not None)):
+            and around == (self._widened is not None)):
             return self.plan
         plan = make_plan(self.passes, spec)
         wide = widened_plan(self.passes, plan) if around else None
-        last = self._wide[0] if self._wide else self.plan
+        last = self._widened[0] if self._widened else self.plan
         ready = {step.instance: step.input for step in last.steps} if last else {}
         self.plan = None  # until all passes are ready
-        self._wide = wide
+        self._widened = wide
         for step in wide[0].steps if wide else plan.steps:
             self._make_ready(step, ready.get(step.instance))
         self.plan = plan
@@ -494,11 +496,11 @@ class Pipeline:
             step.instance.compile(self.device, step.input)
 
     def _run_up_to(self, frame: Frame, plan: Plan) -> Frame:
-        """The frame to run for one that begins a shot: where a pass profits, with the history that
-        the frames after it lead to."""
+        """The frame to run in place of one that begins a shot. If a pass profits from a history,
+        the run-up fills it from the frames after."""
         if self._run_up is None:
             return frame
-        plan = self._wide[0] if self._wide else plan
+        plan = self._widened[0] if self._widened else plan
         steps = plan.accumulating_steps()
         if not steps:
             return frame
@@ -508,18 +510,18 @@ class Pipeline:
         return found
 
     def _run_ahead(self, plan: Plan, steps: Sequence[Step], frame: Frame) -> None:
-        """Run a frame only for the history, as far as passes profit from it."""
+        """Run a frame for nothing but the history of these steps, the first ones of the plan."""
         frame, bad_pixels = repair_nonfinite(dataclasses.replace(frame), plan.planes,
                                              self.device.scratch)
         if frame.reset:
             self._reset_passes()
-        frame = widen(frame, self._wide[1]) if self._wide else frame
+        frame = widen(frame, self._widened[1]) if self._widened else frame
         self._flow.run_ahead(frame, plan, steps, self.exposure_factor or 1.0,
                              is_unusable(frame, bad_pixels))
         self.ahead += (sum(self._flow.timings.values()),)
 
     def _reset_passes(self) -> None:
-        self._begins = True
+        self._begins_shot = True
         for instance in self.passes:
             instance.reset()
 
@@ -552,166 +554,3 @@ def _make_pipeline(
     pipeline = Pipeline(passes, device, meter, cuts, run_up, checks, wrap)
     pipeline.reset()
     return pipeline
-
-
-class Flow:
-    """Takes frames through the steps of a plan whose passes are compiled for them; the `Pipeline`
-    decides which.
-
-    Attributes:
-        timings: pass name -> milliseconds on the device, of the last frame.
-    """
-
-    def __init__(self, device: Device) -> None:
-        self._device = device
-        self._copies: LRUCache[tuple[str, tuple[int, ...]], Tensor] = LRUCache(MOST_COPIES)
-        self._inputs: dict[str, Tensor] = {}  # the last frame's
-        self._recordings = Recordings()
-        self._results = SpareMemory(least=0, most=8)
-        self.timings: dict[str, float] = {}
-
-    def forget(self) -> None:
-        """Release the memory that was kept ready for the frames so far."""
-        for kept in (self._copies, self._inputs, self._recordings, self._results):
-            kept.clear()
-
-    def run(self, frame: Frame, plan: Plan, exposure_factor: float, unusable: bool,
-            given: Frame) -> Frame:
-        """The frame that comes out. Planes that no pass touches, and all that is not a plane, come
-        from `given`."""
-        resident = self._upload(frame, plan, exposure_factor, unusable)
-        inputs = dict(resident.tensors)
-        with self._device.results_lock:  # the next commit may take the memory of the results
-            self._run(plan.steps, resident)
-            for step in plan.steps:
-                step.instance.note_time(self.timings[step.name])
-            return _finish(given, plan, resident, inputs, self._results)
-
-    def run_away(self, resident: ResidentFrame, plan: Plan) -> dict[Role, Tensor]:
-        """The planes that come out of a frame in the device's memory, each on memory of its own."""
-        given, memory = dict(resident.tensors), self._device.memory
-        with self._device.results_lock:
-            self._run(plan.steps, resident)
-            for step in plan.steps:
-                step.instance.note_time(self.timings[step.name])
-            found = dict(resident.tensors)
-            for role, tensor in found.items():
-                if tensor is not given.get(role):
-                    found[role] = self._device.heap.tensor(str(role), tensor.shape)
-                    memory.copy(found[role].start, tensor.resident().start, tensor.nbytes)
-                    self._device.hazards.mark_written(found[role])
-            memory.synchronise()
-        return found
-
-    def run_ahead(self, frame: Frame, plan: Plan, steps: Sequence[Step], exposure_factor: float,
-                  unusable: bool) -> None:
-        """Take a frame through the first steps of a plan, for nothing but their history."""
-        resident = self._upload(frame, plan, exposure_factor, unusable)
-        resident.history_only = True
-        with self._device.results_lock:
-            self._run(steps, resident)
-
-    def _upload(self, frame: Frame, plan: Plan, exposure_factor: float,
-                unusable: bool) -> ResidentFrame:
-        """The frame as passes see it: what they read of it lies on the device."""
-        planes = {role: frame.planes[role] for role in plan.planes}
-        guides = {role: frame.guides[role] for role in plan.guides}
-        parts = {name: frame.parts[name] for name in plan.parts}
-        return ResidentFrame(
-            plan.input,
-            {role: self._input(role, plane) for role, plane in planes.items()},
-            number=frame.number,
-            jitter=frame.jitter,
-            exposure_factor=exposure_factor,
-            reset=frame.reset,
-            unusable=unusable,
-            samples=frame.samples,
-            world_to_camera=frame.world_to_camera,
-            fov_x=frame.fov_x,
-            metadata=frame.metadata,
-            guides={role: self._input(f"guide {role}", guide) for role, guide in guides.items()},
-            guide_jitter=frame.guide_jitter,
-            host_planes=planes,
-            host_guides=guides,
-            parts={name: self._input(f"part {name}", part) for name, part in parts.items()},
-            host_parts=parts,
-        )
-
-    def _input(self, name: str, array: np.ndarray) -> Tensor:
-        """A plane as a tensor: on the last frame's memory, so that its commands are known again,
-        where that is the plane's, or the plane is copied: to a GPU, or because it is small."""
-        last = self._inputs.pop(name, None)  # which is no input any more if something fails here
-        is_away = not self._device.memory.host_visible
-        if last and not is_away and (last.start, last.shape) == (address(array), array.shape):
-            self._inputs[name] = last
-            return last  # it keeps its memory alive, so that nothing else can lie there
-        if last and last.allocation.borrowed:
-            last.release()
-        copy = None
-        if is_away or (last and array.nbytes <= SMALL_COPY_BYTES):
-            copy = self._copies.get_or_make((name, array.shape),
-                                            partial(self._device.heap.tensor, name, array.shape))
-        if copy and not is_away:
-            found = copy
-            found.upload(array)
-        else:
-            found = self._device.wrap(name, array, copy)
-        self._inputs[name] = found
-        return found
-
-    def _run(self, steps: Sequence[Step], resident: ResidentFrame) -> None:
-        commands = self._device.command_buffer(f"frame {resident.number}",
-                                               not resident.history_only, self._recordings)
-        try:
-            for step in steps:
-                _encode(step, commands, resident)
-            commands.keep(*resident.tensors.values(), *resident.parts.values())
-            commands.commit()
-        except BaseException:
-            commands.discard()
-            raise
-        try:
-            commands.wait()
-        except CommandError:
-            raise
-        except BaseException:  # as by Ctrl-C: the planes are in use until the commands are done
-            with suppress(CommandError):
-                commands.wait()
-            raise
-        self.timings = {step.name: sum([time for label, time in commands.timings
-                                        if label.startswith(f"{step.name}/")])
-                        for step in steps}
-
-
-def _encode(step: Step, commands: CommandBuffer, resident: ResidentFrame) -> None:
-    """Let a pass record its work, then hold it to the output it declared."""
-    with commands.group(step.name):
-        step.instance.encode(commands, resident)
-    left = resident.tensors
-    wrong = [role for role, shape in step.shapes.items()
-             if role not in left or left[role].shape != shape]
-    if wrong:
-        raise PassContractError(f"pass '{step.name}' did not leave plane '{wrong[0]}' as its "
-                                "reflection declares")
-    resident.spec = step.reflection.output
-    resident.tensors = {role: left[role] for role in step.shapes}
-    resident.guides = {role: resident.guides[role] for role in resident.spec.guide_roles}
-
-
-def _finish(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role, Tensor],
-            results: SpareMemory) -> Frame:
-    """The frame that comes out: new planes copied from the device, the others as they came in."""
-    same_size = (plan.output.width, plan.output.height) == (plan.available.width,
-                                                            plan.available.height)
-    unread = [role for role in plan.available.roles if role not in plan.planes and same_size]
-    planes = {role: frame.planes[role] for role in unread}
-    for role, tensor in resident.tensors.items():
-        planes[role] = (frame.planes[role] if tensor is inputs.get(role)
-                        else tensor.download(results.empty))
-    parts = {name: part for name, part in frame.parts.items() if same_size}
-    parts |= {name: tensor.download(results.empty) for name, tensor in resident.parts.items()}
-    result = frame.copy_with(planes=planes, encoding=plan.output.encoding, jitter=resident.jitter,
-                             parts=parts)
-    if same_size:
-        return result
-    return result.copy_with(guides={}, guide_size=None, guide_jitter=(0.0, 0.0), guide_source=None)

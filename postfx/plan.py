@@ -1,5 +1,5 @@
-"""The plan: which passes a frame needs, in what order, what must be read for them, and what is
-skipped and why."""
+"""The plan for frames of one spec: which passes run, in what order, which planes must be read for
+them, and what is skipped and why."""
 
 from __future__ import annotations
 
@@ -92,8 +92,8 @@ class Plan:
         return _restrict(self.available, self.planes, self.guides, self.parts)
 
     def accumulating_steps(self) -> tuple[Step, ...]:
-        """The steps up to the last one whose results improve with the frames before; empty if there
-        is none."""
+        """The steps up to the last one whose results improve with earlier frames; empty if no
+        step's do."""
         last = max((at for at, step in enumerate(self.steps, 1)
                     if step.instance.accumulates(step.input)), default=0)
         return self.steps[:last]
@@ -126,8 +126,7 @@ class Plan:
         return "\n".join(f"{head:<8}{text}" for head, text in lines)
 
     def _guides_text(self) -> list[str]:
-        """Whether planes at output size are used; nothing where there are none and no pass that
-        enlarges asks for any."""
+        """A line on planes at output size; none if frames have none and no pass could use any."""
         offered, read = self.available.guides, from_files(self.guides)
         if offered is None or not from_files(offered.roles):
             wanted = any(step.resizes and step.reflection.may_read_guides for step in self.steps)
@@ -204,8 +203,8 @@ def _unread_guides(spec: FrameSpec, used: Sequence[Role]) -> list[Skip]:
 
 
 def _check(step: Step, spec: FrameSpec) -> None:
-    """Raise an error where a step lacks a plane, or declares an output that cannot be. spec: of the
-    frame that the plan is for."""
+    """Raise MissingPlaneError if a step lacks a plane, PassContractError if it declares an output
+    that cannot be. spec: of the frames that the plan is for."""
     missing = [role for role in step.reflection.reads if not step.input.has(role)]
     if missing:
         dropped = ("an earlier pass dropped it" if spec.has(missing[0])

@@ -13,9 +13,10 @@ import numpy as np
 
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
-from postfx.passes.denoise import NO_HISTORY_REMARK, DenoiseUpscale
-from postfx.passes.denoise.models import usual_network
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.default_network import usual_network
 from postfx.passes.denoise.options import validate_scale
+from postfx.passes.denoise.remarks import NO_HISTORY_REMARK
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan
 from postfx.runtime import Device, default_device

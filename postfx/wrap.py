@@ -16,7 +16,7 @@ import numpy as np
 from postfx.errors import FrameError, PassOptionError
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.passes import Pass
-from postfx.passes.denoise.tiling import SIDE_MULTIPLE
+from postfx.passes.denoise.geometry import SIDE_MULTIPLE
 from postfx.plan import Plan, make_plan
 
 WRAP_AUTO = "auto"

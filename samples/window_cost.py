@@ -53,9 +53,9 @@ def measure(ways: list[Way], runs: int) -> list[float]:
 
 def windows_of(chain: postfx.Pipeline, frames: list[postfx.Frame]) -> tuple[int, int]:
     """How many windows a frame was worked on in, and their render pixels."""
-    from postfx.passes.denoise.tiling import active_cells
+    from postfx.passes.denoise.activity import active_cells
 
-    band = chain.passes[0]._ready.frames.layout(active_cells(frames[0][Role.STRENGTH]))
+    band = chain.passes[0]._ready.networks.layout(active_cells(frames[0][Role.STRENGTH]))
     pixels = sum(tile.window.rows * tile.window.columns for tile in band.tiles) if band else 0
     return (len(band.tiles) if band else 0), pixels
 

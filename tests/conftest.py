@@ -139,4 +139,4 @@ def quick_network(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
     """What nobody chose a network for takes `m` in this process: `xl` takes seven times as long.
     Modules with `CHOOSES_NETWORK` test that choice."""
     if not getattr(request.module, "CHOOSES_NETWORK", False):
-        monkeypatch.setattr("postfx.passes.denoise.models.BEST_NETWORK", "m")
+        monkeypatch.setattr("postfx.passes.denoise.default_network.BEST_NETWORK", "m")

@@ -15,10 +15,10 @@ from postfx.errors import MemoryBudgetError
 from postfx.frame import ROLES
 from postfx.kernels.statistics import block_means, half_means, light_outside
 from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.geometry import Size, Sizes
 from postfx.passes.denoise.models import seamless
-from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.planes import ABSENT, absent_plane
-from postfx.passes.denoise.tiling import Sizes, bands_within
+from postfx.passes.denoise.tiling import bands_within
 from postfx.passes.tonemap import ToneMap
 from postfx.planes import largest_bits_of, lend, sampled
 from postfx.runtime import DeviceError, device
@@ -144,7 +144,7 @@ def test_frames_in_tiles_have_no_seams(model: str) -> None:
         frame = noisy(number, 300, 330)
         wanted, found = whole(frame)[Role.COLOUR], tiled(frame)[Role.COLOUR]
         assert np.abs(found - wanted).max() < 1e-3
-    bands = tiled.passes[0]._ready.frames._bands
+    bands = tiled.passes[0]._ready.networks._bands
     assert len(bands) * len(bands[0].tiles) > 1
 
 
@@ -163,7 +163,7 @@ def test_a_budget_that_is_too_small_names_the_smallest_that_would_do() -> None:
     with pytest.raises(MemoryBudgetError,
                        match="330x300 cannot be denoised within 320M: give a memory") as error:
         Pipeline([DenoiseUpscale(model="s")], Device("cpu", memory="320M"))(frame)
-    least, sizes = str(error.value).split()[-3], Sizes(300, 330, 600, 660)
+    least, sizes = str(error.value).split()[-3], Sizes(Size(300, 330), Size(600, 660))
     assert len(bands_within(Scratch(least), sizes, seamless(["denoise_upscale.s.int8"]))) > 1
     with pytest.raises(MemoryBudgetError):
         bands_within(Scratch(parse_size(least) - (2 << 20)), sizes,
@@ -174,7 +174,7 @@ def test_a_budget_that_is_too_small_names_the_smallest_that_would_do() -> None:
                          [(1024, "600M"), (4096, "800M"), (4096, "4G"), (8192, "1100M")])
 def test_the_commands_of_all_tiles_fit_in(side: int, budget: str) -> None:
     """Each takes some 0.2 MB, whatever the size of its window."""
-    bands = bands_within(Scratch(budget), Sizes(side, side, 2 * side, 2 * side),
+    bands = bands_within(Scratch(budget), Sizes(Size(side, side), Size(2 * side, 2 * side)),
                          seamless(["denoise_upscale.m.int8"]))
     tiles = [tile for band in bands for tile in band.tiles]
     windows = max(tile.window.rows * tile.window.columns for tile in tiles)

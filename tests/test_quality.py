@@ -20,7 +20,7 @@ pytest.importorskip("skimage", reason="needs the extra 'bench'")
 from postfx.frame import GUIDE_ROLES, Frame, Role  # noqa: E402
 from postfx.kernels.denoise import KERNEL  # noqa: E402
 from postfx.passes.denoise import models  # noqa: E402
-from postfx.passes.denoise.models import UNSCALED, exact, split_ending  # noqa: E402
+from postfx.passes.denoise.models import UNSCALED, exact, split_ending
 from postfx.runtime import Device, Library  # noqa: E402
 from postfx.sampling import motion_at  # noqa: E402
 from postfx.tools.bench.measure import Material, Sources  # noqa: E402

@@ -21,6 +21,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from postfx.kernels.denoise import FEATURES, HIDDEN
+from postfx.passes.denoise.geometry import PYRAMID_LEVELS
 from postfx.passes.denoise.models import (
     UNSCALED,
     doubts_planes,
@@ -30,7 +31,6 @@ from postfx.passes.denoise.models import (
     model_of,
 )
 from postfx.passes.denoise.network import FEATURE_PARTS, alike_heads, free_dimensions
-from postfx.passes.denoise.tiling import PYRAMID_LEVELS
 from postfx.passes.tonemap import find_model as find_look
 from postfx.passes.tonemap import shaper
 from postfx.runtime import Device

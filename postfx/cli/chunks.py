@@ -170,7 +170,7 @@ def _network(given: argparse.Namespace, sequence: Sequence) -> str | None:
     from postfx.cli.run_options import RUN
     from postfx.cli.usual_network import choose_network, is_chosen
     from postfx.errors import DeviceError
-    from postfx.passes.denoise.models import USUAL_NETWORK
+    from postfx.passes.denoise.default_network import USUAL_NETWORK
     from postfx.runtime import Device
 
     options = RUN.values_for("denoiser", given)

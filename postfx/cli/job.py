@@ -72,9 +72,10 @@ from postfx.io.read_options import ESTIMATED_MOTION
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
-from postfx.passes.denoise import NO_HISTORY_REMARK, DenoiseUpscale
-from postfx.passes.denoise.models import USUAL_NETWORK
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.default_network import USUAL_NETWORK
 from postfx.passes.denoise.options import enlargement
+from postfx.passes.denoise.remarks import NO_HISTORY_REMARK
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
 from postfx.passes.partner import Partner
@@ -656,8 +657,17 @@ class Job:
             self._warnings.append(f"the history begins after frame {work.number}: {error}")
             return None
 
+    @cached_property
+    def _holds_rows(self) -> bool:
+        """Whether frames hold what was unpacked of their files: where outputs keep channels of them
+        bit for bit, and nothing limits memory or keeps frames for longer."""
+        sizes = [(spec.width, spec.height) for spec in (self.plan.available, self.plan.output)]
+        keeps = (self.outputs is not None and not self.outputs.display
+                 and self._format["keep"] is not False and sizes[0] == sizes[1])
+        return keeps and not (self.pipeline.device.scratch or self._page)
+
     def _read_checked(self, run: Run, number: int) -> Frame:
-        read = partial(self.sequence.read, number, self.plan.planes, self._guides)
+        read = partial(self.sequence.read, number, self.plan.planes, self._guides, self._holds_rows)
         frame = read_patiently(read, partial(run.note_retry, number))
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         return frame

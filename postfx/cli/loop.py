@@ -119,13 +119,8 @@ def find_predictor(forwarded: list[str]) -> str | None:
     from postfx.cli.main import make_parser
     from postfx.cli.run_options import RUN
     from postfx.cli.usual_network import is_chosen
-    from postfx.passes.denoise.models import (
-        UNSCALED,
-        USUAL_NETWORK,
-        model_of,
-        predicts_error,
-        usual_network,
-    )
+    from postfx.passes.denoise.default_network import USUAL_NETWORK, usual_network
+    from postfx.passes.denoise.models import UNSCALED, model_of, predicts_error
     from postfx.runtime import Device
 
     given = make_parser(["run"]).parse_args(["run", "-", *forwarded])

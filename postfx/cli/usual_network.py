@@ -10,16 +10,13 @@ from typing import Any, NamedTuple
 from postfx.errors import ReadError
 from postfx.frame import ALBEDOS, FrameSpec, Role
 from postfx.io.sequence import Sequence
-from postfx.passes.denoise.models import (
-    UNSCALED,
+from postfx.passes.denoise.default_network import (
     USUAL_NETWORK,
-    gives_picture,
     lacks_memory,
-    model_of,
     takes_best,
     usual_network,
-    validate_tag,
 )
+from postfx.passes.denoise.models import UNSCALED, gives_picture, model_of, validate_tag
 from postfx.passes.denoise.options import enlargement
 from postfx.pixel_filter import find_stddev, parse_stddev
 from postfx.runtime import Device

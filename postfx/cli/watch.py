@@ -102,7 +102,7 @@ def _make_job(arguments: argparse.Namespace, pattern: Pattern, first: int) -> Jo
     from postfx.cli.main import make_parser
     from postfx.cli.run_options import RUN
     from postfx.errors import OptionError
-    from postfx.passes.denoise.models import USUAL_NETWORK
+    from postfx.passes.denoise.default_network import USUAL_NETWORK
 
     words = [str(pattern), "-o", arguments.output, "--overwrite", f"--frames={first}",
              *arguments.forwarded]

@@ -19,8 +19,8 @@ import numpy as np
 
 from postfx.errors import DeviceError, FrameError
 from postfx.frame import ROLES, Role
-from postfx.interpolate import LEAST_OF_CELLS
 from postfx.interpolate.choose import MARGIN
+from postfx.interpolate.pictures import scale_of
 from postfx.kernels import Blocks, Kernel
 from postfx.passes import share_planes, spec_of
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
@@ -171,11 +171,6 @@ def sizes_of(height: int, width: int) -> dict[str, int]:
     return {"height": height, "width": width, "rows": rows, "columns": columns,
             "tall": height + 2 * MARGIN, "wide": width + 2 * MARGIN, "few_rows": rows // 4,
             "few_columns": columns // 4, "both_rows": 2 * rows}
-
-
-def scale_of(height: int, width: int) -> int:
-    """Pixels along a side of the cells that paths are found for."""
-    return 2 if min(height, width) >= LEAST_OF_CELLS else 1
 
 
 def shapes_of(steps: Iterable[Step], sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:

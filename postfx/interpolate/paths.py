@@ -1,13 +1,13 @@
-"""Where the points of two frames are at a time between them. Pixels are those of the plane of
-motion here, which may be coarser than the picture.
+"""Paths: where the points of two frames are at a time between them. "Pixels" are those of the plane
+of motion here, which may be coarser than the picture.
 
-A path is a curve from a point's place in the frame before (time 0) to that in the frame after (time
-1). Every pixel of both frames has one: of the frame after by its motion, of the frame before by
-that motion turned round, or, where the frame after hides the point, by going on as it came. With a
-frame further back, or one further ahead, paths are bent: Lagrange's polynomial through three or
-four places.
+A path is a curve from a point's place in the frame before (time 0) to its place in the frame after
+(time 1). Every pixel of both frames has one. A pixel of the frame after follows its motion back. A
+pixel of the frame before follows that motion the other way; if the frame after hides the point, it
+goes on as it came. If a frame further back or further ahead is known, paths are bent: Lagrange's
+polynomial through three or four places.
 
-`splat_paths` brings them to a time: of all paths that arrive at a pixel the nearest ones count, and
+`splat_paths` brings paths to a time. Of all that arrive at a pixel the nearest ones count, and
 their mean is kept.
 """
 
@@ -35,34 +35,34 @@ SIMILAR = reverse_motion.ALIKE
 """Relative difference in depth of neighbours from whose motion a crack is filled where motion is
 inverted."""
 SEEN = np.float32(1)
-"""Pixels by which motion to the other frame and back may miss."""
+"""Pixels by which motion to the other frame and back may miss for the point to be seen by both."""
 SURE = np.float32(0.7)
-"""Share of the paths that arrive at a cell that must be seen by the other frame: a sample of it has
-cells around."""
+"""Share of the paths that arrive at a cell that the other frame must see."""
 COVERS = np.float32(0.9)
-"""Share of a depth below which what is seen is something else, in front."""
+"""Depth that is seen over the depth of a point, below which something in front covers the point."""
 
-# Points that the fit of a camera takes, the least that it needs, and the least share that it must
-# explain.
 FITTED_POINTS = 2000
+"""Points that a camera is fitted to."""
 LEAST_POINTS = 64
+"""Points that the fit of a camera needs."""
 FITTING = 0.4
+"""Share of the points that the camera must explain."""
 
 SPRUNG = np.float32(0.5)
 """Bend, as a share of the motion, from which a path is no curve but a jump and is taken as
 straight."""
 ROUND = np.float32(0.7)
-"""Relative difference of the bends before and after up to which a path is a curve in any case: what
-turns by 70 degrees a frame, or swings."""
+"""Relative difference of the bends before and after, up to which a path is a curve in any case:
+things that swing, or turn by 70 degrees a frame."""
 
 EXACT = np.float32(0.05)
 """Pixels by which motion may differ from one pixel to the next, and there and back, before it
 matters."""
 ROUNDLY = np.float32(0.1)
-"""Share of the motion by which that of the frame before or after may miss what it is if a thing
-turns evenly."""
+"""Share of the motion by which the motion of the frame before or after may differ from that of a
+thing that turns evenly."""
 LEAST_COSINE = np.float32(0.2)
-"""Cosine of the angle by which a thing turns from frame to frame, at least."""
+"""Least cosine of the angle by which a thing turns from frame to frame."""
 
 # Kernels: postfx/kernels/interpolate/paths.cpp
 
@@ -85,7 +85,7 @@ class Paths:
         ends: (h, w, 4) float32: from the pixel to the point's place in the frame before (x, y) and
             in the one after.
         bend: (h, w, 2): half the second difference of the places, in pixels.
-        depth: (h, w, 1): what decides between paths that meet; the smaller one is in front.
+        depth: (h, w, 1): decides between paths that meet; the smaller one is in front.
         seen: (h, w): 1 where the other frame shows the point as well, else 0.
     """
 
@@ -122,9 +122,11 @@ def paths_of(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray,
 
 
 def splat_paths(paths: Paths, t: float) -> tuple[np.ndarray, np.ndarray]:
-    """What arrives at each pixel at time t: the nearest surface's mean path (h, w, 8), NaN where
-    there is none, and its depth (h, w), FAR where nothing arrives. After its ends stands the share
-    of paths that the other frame sees."""
+    """The path that arrives at each pixel at time t, and its depth.
+
+    Returns (h, w, 8), the mean path of the nearest surface, NaN where none arrives: its ends, then
+    the share of paths that the other frame sees; and (h, w), FAR where none arrives.
+    """
     h, w = paths.seen.shape
     nearest, found, depth = filled_array((h, w), FAR), filled_array((h, w, 8), 0), new_array((h, w))
     moment, own_depth = np.array((t, t * (t - 1)), np.float32), whole(paths.depth, np.float32)
@@ -150,9 +152,9 @@ def gather_cells(motion: np.ndarray, depth: np.ndarray, scale: int, most: float,
 
 
 def rank_paths(one: np.ndarray, other: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """What stands for depth where there is none (rows, columns, 1): 1 plus the difference of a grey
-    picture to another one (rows, columns) where its motion leads, or 2. A path that fits both
-    pictures is in front of one that does not.
+    """Stands in for depth, (rows, columns, 1): a path that fits both pictures is in front of one
+    that does not. 1 plus the difference of a grey picture (rows, columns) to another one where its
+    motion leads; 2 where it leads out of the other one.
     """
     rank = np.empty((*one.shape, 1), np.float32)
     _rank(0, len(rank), one, other, whole(motion, np.float32), rank)
@@ -160,8 +162,8 @@ def rank_paths(one: np.ndarray, other: np.ndarray, motion: np.ndarray) -> np.nda
 
 
 def refine(motion: np.ndarray, inverse: np.ndarray) -> None:
-    """Lead motion (rows, columns, 2) that was inverted for whole pixels to the places between them
-    whose motion leads back: one step of Newton's method, where motion goes on evenly."""
+    """Refine, in place, motion (rows, columns, 2) that was inverted for whole pixels, to the places
+    between them whose motion leads back: one step of Newton's method, where motion is even."""
     in_bands(len(inverse), _refine.bind((whole(motion, np.float32), inverse)))
 
 
@@ -206,7 +208,7 @@ def motion_of_reflections(motion: np.ndarray, depth: np.ndarray, length: np.ndar
 
 
 def fill_holes(field: np.ndarray, depth: np.ndarray) -> None:
-    """Give cells (rows, columns, 8) without a path that of the farthest of the next ones to the
-    left, to the right, above and below: what is uncovered is background. Without any, the cell
-    stands still. depth: (rows, columns)."""
+    """Give cells (rows, columns, 8) without a path one from around, in place. Of the next cells to
+    the left, to the right, above and below it is the farthest one's, as uncovered places show
+    background. Without any, the cell stands still. depth: (rows, columns)."""
     _fill_holes(0, 1, whole(depth, np.float32), field)

@@ -1,9 +1,12 @@
-"""How well vectors and estimated motion explain two pictures, beside standing still.
+"""How well each way explains two pictures: vectors, estimated motion ("flow"), standing still.
 
-Where vectors explain much less than estimated motion does, they are not used: those of frames that
-are held, of a wrong sign or unit, of the shot that goes in a dissolve. In a dissolve neither
-explains much, and each leads another way. There all ways count, the mean of both frames is one of
-them, by how evenly colours go on along them through the frames around.
+If vectors explain much less than the flow does, they are not used: those of frames that are held,
+of a wrong sign or unit, or of the shot that goes in a dissolve. In a dissolve neither explains
+much, and each leads somewhere else. Then all ways may count, the mean of both frames among them, by
+how evenly colours go on along them through the frames around (`unevenness`).
+
+A misfit is a mean difference of toned light. Constants below are ratios of misfits or shares of
+pixels, with what was measured.
 """
 
 from __future__ import annotations
@@ -17,192 +20,199 @@ import numpy as np
 from postfx.sampling import bilinear, is_inside
 
 COMPARED_ROWS = 100
-"""Rows or columns of the shorter side that are looked at."""
+"""Rows, or columns, of the shorter side that are looked at."""
 MOST_APART = 0.1
-"""Difference of toned light up to which a pixel counts."""
+"""Difference of toned light that a pixel counts with, at most."""
 LEAST_INSIDE = 0.25
 """Share of the pixels that must lead into the picture."""
+
+# Whether vectors fit
+
 WORSE = 1.35
-"""Misfit of vectors, in that of the flow, beyond which they are not used if they explain too
-little. Right vectors of nine noisy renders have up to 1.7."""
+"""Misfit of vectors over the flow's, above which they are not used unless they explain enough.
+Right vectors of nine noisy renders have up to 1.7."""
 LEAST_EXPLAINED = 0.5
 """Share of what the flow explains that such vectors must explain. Right ones have at least 0.53,
 those of half the motion 0.27 to 0.48."""
 MUCH_WORSE = 2.2
-"""Misfit beyond which they are not used whatever they explain."""
-LITTLE_EXPLAINED = 0.5
-"""Misfit of the better one, in that of standing still, from which other ways may count beside
-vectors that fit."""
-LEAD_APART = 0.5
-"""Difference of what both ways show, in that of standing still, from which they may: up to 0.48 in
-renders, 0.63 to 1.2 in dissolves."""
-CLEARLY_WORSE = 1.45
-"""Misfit of vectors, in that of the flow, from which less is enough for other ways to count."""
-FAR_APART = 0.27
-"""The product of how far ways lead apart and of the share of vectors that differ, from which it is:
-up to 0.21 in water."""
-LIKE_STILL = 0.98
-"""Misfit of vectors, in that of standing still, from which nothing moves by them."""
+"""Misfit of vectors over the flow's, above which they are not used whatever they explain."""
 DIFFERENT_WAY_CELLS = 0.5
-"""Cells by which ways differ."""
-DIFFERENT_VECTOR_SHARE = 0.5
-"""Share of pixels whose vectors must differ for other ways to count beside them: 0.33 where it
-snows, which has 0.62 of the next one."""
-LEAST_SPREAD = 0.1
-"""Share of the pixels over which the misfit of vectors must be spread for other ways to count
-beside them: 0.02 to 0.06 of a wire that moves before a wall, 0.13 and more in dissolves."""
+"""Distance in cells from which two ways differ at a pixel."""
 DIFFERENT_WAY_SHARE = 0.5
-"""Share of pixels whose ways must differ for vectors not to fit."""
+"""Share of pixels at which vectors and flow must differ for vectors not to fit."""
+
+# Whether other ways count beside vectors that fit
+
+LITTLE_EXPLAINED = 0.5
+"""The smaller misfit of vectors and flow over that of standing still, from which other ways may
+count."""
+LEAD_APART = 0.5
+"""Disagreement of vectors and flow over the misfit of standing still, from which other ways may
+count: up to 0.48 in renders, 0.63 to 1.2 in dissolves."""
+CLEARLY_WORSE = 1.45
+"""Misfit of vectors over the flow's, from which less disagreement is enough."""
+FAR_APART = 0.27
+"""Such disagreement, times the share of vectors that differ: up to 0.21 in water."""
+DIFFERENT_VECTOR_SHARE = 0.5
+"""Share of pixels at which vectors must differ, from the flow and from standing still, for other
+ways to count: 0.33 where it snows, where the next ratio is 0.62."""
+LEAST_SPREAD = 0.1
+"""Share of the pixels over which the misfit of vectors must be spread for other ways to count: 0.02
+to 0.06 for a wire that moves before a wall, 0.13 and more in dissolves."""
+LIKE_STILL = 0.98
+"""Misfit of vectors over that of standing still, from which nothing moves by them."""
+
+# Thin things, such as wires
+
 FINDS_MORE = 1.12
-"""Misfit of vectors that explain much, in that of the flow, from which the flow finds more of a
-thin thing."""
+"""Misfit of vectors that explain much, over the flow's, from which the flow finds more of a thin
+thing."""
 LEAST_LED = 0.2
 """Share of the misfit of vectors that lies where these lead anywhere, from which they are wrong: 0
 where they know nothing of a thing, such as sparks, and half where a wire has wrong ones."""
 LED_CELLS = 0.1
-"""Cells from which a vector leads anywhere."""
+"""Length in cells from which a vector leads anywhere."""
 FINDS_NOTHING = 0.9
-"""Misfit of vectors, in that of standing still, from which they find nothing of a thin thing: up to
-0.92 of right ones, 0.97 and more of (1, 1)."""
+"""Misfit of vectors over that of standing still, from which they find nothing of a thin thing: up
+to 0.92 for right ones, 0.97 and more for (1, 1)."""
+
+# How much ways count by their unevenness
 
 UNEVEN_POWER = 4
-"""Power of their unevenness by which ways count."""
+"""Ways count by the inverse of this power of their unevenness."""
 FLOW_HANDICAP = 1.1
-"""By how much that of estimated motion counts as larger: it was found in the very pictures that it
-is compared by."""
+"""Factor of the flow's unevenness: it was found in the very pictures that it is compared by."""
 REST_HANDICAP = 1.5
-"""By how much the unevenness of what moves before a shot that stands still counts as larger: half
-of it was fitted."""
+"""Factor of the unevenness of what moves before a shot that stands still: half of it was fitted."""
 CLEARLY_BETTER = 0.9
-"""Unevenness of the flow, in that of vectors that stand still, below which it counts beside them.
-Of noise the flow makes 1.1 to 1.8."""
+"""Unevenness of the flow over that of vectors that stand still, below which it counts beside them.
+In noise the flow has 1.1 to 1.8."""
 AS_EVEN = 0.84
-"""Unevenness of vectors, in that of a blend, from which they are not alone to count: up to 0.77
-in renders."""
+"""Unevenness of vectors over a blend's, from which they do not count alone: up to 0.77 in
+renders."""
 AS_EVEN_ALONE = 0.95
-"""Unevenness of vectors, in that of a blend, from which they are not alone to count, by two frames
-alone: up to 0.82 in renders, 1.15 in noise."""
+"""The same where only two frames are known: up to 0.82 in renders, 1.15 in noise."""
 LEAST_LEFT = 0.5
-"""Misfit of vectors, in that of standing still, below which they are not doubted for that: what
+"""Misfit of vectors over that of standing still, below which unevenness does not raise doubt: what
 moves may hide and uncover much that is uneven."""
 LEAST_LEFT_ALONE = 0.9
-"""Misfit of vectors, in that of standing still, below which they are not doubted by two frames
-alone."""
+"""The same where only two frames are known."""
 LEAST_SPREAD_OF_FLOW = 0.25
-"""Share of the pixels over which the misfit of estimated motion must be spread for a blend to count
-beside it: 0.09 to 0.13 of a wire, 0.35 and more in dissolves."""
+"""Share of the pixels over which the flow's misfit must be spread for a blend to count beside it:
+0.09 to 0.13 for a wire, 0.35 and more in dissolves."""
 LEAST_LEFT_OF_FLOW = 0.4
-"""Misfit of estimated motion, in that of standing still, from which a blend may count where there
-are no vectors."""
+"""Misfit of the flow over that of standing still, from which a blend may count where there are no
+vectors."""
 LESS_EVEN_THAN_FLOW = 0.5
-"""Unevenness along estimated motion, in that of a blend, from which a blend may count."""
+"""Unevenness of the flow over a blend's, from which a blend may count."""
 MORE_EVEN = 1.03
-"""Unevenness along vectors, in that of a blend, from which a blend is better than vectors that
-explain nothing."""
+"""Unevenness of vectors that explain nothing over a blend's, from which a blend is better."""
 MOSTLY_NOISE = 0.5
-"""Unevenness that cells beside have in common, in all of it, below which noise hides the rest."""
+"""Unevenness that neighbouring cells have in common over all of it, below which noise hides the
+rest."""
 DOUBTING_ROWS = 50
 """Rows that are looked at for `MOSTLY_NOISE`."""
 ALONE = 0.3
-"""How much differences count that cells beside have not in common: noise, and finest detail."""
+"""Weight of differences that neighbouring cells do not have in common: noise, and finest detail."""
 LEAST_SHARE = 0.1
 """Ways that would count less do not count."""
 LEAST_UNEVEN = 1e-5
-"""Toned light that is added: frames that are all alike have none."""
+"""Toned light that is added to unevenness: frames that are all alike have none."""
 
 
 @dataclass(frozen=True)
-class Ways:
-    """Mean differences of two grey pictures over pixels that both ways lead into the earlier one.
+class Fit:
+    """How well vectors, flow and standing still explain two pictures, over the pixels that vectors
+    and flow lead into the earlier one.
 
     Attributes:
-        flow, motion, still: along estimated motion, along vectors, and at the same place.
-        between: of what estimated motion and vectors show in the earlier picture.
-        apart: share of the pixels at which the two ways differ by more than
-            DIFFERENT_WAY_CELLS.
-        different: share of those at which vectors differ from standing still as well.
-        spread, flow_spread: share of pixels over which the difference along vectors and along
-            estimated motion is spread.
-        led: share of the difference along vectors that lies where these lead anywhere.
+        flow, vectors, still: misfits along the flow, along vectors, and at the same place.
+        disagreement: difference of what flow and vectors show in the earlier picture.
+        apart: share of the pixels at which the two differ by more than DIFFERENT_WAY_CELLS.
+        moving_apart: share of pixels at which vectors differ from standing still as well.
+        vectors_spread, flow_spread: share of pixels over which each misfit is spread.
+        led: share of the misfit of vectors that lies where these lead anywhere.
     """
 
     flow: float
-    motion: float
+    vectors: float
     still: float
-    between: float
+    disagreement: float
     apart: float
-    different: float
-    spread: float
+    moving_apart: float
+    vectors_spread: float
     flow_spread: float
     led: float
 
     @property
     def vectors_fit(self) -> bool:
-        """Whether vectors may be used. They are where estimated motion is the same mostly: a thing
-        may have none. They are nowhere if they fit worse than standing still, too."""
-        if self.motion > max(MUCH_WORSE * self.flow, WORSE * self.still):
+        """Whether vectors may be used. They may if the flow is mostly the same: single things may
+        have none. They may not if they fit worse than standing still, too."""
+        if self.vectors > max(MUCH_WORSE * self.flow, WORSE * self.still):
             return False
         if self.apart < DIFFERENT_WAY_SHARE:
             return True
-        if self.motion > MUCH_WORSE * self.flow:
+        if self.vectors > MUCH_WORSE * self.flow:
             return False
-        explained = self.still - self.motion
-        return (self.motion <= WORSE * self.flow
+        explained = self.still - self.vectors
+        return (self.vectors <= WORSE * self.flow
                 or explained >= LEAST_EXPLAINED * (self.still - self.flow))
 
     @property
     def in_doubt(self) -> bool:
-        """Whether each leads another way, and neither explains much, or vectors explain much less,
-        as in a dissolve."""
+        """Whether vectors and flow lead apart, and neither explains much or vectors explain much
+        less, as in a dissolve."""
         if self.is_thin:
             return False
-        if self.motion >= CLEARLY_WORSE * self.flow:
-            return self.between * self.different >= FAR_APART * self.still
-        return (min(self.flow, self.motion) >= LITTLE_EXPLAINED * self.still
-                and self.between >= LEAD_APART * self.still
-                and self.different >= DIFFERENT_VECTOR_SHARE)
+        if self.vectors >= CLEARLY_WORSE * self.flow:
+            return self.disagreement * self.moving_apart >= FAR_APART * self.still
+        return (min(self.flow, self.vectors) >= LITTLE_EXPLAINED * self.still
+                and self.disagreement >= LEAD_APART * self.still
+                and self.moving_apart >= DIFFERENT_VECTOR_SHARE)
 
     def vectors_explain_little(self, frames: int) -> bool:
-        """Whether vectors explain so little that a blend may be as even, by so many frames."""
+        """Whether vectors explain so little that a blend may be as even. frames: how many are
+        known."""
         least = LEAST_LEFT_ALONE if frames == 2 else LEAST_LEFT
-        return self.motion > least * self.still
+        return self.vectors > least * self.still
 
     @property
     def is_thin(self) -> bool:
-        """Whether only a thin thing is not where vectors lead, so that nothing dissolves."""
-        return self.spread < LEAST_SPREAD
+        """Whether only a thin thing is not where vectors lead: then nothing dissolves."""
+        return self.vectors_spread < LEAST_SPREAD
 
     @property
     def is_thin_along_flow(self) -> bool:
-        """Whether only a thin thing is not where estimated motion leads."""
+        """Whether only a thin thing is not where the flow leads."""
         return self.flow_spread < LEAST_SPREAD_OF_FLOW
 
     def shares_of_thin(self, frames: int) -> tuple[float, float]:
-        """How much vectors and estimated motion count before a thin thing, by so many frames: by
-        how much of it each finds."""
+        """How much vectors and flow count for a picture with a thin thing: by how much of it each
+        finds. frames: how many are known."""
         if self.vectors_stand_still and self.led < LEAST_LED:
             return 1.0, 0.0  # vectors know nothing of it, and cells take the flow where it fits
         is_much_found = not self.vectors_explain_little(frames)
-        if self.motion <= self.flow * (FINDS_MORE if is_much_found else 1):
+        if self.vectors <= self.flow * (FINDS_MORE if is_much_found else 1):
             return 1.0, 0.0
         # all but the thing fits any way, so that small differences tell much
-        power = 2 if self.motion > FINDS_NOTHING * self.still else 1
-        given, flowing = shares_of(((self.motion / self.flow) ** power, 1.0))
+        power = 2 if self.vectors > FINDS_NOTHING * self.still else 1
+        given, flowing = shares_of(((self.vectors / self.flow) ** power, 1.0))
         return given, flowing
 
     @property
     def vectors_stand_still(self) -> bool:
         """Whether nothing moves by the vectors."""
-        return self.motion >= LIKE_STILL * self.still and self.different < DIFFERENT_VECTOR_SHARE
+        return (self.vectors >= LIKE_STILL * self.still
+                and self.moving_apart < DIFFERENT_VECTOR_SHARE)
 
 
-def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
-                 motion: np.ndarray) -> Ways | None:
+def compare_motion(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
+                   vectors: np.ndarray) -> Fit | None:
     """Compare two grey pictures (h, w) along two fields of motion (h, w, 2) of the later one, in
-    pixels, NaN where unknown. None where too little leads into the earlier one."""
+    pixels, NaN where unknown. None if too few pixels lead into the earlier one."""
     step = max(2, min(after.shape) // COMPARED_ROWS)
     y, x = np.mgrid[:after.shape[0]:step, :after.shape[1]:step]
-    fields = [one[::step, ::step] for one in (flow, motion)]
+    fields = [one[::step, ::step] for one in (flow, vectors)]
     places = [(x + one[..., 0], y + one[..., 1]) for one in fields]
     inside = np.logical_and(*(is_inside(before, *place) for place in places))  # false for NaN
     if inside.sum() < LEAST_INSIDE * inside.size:
@@ -214,7 +224,7 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
                      for one in (fields[0] - fields[1], fields[1]))
     left = np.minimum(np.abs(other - now), MOST_APART)
     leads = np.abs(fields[1]).max(-1)[inside] > LED_CELLS
-    return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()),
+    return Fit(*misfits, float(apart.mean()), float((apart & moving).mean()),
                 _spread(other, now), _spread(one, now),
                 float(left[leads].sum() / max(left.sum(), LEAST_UNEVEN)))
 

@@ -1,5 +1,7 @@
-"""The contract of a pass: reflect, compile once a spec, encode every frame. Passes are one file or
-package each, found through the entry-point group `postfx.passes`.
+"""The contract of a pass: it reflects on a spec, compiles once for it, and encodes every frame.
+
+A pass is one file or package, found through the entry-point group `postfx.passes`. It gets a
+`ResidentFrame`, whose planes are tensors on the device. docs/howto/passes.md builds a pass.
 """
 
 from __future__ import annotations
@@ -35,11 +37,11 @@ class Reflection:
         reads: planes it cannot do without.
         may_read: planes it uses if the frame has them.
         writes: planes it replaces or adds.
-        output: spec of the frame it leaves. Planes that are not in it are dropped, so a pass that
-            changes the size names only the planes that exist at the new size. So are guides.
+        output: spec of the frame it leaves. Planes and guides that are not in it are dropped, so a
+            pass that changes the size names only those that exist at the new size.
         may_read_guides: planes at output size that it uses if the frame has them.
         parts: names of the parts of the picture that it reads, and leaves at the output's size.
-        notes: what else the user may want to know of its work on such frames, as short clauses.
+        notes: short clauses for the user on its work on such frames.
     """
 
     reads: tuple[Role, ...]
@@ -62,23 +64,22 @@ class ResidentFrame:
         number: frame number in its sequence.
         jitter: sub-pixel sample position minus 0.5, pixels of the rendered frame, x right, y down.
             A pass whose output is no longer jittered sets it to (0, 0).
-        exposure_factor: what this frame's light is multiplied by, > 0; the viewer should see their
-            product.
+        exposure_factor: > 0; the viewer should see this frame's light times this factor.
         reset: True when history must be dropped before this frame.
         unusable: True when most of the colour was not finite and became 0: the next frame should
             not build on it.
         samples, world_to_camera, fov_x, metadata, guide_jitter: as in `postfx.frame.Frame`.
         guides: role -> tensor at output size, like `tensors`; only those that passes read.
-        host_planes: role -> plane on the host, for planes that no pass has replaced: to decide what
-            to record.
+        host_planes: role -> plane on the host, for planes that no pass has replaced. Passes may
+            look at them to decide what to record.
         host_guides: likewise, for guides.
         parts: name -> tensor of a part that passes read, see `postfx.frame.Frame`.
         host_parts: likewise, for parts.
         blank: roles of planes that a pass replaced and that are 0 everywhere.
-        history_only: True when only the history that passes keep of this frame is needed, not its
-            picture.
-        is_away: True when the planes came in the device's memory, so that looking at `host_planes`
-            copies them.
+        history_only: True when the frame's picture is not needed, only the history that passes
+            keep of it.
+        came_on_device: True when the planes came in the device's memory, so that looking at
+            `host_planes` copies them.
     """
 
     spec: FrameSpec
@@ -100,7 +101,7 @@ class ResidentFrame:
     host_parts: dict[str, np.ndarray] = field(default_factory=dict)
     blank: set[Role] = field(default_factory=set)
     history_only: bool = False
-    is_away: bool = False
+    came_on_device: bool = False
 
     def __getitem__(self, role: Role) -> Tensor:
         """Tensor of a plane; FrameError when the frame does not hold it."""
@@ -120,8 +121,9 @@ class ResidentFrame:
         return self.tensors.get(role)
 
     def is_blank(self, role: Role) -> bool:
-        """Whether a plane is known to be 0 everywhere, which is not looked for on a GPU."""
-        if self.is_away or role not in self.host_planes:
+        """Whether a plane is known to be 0 everywhere. Planes that came in the device's memory are
+        not looked at."""
+        if self.came_on_device or role not in self.host_planes:
             return role in self.blank
         return is_blank(self.host_planes[role])
 
@@ -139,8 +141,8 @@ class ResidentFrame:
 
 
 class Downloads(MutableMapping[Role, "np.ndarray"]):
-    """Planes on the host of a frame that came in the device's memory: copied when something looks
-    at them."""
+    """Host planes of a frame that came in the device's memory: each is copied when something looks
+    at it."""
 
     def __init__(self, tensors: Mapping[Role, Tensor]) -> None:
         self._tensors = dict(tensors)
@@ -172,12 +174,16 @@ class Downloads(MutableMapping[Role, "np.ndarray"]):
 
 def share_planes(device: Device, kind: str, planes: Mapping[Role | str, Any],
                  last: Mapping[Role, Tensor] = MappingProxyType({})) -> dict[Role, Tensor]:
-    """Arrays of any library as tensors of the device; `kind` is what messages call them. Those of
-    the `last` frame are taken again for arrays in the same memory, so that its commands are known
-    again.
+    """Arrays of any library as tensors of the device, by role.
 
-    Raises FrameError for an unknown role, a wrong shape or type, BindingError for what cannot be
-    read.
+    Args:
+        kind: what messages call them, such as 'plane'.
+        planes: arrays by role.
+        last: tensors of the last frame. They are taken again for arrays in the same memory, so that
+            commands on them need not be recorded again.
+
+    Raises FrameError for an unknown role, a wrong shape or type, BindingError for an array that
+    cannot be read.
     """
     found, waits = {}, False
     for name, plane in planes.items():
@@ -238,8 +244,8 @@ class Pass:
     """Every option with its default value; taken from the signature unless a subclass sets them."""
 
     reads_render: ClassVar[bool] = False
-    """Whether it needs the planes of the render, which passes that change the size drop: without a
-    place on the command line it then runs first."""
+    """Whether it needs the planes of the render, which passes that change the size drop. It then
+    runs first, unless the command line gives it a place."""
 
     renamed: ClassVar[Mapping[str, str]] = MappingProxyType({})
     """Options by their former names: they still work, with a DeprecationWarning."""
@@ -248,8 +254,8 @@ class Pass:
     """The pass's choice for the last frame, as a word for the user; None if it has no choice."""
 
     notices: tuple[str, ...] = ()
-    """What frames showed that the user should mend, a line each and each thing once; the pipeline
-    tells it and empties this."""
+    """Lines on faults of frames that the user should mend, each fault once. The pipeline tells them
+    and empties this."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()

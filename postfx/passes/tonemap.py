@@ -20,11 +20,12 @@ from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import CommandBuffer, Device, Library, ModelError, PipelineState, Tensor
 from postfx.runtime.models import check_card_beside
 
-# Where a look's card says nothing
 _KEEP = 0.6
+"""Part of the last grid that is kept, for looks whose card does not say it."""
 _FOLLOW = 0.6
-
-_MOST = 1e6  # so that no sum of a few products overflows
+"""Part of the way that the grid goes in a frame when light changes, likewise."""
+_MOST = 1e6
+"""Largest constant of a look: no sum of a few products overflows."""
 _SHAPER = "toe and scale above 0, and a matrix of 9 numbers"
 
 
@@ -126,8 +127,14 @@ class _History(NamedTuple):
 
 
 class _Kind(NamedTuple):
-    """What a network makes of a frame, the kernel that holds it still, and the one that shows it,
-    by which argument."""
+    """A kind of look with a network.
+
+    Attributes:
+        made: the network's output: a grid of colour matrices, or one exposure.
+        hold: kernel that keeps it steady over time.
+        show: kernel that applies it to the picture.
+        shown_by: the argument of `show` that takes it.
+    """
 
     made: str
     hold: Kernel
@@ -202,7 +209,7 @@ class ToneMap(Pass):
         super().compile(device, spec)
 
     def _compile_network(self, device: Device, network: PipelineState, kind: _Kind) -> None:
-        """The network's part, and what lies between the kernels around it."""
+        """Make the network ready, with the kernels and tensors around it."""
         self._network = network
         device.make_ready(LOWRES, LIGHT, FOLLOW, kind.hold)
         self._lowres, self._made = (device.heap.transient(name, network.shapes[name])
@@ -249,7 +256,8 @@ class ToneMap(Pass):
         commands.run(self._show, "cube", colour=colour, **self._shown)
 
     def _encode_network(self, commands: CommandBuffer, colour: Tensor, kind: _Kind) -> None:
-        """The two halves of the history swap from frame to frame."""
+        """Record the network and the kernels around it. The two sets of the history swap from frame
+        to frame."""
         before, after = self._history
         commands.run(LOWRES, "lowres", colour=colour, lowres=self._lowres, **self._shaping)
         commands.run(LIGHT, "lowres", lowres=self._lowres, light=self._light)

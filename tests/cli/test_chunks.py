@@ -14,7 +14,7 @@ import pytest
 
 from postfx.cli.chunks import describe_job
 from postfx.io.sequence import Sequence, read_sequence
-from postfx.passes.denoise import models
+from postfx.passes.denoise import default_network
 from postfx.runs.schedule import Chunk, fill_gaps, find_preroll, make_chunks
 
 CHOOSES_NETWORK = True
@@ -126,13 +126,13 @@ def test_what_does_not_join_is_said(postfx, noise):
 def test_machines_of_any_memory_run_one_network(postfx, noise, monkeypatch, words):
     """That of the machine that cuts: others are larger or smaller, and would choose by that."""
     def cut(memory: int) -> dict:
-        monkeypatch.setattr(models, "usable_memory", lambda: memory)
+        monkeypatch.setattr(default_network, "usable_memory", lambda: memory)
         return postfx("chunks", "in/shot.####.exr", "--size", "3", "--json", "--", *words).json
 
     large, small = cut(1 << 40), cut(1 << 10)
     chooses = words in ((), ("--device", "cpu"), ("--scale", "2"), SIZED)
     assert (large["network"], small["network"]) == (("xl", "m") if chooses else (None, None))
-    monkeypatch.setattr(models, "usable_memory", lambda: 1 << 10)
+    monkeypatch.setattr(default_network, "usable_memory", lambda: 1 << 10)
     for facts in (large, small):
         for chunk in facts["chunks"]:
             command = chunk["command"]
@@ -143,10 +143,10 @@ def test_machines_of_any_memory_run_one_network(postfx, noise, monkeypatch, word
 
 
 def test_a_large_machines_chunk_keeps_its_network_on_a_small_one(postfx, noise, monkeypatch):
-    monkeypatch.setattr(models, "usable_memory", lambda: 1 << 40)
+    monkeypatch.setattr(default_network, "usable_memory", lambda: 1 << 40)
     chunk = postfx("chunks", "in/shot.####.exr", "--size", "1", "--frames", "1-2", "--json", "--",
                    "--device", "cpu").json["chunks"][0]
-    monkeypatch.setattr(models, "usable_memory", lambda: 1 << 10)
+    monkeypatch.setattr(default_network, "usable_memory", lambda: 1 << 10)
     assert postfx(*chunk["command"][1:]).code == 0
     (run,) = json.loads((noise / "out" / "postfx.manifest.json").read_text())["runs"].values()
     assert run["settings"]["model"] == "xl"

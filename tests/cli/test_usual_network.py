@@ -9,11 +9,18 @@ import pytest
 import postfx
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_channels
-from postfx.passes.denoise import models
+from postfx.passes.denoise import default_network
+from postfx.passes.denoise.default_network import (
+    ENLARGING_PIXEL_BYTES,
+    GPU_PIXEL_BYTES,
+    lacks_memory,
+    usual_network,
+)
+from postfx.passes.denoise.models import mixture_model, short_tag
 from tests.splatted import splatted
 
 CHOOSES_NETWORK = True
-ENLARGING = models.short_tag(models.mixture_model("xl"))
+ENLARGING = short_tag(mixture_model("xl"))
 RUN = ("run", "in/shot.####.exr", "-o", "out/", "--overwrite", "--device", "cpu")
 
 
@@ -128,7 +135,7 @@ def test_a_network_in_no_folder_is_told_by_its_file(postfx, shot):
 
 def test_frames_that_are_too_large_for_it_take_the_usual_one(postfx, shot, tmp_path, monkeypatch):
     shot(1)
-    monkeypatch.setattr(models, "usable_memory", lambda: 1 << 20)
+    monkeypatch.setattr(default_network, "usable_memory", lambda: 1 << 20)
     done = postfx(*RUN)
     assert done.code == 0
     line = next(line for line in done.err.splitlines() if "the best network" in line)
@@ -147,18 +154,18 @@ def on_a_gpu(free: int | None) -> SimpleNamespace:
 @pytest.mark.parametrize("scale", (1, 2))
 def test_a_gpu_takes_it_where_its_free_memory_is_enough(scale):
     size = 1920, 1080
-    each = models.GPU_PIXEL_BYTES + (scale - 1) * models.ENLARGING_PIXEL_BYTES
+    each = GPU_PIXEL_BYTES + (scale - 1) * ENLARGING_PIXEL_BYTES
     enough = each * size[0] * size[1]
-    assert models.usual_network(size, scale, on_a_gpu(enough)) == "xl"
-    assert models.usual_network(size, scale, on_a_gpu(enough - 1)) == "m"
-    assert models.usual_network(size, scale, on_a_gpu(None)) == "m"
-    assert models.lacks_memory(size, scale, on_a_gpu(1 << 30)).startswith(
+    assert usual_network(size, scale, on_a_gpu(enough)) == "xl"
+    assert usual_network(size, scale, on_a_gpu(enough - 1)) == "m"
+    assert usual_network(size, scale, on_a_gpu(None)) == "m"
+    assert lacks_memory(size, scale, on_a_gpu(1 << 30)).startswith(
         f"frames of 1920x1080 take {enough >> 30} GB, this GPU has 1 GB free: m runs; ")
 
 
 def test_larger_frames_with_guides_take_the_network_that_reads_them():
     size, device = (64, 48), on_a_gpu(1 << 40)
-    assert [models.usual_network(size, scale, device, True) for scale in (1, 2)] == ["xl", "m"]
+    assert [usual_network(size, scale, device, True) for scale in (1, 2)] == ["xl", "m"]
 
 
 def test_a_still_takes_the_same():

@@ -233,7 +233,7 @@ def lit(t: float, spark: bool = False) -> Frame:
 def test_what_was_gathered_of_a_frame_serves_the_next_pair(monkeypatch):
     """And is let go with the frame."""
     frames, gathered, gather = [lit(t) for t in range(3)], [], paths.gather_cells
-    monkeypatch.setattr(paths, "gather_cells",
+    monkeypatch.setattr("postfx.interpolate.pair_motion.gather_cells",
                         lambda motion, *more: gathered.append(motion) or gather(motion, *more))
     first = Between(*frames[:2])
     first.frame(0.5)
@@ -241,7 +241,7 @@ def test_what_was_gathered_of_a_frame_serves_the_next_pair(monkeypatch):
     second = Between(*frames[1:], last=first)
     second.frame(0.5)
     assert once == 2 and len(gathered) == 3 and all(frame is not frames[0]
-                                                    for frame, _ in second._gathered)
+                                                    for frame, _ in second._motion._gathered)
 
 
 def test_light_goes_on_through_four_frames_where_nothing_moves():

@@ -7,8 +7,8 @@ import pytest
 
 from postfx import Between, Frame, Role
 from postfx.cuts import CutDetector
-from postfx.interpolate import BY_VECTORS
 from postfx.interpolate.lost import motion_of_lost
+from postfx.interpolate.shares import BY_VECTORS
 from postfx.interpolate.ways import unevenness
 
 HEIGHT, WIDTH, PAN, FLY = 96, 160, 3.0, (7.0, 2.0)
@@ -81,9 +81,9 @@ def test_the_first_quarter_has_a_quarter_of_the_change():
 
 
 def test_steady_light_is_left_as_it_is():
-    assert Between(frame(0), frame(1))._change is None
-    assert Between(frame(0, vectors=False), frame(1, vectors=False))._change is None
-    assert Between(frame(0), frame(1, 1.05))._change is None
+    assert Between(frame(0), frame(1))._pictures.change is None
+    assert Between(frame(0, vectors=False), frame(1, vectors=False))._pictures.change is None
+    assert Between(frame(0), frame(1, 1.05))._pictures.change is None
 
 
 WRONG = {
@@ -115,7 +115,7 @@ def test_a_held_frame_stays_where_its_vectors_say_that_it_moves():
 
 def test_right_vectors_are_used():
     found = Between(frame(0), frame(1))
-    assert found._has_vectors
+    assert found._motion.has_vectors
     assert psnr(found.frame(0.5)[Role.COLOUR], picture(0.5)[0]) > 38
 
 

@@ -52,7 +52,7 @@ from postfx.kernels.denoise.upsample import (
 )
 from postfx.kernels.image import ENLARGE_OVERLAY, OVER, OVER_ALPHA, RESAMPLE, positions
 from postfx.kernels.partner import ENLARGE_MOTION, MIX_PARTNER
-from postfx.passes.denoise.tiling import Sizes, Window
+from postfx.passes.denoise.geometry import Size, Sizes, Window
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.states import parse
 
@@ -95,8 +95,8 @@ class Case(NamedTuple):
     @property
     def window(self) -> Window:
         grid = 4 if self.part and (self.part[0] | self.part[1]) % 16 else 16
-        return Window(Sizes(self.h, self.w, self.height, self.width, grid),
-                      *(self.part or (0, 0, self.h, self.w)))
+        sizes = Sizes(Size(self.h, self.w), Size(self.height, self.width), grid)
+        return Window(sizes, *(self.part or (0, 0, self.h, self.w)))
 
     @property
     def second(self) -> int:

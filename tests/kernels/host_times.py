@@ -26,7 +26,7 @@ CALLS = {
     "active cells": "active_cells(strength)",
     "bad pixels": "repair_nonfinite(Frame({Role.COLOUR: colour}), (Role.COLOUR,))[1] == {}",
     "copy": "copy(colour, kept)",
-    "interpolation: finite": "interpolate._finite(colour) is colour",
+    "interpolation: finite": "pictures.finite(colour) is colour",
     "half floats": "to_halves(colour)",
     "8 bits with dither": "quantise(colour, 8, Dither.STATIC)",
     "PNG's filter": "filtered(quantise(colour, 8, Dither.NONE))",
@@ -36,7 +36,7 @@ CALLS = {
 WORKER = """
 import sys, time
 import numpy as np
-from postfx import interpolate
+from postfx.interpolate import pictures
 from postfx.cuts import CutDetector
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
@@ -46,7 +46,7 @@ from postfx.compiled import library
 from postfx.io import pixel_formats
 from postfx.kernels.denoise.alpha import near_cells
 from postfx.passes.denoise.planes import shows_volume
-from postfx.passes.denoise.tiling import active_cells
+from postfx.passes.denoise.activity import active_cells
 from postfx.repair import repair_nonfinite
 from postfx.runtime.memory import HostMemory
 call, level = sys.argv[1:]

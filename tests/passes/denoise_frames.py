@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from postfx.frame import GUIDE_ROLES, Frame, Role
-from postfx.passes.denoise.assembly import Frames
+from postfx.passes.denoise.assembly import FrameNetworks
 from postfx.passes.denoise.history import History, Turn
 from postfx.passes.denoise.window import Work
 from postfx.runtime import CommandBuffer, Tensor
@@ -59,9 +59,9 @@ def watch_histories(monkeypatch: pytest.MonkeyPatch) -> list[list[Any]]:
     """A list that gets a row for each frame from now on: its network, and the state that the last
     frame left, before the history turns to that network and after."""
     kept: list[list[Any]] = []
-    encode, turn = Frames.encode, History.turn
+    encode, turn = FrameNetworks.encode, History.turn
 
-    def begin(frames: Frames, commands: CommandBuffer, planes: Any, work: Work,
+    def begin(frames: FrameNetworks, commands: CommandBuffer, planes: Any, work: Work,
               *rest: Any) -> Tensor:
         kept.append([work.model, frames._history.next["next_state"].download()])
         return encode(frames, commands, planes, work, *rest)
@@ -70,6 +70,6 @@ def watch_histories(monkeypatch: pytest.MonkeyPatch) -> list[list[Any]]:
         kept[-1].append(history.next["next_state"].download())
         return turn(history, *given)
 
-    monkeypatch.setattr(Frames, "encode", begin)
+    monkeypatch.setattr(FrameNetworks, "encode", begin)
     monkeypatch.setattr(History, "turn", go_on)
     return kept

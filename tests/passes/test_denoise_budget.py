@@ -8,7 +8,7 @@ import pytest
 from postfx.errors import PassOptionError
 from postfx.frame import Role
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.models import Ladder, cost, family
+from postfx.passes.denoise.ladder import Ladder, cost, family
 from postfx.passes.denoise.options import RenderSize
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device

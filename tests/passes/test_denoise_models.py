@@ -17,11 +17,11 @@ from postfx.kernels import Kernel
 from postfx.kernels import denoise as kernels
 from postfx.passes.denoise import DenoiseUpscale, graph
 from postfx.passes.denoise.graph import WINDOW_STEPS, Step, kernels_of, shapes_of
+from postfx.passes.denoise.ladder import family
 from postfx.passes.denoise.models import (
     CLASSIC,
     GUIDED,
     exact,
-    family,
     model_of,
     split_ending,
     validate_tag,

@@ -12,8 +12,9 @@ from postfx.errors import FrameError, PassOptionError
 from postfx.frame import PART_KINDS, Frame, Part, Role
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.passes.denoise import DenoiseUpscale, kinds
-from postfx.passes.denoise.assembly import Frames
-from postfx.passes.denoise.parts import coverage, mean_stops
+from postfx.passes.denoise.assembly import FrameNetworks
+from postfx.passes.denoise.part_sums import coverage
+from postfx.passes.denoise.parts import mean_stops
 from postfx.passes.signed_light import lies_below
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
@@ -232,14 +233,14 @@ def test_every_kind_of_parts_stands_in_the_table():
 def test_own_filters_of_fog_see_no_surface(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     """Planes of the surface behind fog mislead them; light through glass, which files divide by a
     colour, has one."""
-    runs, encode = [], Frames.encode
+    runs, encode = [], FrameNetworks.encode
 
-    def record(frames: Frames, commands, planes, *rest, **named):
+    def record(frames: FrameNetworks, commands, planes, *rest, **named):
         runs.append({name: planes[name].download()
                      for name in ("colour", "normal", "depth", "diffuse_albedo")})
         return encode(frames, commands, planes, *rest, **named)
 
-    monkeypatch.setattr(Frames, "encode", record)
+    monkeypatch.setattr(FrameNetworks, "encode", record)
     frame = lit(1)
     frame.parts = {"fog": 0.2 * frame[Role.COLOUR], "glass": 0.3 * frame[Role.COLOUR],
                    "colour": np.ones((37, 50, 3), np.float32)}

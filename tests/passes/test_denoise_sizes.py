@@ -14,9 +14,9 @@ from postfx.frame import Frame, Role
 from postfx.integrate import jitter_sequence
 from postfx.passes import MOST_SIZES
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.assembly import Frames
+from postfx.passes.denoise.assembly import FrameNetworks
+from postfx.passes.denoise.geometry import Sizes
 from postfx.passes.denoise.history import STATE_CHANNELS, Room
-from postfx.passes.denoise.tiling import Sizes
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import PLANES, guided, noisy
@@ -110,13 +110,13 @@ def test_a_change_of_size_costs_next_to_nothing(every: int, steady: tuple, devic
 
 def test_what_a_size_needs_is_made_once_and_the_rest_is_let_go(
         device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    made, original = [], Frames.__init__
+    made, original = [], FrameNetworks.__init__
 
-    def noted(self: Frames, device: Device, sizes: Sizes, *rest) -> None:
-        made.append(sizes.w)
-        original(self, device, sizes, *rest)
+    def noted(self: FrameNetworks, device: Device, sizes: Sizes, *rest, **options) -> None:
+        made.append(sizes.render.width)
+        original(self, device, sizes, *rest, **options)
 
-    monkeypatch.setattr(Frames, "__init__", noted)
+    monkeypatch.setattr(FrameNetworks, "__init__", noted)
     upscaler = DenoiseUpscale(size=OUTPUT, model="s")
     pipeline, used = Pipeline([upscaler], device, exposure=0.0), []
     for width in (96, 80, 64, 80, 96, 64, 96) + (92, 88, 84, 76, 72, 68, 96) * 2:

@@ -14,18 +14,14 @@ from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.masks import Threshold, strength_of_converged
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.assembly import Frames
+from postfx.passes.denoise.activity import CELLS_OF_A_TILE, TILE_SIDE_PX, boxes_of
+from postfx.passes.denoise.assembly import FrameNetworks
 from postfx.passes.denoise.frame import ReadyNetwork
+from postfx.passes.denoise.geometry import CELL, Box, Size, Sizes
 from postfx.passes.denoise.tiling import (
-    CELL,
-    COARSE,
-    GPU_FIXED,
-    TILE_SIDE,
-    Box,
-    Sizes,
+    GPU_WINDOW_COST_PX,
     around,
     bands_of,
-    boxes_of,
     can_serve,
     grids,
     shape_for,
@@ -110,11 +106,11 @@ def test_boxes_around_what_is_active_are_cut_where_most_is_left_out() -> None:
         rows, columns = np.flatnonzero(cells.any(1)), np.flatnonzero(cells.any(0))
         return int(np.ptp(rows) + 1) * int(np.ptp(columns) + 1) if len(rows) else 0
 
-    random, side = np.random.default_rng(2), CELL * COARSE
+    random, side = np.random.default_rng(2), CELL * CELLS_OF_A_TILE
     for share in np.linspace(0.03, 0.3, 40):
         cells = random.random((7, 9)) < share
         cells[3, 4] = True
-        found = list(boxes_of(np.kron(cells, np.ones((COARSE, COARSE), bool))))
+        found = list(boxes_of(np.kron(cells, np.ones((CELLS_OF_A_TILE, CELLS_OF_A_TILE), bool))))
         halves = [(part[:i], part[i:]) for part in (cells, cells.T) for i in range(1, len(part))]
         wanted = [around(cells), min(around(one) + around(other) for one, other in halves)]
         areas = [sum(box.rows * box.columns for box in some) / side**2 for some in found]
@@ -128,69 +124,74 @@ def test_boxes_around_what_is_active_are_cut_where_most_is_left_out() -> None:
 
 def test_far_apart_boxes_are_one_window_on_a_gpu() -> None:
     """There windows take about as long each, whatever their size."""
-    sizes, cells = Sizes(540, 960, 1080, 1920), np.zeros((135, 240), bool)
+    sizes, cells = Sizes(Size(540, 960), Size(1080, 1920)), np.zeros((135, 240), bool)
     cells[:20, :20] = cells[-20:, -20:] = cells[:20, -20:] = True
     assert len(around(sizes, cells, 44)[0]) == 3
-    assert around(sizes, cells, 44, GPU_FIXED)[0] == [(0, 0, 540, 960)]
+    assert around(sizes, cells, 44, GPU_WINDOW_COST_PX)[0] == [(0, 0, 540, 960)]
 
 
 def test_windows_hold_their_boxes_on_the_grid_or_to_the_frames_end() -> None:
     """Those of their own size, and those that were made ready for other boxes."""
     random, reused = np.random.default_rng(4), 0
     for _ in range(300):
-        h, w, grid, halo = *random.integers(
-            30, 300, 2
-        ), int(random.choice([4, 16])), int(random.integers(4, 60))
-        frame = Sizes(int(h), int(w), 2 * int(h), 2 * int(w), grid)
+        size = Size(*random.integers(30, 300, 2).tolist())
+        grid, halo = int(random.choice([4, 16])), int(random.integers(4, 60))
+        frame = Sizes(size, twice(size), grid)
         sets = [[some_box(random, frame) for _ in range(random.integers(1, 4))] for _ in range(2)]
         shapes = [shape_for(frame, boxes, halo) for boxes in sets]
         for shape in {shapes[0], *(one for one in shapes[1:] if can_serve(frame, shapes[0], one))}:
             reused += shape != shapes[0]
             for tile, box in zip(tiles_of(frame, sets[0], shape, halo), sets[0], strict=True):
                 held = tile.window
-                for first, count, begin, length, size in ((
-                    held.top, held.rows, box.top, box.rows, frame.h
-                ), (held.left, held.columns, box.left, box.columns, frame.w)):
-                    assert first % grid == 0 and (count % grid == 0 or first + count == size)
+                for first, count, begin, length, side in (
+                    (held.top, held.rows, box.top, box.rows, size.height),
+                    (held.left, held.columns, box.left, box.columns, size.width)
+                ):
+                    assert first % grid == 0 and (count % grid == 0 or first + count == side)
                     assert (first <= max(0, begin - halo)
-                            and first + count >= min(begin + length + halo, size))
+                            and first + count >= min(begin + length + halo, side))
     assert reused > 30
 
 
 def test_windows_hold_the_tiles_that_are_judged_without_a_wider_halo() -> None:
     random = np.random.default_rng(5)
     for _ in range(100):
-        h, w = random.integers(30, 300, 2)
-        halo = int(random.integers(TILE_SIDE - CELL, 90))
-        frame = Sizes(int(h), int(w), int(h), int(w))
+        size = Size(*random.integers(30, 300, 2).tolist())
+        halo = int(random.integers(TILE_SIDE_PX - CELL, 90))
+        frame = Sizes(size, size)
         boxes = [some_box(random, frame)]
         shape = shape_for(frame, boxes, halo)
         (plain,), (judged,) = (tiles_of(frame, boxes, shape, halo, way) for way in (False, True))
         assert judged.window == plain.window
         held, inner, box = judged.window, judged.inner, boxes[0]
-        for first, count, begin, length, start, extent, size in (
-            (held.top, held.rows, inner.top, inner.rows, box.top, box.rows, frame.h),
-            (held.left, held.columns, inner.left, inner.columns, box.left, box.columns, frame.w)
+        for first, count, begin, length, start, extent, side in (
+            (held.top, held.rows, inner.top, inner.rows, box.top, box.rows, size.height),
+            (held.left, held.columns, inner.left, inner.columns, box.left, box.columns, size.width)
         ):
-            assert begin % TILE_SIDE == 0 and begin <= start < begin + TILE_SIDE
+            assert begin % TILE_SIDE_PX == 0 and begin <= start < begin + TILE_SIDE_PX
             end = begin + length
-            assert end == size or end % TILE_SIDE == 0
-            assert end >= min(start + extent, size) and end - TILE_SIDE < start + extent
+            assert end == side or end % TILE_SIDE_PX == 0
+            assert end >= min(start + extent, side) and end - TILE_SIDE_PX < start + extent
             assert first <= begin and end <= first + count
+
+
+def twice(size: tuple[int, int]) -> Size:
+    """An output of twice the render's size."""
+    return Size(2 * size[0], 2 * size[1])
 
 
 def some_box(random: np.random.Generator, frame: Sizes) -> Box:
     """Within the frame, often at its end."""
-    top, left = (int(random.integers(0, side - 1)) // CELL * CELL for side in (frame.h, frame.w))
+    top, left = (int(random.integers(0, side - 1)) // CELL * CELL for side in frame.render)
     rows, columns = (side - first
                      if random.random() < 0.5 else int(random.integers(1, side - first + 1))
-                     for side, first in ((frame.h, top), (frame.w, left)))
+                     for side, first in zip(frame.render, (top, left), strict=True))
     return Box(top, left, rows, columns)
 
 
 @pytest.mark.parametrize("size", [(100, 150), (96, 33), (16, 16)])
 def test_bands_and_their_tiles_hold_each_pixel_once(size: tuple[int, int]) -> None:
-    frame = Sizes(*size, 2 * size[0], 2 * size[1])
+    frame = Sizes(Size(*size), twice(size))
     for box, shape in grids(frame, 20):
         bands, seen = bands_of(frame, box, shape, 20), np.zeros(size, int)
         assert [band.own[0] for band in bands] == [0, *(band.own[1] for band in bands[:-1])]
@@ -290,7 +291,7 @@ def test_masked_frames_of_the_render_size(
     assert ReadyNetwork.may_restore(SimpleNamespace(restore=True), frames[0])
     tiled = chain(device, scale=1, model="m.fp32")
     found = [tiled(frame)[Role.COLOUR] for frame in frames]
-    monkeypatch.setattr(Frames, "layout", lambda *_: None)
+    monkeypatch.setattr(FrameNetworks, "layout", lambda *_: None)
     whole = chain(device, scale=1, model="m.fp32")
     for frame, one in zip(frames, found, strict=True):
         wanted = whole(frame)[Role.COLOUR]
@@ -310,7 +311,7 @@ def test_masked_alpha_and_parts_of_the_render_size(
     frame = masked(replace(room[0], jitter=(0.0, 0.0), samples=None, parts=parts), mask)
     frame.planes[Role.ALPHA] = alpha
     tiled = chain(device, scale=1, model="m.fp32", parts=list(parts))(frame)
-    monkeypatch.setattr(Frames, "layout", lambda *_: None)
+    monkeypatch.setattr(FrameNetworks, "layout", lambda *_: None)
     whole = chain(device, scale=1, model="m.fp32", parts=list(parts))(frame)
     layers = zip(tiled.parts.values(), whole.parts.values(), strict=True)
     for one, other in ((tiled[Role.ALPHA], whole[Role.ALPHA]), *layers):

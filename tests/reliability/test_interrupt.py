@@ -10,8 +10,8 @@ from postfx.cli.interruptions import Stop
 from postfx.errors import Interrupted
 from tests.reliability.faulty import Faulty
 
-SLOW = {"at": "postfx.pipeline.Flow._run", "do": "sleep", "seconds": 0.3}
-STUCK = {"at": "postfx.pipeline.Flow._run", "do": "sleep", "seconds": 100, "calls": [3]}
+SLOW = {"at": "postfx.flow.Flow._run", "do": "sleep", "seconds": 0.3}
+STUCK = {"at": "postfx.flow.Flow._run", "do": "sleep", "seconds": 100, "calls": [3]}
 
 
 def stopped(process: Faulty, number: int) -> str:

@@ -16,7 +16,7 @@ DENOISE = ("--model", "s", "--threads", "1")
 
 PLACES = {
     "before the first frame": ("postfx.cli.job.Job._process_all", 1, "before"),
-    "while a frame is processed": ("postfx.pipeline.Flow._run", 4, "before"),
+    "while a frame is processed": ("postfx.flow.Flow._run", 4, "before"),
     "before a frame is written": ("postfx.cli.job.write_frame", 4, "before"),
     "between writing a frame and naming it": ("postfx.io.writer.write_exr", 4, "after"),
     "between naming a frame and entering it into the manifest": (

@@ -10,7 +10,7 @@ import pytest
 
 from postfx.frame import Frame, Role
 from postfx.kernels.denoise.output import ASSEMBLE
-from postfx.passes.denoise.tiling import SIDE_MULTIPLE
+from postfx.passes.denoise.geometry import SIDE_MULTIPLE
 from postfx.runtime import Device
 from postfx.tools.bench.baselines import HostKernels
 from tests.kernels import host_cuda

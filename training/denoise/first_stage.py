@@ -17,7 +17,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from training.denoise.checkpoint import read
-from training.denoise.dataset import CHANNELS, DEPTH, MOTION, Clip, frame_inputs
+from training.denoise.clips import CHANNELS, DEPTH, MOTION, Clip
+from training.denoise.dataset import frame_inputs
 from training.denoise.model import empty_state
 from training.denoise.picture import (
     PictureConfig,

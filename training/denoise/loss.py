@@ -103,12 +103,30 @@ ERROR = 0.1  # weight of the predicted error
 GUIDES_KNEE = 0.02  # of their codes
 ERROR_FLOOR = 0.03  # code values: smaller expected errors count alike
 NOISY = 0.2  # input error (display-encoded) of frames that count once
+DARKEST = 1e-3  # exposed light below which the slope of the display curve is the one here
+LARGEST_SEEN = 4.0  # code values: larger errors of what is seen are fireflies of the reference
+SQUARED = 40.0  # weight of squared errors against noisy references
 
 
 def display(exposed: Tensor) -> Tensor:
     """Exposed linear colour to the sRGB-encoded curve x / (1 + x) that quality is scored on."""
     x = exposed.clamp(min=0)
     return linear_rgb_to_rgb(x / (1 + x))
+
+
+def seen_error(result: Tensor, target: Tensor, at: Tensor) -> Tensor:
+    """Error of light times the slope of the display curve ``at`` some light: the error of what is
+    seen, where it is small. Unlike the difference of display codes, it is linear in the target, so
+    noise of the target averages out where this error is squared."""
+    return (result - target) * display_slope(at)
+
+
+def display_slope(light: Tensor) -> Tensor:
+    """The derivative of `display`: of x / (1 + x), and of the sRGB curve (IEC 61966-2-1)."""
+    light = light.clamp(min=DARKEST)
+    shown = light / (1 + light)
+    coded = torch.where(shown <= 0.0031308, 12.92, 1.055 / 2.4 * shown ** (1 / 2.4 - 1))
+    return coded / (1 + light).square()
 
 
 def gradient(image: Tensor) -> tuple[Tensor, Tensor]:
@@ -131,6 +149,15 @@ def frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
     blotches = sum(huber(F.avg_pool2d(error, size), COARSE_KNEE) for size in COARSE)
     seen = difference(output, reference)
     return huber(error, KNEE) + 4 * error.square().mean() + 0.5 * edges + blotches + SEEN * seen
+
+
+def noisy_frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
+    """Error of exposed linear pictures whose reference holds noise of its own, as in Noise2Noise
+    (Lehtinen et al., 2018): squared errors of what is seen, of pixels and of coarser pictures, each
+    times ``scale`` (N, 1, 1, 1). All of it is least at the mean of such references."""
+    error = seen_error(output, reference, output.detach()).clamp(-LARGEST_SEEN, LARGEST_SEEN)
+    pictures = [error, *(F.avg_pool2d(error, size) for size in COARSE)]
+    return SQUARED * sum((scale * picture.square()).mean() for picture in pictures)
 
 
 def light_loss(output: Tensor, reference: Tensor, knee: float = LIGHT[1]) -> Tensor:
@@ -220,28 +247,40 @@ class Truth:
     """References of a clip, their motion, and the factors on errors: 1 or, with ``even``, larger
     for inputs with less noise."""
 
-    def __init__(self, batch: Batch, even: float = 0.0, light: tuple[float, float] = LIGHT):
+    def __init__(self, batch: Batch, even: float = 0.0, light: tuple[float, float] = LIGHT,
+                 is_noisy: bool = False):
         self.light, self.knee = light
+        self.is_noisy, self.quiet = is_noisy, batch.quiet
         self.references = batch.references
         self.shown = [display(reference) for reference in batch.references]
         ones = torch.ones_like(batch.keep[0])
         self.scale = [even_scale(display(inputs.colour), shown, even) if even else ones
                       for inputs, shown in zip(batch.frames, self.shown, strict=True)]
         self.motion = batch.true_motion or [inputs.motion for inputs in batch.frames]
-        self.moved = [reproject_reference(before, motion)
-                      for before, motion in zip(self.shown[:-1], self.motion[1:], strict=True)]
+        self.moved = self._move(self.shown)
+        self.moved_light = self._move(list(batch.references)) if is_noisy else []
         self.explained = [explained_by_motion(now, moved) * keep
                           for now, moved, keep in zip(self.shown[1:], self.moved, batch.keep[1:],
                                                       strict=True)]
+
+    def _move(self, pictures: list[Tensor]) -> list[Tensor]:
+        """All but the last of the clip's pictures, each moved to the next frame."""
+        return [reproject_reference(before, motion)
+                for before, motion in zip(pictures[:-1], self.motion[1:], strict=True)]
 
     def scores(self, outputs: list[Tensor], weight: float) -> Scores:
         """Loss of the exposed linear ``outputs`` with a ``weight`` of flicker, the mean PSNR of the
         clip's second half and the mean flicker."""
         shown = [display(output) for output in outputs]
-        pictures = sum(map(frame_loss, shown, self.shown, self.scale))
+        if self.is_noisy:
+            pictures = sum(map(noisy_frame_loss, outputs, self.references, self.scale))
+        else:
+            pictures = sum(map(frame_loss, shown, self.shown, self.scale))
         pictures = pictures + self.light * sum(light_loss(*pair, self.knee) for pair
                                               in zip(outputs, self.references, strict=True))
-        flicker = torch.stack([self._flicker(shown, t) for t in range(1, len(shown))])
+        changes = range(1, len(shown))
+        flicker = torch.stack([self._noisy_flicker(outputs, t) if self.is_noisy
+                               else self._flicker(shown, t) for t in changes])
         late = range(len(shown) // 2, len(shown))
         quality = torch.stack([psnr(shown[t].detach(), self.shown[t]).mean() for t in late])
         return ((pictures + weight * flicker.sum()) / len(shown), quality.mean(),
@@ -252,6 +291,9 @@ class Truth:
         predicts none."""
         if errors[0] is None:
             return 0.0
+        if self.is_noisy:  # the noise of a reference is no error of the picture
+            errors = [torch.where(self.quiet, error, error.detach())  # type: ignore[union-attr]
+                      for error in errors]
         found = [error_loss(error, display(output.detach()), shown)
                  for error, output, shown in zip(errors, outputs, self.shown, strict=True)]
         return ERROR * sum(found) / len(found)
@@ -262,6 +304,15 @@ class Truth:
                                    self.explained[t - 1], self.scale[t])
 
 
+    def _noisy_flicker(self, outputs: list[Tensor], t: int) -> Tensor:
+        moved = reproject_reference(outputs[t - 1], self.motion[t])
+        change = seen_error(outputs[t] - moved, self.references[t] - self.moved_light[t - 1],
+                            outputs[t].detach()).clamp(-LARGEST_SEEN, LARGEST_SEEN)
+        explained = self.explained[t - 1]
+        squared = self.scale[t] * change.square() * explained
+        return SQUARED * squared.sum() / (3 * explained.sum() + 1)
+
+
 class ClipLoss(nn.Module):
     """Run a clip through the recurrent step and sum the losses of its frames.
 
@@ -269,13 +320,14 @@ class ClipLoss(nn.Module):
     its history; ``even`` is the largest factor that gives clips of little noise more weight (0: all
     have the same); ``light`` are weight and knee of the error of light, ``reflectance`` is the
     weight of the error of the trusted reflectance, ``guides`` that of the error of albedo and
-    normal that the network has cleaned. A batch with
-    inverse motion also runs backwards: each direction has a loss, and so has their blend. A batch
-    with a state continues its history.
+    normal that the network has cleaned; ``is_noisy`` compares with references that hold noise of
+    their own. A batch with inverse motion also runs backwards: each direction has a loss, and so
+    has their blend. A batch with a state continues its history.
     """
 
     def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0,
-                 light: tuple[float, float] = LIGHT, reflectance: float = 0.0, guides: float = 0.0):
+                 light: tuple[float, float] = LIGHT, reflectance: float = 0.0, guides: float = 0.0,
+                 is_noisy: bool = False):
         super().__init__()
         self.model = model
         self.flicker = flicker
@@ -283,6 +335,7 @@ class ClipLoss(nn.Module):
         self.even = even
         self.light = light
         self.reflectance, self.guides = reflectance, guides
+        self.is_noisy = is_noisy
 
     def forward(self, batch: Batch) -> Results:
         # One context for the whole clip, so that weights are cast once and not once a frame.
@@ -290,7 +343,7 @@ class ClipLoss(nn.Module):
             return self._clip(batch)
 
     def _clip(self, batch: Batch) -> Results:
-        truth = Truth(batch, self.even, self.light)
+        truth = Truth(batch, self.even, self.light, self.is_noisy)
         begin = batch.state or empty_state(batch.frames[0], *batch.references.shape[-2:])
         steps, counts = self._run(batch.frames, list(batch.keep), begin)
         ahead, end = [step.output for step in steps], steps[-1].state

@@ -28,7 +28,8 @@ from torch import Tensor, nn
 
 from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
 from training.denoise.checkpoint import PREFIX, weights_of
-from training.denoise.dataset import Batch, collate, load, to_batch
+from training.denoise.clips import load
+from training.denoise.dataset import Batch, collate, to_batch
 from training.denoise.export import card, export_trunk, load_trunk
 from training.denoise.model import (
     LEVELS,

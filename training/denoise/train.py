@@ -18,9 +18,9 @@ adds the run to a table of runs (`training.measure.runs`). The defaults are thos
 training of m.
 
 This file reads from top to bottom: settings, the few functions that a step needs, the state of a
-run, then `train`, one plain loop. The network is in model.py, the loss in loss.py, clips and their
-augmentation in dataset.py, CUDA graphs and gradients in gradient.py, and checkpoints in
-checkpoint.py.
+run, then `train`, one plain loop. The network is in model.py, the loss in loss.py, clips in
+clips.py, batches of them in dataset.py, their random changes in augment.py, CUDA graphs and
+gradients in gradient.py, and checkpoints in checkpoint.py.
 """
 
 import argparse
@@ -41,8 +41,10 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
+from training.denoise.augment import Augment
 from training.denoise.checkpoint import git_commit, load_weights, read, save, unpack, widen
-from training.denoise.dataset import Augment, Batch, Clip, ClipPool, collate, to_batch
+from training.denoise.clips import Clip
+from training.denoise.dataset import Batch, ClipPool, collate, to_batch
 from training.denoise.first_stage import FirstStage
 from training.denoise.gradient import FlatGradient, GradientStep, fuse
 from training.denoise.loss import LIGHT, ClipLoss
@@ -66,118 +68,151 @@ PLACES = ("clips", "out", "start", "resume", "onward", "log", "first")
 
 
 def options() -> argparse.ArgumentParser:
+    """The parser of the command line."""
     parser = argparse.ArgumentParser(description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--clips", type=weighted_folder, required=True, nargs="+",
-                        metavar="FOLDER[=WEIGHT]",
-                        help="folders of clip.NNNNN.npz; a clip of weight 3 is drawn three times "
-                        "as often as one of 1")
-    parser.add_argument("--out", type=Path, required=True, help="folder of the run")
-    parser.add_argument("--minutes", type=float, default=17,
-                        help="length of the training (default: %(default)s)")
-    parser.add_argument("--steps", type=int,
-                        help="length in steps; the cosine then follows steps, not minutes")
-    parser.add_argument("--batch", type=int, default=16,
-                        help="clips a GPU and step (default: %(default)s)")
-    parser.add_argument("--crop", type=int, default=96,
-                        help="side of the windows in render pixels, multiple of 16")
-    parser.add_argument("--rate", type=float, default=8e-4,
-                        help="highest learning rate (default: %(default)s)")
-    parser.add_argument("--cool", type=float, metavar="SHARE",
-                        help="keep the learning rate until this last share of the training, then "
-                        "lower it linearly to zero (default: a cosine all along); stable.pt is the "
-                        "checkpoint before, to go on from")
-    parser.add_argument("--residual", action="store_true",
-                        help="a trunk of residual blocks from the render size on (residual.py), of "
-                        "which --widths, --down and --up tell the layout")
-    parser.add_argument("--picture", action="store_true",
-                        help="a network that gives the picture itself (picture.py); --start with "
-                        "the file of training.denoise.open_weights")
-    parser.add_argument("--first", type=Path, metavar="FILE",
-                        help="train a network that enlarges by 2 what the picture network of this "
-                        "checkpoint has denoised: clips of the render's size are shrunk, denoised "
-                        "by it, and mixed with the noisy colour (first_stage.py)")
-    parser.add_argument("--published-rate", type=float, default=0.05, metavar="SHARE",
-                        help="with --picture: of the learning rate, for the weights of a published "
-                        "network; 0 keeps them (default: %(default)s)")
-    parser.add_argument("--large", action="store_true",
-                        help="with --picture: the layout of the large published network")
-    parser.add_argument("--clean-planes", type=float, default=0.0, metavar="WEIGHT",
-                        help="with --picture: weight of the error of albedo and normal that the "
-                        "network has cleaned (default: %(default)s)")
-    parser.add_argument("--only", nargs="+", metavar="LAYER",
-                        help="with --picture: learn these layers alone, by the first words of "
-                        "their names; the others stay as they are")
-    parser.add_argument("--down", type=int, nargs="+", default=list(ResidualConfig.down),
-                        metavar="N", help="with --residual: blocks of each level on the way down")
-    parser.add_argument("--up", type=int, nargs="+", default=list(ResidualConfig.up), metavar="N",
-                        help="with --residual: blocks of each level on the way up")
-    parser.add_argument("--volumes", action="store_true",
-                        help="leave depth and albedo of volumes as rendered (default: as if files "
-                        "lacked them)")
-    parser.add_argument("--widths", type=int, nargs="+", default=[96, 160, 224, 320],
-                        help="channels of the levels")
-    parser.add_argument("--depth", type=int, default=TrunkConfig.depth,
-                        help="convolutions a level and direction")
-    parser.add_argument("--stem", type=int,
-                        help="channels of the stem (default: those of the first level)")
-    parser.add_argument("--reach", type=int, default=TrunkConfig.reach, choices=(2, 4),
-                        help="side of the stem, pixels")
-    parser.add_argument("--guides", action="store_true", help="read planes at output size")
-    parser.add_argument("--trust", action="store_true",
-                        help="let the network predict how far it trusts the planes")
-    parser.add_argument("--flicker", type=float, default=6.0,
-                        help="weight of the temporal difference")
-    parser.add_argument("--reset", type=float, default=0.03,
-                        help="chance that a frame drops its history")
-    parser.add_argument("--even", type=float, nargs="?", default=0.0, const=8.0, metavar="MOST",
-                        help="give clips of little noise more weight, at most this many times as "
-                        "much (8)")
-    parser.add_argument("--light", type=float, nargs=2, default=LIGHT, metavar=("WEIGHT", "KNEE"),
-                        help="weight of the relative error of light in cells of 16x16 pixels, and "
-                        "the error below which it is squared (default: %(default)s)")
-    parser.add_argument("--reflectance", type=float, default=0.0, metavar="WEIGHT",
-                        help="with --trust: weight of the relative error of the trusted "
-                        "reflectance against that of a render with many samples (default: "
-                        "%(default)s)")
-    parser.add_argument("--clean", type=float, default=Augment.clean, metavar="SHARE",
-                        help="share of the offline renders whose colour is moved towards the "
-                        "reference (%(default)s)")
-    parser.add_argument("--false-motion", type=float, default=0.0, metavar="SHARE",
-                        help="share of the clips with wrong motion vectors (%(default)s)")
-    parser.add_argument("--spread-noise", type=float, default=0.0, metavar="SHARE",
-                        help="share of the clips whose noise is not quite independent from pixel "
-                        "to pixel, as where a pixel filter was undone (%(default)s)")
-    parser.add_argument("--sparse-planes", type=float, default=0.0, metavar="SHARE",
-                        help="share of the clips with albedo, normal and roughness of a render "
-                        "with fewer samples")
-    parser.add_argument("--blend", type=float, default=0.0, metavar="SHARE",
-                        help="share of the clips whose noise is mixed from two of their renders "
-                        "(%(default)s)")
-    parser.add_argument("--both-ways", type=float, default=0.0, metavar="SHARE",
-                        help="share of the steps that also run clips backwards and score the blend "
-                        "of both directions")
-    parser.add_argument("--carry", type=float, default=0.0, metavar="SHARE",
-                        help="share of the steps that continue the history of an earlier one: the "
-                        "same windows, with other noise, played the other way (default: "
-                        "%(default)s)")
-    begin = parser.add_mutually_exclusive_group()
-    begin.add_argument("--start", type=Path,
+    add_run_options(parser.add_argument_group("run"))
+    add_start_options(parser.add_mutually_exclusive_group())
+    add_clip_options(parser.add_argument_group("clips and windows"))
+    add_network_options(parser.add_argument_group("network"))
+    add_loss_options(parser.add_argument_group("learning and loss"))
+    add_change_options(parser.add_argument_group("random changes of clips"))
+    return parser
+
+
+def add_run_options(group: argparse._ActionsContainer) -> None:
+    """How long a training takes, and what it writes."""
+    group.add_argument("--out", type=Path, required=True, help="folder of the run")
+    group.add_argument("--minutes", type=float, default=17,
+                       help="length of the training (default: %(default)s)")
+    group.add_argument("--steps", type=int,
+                       help="length in steps; the cosine then follows steps, not minutes")
+    group.add_argument("--seed", type=int, default=0)
+    group.add_argument("--log", type=Path, metavar="FILE",
+                       help="table of runs (.jsonl) that gets a row at the end")
+
+
+def add_start_options(group: argparse._ActionsContainer) -> None:
+    """What a training begins with; without any of these, random weights."""
+    group.add_argument("--start", type=Path,
                        help="weights: checkpoint.pt or denoise_upscale.<tag>.onnx, also of a "
                        "network with fewer channels or levels")
-    begin.add_argument("--continue", type=Path, dest="onward", metavar="FILE",
+    group.add_argument("--continue", type=Path, dest="onward", metavar="FILE",
                        help="go on from a checkpoint of 'training.denoise.checkpoint pack': its "
                        "weights, their average and the count of steps, with the arguments of this "
                        "call")
-    begin.add_argument("--resume", type=Path,
+    group.add_argument("--resume", type=Path,
                        help="checkpoint.pt of a run to continue, with its arguments")
-    parser.add_argument("--wait", type=int,
-                        help="clips a GPU to wait for before training starts; default: 8, or "
-                        f"those that are there once no other came for {PATIENCE:.0f} seconds")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--log", type=Path, metavar="FILE",
-                        help="table of runs (.jsonl) that gets a row at the end")
-    return parser
+
+
+def add_clip_options(group: argparse._ActionsContainer) -> None:
+    """What it learns from."""
+    group.add_argument("--clips", type=weighted_folder, required=True, nargs="+",
+                       metavar="FOLDER[=WEIGHT]",
+                       help="folders of clip.NNNNN.npz; a clip of weight 3 is drawn three times "
+                       "as often as one of 1")
+    group.add_argument("--wait", type=int,
+                       help="clips a GPU to wait for before training starts; default: 8, or "
+                       f"those that are there once no other came for {PATIENCE:.0f} seconds")
+    group.add_argument("--batch", type=int, default=16,
+                       help="clips a GPU and step (default: %(default)s)")
+    group.add_argument("--crop", type=int, default=96,
+                       help="side of the windows in render pixels, multiple of 16")
+    group.add_argument("--volumes", action="store_true",
+                       help="leave depth and albedo of volumes as rendered (default: as if files "
+                       "lacked them)")
+    group.add_argument("--guides", action="store_true", help="read planes at output size")
+
+
+def add_network_options(group: argparse._ActionsContainer) -> None:
+    """The layout of the network."""
+    group.add_argument("--widths", type=int, nargs="+", default=[96, 160, 224, 320],
+                       help="channels of the levels")
+    group.add_argument("--depth", type=int, default=TrunkConfig.depth,
+                       help="convolutions a level and direction")
+    group.add_argument("--stem", type=int,
+                       help="channels of the stem (default: those of the first level)")
+    group.add_argument("--reach", type=int, default=TrunkConfig.reach, choices=(2, 4),
+                       help="side of the stem, pixels")
+    group.add_argument("--trust", action="store_true",
+                       help="let the network predict how far it trusts the planes")
+    group.add_argument("--residual", action="store_true",
+                       help="a trunk of residual blocks from the render size on (residual.py), of "
+                       "which --widths, --down and --up tell the layout")
+    group.add_argument("--down", type=int, nargs="+", default=list(ResidualConfig.down),
+                       metavar="N", help="with --residual: blocks of each level on the way down")
+    group.add_argument("--up", type=int, nargs="+", default=list(ResidualConfig.up), metavar="N",
+                       help="with --residual: blocks of each level on the way up")
+    group.add_argument("--picture", action="store_true",
+                       help="a network that gives the picture itself (picture.py); --start with "
+                       "the file of training.denoise.open_weights")
+    group.add_argument("--large", action="store_true",
+                       help="with --picture: the layout of the large published network")
+    group.add_argument("--first", type=Path, metavar="FILE",
+                       help="train a network that enlarges by 2 what the picture network of this "
+                       "checkpoint has denoised: clips of the render's size are shrunk, denoised "
+                       "by it, and mixed with the noisy colour (first_stage.py)")
+
+
+def add_loss_options(group: argparse._ActionsContainer) -> None:
+    """How it learns, and from which errors."""
+    group.add_argument("--rate", type=float, default=8e-4,
+                       help="highest learning rate (default: %(default)s)")
+    group.add_argument("--cool", type=float, metavar="SHARE",
+                       help="keep the learning rate until this last share of the training, then "
+                       "lower it linearly to zero (default: a cosine all along); stable.pt is the "
+                       "checkpoint before, to go on from")
+    group.add_argument("--published-rate", type=float, default=0.05, metavar="SHARE",
+                       help="with --picture: of the learning rate, for the weights of a published "
+                       "network; 0 keeps them (default: %(default)s)")
+    group.add_argument("--only", nargs="+", metavar="LAYER",
+                       help="with --picture: learn these layers alone, by the first words of "
+                       "their names; the others stay as they are")
+    group.add_argument("--flicker", type=float, default=6.0,
+                       help="weight of the temporal difference")
+    group.add_argument("--reset", type=float, default=0.03,
+                       help="chance that a frame drops its history")
+    group.add_argument("--even", type=float, nargs="?", default=0.0, const=8.0, metavar="MOST",
+                       help="give clips of little noise more weight, at most this many times as "
+                       "much (8)")
+    group.add_argument("--light", type=float, nargs=2, default=LIGHT, metavar=("WEIGHT", "KNEE"),
+                       help="weight of the relative error of light in cells of 16x16 pixels, and "
+                       "the error below which it is squared (default: %(default)s)")
+    group.add_argument("--noisy-references", action="store_true",
+                       help="references hold noise of their own (clips of clean_references "
+                       "--keep-noise): squared errors of light, as in Noise2Noise; with --clean 0")
+    group.add_argument("--reflectance", type=float, default=0.0, metavar="WEIGHT",
+                       help="with --trust: weight of the relative error of the trusted "
+                       "reflectance against that of a render with many samples (default: "
+                       "%(default)s)")
+    group.add_argument("--clean-planes", type=float, default=0.0, metavar="WEIGHT",
+                       help="with --picture: weight of the error of albedo and normal that the "
+                       "network has cleaned (default: %(default)s)")
+    group.add_argument("--both-ways", type=float, default=0.0, metavar="SHARE",
+                       help="share of the steps that also run clips backwards and score the blend "
+                       "of both directions")
+    group.add_argument("--carry", type=float, default=0.0, metavar="SHARE",
+                       help="share of the steps that continue the history of an earlier one: the "
+                       "same windows, with other noise, played the other way (default: "
+                       "%(default)s)")
+
+
+def add_change_options(group: argparse._ActionsContainer) -> None:
+    """Shares of the clips that are changed at random."""
+    group.add_argument("--clean", type=float, default=Augment.clean, metavar="SHARE",
+                       help="share of the offline renders whose colour is moved towards the "
+                       "reference (%(default)s)")
+    group.add_argument("--false-motion", type=float, default=0.0, metavar="SHARE",
+                       help="share of the clips with wrong motion vectors (%(default)s)")
+    group.add_argument("--spread-noise", type=float, default=0.0, metavar="SHARE",
+                       help="share of the clips whose noise is not quite independent from pixel "
+                       "to pixel, as where a pixel filter was undone (%(default)s)")
+    group.add_argument("--sparse-planes", type=float, default=0.0, metavar="SHARE",
+                       help="share of the clips with albedo, normal and roughness of a render "
+                       "with fewer samples")
+    group.add_argument("--blend", type=float, default=0.0, metavar="SHARE",
+                       help="share of the clips whose noise is mixed from two of their renders "
+                       "(%(default)s)")
 
 
 def weighted_folder(text: str) -> tuple[Path, float]:
@@ -198,6 +233,9 @@ def parse(words: list[str] | None = None) -> argparse.Namespace:
         args = parser.parse_args(words)
     if args.carry and args.both_ways:
         parser.error("--carry and --both-ways exclude each other")
+    if args.noisy_references and args.clean:
+        parser.error("--noisy-references needs --clean 0: colour that is moved towards a noisy "
+                     "reference has its noise")
     if args.only and not args.picture:
         parser.error("--only is for --picture: leave one of the two out, or give both")
     if args.only:
@@ -402,7 +440,7 @@ class Run:
         self.device, self.world = device, world
         self.average = Average(model, DECAY)
         self.loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light),
-                             args.reflectance, args.clean_planes)
+                             args.reflectance, args.clean_planes, args.noisy_references)
         groups = rate_groups(model, args.published_rate, args.only)
         self.flat = FlatGradient([weight for group in groups for weight in group["params"]])
         self.gradient = GradientStep(self.loss, self.flat)
@@ -505,13 +543,13 @@ class Run:
 def open_pool(args: argparse.Namespace, rank: int, world: int, device: torch.device) -> ClipPool:
     """The clips of a process: it trains on a share of the folders, and one clip in twenty is held
     out."""
-    pairs: list[str] = []
+    motions: list[str] = []
     if args.both_ways or args.carry:
-        pairs.append("inverse")
+        motions.append("inverse")
     if args.false_motion:
-        pairs.append("static")
+        motions.append("static")
     prepare = FirstStage(args.first, device) if args.first else None
-    return ClipPool(dict(args.clips), device, args.guides, rank, world, pairs=tuple(pairs),
+    return ClipPool(dict(args.clips), device, args.guides, rank, world, motions=tuple(motions),
                     blank_volumes=not args.volumes, prepare=prepare)
 
 

@@ -17,7 +17,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from postfx import Between, Frame, Role
-from postfx.interpolate import BY_VECTORS, ways
+from postfx.interpolate import ways
+from postfx.interpolate.shares import BY_VECTORS
 
 HEIGHT, WIDTH, STEPS = 96, 160, 8
 SEEN_DB = 52

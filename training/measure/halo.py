@@ -10,7 +10,7 @@ With guides the frame's own planes, repeated, stand in for sharp ones. `halo_of`
 postfx/passes/denoise/models.py has the halos in use. With --in-use they stay, and the given ones
 only say where windows end; two networks in a row, which centred samples get, have two of them.
 Several frames in a row go on from the history that windows leave, in --history rows around what is
-denoised, by default HISTORY_REACH_PX of postfx/passes/denoise/tiling.py.
+denoised, by default HISTORY_REACH_PX of postfx/passes/denoise/geometry.py.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ import numpy as np
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, Role, read_sequence
 from postfx.frame import GUIDE_ROLES
 from postfx.passes.denoise import assembly as windows
-from postfx.passes.denoise import tiling
-from postfx.passes.denoise.tiling import SIDE_MULTIPLE, STRENGTH_REACH_PX
+from postfx.passes.denoise import geometry
+from postfx.passes.denoise.activity import STRENGTH_REACH_PX
+from postfx.passes.denoise.geometry import SIDE_MULTIPLE
 
 GAMMA = 1 / 2.2
 WINDOWS = 8
@@ -107,10 +108,10 @@ def main(words: Sequence[str] | None = None) -> None:
                         help="samples lie at the centres of pixels: frames have no jitter")
     parser.add_argument("--in-use", action="store_true", help="keep the networks' own halos")
     parser.add_argument("--frames", type=int, default=1, help="in a row, the first ones")
-    parser.add_argument("--history", type=int, default=tiling.HISTORY_REACH_PX, help="rows")
+    parser.add_argument("--history", type=int, default=geometry.HISTORY_REACH_PX, help="rows")
     parser.add_argument("--halos", type=int, nargs="+", required=True, help="render pixels")
     given = parser.parse_args(words)
-    tiling.HISTORY_REACH_PX = given.history
+    geometry.HISTORY_REACH_PX = given.history
     options: dict[str, object] = {"model": given.model, "scale": given.scale}
     for pattern in given.sequences:
         frames = list(itertools.islice(read_sequence(pattern), given.frames))

@@ -1,5 +1,8 @@
-"""Neural denoised upscaler: noisy planes in, clean colour at the same size or a larger one out,
-steady over time."""
+"""The denoiser: noisy planes in, clean colour out, at the same size or larger, steady over time.
+
+`DenoiseUpscale` is the pass. Which networks run is decided in `choice`; the work on a frame is in
+`frame`, and all of its steps are the tables of `graph`.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import os
 import warnings
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Never
 
@@ -17,44 +20,37 @@ from postfx.caching import LRUCache
 from postfx.errors import DeviceError, FrameError, PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.passes import MOST_SIZES, Pass, Reflection, ResidentFrame
+from postfx.passes.denoise.activity import active_cells, grown, whole_tiles
+from postfx.passes.denoise.choice import NetworkChoice
 from postfx.passes.denoise.first_stage import DENOISED_SHARE
 from postfx.passes.denoise.frame import Ready, ReadyNetwork, Wishes
+from postfx.passes.denoise.geometry import CELL, Band, Size, Sizes
 from postfx.passes.denoise.history import FILTERED_PICTURE, History, PartHistory
+from postfx.passes.denoise.ladder import TWO_STAGES_COST, Ladder, cost, family
 from postfx.passes.denoise.models import (
     CLASSIC,
     GUIDED,
-    TWO_STAGES_COST,
     UNSCALED,
-    Ladder,
-    cost,
-    denoises_first,
-    enlarging_remarks,
-    family,
-    filter_model,
-    gives_picture,
     halo_of,
-    has_model,
     mixture_model,
     model_of,
     name_models,
-    predicts_error,
-    reads_mirrored,
+    network_name,
     runs_classic,
-    short_tag,
-    unscaled_remarks,
     validate_tag,
 )
-from postfx.passes.denoise.options import (
-    Size,
-    output_size,
-    parse_reactive,
-    validate_scale,
-    validate_size,
-)
+from postfx.passes.denoise.options import parse_reactive, validate_scale, validate_size
 from postfx.passes.denoise.parts import Layers, checked_parts
 from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES, passthrough_roles
 from postfx.passes.denoise.primaries import widen_history
 from postfx.passes.denoise.reflections import Cameras, can_follow
+from postfx.passes.denoise.remarks import (
+    note_filters,
+    note_network,
+    remark_on_guides,
+    remark_on_networks,
+    remark_on_planes,
+)
 from postfx.passes.denoise.savings import (
     JITTERED,
     NO_HISTORY,
@@ -65,7 +61,6 @@ from postfx.passes.denoise.savings import (
     Reason,
     Savings,
 )
-from postfx.passes.denoise.tiling import CELL, Band, Sizes, active_cells, grown, whole_tiles
 from postfx.passes.denoise.unfiltered import SPREAD_MARGIN_PX
 from postfx.passes.denoise.window import Work
 from postfx.pixel_filter import find_stddev, parse_stddev
@@ -73,35 +68,22 @@ from postfx.repeats import ONE_SEED, Alike, FrameMemory, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 
 READ_PLANES = tuple(ABSENT)
+"""Planes that every network reads; constants stand in for those that a frame lacks."""
 NO_NETWORKS = ("the package onnxruntime is missing, so the classical filter stands in for the "
                "network, and more noise stays: install it, or accept that by the model classic")
-NO_HISTORY_REMARK = "no motion vectors, so every frame is denoised alone and may flicker"
-"""A remark, before what helps."""
-SHARPENING = Role.DIFFUSE_ALBEDO, Role.NORMAL, Role.DEPTH
-"""Planes without which results are 0.2 dB worse or more; the others are worth less than a line."""
 PART_FILTERS = "picture", "own"
 """Values of the option `part_filters`: whose filters parts get."""
+# Names of entries in a history, see `DenoiseUpscale.history`.
 NETWORK_PREFIX = "network "
-"""In a history, the name of the network's entry ends in the network's tag."""
-LARGEST_TAG = "xl"
-"""Tag of the largest network that comes with postfx."""
+"""The network's tag follows."""
 FIRST_STAGE = "first stage "
-"""In a history, names of what denoises frames before they are enlarged begin so."""
+"""The first stage's own entry follows."""
 WIDER = "wider primaries"
-"""In a history, whether its light is in wider primaries than the frames'."""
+"""Whether the history's light is in wider primaries than the frames'."""
 FOUND_STDDEV = "pixel filter"
-"""In a history, the standard deviation in pixels of the filter that a shot's first frame told."""
+"""Standard deviation, in pixels, of the filter that was found in the shot's first frame."""
 REPEATS = "repeats "
-"""In a history, names of what noise that repeats is found by begin so."""
-
-
-@lru_cache  # a run asks with every frame
-def network_name(tag: str, model: str) -> str:
-    """The users' name for the network that runs for their short tag: the tag, with its size
-    replaced where a model of another size stands in."""
-    asked, dot, precision = tag.partition(".")
-    size = short_tag(model).partition(".")[0]
-    return tag if size == asked else f"{size}{dot}{precision}"
+"""The entry of what finds repeated noise follows."""
 
 
 class DenoiseUpscale(Pass):
@@ -112,57 +94,58 @@ class DenoiseUpscale(Pass):
     Options:
         scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 1
             without guides.
-        size: width and height of the output, in place of a scale; frames may change their size, and
-            the history goes on.
-        model: tag of the network, 's', 'm', 'l' or 'xl', which runs in the device's fast precision,
-            or with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own
+        size: width and height of the output, in place of a scale. The render's size may then change
+            from frame to frame, and the history goes on.
+        model: tag of the network: 's', 'm', 'l' or 'xl', which runs in the device's fast precision;
+            or with one: 'm.fp32', 'm.int8' for the CPU, 'm.fp16' for CUDA. Or the file of your own
             network, 'nets/mine.onnx', with its card beside it, and mine.guides.onnx and
-            mine.1x.onnx if they exist; or 'classic', a filter without a network, on a CPU and for
-            frames without parts. The default here is 'm'. `postfx run` and `postfx.denoise` take
-            'xl' by themselves for frames that fit into memory, but not for larger ones with guides:
-            it is cleaner, and on a CPU takes ten times as long. Where frames are enlarged 'xl'
-            denoises them at their own size first, and a second network enlarges a mixture of that
-            and the noisy picture. With jitter or guides in place of planes 'l' enlarges the noisy
-            picture instead. Beside 'xl', and 'l' at the render's size, 'm' filters parts
-            and noisy alpha.
+            mine.1x.onnx if they exist. Or 'classic', a filter without a network, for frames without
+            parts. The default here is 'm'. `postfx run` and `postfx.denoise` take 'xl' if frames
+            fit into memory, except for larger frames with guides: it is cleaner, and takes ten
+            times as long on a CPU. To enlarge, 'xl' denoises frames at their own size first, and a
+            second network enlarges a mixture of the result and the noisy picture; frames with
+            jitter, or with guides in place of planes, are enlarged by 'l' alone. Beside 'xl', and
+            'l' at the render's size, 'm' filters parts and noisy alpha.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its
             variants are; None for the networks that come with postfx.
-        budget: milliseconds that a frame may take on the device, None for no limit. Where `model`
-            is too slow, smaller networks of its precision run ('s' below 'm', 's' and 'm' below
-            'l'), or 'classic'; the history goes on.
-        strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The
-            plane `strength` sets it pixel by pixel, and both are multiplied; no network runs where
-            it is 0.
-        pixel_filter: what to do where the renderer adds each sample to several pixels, so that
-            noise looks like detail: 'auto', find the filter by the noise of a shot's first frame;
-            or the standard deviation of its gaussian, 0.2 to 0.75 pixels: networks that give the
-            picture itself, 'xl' and 'l' at the render's size, then see planes without it, and it is
-            applied to their picture; 'none', nothing.
+        budget: milliseconds that a frame may take on the device, None for no limit. If `model` is
+            too slow, smaller networks of its precision run ('s' below 'm', 's' and 'm' below 'l'),
+            or 'classic'; the history goes on.
+        strength: 1 denoises fully, 0 only resamples the input and runs no network. The plane
+            `strength` sets it pixel by pixel, and both are multiplied; no network runs where it is
+            0.
+        pixel_filter: what to do if the renderer adds each sample to several pixels, so that noise
+            looks like detail. 'auto': find the filter by the noise of a shot's first frame. A
+            number, 0.2 to 0.75: the standard deviation of its gaussian in pixels. Networks that
+            give the picture itself ('xl', and 'l' at the render's size) then get planes without the
+            filter, and it is applied to their picture. 'none': nothing.
         parts: names of the frames' parts that are denoised with the picture, or `postfx.frame.Part`
             for those that are not light. Light of one group keeps its sum.
         part_filters: 'picture' filters parts like the picture; 'own' runs the network on each part
             that is light, which takes as long as the picture for each.
-        alpha: whether alpha is denoised with the picture, where it is neither 0 nor 1; else it is
+        alpha: whether alpha is denoised with the picture, where it is between 0 and 1; else it is
             only resampled.
         error: whether to add the plane `error`: the squared error that the network expects of each
             pixel of the denoised colour, in code values of a display (x / (1 + x) of exposed light,
             sRGB); 0 where no network ran.
         reactive: where the history is not used, for things that move without motion vectors, such
-            as particles: 'plane', the plane `reactive`; 'difference', where colour differs from the
-            plane `opaque_colour`; 'auto', the first of the two that the frame has; 'none'. scale=
-            and threshold= may follow, as in 'auto,scale=4,threshold=0.05'.
+            as particles. 'plane': where the plane `reactive` says so. 'difference': where colour
+            differs from the plane `opaque_colour`. 'auto': by the first of the two that the frame
+            has. 'none': nowhere. scale= and threshold= may follow, as in
+            'auto,scale=4,threshold=0.05'.
 
-    Where a shot has light outside the gamut, which is negative in the frames' primaries, it is
-    denoised in wider ones and converted back. On a GPU negative light counts as 0.
+    A frame's guides, planes at output size, make edges exact; ``denoise_upscale.<tag>.guides``
+    reads them. At the render's size ``denoise_upscale.<tag>.1x`` runs if it exists.
 
-    A transparency overlay is only resampled; the pass `overlay` composites. The plane `later` is
+    A frame without a motion plane is denoised alone. So is one with the same noise as the frame
+    before, as with one seed for all: a history would take that noise for detail.
+
+    If a shot has light outside the gamut, which is negative in the frames' primaries, it is
+    denoised in wider primaries and converted back. On a GPU negative light counts as 0.
+
+    A transparency overlay is only resampled; the pass `overlay` composites it. The plane `later` is
     handed on to the pass `both_ways`, and the plane `partner`, resampled, to the pass
     `mix_partner`.
-
-    A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides``
-    reads them. At render size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion
-    plane every frame stands alone. So does one whose noise is that of the frame before, as with one
-    seed for all: a history would take the noise for detail.
 
     Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a strength outside 0
     to 1, a budget that is not above 0, a model that is chosen automatically and an error that no
@@ -198,8 +181,9 @@ class DenoiseUpscale(Pass):
         if part_filters not in PART_FILTERS:
             raise PassOptionError(f"pass '{self.name}' has no part filters '{part_filters}': give "
                                   f"{' or '.join(PART_FILTERS)}")
-        self._parts_with_own_filters = [part.name
-                     for part in self._parts if part.is_light and part_filters == PART_FILTERS[1]]
+        self._parts_with_own_filters = [
+            part.name for part in self._parts
+            if part.is_light and part_filters == PART_FILTERS[1]]
         self._last_tag: str | None = None  # of the network that ran last
         self._cameras, self._repeats = Cameras(), RepeatDetector()
         self._last_inputs = FrameMemory()
@@ -213,21 +197,25 @@ class DenoiseUpscale(Pass):
             warnings.warn(NO_NETWORKS, RuntimeWarning, stacklevel=2)
         if self._tag == CLASSIC and self._parts:
             raise PassOptionError("model 'classic' filters no parts: give a network, or no parts")
+        self._networks = NetworkChoice(
+            self._tag, self.scale, self.size, self.strength, has_budget=self.budget is not None,
+            has_parts=bool(self._parts), filters_alpha=self._alpha, adds_error=self._error)
 
     def _falls_back(self, tag: str) -> bool:
         """Whether the classical filter stands in for a network, because nothing runs networks
         here."""
         return not has_networks() and "/" not in tag and CLASSIC in family(tag) and not self._parts
 
+    # What frames of a spec need, and what a plan says of them
+
     def reflect(self, spec: FrameSpec) -> Reflection:
         if spec.encoding != "scene-linear":
             raise FrameError(f"{spec.source or 'frame'}: colour is {spec.encoding}, and the "
                              "denoiser takes scene-linear light: let it run before tone mapping")
-        self._check_error(spec)
-        self._check_enlargement(spec)
+        self._networks.check(spec)
         carried = passthrough_roles(spec)
         written = (Role.COLOUR, *carried, *(Role.ERROR,) * self._error)
-        size = self._output_size(spec)
+        size = self._networks.output_size(spec)
         planes = [role for role in carried if role not in spec.guide_roles]
         guides = [role for role in carried if role in spec.guide_roles]
         demanded: tuple[Role, ...] = ()
@@ -242,8 +230,8 @@ class DenoiseUpscale(Pass):
 
     def _seen_planes(self, spec: FrameSpec) -> tuple[Role, ...]:
         """Planes that the network, and what follows reflections, may read of frames of a spec."""
-        planes = (*READ_PLANES, Role.STRENGTH, *self._reactive_planes(spec))
-        if self._reads_mirrored(spec):
+        planes = (*READ_PLANES, Role.STRENGTH, *self._mask_planes(spec))
+        if self._networks.reads_mirrored(spec):
             planes += tuple(MIRRORED_ROLES)
         if can_follow(spec):
             planes += (Role.SPECULAR_HIT_DISTANCE,)
@@ -251,35 +239,68 @@ class DenoiseUpscale(Pass):
 
     def _seen_guides(self, spec: FrameSpec) -> tuple[Role, ...]:
         """Guides that a network reads, or else those that stand in for planes that are missing."""
-        if self._reads_guides(spec):
+        if self._networks.reads_guides(spec):
             return GUIDE_ROLES
         return tuple(role for role in GUIDE_ROLES if not spec.has(role))
+
+    def _mask_planes(self, spec: FrameSpec) -> tuple[Role, ...]:
+        role = self._mask.role(spec)
+        return (role,) if role else ()
+
+    def _read_parts(self, spec: FrameSpec) -> tuple[str, ...]:
+        """Names of the parts that are denoised; FrameError for one that the frame lacks."""
+        names = tuple(part.name for part in self._parts)
+        for name in names:
+            if name not in spec.part_names:
+                held = ", ".join(spec.part_names) or "none"
+                raise FrameError(f"{spec.source or 'frame'}: no part '{name}': its parts are "
+                                 f"{held}")
+        return names
+
+    def _notes(self, spec: FrameSpec) -> tuple[str, ...]:
+        """Short clauses on the work, for the plan."""
+        notes = [note_network(self._networks, spec)] if self.strength else []
+        notes += note_filters(self._networks, spec) if self.strength and self._parts else []
+        notes += [f"stays {self.size} where frames change their size"] if self.size else []
+        stddev = self.undone_stddev(spec)
+        notes += ([f"a pixel filter of {stddev:.2f} px is undone before it and applied again"]
+                  if stddev else [])
+        alone = ", ".join(self._parts_with_own_filters)
+        notes += [f"own filters: {alone}"] if self.strength and alone else []
+        notes += (["smooth reflections move by their hit distance"]
+                  if self.strength and can_follow(spec) else [])
+        return tuple(notes)
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         if not self.strength:
             return ("strength 0: the input is only resampled",)
-        seen = {*spec.roles, *spec.guide_roles}
-        lost = [str(role).replace("_", " ") for role in SHARPENING if role not in seen]
-        can_be_estimated = any(map(spec.has, (Role.DIFFUSE_ALBEDO, Role.NORMAL)))
-        remedy = ("--motion auto estimates them" if can_be_estimated
-                  else "render them, or albedo to estimate them from")
-        alone = f"{NO_HISTORY_REMARK}: {remedy}"
         found = [NO_NETWORKS] if self._is_fallback else []
-        found += [] if spec.has(Role.MOTION) else [alone]
-        listed = " or ".join(filter(None, (", ".join(lost[:-1]), *lost[-1:])))
-        found += [f"no {listed}: results are blurrier"] if lost else []
-        if self._is_render_size(spec):
-            found += unscaled_remarks(self._tag)
-        else:
-            found += enlarging_remarks(self._tag)
-            found += self._one_stage_remarks(spec)
+        found += remark_on_planes(spec)
+        found += remark_on_networks(self._networks, spec)
         if self._given_stddev and not self.undone_stddev(spec):
             found.append(f"a pixel filter of {self._given_stddev:.2f} px stays in the noise: "
                          "network xl undoes it, and l at the render's size")
-        return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
+        found += remark_on_guides(self._networks, spec)
+        return (*found, *self._mask.remarks(spec))
+
+    def undone_stddev(self, spec: FrameSpec) -> float:
+        """The standard deviation, in pixels, of the pixel filter that is undone in frames of a
+        spec, as far as the option tells; 0 for none."""
+        return self._given_stddev or 0.0 if self._undoes_filters(spec) else 0.0
+
+    def leaves_filters(self, spec: FrameSpec) -> bool:
+        """Whether frames of a spec are denoised with what a pixel filter did to their noise, though
+        no option says so."""
+        return (self._given_stddev is None and self.strength > 0
+                and not self._undoes_filters(spec))
+
+    def _undoes_filters(self, spec: FrameSpec) -> bool:
+        return self.strength > 0 and self._networks.gives_picture(spec)
 
     def accumulates(self, spec: FrameSpec) -> bool:
         return self.strength > 0 and spec.has(Role.MOTION)
+
+    # What is made ready for frames of a spec
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         if self._tag == CLASSIC and self.strength and not runs_classic(device):
@@ -291,26 +312,43 @@ class DenoiseUpscale(Pass):
         self._last_inputs.forget()
         self._result: Tensor | None = None
         if self.strength:
-            models, size = self._models(spec), self._output_size(spec)
-            self._tags, costs = tuple(models), list(map(cost, models.values()))
-            costs[-1] = TWO_STAGES_COST if self._has_first_stage(spec) else costs[-1]
-            first = int(len(models) > 1 and self._tags[0] == CLASSIC)
-            self._ladder = Ladder(costs, self.budget, first) if self.budget else None
-            if self.size:  # so that files of a frame are the same wherever a run begins
-                endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
-                tags = self._tags_for(spec, runs_classic(device))
-                name_models(device, (find(tag, ending, device) for tag in tags
-                                     for ending in endings for find in (model_of, mixture_model)))
-            reactive = self._mask.role(spec) is not None
-            sizes = Sizes(spec.height, spec.width, *size)
-            self._history = History(device, sizes, reactive)
-            beside = (FILTERED_PICTURE,) if self._filter_model(spec, models) else ()
-            alone = (*self._parts_with_own_filters, *beside)
-            own = {name: History(device, sizes, reactive) for name in alone}
-            self._part_history = PartHistory(device, size, self._parts, own)
+            models = self._networks.models(spec, device)
+            self._tags = tuple(models)
+            self._ladder = self._make_ladder(spec, models) if self.budget else None
+            if self.size:
+                self._name_models_of_all_sizes(spec)
+            self._make_histories(spec, models)
         self._sizes: LRUCache[FrameSpec, Ready] = LRUCache(MOST_SIZES)
         self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
         super().compile(device, spec)
+
+    def _make_ladder(self, spec: FrameSpec, models: Mapping[str, str]) -> Ladder:
+        """Chooses one of these models by its time. It begins with the fastest network, not with
+        the classical filter."""
+        assert self.budget is not None  # without one there is nothing to choose
+        costs = list(map(cost, models.values()))
+        if self._networks.has_first_stage(spec):
+            costs[-1] = TWO_STAGES_COST
+        return Ladder(costs, self.budget, int(len(models) > 1 and self._tags[0] == CLASSIC))
+
+    def _name_models_of_all_sizes(self, spec: FrameSpec) -> None:
+        """Tell the device which models may run once frames change their size. Headers of files
+        name them, so that a frame's file is the same wherever a run begins."""
+        endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
+        tags = self._networks.tags(spec, runs_classic(self._device))
+        name_models(self._device, (find(tag, ending, self._device) for tag in tags
+                                   for ending in endings for find in (model_of, mixture_model)))
+
+    def _make_histories(self, spec: FrameSpec, models: Mapping[str, str]) -> None:
+        """Make the histories of the picture and its parts. Networks that run beside these models,
+        on single parts or for all of them, have histories of their own."""
+        reactive, size = self._mask.role(spec) is not None, self._networks.output_size(spec)
+        sizes = Sizes(Size(spec.height, spec.width), size)
+        self._history = History(self._device, sizes, reactive)
+        filters = self._networks.filter_model(spec, models, self._device)
+        alone = (*self._parts_with_own_filters, *((FILTERED_PICTURE,) if filters else ()))
+        own = {name: History(self._device, sizes, reactive) for name in alone}
+        self._part_history = PartHistory(self._device, size, self._parts, own)
 
     def resize(self, spec: FrameSpec) -> bool:
         before = self._spec
@@ -320,7 +358,7 @@ class DenoiseUpscale(Pass):
         alike = replace(before, width=spec.width, height=spec.height, guides=spec.guides)
         if not self.size or spec != alike or self.reflect(spec).output != self._output:
             return False
-        if self.strength and tuple(self._models(spec)) != self._tags:
+        if self.strength and tuple(self._networks.models(spec, self._device)) != self._tags:
             return False
         if self.strength:
             self._savings.note_resize(spec in self._sizes)
@@ -328,84 +366,44 @@ class DenoiseUpscale(Pass):
                 self._ladder.note_resize(spec.width * spec.height / (before.width * before.height))
         self._ready = self._sizes.get_or_make(spec, partial(self._made_ready, spec))
         self._spec = spec
-        if isinstance(self._ready, ReadyNetwork) and self._ready.first:
-            self._ready.first.reset()
+        if isinstance(self._ready, ReadyNetwork) and self._ready.first_stage:
+            self._ready.first_stage.reset()
         return True
 
     def _made_ready(self, spec: FrameSpec) -> Ready:
         """What frames of a spec need: networks, tensors and commands."""
-        size = self._output_size(spec)
+        size = self._networks.output_size(spec)
         if not self.strength:
             none = PartHistory(self._device, size, ())
             layers = (Layers(self._device, spec, size, self._parts, False, none) if self._parts
                       else None)
             return Ready(self._device, spec, size, layers)
-        models, guided = self._models(spec), self._is_guided(spec)
-        filters = self._filter_model(spec, models)
-        alone = self._alone_model(spec, models) if self._has_first_stage(spec) else {}
-        models |= alone
-        first = self._first_stage(models.values()) if alone else None
+        models = self._networks.models(spec, self._device)
+        filters = self._networks.filter_model(spec, models, self._device)
+        first, single = None, dict[str, str]()
+        if self._networks.has_first_stage(spec):
+            single = self._networks.single_stage_model(spec, models, self._device)
+            models |= single
+            first = self._first_stage(models.values())
         wishes = Wishes(self.strength, self._mask, self._parts, self._alpha, filters, self._error,
-                        first, next(iter(alone), ""), self._spared_halo_px)
-        return ReadyNetwork(self._device, spec, size, models, guided, wishes, self._history,
-                            self._part_history)
+                        first, next(iter(single), ""), self._spared_halo_px)
+        return ReadyNetwork(self._device, spec, size, models, self._networks.is_guided(spec),
+                            wishes, self._history, self._part_history)
 
     def _first_stage(self, models: Iterable[str]) -> DenoiseUpscale:
         """The denoiser that runs before these networks enlarge frames, and mixes its result with
-        the noisy frame. Its strength is 1 in the halo of these networks, too, as little of it comes
-        to the result there: so both share one halo."""
+        the noisy frame.
+
+        It is active in the halo of these networks, too. Little of that border reaches the result,
+        so the two denoisers share one halo.
+        """
         stage = DenoiseUpscale(1, strength=DENOISED_SHARE, alpha=False, pixel_filter="none",
                                **{name: self.options[name]
                                   for name in ("model", "reactive", "library")})
         stage._spared_halo_px = halo_of(models) + CELL
         return stage
 
-    def _has_first_stage(self, spec: FrameSpec) -> bool:
-        """Whether frames of a spec are denoised at their own size before they are enlarged."""
-        may = bool(self.strength) and not self._is_render_size(spec) and denoises_first(self._tag)
-        return may and not _guides_stand_in(spec)
-
-    def _one_stage_remarks(self, spec: FrameSpec) -> list[str]:
-        """What a plan says of frames that are enlarged as they are by a model of two stages."""
-        if not (_guides_stand_in(spec) and denoises_first(self._tag)):
-            return []
-        asked, other = short_tag(self._tag), short_tag(model_of(self._tag))
-        return [f"'{asked}' does not denoise at the render's size first, '{other}' alone runs: "
-                "guides stand in for planes of the render's size"]
-
-    def _tags_for(self, spec: FrameSpec, has_classic: bool = True) -> tuple[str, ...]:
-        """Tags to choose from for frames of a spec, fastest first; one without a budget."""
-        smaller = family(self._tag)[:-1] if self.budget else ()
-        if self._parts or self._error or not has_classic:  # it filters no parts
-            smaller = tuple(tag for tag in smaller if tag != CLASSIC)
-        return (*(tag for tag in smaller if has_model(model_of(tag, self._ending(spec)))),
-                self._tag)
-
-    def _ending(self, spec: FrameSpec) -> str:
-        return UNSCALED if self._is_render_size(spec) else GUIDED * self._is_guided(spec)
-
-    def _models(self, spec: FrameSpec) -> dict[str, str]:
-        """The networks to choose from for frames of a spec, by their short tags."""
-        tags, ending = self._tags_for(spec, runs_classic(self._device)), self._ending(spec)
-        found = {short_tag(tag): model_of(tag, ending, self._device) for tag in tags}
-        if self._has_first_stage(spec):
-            found[short_tag(self._tag)] = mixture_model(self._tag, ending, self._device)
-        return found
-
-    def _filter_model(self, spec: FrameSpec, models: Mapping[str, str]) -> str | None:
-        """The network that filters parts and noisy alpha, where one of the ``models`` gives the
-        picture alone, or sees one that was denoised."""
-        is_beside = self._has_first_stage(spec) or any(map(gives_picture, models.values()))
-        if not is_beside or not (self._parts or (self._alpha and spec.has(Role.ALPHA))):
-            return None
-        return filter_model(self._tag, self._ending(spec), self._device)
-
-    def _alone_model(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
-        """The network of frames that are not denoised first, by its tag: one of the ``models``, or
-        one more."""
-        model = model_of(self._tag, self._ending(spec), self._device)
-        known = (tag for tag, one in models.items() if one == model)
-        return {next(known, network_name(short_tag(self._tag), model)): model}
+    # Times and savings, for the budget and the summary
 
     def note_time(self, milliseconds: float) -> None:
         if self.strength:
@@ -415,6 +413,8 @@ class DenoiseUpscale(Pass):
 
     def savings(self) -> tuple[tuple[str, str], ...]:
         return self._savings.lines() if self.strength else ()
+
+    # What a frame leaves to the next
 
     def reset(self) -> None:
         self._has_history = self._is_wider = False
@@ -433,9 +433,9 @@ class DenoiseUpscale(Pass):
         if self._found_stddev is not None:
             known[FOUND_STDDEV] = np.array(self._found_stddev, np.float64)
         known |= {f"{REPEATS}{name}": array for name, array in self._repeats.history().items()}
-        if isinstance(self._ready, ReadyNetwork) and self._ready.first:
+        if isinstance(self._ready, ReadyNetwork) and self._ready.first_stage:
             known |= {f"{FIRST_STAGE}{name}": array
-                      for name, array in self._ready.first.history().items()}
+                      for name, array in self._ready.first_stage.history().items()}
         return (known | self._cameras.snapshot() | self._history.snapshot()
                 | self._part_history.snapshot())
 
@@ -447,20 +447,18 @@ class DenoiseUpscale(Pass):
             self._is_wider = bool(history.get(WIDER, False))
             if not isinstance(self._ready, ReadyNetwork):
                 raise KeyError(f"pass '{self.name}' has no history at strength 0")
-            self._last_tag = next(iter(key.removeprefix(NETWORK_PREFIX)
-                                   for key in history if key.startswith(NETWORK_PREFIX)), "")
+            self._last_tag = next(iter(_entries_under(NETWORK_PREFIX, history)), "")
             if FOUND_STDDEV in history:
                 self._found_stddev = float(history[FOUND_STDDEV])
             self._history.use(self._ready.models[self._last_tag])
             self._history.recall(history)
             self._part_history.recall(history)
             self._cameras.recall(history)
-            self._repeats.recall({name.removeprefix(REPEATS): array
-                                  for name, array in history.items() if name.startswith(REPEATS)})
-            if self._ready.first:
-                self._ready.first.recall({name.removeprefix(FIRST_STAGE): array
-                                          for name, array in history.items()
-                                          if name.startswith(FIRST_STAGE)})
+            self._repeats.recall(_entries_under(REPEATS, history))
+            if self._ready.first_stage:
+                self._ready.first_stage.recall(_entries_under(FIRST_STAGE, history))
+
+    # One frame
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
@@ -516,9 +514,9 @@ class DenoiseUpscale(Pass):
 
     def _plan_work(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool,
                    cells: np.ndarray | None) -> tuple[Work, Amount, list[Reason]]:
-        """The work on a frame, how much of the frame it is, and why it saves less.
+        """The work on a frame, how much of the frame it is, and what else is left out of it.
 
-        keep: whether the history goes on. cells: those that are denoised at all, None for all.
+        keep: whether the history goes on. cells: the active ones, None for all.
         """
         self._last_tag = self._choose(frame, ready)
         stddev = self._stddev(frame) if ready.sees_noise_alone(self._last_tag) else 0.0
@@ -533,7 +531,7 @@ class DenoiseUpscale(Pass):
             self._widen(keep)
         still = keep and gain == 1 and frame.is_blank(Role.MOTION)
         camera, reasons = None, list[Reason]()
-        if ready.first and ready.first.is_jittered:
+        if ready.first_stage and ready.first_stage.is_jittered:
             reasons.append(JITTERED)
         if ready.reflections:
             camera, why = self._cameras.step(frame, keep and not still)
@@ -549,35 +547,35 @@ class DenoiseUpscale(Pass):
     def _band(self, frame: ResidentFrame, ready: ReadyNetwork, cells: np.ndarray | None,
               lit: np.ndarray | None) -> tuple[Band | None, np.ndarray | None]:
         """The tiles that the network runs on, None for all of the frame; and the active cells,
-        grown to whole tiles where these are judged as a whole.
+        grown to whole tiles of 16 pixels where these are judged as a whole.
 
-        One of the two is given: `cells`, those that are denoised, or `lit`, those that show light.
+        Either `cells` is given, those that have strength, or `lit`, those that show light.
         """
         if cells is None:
             assert lit is not None, "one of them is given"
-            band = ready.frames.layout(lit)
+            band = ready.networks.layout(lit)
             # cells without light are written, too
             return band and band.over(frame.spec.height), None
         judged = ready.may_restore(frame)
-        band = ready.frames.layout(cells, judged)
+        band = ready.networks.layout(cells, judged)
         return band, whole_tiles(cells) if judged else cells
 
     def _choose(self, frame: ResidentFrame, ready: ReadyNetwork) -> str:
-        """The tag of a frame's network: by the budget; another one for what is enlarged as it
-        is."""
+        """The tag of a frame's network. The budget chooses it, and a frame that is not denoised
+        before it is enlarged has one of its own."""
         tag = self._tags[self._ladder.rung if self._ladder else 0]
         is_last = tag == self._tags[-1]
-        if ready.first and not ready.first.look(frame, is_last) and is_last:
-            tag = ready.alone_tag
+        if ready.first_stage and not ready.first_stage.look(frame, is_last) and is_last:
+            tag = ready.single_stage_tag
 
         self.choice = name = network_name(tag, ready.models[tag])
-        if ready.first and ready.first.runs:
+        if ready.first_stage and ready.first_stage.runs:
             self.choice = f"{name} in two stages" if name == tag else f"{tag} then {name}"
         return tag
 
     def _stddev(self, frame: ResidentFrame) -> float:
-        """The standard deviation in pixels of the filter that spread a frame's noise, 0 for none:
-        the option's, or what the shot's first frame tells that is looked at."""
+        """The standard deviation, in pixels, of the pixel filter that spread a frame's noise; 0 for
+        none. The option gives it, or else the noise of the shot's first frame on the host."""
         if self._given_stddev is not None:
             return self._given_stddev
         if self._found_stddev is None:
@@ -587,10 +585,13 @@ class DenoiseUpscale(Pass):
         return self._found_stddev
 
     def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
-        """Whether a frame is a copy of the one before. Only a frame that is denoised alone, from
-        planes in the host's memory, has a result that depends on nothing else."""
-        depends_on_more = (keep or self.budget or frame.is_away or frame.unusable or ready.layers
-                           or ready.error or ready.reflections)
+        """Whether a frame is a copy of the one before, so that its result is the same.
+
+        Only looked at for frames that are denoised alone, from planes in the host's memory: the
+        results of others depend on more than their planes.
+        """
+        depends_on_more = (keep or self.budget or frame.came_on_device or frame.unusable
+                           or ready.layers or ready.error or ready.reflections)
         if depends_on_more or frame.tensors.keys() != frame.host_planes.keys():
             self._last_inputs.forget()
             return Alike.OTHER
@@ -602,7 +603,7 @@ class DenoiseUpscale(Pass):
         return self._last_inputs.look(facts, planes)
 
     def _keep_result(self, commands: CommandBuffer, colour: Tensor) -> None:
-        """Record a copy of a frame's picture, for frames that are the same."""
+        """Record a copy of a frame's picture, to give it again for frames that are the same."""
         if self._result is None or self._result.shape != colour.shape:
             self._result = self._device.heap.tensor("picture of the same frames", colour.shape)
             self._copier = self._device.host_state("keep", ("colour",), ("output",),
@@ -621,7 +622,7 @@ class DenoiseUpscale(Pass):
         """Whether a frame's noise is that of the frame before. Not looked for where frames come on
         a GPU."""
         planes = frame.host_planes
-        if frame.is_away or not {Role.COLOUR, Role.MOTION} <= planes.keys():
+        if frame.came_on_device or not {Role.COLOUR, Role.MOTION} <= planes.keys():
             return False
         if frame.reset:
             self._repeats.reset()
@@ -633,144 +634,8 @@ class DenoiseUpscale(Pass):
             self._has_told_of_one_seed = True
         return repeats
 
-    def _check_error(self, spec: FrameSpec) -> None:
-        """Raise PassOptionError where the error is asked for, and a network for frames of this spec
-        does not predict it."""
-        if not self._error:
-            return
-        if not self.strength:
-            raise PassOptionError("strength 0 runs no network, so none predicts the error: leave "
-                                  "one of the two out")
-        for tag in self._tags_for(spec):
-            if predicts_error(model_of(tag, self._ending(spec))):
-                continue
-            raise PassOptionError(f"model '{short_tag(tag)}' does not predict its error at this "
-                                  f"size: {self._error_remedy()}")
 
-    def _check_enlargement(self, spec: FrameSpec) -> None:
-        """Raise PassOptionError where frames of this spec are to be enlarged by a network that
-        gives the picture itself."""
-        if not self.strength or self._is_render_size(spec):
-            return
-        for tag in self._tags_for(spec):
-            if gives_picture(model_of(tag, self._ending(spec))):
-                raise PassOptionError(f"model '{short_tag(tag)}' denoises at the render's size and "
-                                      "does not enlarge: give scale 1, or another model")
-
-    def _error_remedy(self) -> str:
-        """The remedy where no network predicts the error: one that does at the render size, if one
-        comes with postfx."""
-        able = [tag for tag in family(LARGEST_TAG) if predicts_error(model_of(tag, UNSCALED))]
-        return (f"give model '{able[-1]}' and scale 1, or leave the error out" if able
-                else "leave the error out")
-
-    def _reads_mirrored(self, spec: FrameSpec) -> bool:
-        """Whether a network reads the planes that follow mirrors and glass; where frames may change
-        their size, for any of their sizes."""
-        both = self.size or self._has_first_stage(spec)
-        endings = ("", UNSCALED) if both else (self._ending(spec),)
-        return any(reads_mirrored(model_of(tag, ending)) for tag in self._tags_for(spec)
-                   for ending in endings)
-
-    def _read_parts(self, spec: FrameSpec) -> tuple[str, ...]:
-        """Names of the parts that are denoised; FrameError for one that the frame lacks."""
-        names = tuple(part.name for part in self._parts)
-        for name in names:
-            if name not in spec.part_names:
-                held = ", ".join(spec.part_names) or "none"
-                raise FrameError(f"{spec.source or 'frame'}: no part '{name}': its parts are "
-                                 f"{held}")
-        return names
-
-    def _notes(self, spec: FrameSpec) -> tuple[str, ...]:
-        notes = [self._network_note(spec)] if self.strength else []
-        notes += self._filter_notes(spec) if self.strength and self._parts else []
-        notes += [f"stays {self.size} where frames change their size"] if self.size else []
-        notes += self._pixel_filter_notes(spec)
-        alone = ", ".join(self._parts_with_own_filters)
-        notes += [f"own filters: {alone}"] if self.strength and alone else []
-        notes += (["smooth reflections move by their hit distance"]
-                  if self.strength and can_follow(spec) else [])
-        return tuple(notes)
-
-    def undone_stddev(self, spec: FrameSpec) -> float:
-        """The standard deviation, in pixels, of the pixel filter that is undone in frames of a
-        spec, as far as the option tells; 0 for none."""
-        return self._given_stddev or 0.0 if self._undoes_filters(spec) else 0.0
-
-    def leaves_filters(self, spec: FrameSpec) -> bool:
-        """Whether frames of a spec are denoised with what a pixel filter did to their noise, though
-        no option says so."""
-        return (self._given_stddev is None and self.strength > 0
-                and not self._undoes_filters(spec))
-
-    def _undoes_filters(self, spec: FrameSpec) -> bool:
-        return self.strength > 0 and (self._has_first_stage(spec)
-                                      or gives_picture(model_of(self._tag, self._ending(spec))))
-
-    def _pixel_filter_notes(self, spec: FrameSpec) -> list[str]:
-        """A note that a pixel filter of known width is undone; none if it is not."""
-        stddev = self.undone_stddev(spec)
-        return ([f"a pixel filter of {stddev:.2f} px is undone before it and applied again"]
-                if stddev else [])
-
-    def _filter_notes(self, spec: FrameSpec) -> list[str]:
-        """Which other network filters the parts of frames of a spec."""
-        ending = self._ending(spec)
-        if not (self._has_first_stage(spec) or gives_picture(model_of(self._tag, ending))):
-            return []
-        model = filter_model(self._tag, ending).removesuffix(UNSCALED)
-        return [f"network {network_name(short_tag(self._tag), model)} filters parts"]
-
-    def _network_note(self, spec: FrameSpec) -> str:
-        """Which network runs for frames of a spec."""
-        if self._tag == CLASSIC:
-            return "the classical filter, no network"
-        faster = ", or a faster one to keep the budget" if self.budget else ""
-        model = model_of(self._tag, self._ending(spec))
-        name = network_name(short_tag(self._tag), model)
-        if self._has_first_stage(spec):
-            asked = short_tag(self._tag)
-            second = network_name(asked, mixture_model(self._tag, self._ending(spec)))
-            return (f"network {asked} at the render's size first, then {second} enlarges; {name} "
-                    f"alone where frames have jitter{faster}")
-        return f"network {name}{faster}"
-
-    def _output_size(self, spec: FrameSpec) -> Size:
-        return output_size(spec, self.scale, self.size)
-
-    def _reactive_planes(self, spec: FrameSpec) -> tuple[Role, ...]:
-        role = self._mask.role(spec)
-        return (role,) if role else ()
-
-    def _reads_guides(self, spec: FrameSpec) -> bool:
-        """Whether a network does; at render size it is better with the planes, which have the
-        samples of the colour."""
-        return self._has_guided_model() and not self._is_render_size(spec)
-
-    def _is_guided(self, spec: FrameSpec) -> bool:
-        return bool(set(spec.guide_roles) & set(GUIDE_ROLES)) and self._reads_guides(spec)
-
-    def _has_guided_model(self) -> bool:
-        return self._tag != CLASSIC and has_model(model_of(self._tag, GUIDED))
-
-    def _is_render_size(self, spec: FrameSpec) -> bool:
-        return self._output_size(spec) == (spec.height, spec.width)
-
-    def _guide_remarks(self, spec: FrameSpec) -> list[str]:
-        if (spec.guides is None
-            or (spec.guide_roles and not set(spec.guide_roles) & set(GUIDE_ROLES))):
-            return []
-        if not self._has_guided_model():
-            return [f"model '{short_tag(self._tag)}' does not read guides: they only stand in for "
-                    "missing planes"]
-        if self._is_render_size(spec):
-            return ["guides of the render size only stand in for missing planes"]
-        rough = [str(role)
-                 for role in GUIDE_ROLES if spec.has(role) and role not in spec.guide_roles]
-        return [f"edges are less exact without the guides {', '.join(rough)}"] if rough else []
-
-
-def _guides_stand_in(spec: FrameSpec) -> bool:
-    """Whether frames of a spec have guides in place of planes of the render's size."""
-    return any(role in spec.guide_roles and not spec.has(role) for role in GUIDE_ROLES)
+def _entries_under(prefix: str, history: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The entries of a history whose names begin with a prefix, without it."""
+    return {name.removeprefix(prefix): array
+            for name, array in history.items() if name.startswith(prefix)}

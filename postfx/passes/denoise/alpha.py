@@ -11,10 +11,11 @@ from postfx.frame import FrameSpec, Role
 from postfx.kernels.denoise import NEAR_CELL
 from postfx.kernels.denoise.alpha import near_cells
 from postfx.passes import ResidentFrame
+from postfx.passes.denoise.geometry import Size
 from postfx.passes.denoise.graph import CORRECTED, GATHERED, kernels_of, run_steps
 from postfx.passes.denoise.history import LayerHistory
-from postfx.passes.denoise.options import Size
 from postfx.runtime import CommandBuffer, Device, Tensor
+from postfx.sampling import three_by_three
 
 FEW_SAMPLES = 4
 """Samples a pixel of files that do not say."""
@@ -30,6 +31,9 @@ SHARPER_ALPHA = 0.4
 """How much sharper alpha is made that is twice as large."""
 BY_COLOUR = 0.5
 """Share of alpha that comes from colours where it has structure."""
+SPECKLED = 0.02
+"""Share of the pixels at edges that are alone among others, both covered and not, from which that
+is noise."""
 
 
 class Alpha:
@@ -88,3 +92,22 @@ class Alpha:
             "near": self._near, "gain": self._gain, "fit": self._fit,
             "corrected": self._output, **self._next})
         return self._output
+
+
+def has_noisy_alpha(frame: ResidentFrame) -> bool:
+    """Whether alpha has noise to filter: values between 0 and 1, or the holes and specks of one
+    sample a pixel."""
+    alpha = frame.host_planes.get(Role.ALPHA)
+    if alpha is None:
+        return False
+    return bool(((alpha > 0) & (alpha < 1)).any()) or is_speckled(alpha[..., 0] > 0)
+
+
+def is_speckled(covered: np.ndarray) -> bool:
+    """Whether a mask (h, w) has lone pixels of both kinds: wires are lone covered ones, and gaps
+    lone empty ones."""
+    around = three_by_three(covered.astype(np.float32), 1, np.add)
+    edges = np.count_nonzero((around > 0) & (around < 9))
+    specks = np.count_nonzero(covered & (around <= 3))
+    holes = np.count_nonzero(~covered & (around >= 6))
+    return bool(edges > 0 and min(specks, holes) > SPECKLED * edges)

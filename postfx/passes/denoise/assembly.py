@@ -1,5 +1,5 @@
-"""The networks for frames of one size: over the frame as a whole, or in windows that are put
-together."""
+"""The networks for frames of one size: they run on the frame as a whole, or on tiles whose results
+are put together."""
 
 from __future__ import annotations
 
@@ -11,41 +11,43 @@ from types import MappingProxyType
 import numpy as np
 
 from postfx.caching import LRUCache
-from postfx.passes.denoise.graph import ASSEMBLED, FRAME_NEEDS, kernels_of, run_steps
-from postfx.passes.denoise.history import History
-from postfx.passes.denoise.models import CLASSIC, halo_of, seamless
-from postfx.passes.denoise.tiling import (
+from postfx.passes.denoise.activity import TILE_SIDE_PX, active_rows
+from postfx.passes.denoise.geometry import (
     CELL,
-    FIXED,
-    GPU_FIXED,
-    TILE_SIDE,
-    WORTH_TIME_SHARE,
     Band,
     Rows,
     Shape,
     Sizes,
     Tile,
     Window,
-    active_rows,
+    rows_of,
+    whole_steps,
+)
+from postfx.passes.denoise.graph import ASSEMBLED, FRAME_NEEDS, kernels_of, run_steps
+from postfx.passes.denoise.history import History
+from postfx.passes.denoise.models import CLASSIC, halo_of, seamless
+from postfx.passes.denoise.tiling import (
+    GPU_WINDOW_COST_PX,
+    WINDOW_COST_PX,
+    WORTH_TIME_SHARE,
     around,
     band_of,
     bands_within,
     can_serve,
-    cost,
-    rows_of,
-    whole_sides,
-    whole_steps,
+    limited_to,
+    window_cost,
 )
 from postfx.passes.denoise.window import THE_PICTURE, Layer, Targets, WindowGraph, Work
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 MOST_WINDOW_PLACES = 64
+"""Positions of bands that stay on the device."""
 OUTPUT_SIZED = ("output", "next_history", "light")
 """What windows write at the output's size; the rest has the render's."""
 
 
 class Assembly:
-    """Memory for the outputs of a band's tiles, and what puts them together."""
+    """Memory for what a band's tiles write, and the work that puts it together."""
 
     def __init__(self, device: Device, frame: Sizes) -> None:
         self._device, self._frame = device, frame
@@ -57,7 +59,8 @@ class Assembly:
         device.make_ready(*kernels_of(ASSEMBLED))
 
     def slots(self, tiles: Sequence[Tile], targets: Targets) -> Sequence[Targets]:
-        """Where each of a band's tiles writes its share of the frame's targets."""
+        """For each of a band's tiles, the tensors that it writes in place of the frame's
+        targets."""
         window = tiles[0].window
         names = [(layer, name) for layer, written in targets.items() for name in written]
         key = len(tiles), window.rows, window.columns, tuple(names)
@@ -84,24 +87,26 @@ class Assembly:
         return slots
 
     def direct(self, band: Band, targets: Targets, kept: Rows) -> Targets | None:
-        """Where a band's only tile writes: straight into the targets, if its rows are all that is
-        written, so that nothing is copied. Else None."""
+        """The targets' own rows for a band's only tile to write, so that nothing is copied; None
+        unless the tile's rows are exactly the rows that are `kept`."""
         window, out, frame = band.tiles[0].window, band.tiles[0].window.out, self._frame
         rows, out_rows = (window.top, window.top + window.rows), (out.top, out.top + out.rows)
         if band.top < rows[0] or band.own[1] > rows[1]:
             return None
-        exact = all(row * frame.height == at * frame.h
+        exact = all(row * frame.output.height == at * frame.render.height
                     for row, at in zip(rows, out_rows, strict=True))
-        if len(band.tiles) > 1 or window.columns < frame.w or rows != kept or not exact:
+        if len(band.tiles) > 1 or window.columns < frame.render.width or rows != kept or not exact:
             return None
         return {layer: {name: rows_of(target, out_rows if name in OUTPUT_SIZED else rows)
                         for name, target in written.items()}
                 for layer, written in targets.items()}
 
     def encode(self, commands: CommandBuffer, band: Band, targets: Targets, kept: Rows) -> None:
-        """Record the work that copies a band's tiles into the frame's tensors: its own rows into
-        the output, and the rows `kept` into the next frame's history. If there are layers, which
-        read them, these rows go into the output, too."""
+        """Record the work that copies a band's tiles into the frame's targets.
+
+        The band's own rows go to the output, and the rows `kept` to the next frame's history. With
+        layers, which read the output, all rows `kept` go to both.
+        """
         layered = len(targets) > 1
         for (layer, name), tiles in self._tiles.items():
             rows = band.own if name == "output" and not layered else kept
@@ -116,9 +121,10 @@ class Assembly:
             if len(self._places) == MOST_WINDOW_PLACES:
                 self._places.clear()
             place = self._out_place if out else self._render_place
+            size = self._frame.output if out else self._frame.render
             values = {"places": [place(tile) for tile in band.tiles],
                       "frame_rows": np.arange(*self._sized(rows, out)),
-                      "frame_columns": np.arange(self._frame.width if out else self._frame.w)}
+                      "frame_columns": np.arange(size.width)}
             arrays = {name: np.asarray(value, np.float32) for name, value in values.items()}
             self._places[key] = {name: self._device.heap.tensor(name, array.shape)
                                  for name, array in arrays.items()}
@@ -130,34 +136,38 @@ class Assembly:
         return self._frame.output_rows(rows) if out else rows
 
     def _render_place(self, tile: Tile) -> list[int]:
-        """After the origin: the area where the history is known, and the area that the tile is for.
-        At a seam to nothing the first is a pixel smaller, because the output's pixels that are read
-        around a known one must be known, too."""
-        window, inner, frame = tile.window, tile.inner, self._frame
+        """A tile's first row and column, the area in which it leaves a history, and its inner part,
+        each as first row and column, end row and column.
+
+        The first area ends a pixel before the window does, except at the frame's edges: the output
+        pixels that are read around a known one must be known, too.
+        """
+        window, inner, (height, width) = tile.window, tile.inner, self._frame.render
         bottom, right = window.top + window.rows, window.left + window.columns
         held = [window.top + (window.top > 0), window.left + (window.left > 0),
-                frame.h if bottom >= frame.h else bottom - 1,
-                frame.w if right >= frame.w else right - 1]
+                height if bottom >= height else bottom - 1,
+                width if right >= width else right - 1]
         return [window.top, window.left, *held, inner.top, inner.left, inner.top + inner.rows,
                 inner.left + inner.columns]
 
     def _out_place(self, tile: Tile) -> list[int]:
+        """`_render_place` in output pixels."""
         window, inner = tile.window, tile.inner
         corners = ((window.top, window.left),
                    (window.top + window.rows, window.left + window.columns))
         (top, left), (bottom, right) = (self._enlarged(*corner) for corner in corners)
-        frame = self._frame
-        top += -(window.top * frame.height) % frame.h > 0
-        left += -(window.left * frame.width) % frame.w > 0
-        held = [top, left, min(bottom, frame.height), min(right, frame.width)]
+        render, output = self._frame.render, self._frame.output
+        top += -(window.top * output.height) % render.height > 0
+        left += -(window.left * output.width) % render.width > 0
+        held = [top, left, min(bottom, output.height), min(right, output.width)]
         own = [*self._enlarged(inner.top, inner.left),
                *self._enlarged(inner.top + inner.rows, inner.left + inner.columns)]
         return [window.out.top, window.out.left, *held, *own]
 
     def _enlarged(self, row: int, column: int = 0) -> tuple[int, int]:
         """Output pixels before a render pixel."""
-        return (row * self._frame.height // self._frame.h,
-                column * self._frame.width // self._frame.w)
+        render, output = self._frame.render, self._frame.output
+        return row * output.height // render.height, column * output.width // render.width
 
 
 MOST_GRAPHS = 4
@@ -169,25 +179,30 @@ WINDOW_SIDE_PARTS = 8
 find one ready."""
 
 
-class Frames:
-    """The networks for frames of one size. The history can continue at another size.
+class FrameNetworks:
+    """Runs networks on frames of one size. The history may go on at another size.
 
-    Of several models each frame names its own. Guided models read guides.
-    Reactive frames have a mask that tells where the history is not used. Layered ones may have
-    layers beside the picture. `spared`: render pixels that the halo is smaller, as what is active
-    has so many that nobody sees.
+    Args:
+        sizes: of the frames.
+        models: names of the networks; each frame takes one of them.
+        history: what frames leave to the next.
+        guided: whether the networks read guides.
+        reactive: whether frames have a mask of where the history is not used.
+        layered: whether layers beside the picture may be filtered with it.
+        spared_px: render pixels by which the halo may be smaller, because the active cells already
+            have a border of that width which nobody sees.
     """
 
-    def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], history: History,
+    def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], history: History, *,
                  guided: bool = False, reactive: bool = False, layered: bool = False,
-                 spared: int = 0) -> None:
+                 spared_px: int = 0) -> None:
         self._device, self._sizes, self._models = device, sizes, tuple(models)
         self._guided, self._reactive, self._layered = guided, reactive, layered
-        self._halo = max(0, halo_of(models) - spared)
-        self._fixed = GPU_FIXED if device.gpu else FIXED
+        self._halo = max(0, halo_of(models) - spared_px)
+        self._overhead = GPU_WINDOW_COST_PX if device.gpu else WINDOW_COST_PX
         self._graphs: LRUCache[Shape, WindowGraph] = LRUCache(MOST_GRAPHS)
         self._bands = bands_within(device.scratch, sizes, seamless(models))
-        self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
+        self._whole = None if self._bands else self._graph_of(sizes.render)
         self._window = Window.whole(sizes)
         if self._bands:
             self._make(self._band_shape)
@@ -196,12 +211,12 @@ class Frames:
         self._common = {"params": new("params", (4,)), "keep": new("keep", (1, 1, 1)),
                         "depth_scale": between("depth scale", (1,))}
         self._kept: bool | None = None  # what the tensor 'keep' holds
-        self._output = between("output", (sizes.height, sizes.width, 3))
+        self._output = between("output", (*sizes.output, 3))
         self._assembly = Assembly(device, sizes)
         device.make_ready(*kernels_of(FRAME_NEEDS, frozenset({"reactive"} if reactive else ())))
 
-    def beside(self, history: History) -> Frames:
-        """These networks for other frames of this size, which have this history."""
+    def beside(self, history: History) -> FrameNetworks:
+        """The same networks for other frames of this size, which have a history of their own."""
         other, new = copy(self), self._device.heap.tensor
         other._history, other._kept = history, None
         other._common = {**self._common, "params": new("params", (4,)),
@@ -209,18 +224,23 @@ class Frames:
         return other
 
     def layout(self, cells: np.ndarray, judged: bool = False) -> Band | None:
-        """The tiles for a frame's active cells, at least one; None if the whole frame is as fast.
-        Makes the networks ready that the tiles need. `judged`: the result is wanted in all of each
-        16x16 pixels that have some.
+        """The tiles for a frame's active cells; None if the whole frame is as fast.
+
+        Makes the networks ready that the tiles need.
+
+        Args:
+            cells: (rows, columns) of bool, of which at least one is set.
+            judged: whether the result is judged in tiles of 16x16 pixels, and so is needed in all
+                of each tile that has an active cell.
         """
-        time = partial(cost, fixed=self._fixed)
-        halo = max(self._halo, TILE_SIDE - CELL) if judged else self._halo
-        boxes, shape = around(self._sizes, cells, halo, self._fixed)
+        time = partial(window_cost, overhead=self._overhead)
+        halo = max(self._halo, TILE_SIDE_PX - CELL) if judged else self._halo
+        boxes, shape = around(self._sizes, cells, halo, self._overhead)
         if self._bands:
             fits = shape[0] <= self._band_shape[0] and shape[1] <= self._band_shape[1]
             return band_of(self._sizes, boxes, self._band_shape, halo, judged) if fits else None
         count, least = len(boxes), time(shape, len(boxes))
-        if least > WORTH_TIME_SHARE * time((self._sizes.h, self._sizes.w), 1):
+        if least > WORTH_TIME_SHARE * time(self._sizes.render, 1):
             return None
         ready = [one for one in self._graphs
                  if can_serve(self._sizes, shape, one) and time(one, count) <= CLOSE * least]
@@ -230,22 +250,23 @@ class Frames:
     def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], work: Work,
                layers: Sequence[Layer] = (),
                written: Targets = MappingProxyType({})) -> Tensor:
-        """Record one frame, or some tiles of it; returns the output colour tensor, which is
-        undefined outside the tiles' rows. After another model the history continues, without the
-        hidden state.
+        """Record the work on one frame, or on some tiles of it; returns the colour, which is
+        undefined outside the tiles' rows.
+
+        When the model changes the history goes on, but without the hidden state.
 
         Args:
+            planes: the frame's planes, by the kernels' names.
             layers: parts and alpha that are filtered beside the picture.
-            written: where they are written, and perhaps the output.
+            written: tensors to write the layers to, and the colour if it is among them.
         """
         keep, band = work.keep, work.band
         apart = (bool(work.still or band or self._bands or layers or self._reactive)
                  or work.model == CLASSIC)
-        rows = band.rows_held if band and not layers else (0, self._sizes.h)
-        size = self._sizes.h, self._sizes.w
+        rows = band.rows_held if band and not layers else (0, self._sizes.render.height)
         if self._history.model != work.model:
             self._history.use(work.model)
-        last, left, kept = self._history.turn(commands, size, keep, apart, rows)
+        last, left, kept = self._history.turn(commands, self._sizes.render, keep, apart, rows)
         self._common["params"].put(work.params)
         if keep != self._kept:
             self._common["keep"].fill(keep)
@@ -255,8 +276,8 @@ class Frames:
             seen["next_reactive"] = left.pop("next_reactive")
         picture = {"output": self._output, **left, **written.get(THE_PICTURE, {})}
         targets = {**written, THE_PICTURE: picture}
-        # the last output is warped to other memory where it is replaced, even if nothing of it
-        # counts
+        # Where the last output is replaced in its own memory, it is warped to other memory first,
+        # even if none of it counts.
         moves = keep and not work.still or last["history"] is left["next_history"]
         masked = keep and self._reactive
         now = frozenset({"moves"} if moves else ()) | frozenset({"masked"} if masked else ())
@@ -280,9 +301,9 @@ class Frames:
                                layers)
 
     def rows(self, band: Band | None, cells: np.ndarray | None) -> Rows:
-        """The rows of the output that are written by a frame, or by some tiles of it, as far as
-        cells are active."""
-        active = (0, self._sizes.h) if cells is None else active_rows(cells, self._sizes.h)
+        """The output rows that a frame writes: those of its band, or else of its active cells."""
+        height = self._sizes.render.height
+        active = (0, height) if cells is None else active_rows(cells, height)
         return self._sizes.output_rows(band.own if band else active)
 
     @property
@@ -305,13 +326,13 @@ class Frames:
             self._assembly.encode(commands, band, targets, kept)
 
     def _make(self, shape: Shape) -> Shape:
-        """Make a graph ready for windows of a size, or somewhat larger ones if there were others
-        before."""
+        """Make a graph ready for windows of a size; returns the size. After the first one it is
+        rounded up, so that masks that move soon find a window that is ready."""
         if self._graphs:
             grid = self._sizes.grid
             rows, columns = (max(1, side // WINDOW_SIDE_PARTS // grid) * grid
-                             for side in (self._sizes.h, self._sizes.w))
-            shape = whole_sides(self._sizes,
+                             for side in self._sizes.render)
+            shape = limited_to(self._sizes,
                                 (whole_steps(shape[0], rows), whole_steps(shape[1], columns)))
         self._graphs.get_or_make(shape, partial(self._graph_of, shape))
         return shape

@@ -1,5 +1,5 @@
-"""What runs before a network that enlarges: the network for the render's size takes most noise from
-the frame."""
+"""The first of two stages, for frames that are enlarged: a network for the render's size removes
+most of the noise before another network enlarges."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import numpy as np
 
 from postfx.frame import FrameSpec, Role
 from postfx.passes import Pass, ResidentFrame
+from postfx.passes.denoise.activity import grown
+from postfx.passes.denoise.geometry import CELL
 from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES
-from postfx.passes.denoise.tiling import CELL, grown
 from postfx.passes.denoise.window import Work
 from postfx.runtime import CommandBuffer, Device, Tensor
 
@@ -48,8 +49,8 @@ class FirstStage:
         stage.compile(device, self._spec)
 
     def look(self, frame: ResidentFrame, has_time: bool) -> bool:
-        """Decide whether a frame is denoised first, if there is time. Not where its samples do not
-        lie at the pixels' centres: then they know more than a picture of its own size holds."""
+        """Decide whether a frame is denoised first; returns it. It is if there is time and it has
+        no jitter: jittered samples hold more detail than a picture of the render's size does."""
         self.is_jittered = has_time and frame.jitter != (0.0, 0.0)
         self.runs = has_time and not self.is_jittered
         return self.runs
@@ -66,7 +67,7 @@ class FirstStage:
         return own[Role.COLOUR]
 
     def _copy(self, frame: ResidentFrame, work: Work) -> ResidentFrame:
-        """The frame as the first network sees it: active wherever the other one looks."""
+        """The frame as the first network sees it: active wherever the second one looks."""
         held, own = {role: frame[role] for role in self._spec.roles}, {}
         if self._strength:
             own[Role.STRENGTH] = _strength_of(work.cells, self._halo, self._strength.shape[:2])
@@ -91,8 +92,8 @@ class FirstStage:
 
 
 def _strength_of(cells: np.ndarray | None, halo: int, size: tuple[int, ...]) -> np.ndarray:
-    """Strength (h, w, 1) of 1 in active squares of 4 pixels and their halo, 0 elsewhere; without
-    squares 1 everywhere."""
+    """Strength (h, w, 1): 1 in active cells and their halo, 0 elsewhere; 1 everywhere without
+    cells."""
     if cells is None:
         return np.ones((*size, 1), np.float32)
     whole = grown(cells, halo).repeat(CELL, 0).repeat(CELL, 1)

@@ -1,34 +1,37 @@
-"""The denoiser's frame as tables, to be read from top to bottom: which kernels run, when, on what.
+"""All steps of the denoiser on a frame, as tables that are read from top to bottom: which kernel
+runs, when, and on which buffers.
 
-    WIDENED        colours go to wider primaries, where the frame's own do not hold its light, and
-                   come back at last (primaries.py)
-    RESAMPLED      planes and guides come to the sizes at which they are read (planes.py)
-    MASKED         the mask of where the history is not used, from the difference of two colours
-    REFLECTED      the motion of what smooth surfaces reflect (reflections.py)
-    GATHERED       the frame's own alpha joins the mean of its samples (alpha.py)
-    RESIZED        what the frame before left comes to this frame's size (history.py)
-    FRAME_NEEDS    what windows need of the whole frame (assembly.py)
-    WINDOW_STEPS   take the picture of a window through a network (window.py, network.py);
-                   CLASSIC_STEPS do so without one
-    LAYER_STEPS    filter what lies beside the picture in the same window, and so does ALPHA
-    ASSEMBLED      windows are put together
-    RESTORED       the picture gets detail back; so do its parts (output.py)
-    BLENDED        the picture is blended with the input by strength; so are its parts
-    BALANCED       light adds up to the picture (parts.py)
-    CORRECTED      alpha comes nearer to its mean and to the picture's colours
-    DECODED        what was filtered in the place of light gets its own values back
-    PASSED_ON      planes beside colour come to the output's size
+    WIDENED        converts colours to wider primaries, if the frame's own do not hold its light,
+                   and back at the end (primaries.py)
+    RESAMPLED      brings planes and guides to the sizes at which they are read (planes.py)
+    MASKED         makes the mask of where the history is not used, from the difference of two
+                   colours (planes.py)
+    REFLECTED      replaces the motion of smooth surfaces by that of their reflections
+                   (reflections.py)
+    GATHERED       adds the frame's own alpha to the mean of its samples (alpha.py)
+    RESIZED        brings what the frame before left to this frame's size (history.py)
+    FRAME_NEEDS    makes what windows need of the whole frame (assembly.py)
+    WINDOW_STEPS   takes the picture of a window through a network (window.py, network.py);
+                   CLASSIC_STEPS does so without one
+    LAYER_STEPS    filters the layers beside the picture in the same window; ALPHA filters alpha
+    ASSEMBLED      puts windows together (assembly.py)
+    RESTORED       gives the picture, and its parts, detail back (output.py)
+    BLENDED        blends the picture, and its parts, with the input by strength (output.py)
+    BALANCED       makes light add up to the picture (part_sums.py)
+    CORRECTED      brings alpha nearer to its mean and to the picture's colours (alpha.py)
+    DECODED        turns what was filtered as if it were light into its own values (part_values.py)
+    PASSED_ON      brings planes beside colour to the output's size (planes.py)
 
 `ReadyNetwork.encode` in frame.py records them in this order; the files named here hold their
 buffers.
 
-Parts with light below 0 come to the page as two layers, and leave it as their difference:
-`postfx/passes/signed_light.py` takes them apart and joins them, here and where frames are mixed.
+Parts with light below 0 enter as two layers, above and below 0, and leave as their difference:
+`postfx/passes/signed_light.py` takes them apart and joins them.
 
-A step runs where all of its words hold, and none of those behind `unless`:
+A step runs if all of its words hold, and none of those behind `unless`:
 
     moves      the last output is warped to this frame
-    masked     each pixel keeps another share of the history
+    masked     each pixel keeps its own share of the history, not all the same
     guided     the frame has guides, planes of the output's size
     mirrored   the network reads planes that follow mirrors and glass
     doubts     the network says how far planes are trusted
@@ -138,7 +141,7 @@ from postfx.kernels.denoise.upsample import (
 )
 from postfx.kernels.image import ENLARGE_OVERLAY, RESAMPLE
 from postfx.kernels.partner import ENLARGE_MOTION
-from postfx.passes.denoise.tiling import PYRAMID_LEVELS
+from postfx.passes.denoise.geometry import PYRAMID_LEVELS
 from postfx.runtime import CommandBuffer, PipelineState, Tensor
 from postfx.runtime.states import parse
 
@@ -148,10 +151,11 @@ class Step(NamedTuple):
 
     Attributes:
         kernel: None for the network that the step runs over.
-        when, unless: words of this module's description that must hold, and must not.
-        over: what it runs over, each by itself; empty for one run.
-        level: of the pyramid, whose size its buffers have.
-        buffers: names of the buffers of those bindings whose buffers have other names.
+        when: words of this module's description that must all hold.
+        unless: words of which none may hold.
+        over: name of the things that it runs over, one by one; empty for one run.
+        level: level of the pyramid whose size its buffers have.
+        buffers: binding -> name of its buffer, where the two names differ.
     """
 
     kernel: Kernel | None
@@ -169,7 +173,7 @@ Table = Mapping[str, Steps]
 
 def step(kernel: Kernel | None, when: str = "", *, unless: str = "", over: str = "",
          **buffers: str) -> Step:
-    """A step, with its words in one text; `buffers` are given by the names of bindings."""
+    """A step; words are given in one text, buffers by the names of bindings."""
     return Step(kernel, frozenset(when.split()), frozenset(unless.split()), over, 0, buffers)
 
 
@@ -332,8 +336,13 @@ PASSED_ON: Table = {
 
 
 class Each(NamedTuple):
-    """One of several things that a step runs over: its own words and buffers, and the network that
-    it is."""
+    """One of several things that a step runs over.
+
+    Attributes:
+        words: that hold for it, beside the frame's.
+        buffers: of its own, by name.
+        network: the network that runs, for a step without a kernel.
+    """
 
     words: frozenset[str] = frozenset()
     buffers: Mapping[str, Tensor] = MappingProxyType({})
@@ -352,8 +361,13 @@ SOMETIMES = frozenset({"moves", "masked", "error"})
 def run_steps(commands: CommandBuffer, table: Table, buffers: Mapping[str, Tensor],
               words: frozenset[str] = NO_WORDS, over: Over = OVER_NOTHING,
               half: bool = False) -> None:
-    """Record the steps of a table that run where these words hold, on these buffers; in `half`
-    precision where a kernel has that form. Buffers of what a step runs over come before others."""
+    """Record the steps of a table that run where these words hold.
+
+    Args:
+        buffers: tensors by name.
+        over: the things that steps run over; their own buffers come before `buffers`.
+        half: whether kernels run in half precision where they have that form.
+    """
     for label, one, each in _steps_of(table, words, over):
         if one.kernel is None:
             assert each.network  # which such a step runs over
@@ -369,8 +383,13 @@ def run_steps(commands: CommandBuffer, table: Table, buffers: Mapping[str, Tenso
 
 def shapes_of(table: Table, sizes: Callable[[int], Mapping[str, int]],
               words: frozenset[str] = NO_WORDS) -> dict[str, tuple[int, ...]]:
-    """Shapes of the buffers that steps may write where no more than these words hold, but for those
-    of what they run over; `sizes` of symbols at a level. What has other symbols is left out."""
+    """Shapes of the buffers that steps may write where no more than these words hold, by name.
+
+    Buffers whose shapes have other symbols are left out, and so are steps that run over something.
+
+    Args:
+        sizes: gives the values of the shapes' symbols at a level of the pyramid.
+    """
     found = dict[str, tuple[int, ...]]()
     for _, one, _ in _steps_of(table, words, OVER_NOTHING, SOMETIMES):
         assert one.kernel  # as it runs over nothing
@@ -392,8 +411,8 @@ def kernels_of(table: Table, words: frozenset[str] = NO_WORDS, over: Over = OVER
 
 def _steps_of(table: Table, words: frozenset[str], over: Over,
               maybe: frozenset[str] = NO_WORDS) -> Iterator[tuple[str, Step, Each]]:
-    """The steps that run, with their labels, once for each thing that they run over. A word that is
-    also in `maybe` may hold or not: it lets steps run, and keeps none from running."""
+    """The steps that run, with their labels, once for each thing that they run over. Words in
+    `maybe` hold in some frames only: they let steps run that need them, and stop none."""
     for label, steps in table.items():
         for one in steps:
             for each in over.get(one.over, ()) if one.over else ONE:

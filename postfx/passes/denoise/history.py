@@ -1,4 +1,4 @@
-"""What a frame and its parts leave to the next."""
+"""The history: what a frame and its layers leave to the next frame."""
 
 from __future__ import annotations
 
@@ -15,22 +15,20 @@ from postfx.frame import Part
 from postfx.kernels.denoise import HIDDEN
 from postfx.kernels.image import positions
 from postfx.passes import MOST_SIZES
+from postfx.passes.denoise.geometry import Rows, Shape, Size, Sizes
 from postfx.passes.denoise.graph import RESIZED, Each, run_steps
 from postfx.passes.denoise.kinds import KINDS
-from postfx.passes.denoise.options import Size
-from postfx.passes.denoise.tiling import Rows, Shape, Sizes
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth",
         "last_reactive": "next_reactive"}
 """Tensor of the last frame that kernels read -> tensor that they write for the next one."""
 STATE_CHANNELS = {"state": 4 + HIDDEN, "last_depth": 1}
-"""For tensors of render size."""
-
+"""Channels of the tensors of render size."""
 
 
 class Room:
-    """Memory for tensors of render size, for frames of any size up to a number of pixels."""
+    """Memory for tensors of render size. Frames of any size, up to a number of pixels, fit in."""
 
     def __init__(self, device: Device, pixels: int, channels: Mapping[str, int]) -> None:
         self.pixels, self._channels = pixels, channels
@@ -53,7 +51,8 @@ class Turn(NamedTuple):
     Attributes:
         last: the tensors that the frame before left, by the kernels' names.
         next: those that this frame writes for the next one.
-        rows: of these to write: also those in which an earlier frame left something.
+        rows: the rows of these to write: the frame's own, and those in which an earlier frame left
+            something.
     """
 
     last: dict[str, Tensor]
@@ -62,20 +61,22 @@ class Turn(NamedTuple):
 
 
 class History:
-    """The last output, accumulated state, depth and reactive mask: one set, which each frame
-    replaces, until a frame needs the last one to its end; from then on two sets that alternate.
+    """The last output, accumulated state, depth and reactive mask.
+
+    There is one set of tensors at first, which each frame replaces. Once a frame needs the last
+    set until it is done, there are two sets that alternate.
 
     The output keeps its size. The rest has its frame's render size, and is resampled when the next
     frame has another.
 
     Attributes:
-        model: what worked on the last frame; None before the first.
+        model: name of the network that worked on the last frame; None before the first.
     """
 
     def __init__(self, device: Device, sizes: Sizes, reactive: bool) -> None:
         self._device = device
-        self._size = (sizes.h, sizes.w)
-        self._output = (sizes.height, sizes.width)
+        self._size: Shape = sizes.render
+        self._output = sizes.output
         self._channels = STATE_CHANNELS | ({"last_reactive": 1} if reactive else {})
         self._outputs = [self._make_output()]
         self._rooms = self._make_rooms()
@@ -90,9 +91,15 @@ class History:
 
     def turn(self, commands: CommandBuffer, size: Shape, keep: bool, apart: bool,
              rows: Rows) -> Turn:
-        """Begin a frame of this render size, which leaves something in some `rows` only: the
-        tensors written last become the history. Their content is only defined if the history is not
-        kept. `apart`: the frame needs them to its end."""
+        """Begin a frame: the tensors that were written last become the history.
+
+        Args:
+            size: of the frame, render pixels.
+            keep: whether the history goes on; else its tensors hold anything.
+            apart: whether the frame needs the history until it is done, so that it must write to
+                other tensors.
+            rows: those in which the frame leaves something.
+        """
         if len(self._outputs) == 1 and (apart or size != self._size):
             self._rooms = [*self._make_rooms(), *self._rooms]
             self._held *= 2
@@ -163,8 +170,8 @@ class History:
             "resized_depth": after["last_depth"]}, frozenset({"state"}), {"planes": masks})
 
     def _forget_hidden(self) -> None:
-        """Another network cannot read the hidden state. Zeros in its place are what every network
-        knows from first frames."""
+        """Clear the hidden state, which another network cannot read. Zeros are what every network
+        finds in a first frame."""
         state = self._rooms[-1].of(self._size)["state"]
         values = state.download()
         values[..., -HIDDEN:] = 0
@@ -172,7 +179,7 @@ class History:
 
 
 def make_zeros(device: Device, name: str, shape: tuple[int, ...]) -> Tensor:
-    """A tensor of zeros: before the first frame it is not used, it only has to be defined."""
+    """A tensor of zeros. Nothing uses its content before it is written, but it must be defined."""
     tensor = device.heap.tensor(name, shape)
     tensor.fill(0)
     return tensor
@@ -185,23 +192,23 @@ ALPHA_LAYER = "alpha of the picture"
 FILTERED_PICTURE = "filtered picture"
 """Name of the history of a network that runs for parts and alpha alone."""
 ALPHA_CHANNELS = {"samples": 4, "doubt": 1}
-"""What alpha leaves beside: means of its samples by quarter-pixels, and their variance."""
+"""Channels of what alpha leaves to the next frame: means of its samples in the quarters of each
+pixel, and their variance."""
 
 
 class LayerHistory:
     """The last output of a layer and its accumulated values, in two sets used in turn.
 
     Attributes:
-        frames: how many frames the layer ran in since it last had no history; 0 if the last one
-            left nothing.
-        resized: whether the frame before had another size: then only the output and accumulated
+        frames: for how many frames the layer has had a history; 0 if the last frame left nothing.
+        resized: whether the frame before had another size. Then only the output and the accumulated
             values go on.
     """
 
     def __init__(self, device: Device, name: str, output: Size, outputs: Sequence[Tensor] = (),
                  channels: Mapping[str, int] = MappingProxyType({})) -> None:
-        """`channels`: tensors of render size that a frame leaves to the next, in place of its
-        output and values."""
+        """`channels`: tensor -> channels, of what a frame leaves to the next at render size, if it
+        is not the output and the accumulated values."""
         self._device, self._channels = device, dict(channels) or {"last_part": 3}
         size = (1, 1, 1) if channels else (*output, 3)
         self._outputs = list(outputs) or [make_zeros(device, f"last {name}", size)
@@ -231,7 +238,7 @@ class LayerHistory:
         self._outputs.reverse()
 
     def skip(self, shared: bool) -> None:
-        """The layer does not run in a frame, perhaps but others that share its memory."""
+        """Begin a frame without the layer; `shared`: whether others share its memory."""
         self.frames = 0
         if shared:
             self.follow()
@@ -280,8 +287,8 @@ class LayerHistory:
 
 
 def places_of(parts: Sequence[Part]) -> dict[str, int]:
-    """Places of layers in a stack: the whole picture if there are lights, these group by group,
-    then other planes."""
+    """Places of layers in a stack: the whole picture if any part is light, then light group by
+    group, then other planes."""
     lights = [part.name for part in parts if part.is_light]
     planes = [part.name
               for part in parts if not part.is_light and KINDS[part.kind].is_filtered]
@@ -294,11 +301,11 @@ class PartHistory:
     The outputs are in one tensor, in the order of `places_of`; alpha's is by itself.
 
     Attributes:
-        stacks: that tensor of this frame, behind that of the last one.
-        own: histories of networks that run on parts themselves, by the parts' names, and of one
+        stacks: that tensor of the last frame, then that of this one.
+        own: histories of networks that run on single parts, by the parts' names, and of the one
             that runs for parts and alpha alone.
-        ran: names of those that ran in the last frame.
-        stops: exposure of these, in stops above the picture's.
+        ran: names of those networks that ran in the last frame.
+        stops: by how many stops each of them is exposed more than the picture.
     """
 
     def __init__(self, device: Device, output: Size, parts: Sequence[Part],

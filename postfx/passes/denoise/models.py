@@ -1,22 +1,26 @@
-"""Networks of the denoised upscaler: from a tag to the model that runs, and which of several fits a
-time budget."""
+"""Networks of the denoised upscaler: from a tag to the model that runs, and what its card tells.
+
+A tag is what users give: a plain word for a network that comes with postfx ('m', 'm.int8'),
+FOLDER/TAG for one of another library, or FILE.onnx for this very file. Names of models follow from
+it: 'denoise_upscale.m', 'FOLDER/denoise_upscale.m', 'FOLDER/mine.onnx'. A name may have an ending
+for models that are chosen by themselves: '.1x' at the render's size, '.guides' with guides.
+"""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from postfx.compiled.library import has_byte_products
 from postfx.errors import ModelError, PassOptionError
 from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY
-from postfx.passes.denoise.tiling import PYRAMID_LEVELS
+from postfx.passes.denoise.geometry import PYRAMID_LEVELS
 from postfx.runtime import Device, Library, PipelineState
 from postfx.runtime.convolutions import Head
 from postfx.runtime.models import check_card_beside
-from postfx.system import usable_memory
 
 PASS = "denoise_upscale"
 HEADS = {"raw_fine": Head("fine", FINE, BLEND, MEMORY, side=2)} | {
@@ -33,22 +37,12 @@ SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has th
 """Endings of the names of networks that are chosen automatically, and when."""
 CLASSIC = "classic"
 """Tag, and name in place of a model, of the classical filter, which runs without a network."""
-BEST_NETWORK = "xl"
-"""The network where nobody chose one and nothing speaks against it."""
-USUAL_NETWORK = "m"
-"""The network for all else where nobody chose one."""
-PIXEL_BYTES = 3900
-"""Memory that `xl` takes for each render pixel on a CPU: 3,890 measured at 1280x720."""
-GPU_PIXEL_BYTES = 5300
-"""Bytes of memory for a pixel on a GPU: 5,259 measured at 1920x1080."""
-ENLARGING_PIXEL_BYTES = 1000
-"""What enlarging adds, to three times the size at most: 894 measured at 640x360 on a CPU."""
 STAND_INS = {"l": "m", "xl": "m"}
-"""Networks without a variant for the render size, or with one that filters no parts, and the
-network whose variant is taken there."""
+"""Network -> network that stands in for it at the render's size, if it has none for that size or
+one that cannot filter parts."""
 ENLARGING_STAND_INS = {"xl": "l"}
-"""Networks whose variant for the render size runs before frames are enlarged, and the network that
-enlarges noisy frames in their place, and such mixtures where they have none of their own."""
+"""Network that denoises before frames are enlarged -> network that enlarges noisy frames in its
+place, and denoised ones if it has no network of its own for these."""
 
 
 def exact(tag: str) -> str:
@@ -56,54 +50,11 @@ def exact(tag: str) -> str:
     return tag if "." in tag else f"{tag}{EXACT_SUFFIX}"
 
 
-def usual_network(size: tuple[int, int], scale: float, device: Device,
-                  guided: bool = False) -> str:
-    """The network for frames of a (width, height) on a device, where nobody chose one: the best
-    one, if it is the best for them and their memory is there.
-
-    Args:
-        size: the render's.
-        scale: output over render width.
-        guided: whether frames have guides.
-    """
-    fits = (takes_best(scale, device, guided)
-            and lacks_memory(size, scale, device) is None)
-    return BEST_NETWORK if fits else USUAL_NETWORK
-
-
-def takes_best(scale: float, device: Device, guided: bool = False) -> bool:
-    """Whether frames take the best network where memory is enough: on a CPU, or on a GPU whose
-    kernels are ours and whose free memory is known; not where guides are read, which the usual one
-    does."""
-    runs = device.memory.host_visible or device.gpu is not None
-    return runs and not (guided and scale > 1)
-
-
-def lacks_memory(size: tuple[int, int], scale: float, device: Device) -> str | None:
-    """Why a device cannot run the best network on whole frames of a (width, height), enlarged so;
-    None if it can. A GPU's memory is what other programs leave of it now."""
-    width, height = size
-    if device.gpu is None:
-        each, there, has = PIXEL_BYTES, usable_memory(), "machine has {} GB"
-    else:
-        each, there, has = GPU_PIXEL_BYTES, device.gpu.free_bytes(), "GPU has {} GB free"
-    needs = (each + ENLARGING_PIXEL_BYTES * (scale > 1)) * width * height
-    if needs <= there:
-        return None
-    return (f"frames of {width}x{height} take {needs >> 30} GB, this {has.format(there >> 30)}: "
-            f"{USUAL_NETWORK} runs; --model {BEST_NETWORK} with --memory works in tiles")
-
-
 def split_ending(name: str) -> tuple[str, str]:
     """A tag or a model's name without its special ending, and the ending: 'm.int8.1x' -> 'm.int8',
     '.1x'."""
     ending = next((one for one in SPECIAL if name.endswith(one)), "")
     return name.removesuffix(ending), ending
-
-
-# A tag is a plain word for a network that comes with postfx, FOLDER/TAG for one of another library,
-# or FILE.onnx for this very file. Names of models follow: 'denoise_upscale.m',
-# 'FOLDER/denoise_upscale.m', 'FOLDER/mine.onnx'.
 
 
 def validate_tag(model: str, library: Library | None = None) -> str:
@@ -158,6 +109,15 @@ def short_tag(tag: str) -> str:
     return Path(tag).name.removesuffix(FILE).removeprefix(f"{PASS}.")
 
 
+@lru_cache  # a run asks with every frame
+def network_name(tag: str, model: str) -> str:
+    """The users' name for the network that runs for their short tag: the tag, with its size
+    replaced where a model of another size stands in."""
+    asked, dot, precision = tag.partition(".")
+    size = short_tag(model).partition(".")[0]
+    return tag if size == asked else f"{size}{dot}{precision}"
+
+
 def find_model(model: str) -> tuple[Library, str]:
     """The library of a model, and its name there."""
     path = Path(model)
@@ -170,11 +130,15 @@ def model_of(tag: str, ending: str = "", device: Device | None = None,
     """Name of the model for a tag: 'm.fp32' -> 'denoise_upscale.m', 'm.int8' ->
     'denoise_upscale.m.int8'.
 
-    Without a precision, a tag means the device's fast one if it exists (int8 on a CPU, fp16 on a
-    GPU), else float32. Without a device it means the float32 model, which every such tag has. If a
-    tag has no network for the render size, its stand-in's runs, or else the plain one. So it does
-    where the network must predict ``filters``, which other pictures need, too, and gives the
-    picture alone. If a tag has a network for the render size alone, another one enlarges.
+    A tag without a precision means the device's fast one if it exists (int8 on a CPU, fp16 on a
+    GPU), else float32. Without a device it means float32, which every such tag has. At the render's
+    size, a tag without a network for it takes its stand-in's, or else the one that enlarges. A tag
+    that has a network for the render's size alone takes another one to enlarge.
+
+    Args:
+        ending: of the name, see `SPECIAL`.
+        filters: whether the network must predict filters. One that gives the picture alone is then
+            passed over.
     """
     enlarging = _stand_in(tag, ENLARGING_STAND_INS)
     if ending != UNSCALED:
@@ -197,8 +161,8 @@ def unscaled_remarks(tag: str) -> list[str]:
 
 
 def filter_model(tag: str, ending: str, device: Device | None = None) -> str:
-    """Name of the model that filters what a tag's own cannot, as it gives the picture alone or sees
-    a denoised one: the stand-in's, or else one of the tag itself."""
+    """Name of the model that filters parts and alpha for a tag whose own network cannot: the
+    stand-in's, or else another one of the tag."""
     found = _named(_stand_in(tag, STAND_INS), ending, device)
     return found if has_model(found) and not gives_picture(found) else model_of(tag, ending, device,
                                                                                 filters=True)
@@ -288,8 +252,7 @@ def predicts_error(model: str) -> bool:
 
 
 def gives_picture(model: str) -> bool:
-    """Whether a model's network gives the picture itself, and no filters that parts and alpha could
-    pass, too."""
+    """Whether a model's network gives the picture itself, and so no filters for parts and alpha."""
     return "picture" in _card(model).get("outputs", {})
 
 
@@ -336,8 +299,8 @@ def _reach(model: str) -> int:
 
 
 def seamless(models: Iterable[str]) -> int:
-    """Halo of tiles side by side. A measured one is larger than around masks, as every seam shows:
-    with it integer networks agree, too, frame after frame."""
+    """Halo of tiles that lie side by side. Where it was measured it is larger than around masks, as
+    every seam shows: with it integer networks agree, too, frame after frame."""
     return max(_halo_in_card(model) or _halo(model) * 4 // 3 for model in models)
 
 
@@ -371,122 +334,10 @@ def load_network(device: Device, model: str, dims: Mapping[str, int]) -> Pipelin
     """A model, ready for the given sizes of its free dimensions."""
     library, name = find_model(model)
     return device.pipeline_state(library, name, dims, heads=HEADS,
-                                 codes=device.runs_rows and has_byte_products())
+                                 own_kernels=device.runs_rows)
 
 
 def name_models(device: Device, models: Iterable[str]) -> None:
     """Announce these models, if they exist, as ones that may run later."""
     for model in set(filter(has_model, models)) - {CLASSIC}:
         device.name_model(*find_model(model))
-
-
-FAMILY = {CLASSIC: 0.5, "s": 1.0, "m": 3.5, "l": 5.0, "xl": 26.0}
-"""The classical filter and networks by size, fastest first, and about how many times as long as 's'
-each takes in float32."""
-
-FAST = {CLASSIC: 0.5, "s": 1.0, "m": 2.1, "l": 2.8, "xl": 22.0}
-"""As `FAMILY`, in integers or half precision."""
-
-TWO_STAGES_COST = 36.0
-"""As `FAMILY`, for both networks of `xl` where frames are enlarged: 4793 ms on a CPU, `s` 132."""
-
-ROOM = 0.85
-"""Share of the budget that a slower network may be expected to take; the rest keeps it from going
-back at once."""
-
-WEIGHT = 0.3
-"""Weight of the last frame in the running mean of a network's time."""
-
-# Frames in a row that must allow a slower network.
-PATIENCE = 2
-"""At first."""
-MOST_PATIENCE = 256
-"""At most, after it was too slow again and again."""
-
-STEADY = 64
-"""Frames on a slower rung after which its being too slow before is forgotten."""
-
-TOO_LONG = 2
-"""Frames in a row over the budget before a faster network is taken: one may be another program's
-fault."""
-
-
-def family(tag: str) -> tuple[str, ...]:
-    """Tags up to this one, fastest first, of its precision: 'm.int8' -> 'classic', 's.int8',
-    'm.int8'. Other tags stand alone, and so do those of other libraries."""
-    folder, slash, word = tag.rpartition("/")
-    size, dot, precision = word.partition(".")
-    if size not in FAMILY or tag.endswith(FILE) or tag == CLASSIC:
-        return (tag,)
-    sizes = list(FAMILY)[: list(FAMILY).index(size) + 1]
-    return tuple(one if one == CLASSIC else f"{folder}{slash}{one}{dot}{precision}"
-                 for one in sizes)
-
-
-def cost(model: str) -> float:
-    """About how long a model 'denoise_upscale.m.int8' takes against the others of its family."""
-    if model == CLASSIC:
-        return FAST[CLASSIC]
-    _, size, *rest = f"{find_model(model)[1]}..".split(".")
-    known = FAST if {"int8", "fp16"} & set(rest) else FAMILY
-    return known.get(size, 1.0)
-
-
-class Ladder:
-    """Chooses a rung by the times of the frames so far.
-
-    Args:
-        costs: about how long each rung takes, in any unit, fastest first; only their ratios count.
-        budget: milliseconds that a frame may take.
-        first: the rung to start at.
-        most_patience: frames in a row at most that must allow a slower rung which was too slow
-            before.
-
-    Attributes:
-        rung: what to run next.
-    """
-
-    def __init__(self, costs: Sequence[float], budget: float, first: int = 0,
-                 most_patience: int = MOST_PATIENCE) -> None:
-        self.rung, self._most_patience = first, most_patience
-        self._costs, self._budget = tuple(costs), budget
-        self._patience = PATIENCE
-        self._time = 0.0
-        self._frames = self._over = self._fits = 0
-        self._go(first)
-
-    def note_time(self, milliseconds: float) -> None:
-        """Tell how long the last frame took; a rung's first frame is not counted, since it prepares
-        what later ones find ready."""
-        self._frames += 1
-        if self._frames > 1:
-            before = self._time or milliseconds
-            self._time = before + WEIGHT * (milliseconds - before)
-            self._over = self._over + 1 if milliseconds > self._budget else 0
-            self._fits = (self._fits + 1
-                          if self._best(ROOM * self._budget) > self.rung and not self._over else 0)
-            self._decide(milliseconds)
-
-    def note_resize(self, ratio: float) -> None:
-        """Tell by what factor the next frame has more pixels than the last one."""
-        self._time *= ratio
-
-    def _decide(self, milliseconds: float) -> None:
-        if self._over >= TOO_LONG and self.rung:
-            self._time = milliseconds
-            self._patience = min(2 * self._patience, self._most_patience)
-            self._go(min(self.rung - 1, self._best(self._budget)))
-        elif self._fits >= self._patience:
-            self._go(self._best(ROOM * self._budget))
-        elif self._climbed and self._frames == STEADY:
-            self._patience = PATIENCE
-
-    def _best(self, limit: float) -> int:
-        """The slowest rung that is expected to stay within a limit."""
-        unit = self._time / self._costs[self.rung]
-        return max((rung for rung, cost in enumerate(self._costs) if unit * cost <= limit),
-                   default=0)
-
-    def _go(self, rung: int) -> None:
-        self._climbed = rung > self.rung
-        self.rung, self._time, self._frames, self._over, self._fits = rung, 0.0, 0, 0, 0

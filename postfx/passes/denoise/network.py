@@ -1,4 +1,9 @@
-"""A network of the denoiser: what its file calls its inputs and outputs, and how it stores them."""
+"""A network of the denoiser: the names of its inputs and outputs, and the forms that they have.
+
+Networks in float32 read and write planes. Networks in half precision have channels last, and so
+have 8-bit networks, whose outputs may be integer products. The names of inputs and outputs begin
+with the form that they have; kernels bring planes into it, and back.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +48,7 @@ RING = 1
 """Border in pixels around 8-bit inputs, for networks whose first convolution reads beyond the
 picture."""
 OUTPUT_WORDS = {PHASED_FINE: "phased", RAW: "raw", PRODUCTS: "sums"}
-"""Words for outputs that kernels open, by how their names begin: see `graph`."""
+"""Beginning of an output's name -> word of `graph` for the kernel that opens it."""
 MADE = (PACKED, RAW, PHASED_FINE, STORED, PRODUCTS, CODES_NAME)
 CHANNELS = {"features": FEATURES, "guides": GUIDES, "mirrored": MIRRORED}
 FEATURE_PARTS = {"first_features": 32, "last_features": FEATURES - 32}
@@ -52,8 +57,8 @@ multiples of 16."""
 
 
 def free_dimensions(size: tuple[int, int]) -> dict[str, int]:
-    """Networks' names for height and width: of the features, and of features with a border of one
-    pixel."""
+    """Sizes of the dimensions that networks leave free: height and width of the features, and of
+    features with a border."""
     (h, w), ring = size, 2 * RING
     return {"height": h, "width": w, "ringed_height": h + ring, "ringed_width": w + ring}
 
@@ -64,7 +69,8 @@ def stored_channels(name: str) -> int:
 
 
 def seen_by(state: PipelineState) -> dict[str, tuple[int, ...]]:
-    """Shapes of what kernels prepare for a network, by name."""
+    """Shapes of the planes that kernels prepare for a network, by name: 'features', 'guides' and
+    'mirrored'."""
     seen = dict[str, tuple[int, ...]]()
     for binding in state.bindings:
         name, size = binding.name.removeprefix(PACKED), state.shapes[binding.name]
@@ -123,22 +129,27 @@ def check_bindings(state: PipelineState) -> None:
 
 
 def alike_heads(state: PipelineState) -> dict[str, np.ndarray]:
-    """Heads of the levels that a network does not compute, (1, C, 1, 1) by name: one value for all
+    """Heads of the levels that a network does not compute: (1, C, 1, 1) by name, the same for all
     pixels."""
     return {name: array
             for name, array in state.constants.items() if not name.startswith((CODING, SCALING))}
 
 
 class Network:
-    """A network that reads `seen` and writes `heads`, both by name; `new` makes the tensors in
-    between.
+    """A network with its tensors: what steps of `graph` run over.
+
+    Args:
+        state: the network.
+        seen: the planes that it reads, by name.
+        heads: the heads that it makes, by name.
+        new: makes a tensor in between, of a name, shape and type.
 
     Attributes:
-        stored: what a CPU's kernel for features writes in 8 bits, by its bindings; empty for other
-            networks.
-        coded: what other kernels make the fine head of, by their bindings, if the network leaves it
-            to them.
-        over: its inputs, itself and its outputs, for the steps of a window that run over these.
+        stored: tensors of the kernel that makes features in 8 bits, by its bindings; empty for
+            other networks.
+        coded: tensors of the kernels that make the fine head themselves, by their bindings; empty
+            if the network makes it.
+        over: its inputs, itself and its outputs, by the names that `graph` gives them.
     """
 
     def __init__(self, state: PipelineState, seen: Mapping[str, Tensor],
@@ -175,8 +186,8 @@ class Network:
 
     @staticmethod
     def _refuse_unmarked(state: PipelineState) -> None:
-        """ModelError where constants of a network are outputs, as no card beside it tells of
-        them."""
+        """ModelError if constants of a network are among its outputs, because no card beside it
+        marks them."""
         unmarked = [binding.name for binding in state.bindings
                     if binding.name.startswith((CODING, SCALING))]
         if unmarked:
@@ -186,12 +197,12 @@ class Network:
 
 
 def _in_fours(factors: np.ndarray) -> np.ndarray:
-    """Factors (n, C) of whole groups of four: zeros are added."""
+    """Factors (n, C), with zeros added up to whole groups of four."""
     return np.pad(factors, ((0, -len(factors) % FOURS), (0, 0)))
 
 
 def _input(closed: Tensor, constants: Mapping[str, Tensor], seen: Mapping[str, Tensor]) -> Each:
-    """An input that a kernel makes of what is `seen`."""
+    """An input in the network's form, which a kernel makes of a plane."""
     if closed.name.startswith(PACKED):
         planes = seen[closed.name.removeprefix(PACKED)]
         return Each(frozenset({"halves"}), {"planes": planes, "closed": closed})
@@ -203,7 +214,7 @@ def _input(closed: Tensor, constants: Mapping[str, Tensor], seen: Mapping[str, T
 
 def _outputs(closed: Tensor, constants: Mapping[str, Tensor],
              heads: Mapping[str, Tensor]) -> list[Each]:
-    """An output that a kernel opens, perhaps in several runs."""
+    """An output in the network's form, which a kernel makes a head of: one or several runs."""
     begin = next(begin for begin in OUTPUT_WORDS if closed.name.startswith(begin))
     name = closed.name.removeprefix(begin) or "fine"
     words, head = frozenset({OUTPUT_WORDS[begin]} | {"fine"} & {name}), heads[name]
@@ -229,7 +240,7 @@ def _outputs(closed: Tensor, constants: Mapping[str, Tensor],
 
 
 def _coded_output(name: str, coded: Mapping[str, Tensor], head: Tensor) -> Each:
-    """A head that a kernel makes of codes."""
+    """A head that a kernel makes of an output in 8 bits."""
     _, count, rows, columns = head.shape
     opened = (head.view("fine", (1, count, rows // 2, 2, columns)) if name == "fine" else head)
     return Each(frozenset({"codes"} | {"fine"} & {name}),

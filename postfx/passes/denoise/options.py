@@ -6,11 +6,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import FrameSpec, GuideSpec, Role
-from postfx.passes.denoise.models import Ladder
+from postfx.passes.denoise.geometry import Size
+from postfx.passes.denoise.ladder import Ladder
 
 # Output size over render size: what networks can do, and what is done unless a size is given.
 LEAST_SCALE = 1.0
@@ -20,16 +21,6 @@ USUAL_SCALE = 1.0
 ASPECT = 0.01
 """Share of a side by which frames may be off the output's aspect, if that is more than a pixel:
 sizes are often multiples of 8."""
-
-
-class Size(NamedTuple):
-    """Height and width."""
-
-    height: int
-    width: int
-
-    def __str__(self) -> str:
-        return f"{self.width}x{self.height}"
 
 
 def validate_scale(scale: float | None) -> float | None:

@@ -1,5 +1,5 @@
-"""What the picture gets behind the windows, and its parts with it: the detail that it lost, and the
-blend with the input by strength."""
+"""What is done to the picture after the windows, and to its parts: detail that was lost comes back,
+and strength blends the result with the input."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from postfx.frame import ALBEDOS, FrameSpec, Role
 from postfx.kernels.denoise.output import SUMS, TILE
 from postfx.kernels.image import positions
 from postfx.passes import ResidentFrame
+from postfx.passes.denoise.activity import full_rows, tiles_with
+from postfx.passes.denoise.geometry import Rows, Size, rows_of
 from postfx.passes.denoise.graph import BLENDED, NO_WORDS, RESTORED, Each, kernels_of, run_steps
-from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.planes import Resampler
-from postfx.passes.denoise.tiling import Rows, full_rows, rows_of, tiles_with
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 NO_DETAIL_SAMPLES = 16
 """Samples a pixel up to which no detail is looked for."""
 FULL_EVIDENCE_SAMPLES = 64
-"""Samples a pixel that count once."""
+"""Samples a pixel whose evidence for detail counts as 1; more samples count more."""
 MOST_EVIDENCE_SAMPLES = 96
 """Samples a pixel that count at most."""
 PER_PIXEL = ("colour", "denoised", "output")
-"""Buffers of restored detail that have the frame's rows."""
+"""Buffers of `Restore` that have the frame's rows."""
 PER_TILE = ("judged", "sums", "known", "detail")
-"""Buffers of it that have rows of tiles."""
+"""Buffers of `Restore` that have rows of tiles."""
 LEAST_REFLECTANCE = 0.02
-"""Albedos of a pixel, summed, below which they do not explain its colour."""
+"""Sum of a pixel's albedos below which they do not explain its colour."""
 EVEN_LIGHT = 2e-3
 """Root mean square of diagonal differences of light in a tile, relative to its mean, up to which it
 has no noise: twice that of colour and albedo in half precision, and a tenth of that of renders with
@@ -37,7 +37,8 @@ a thousand samples."""
 
 
 class Restore:
-    """Gives results of the input's size back what was detail in what the network removed."""
+    """Gives back the detail that the network removed with the noise, in results of the render's
+    size. Tiles of 16x16 pixels are judged by whether what was removed is detail."""
 
     def __init__(self, device: Device, size: Size) -> None:
         self._device = device
@@ -58,10 +59,13 @@ class Restore:
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
                cells: np.ndarray | None = None, by_planes: bool = False) -> Tensor:
-        """Record the work on the frame's own colour and the denoised one in `rows`, of which tiles
-        with active `cells` are judged, without cells all; returns the colour.
+        """Record the work on a frame; returns the colour.
 
-        `by_planes`: tiles whose colour is their albedo in even light get it back, too.
+        Args:
+            denoised: the denoised colour, to compare with the frame's own.
+            rows: those to work on.
+            cells: the active ones; only tiles with any are judged. None for all.
+            by_planes: whether tiles whose colour is their albedo in even light get it back, too.
         """
         self._rows = rows
         self._know(tiles_of_even_light(frame.host_planes) if by_planes else None)
@@ -75,14 +79,14 @@ class Restore:
 
     def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
                     output: Tensor) -> Tensor:
-        """Record the same work on a part of the picture, after the picture itself: the part gets
-        back the same share."""
+        """Record the work on a part of the picture, after the picture itself: the part gets back
+        the same share of what was removed."""
         planes = {**self._tensors, "colour": noisy, "denoised": denoised, "output": output}
         run_steps(commands, RESTORED, self._in_rows(planes), frozenset({"part"}))
         return output
 
     def _know(self, tiles: np.ndarray | None) -> None:
-        """Tell which tiles are detail; None: of none it is known."""
+        """Tell the kernels which tiles are known to be detail; None for none."""
         if tiles is not None or self._has_known_detail:
             known = np.zeros(self._tiles, bool) if tiles is None else tiles
             self._known_detail.upload(known[..., None].astype(np.float32))
@@ -94,7 +98,7 @@ class Restore:
             self._judged.upload(tiles[..., None].astype(np.float32))
 
     def _in_rows(self, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The frame's rows of tensors, or the rows of tiles that these are in."""
+        """The rows of tensors to work on: the frame's, or the rows of tiles that hold them."""
         first, end = self._rows
         tiles = first // TILE, -(-end // TILE)
         return {name: rows_of(tensor, self._rows) if name in PER_PIXEL
@@ -106,8 +110,8 @@ def tiles_of_even_light(planes: Mapping[Role, np.ndarray]) -> np.ndarray | None:
     """Which tiles of 16x16 pixels show albedo in light without noise: (rows, columns) of booleans;
     None if none does, or the frame has no albedo.
 
-    A texture of single pixels at random looks like noise to a network, in the planes, too. But
-    where colour over albedo is even, there is no noise to remove.
+    A texture of random single pixels looks like noise to a network, in the planes, too. But where
+    colour over albedo is even, there is no noise to remove.
     """
     albedos = [planes[role] for role in ALBEDOS if role in planes]
     if not albedos or Role.COLOUR not in planes:
@@ -147,8 +151,12 @@ def _means_of_tiles(plane: np.ndarray) -> np.ndarray:
 
 
 class Strength:
-    """Blends from the input, which `plain` resamples, to the result by `amount`, times the plane
-    `strength` if the frame has one."""
+    """Blends from the input to the result by strength.
+
+    Args:
+        amount: strength of all pixels, times the plane `strength` if frames have one.
+        plain: resamples the input.
+    """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, amount: float,
                  plain: Resampler) -> None:
@@ -165,8 +173,8 @@ class Strength:
             "full strength", np.ones((*output, 1), np.float32))
 
     def begin(self, frame: ResidentFrame, rows: Rows) -> dict[str, Tensor]:
-        """Where the denoised picture should go: to the result, as 'output', if most of its rows are
-        denoised fully, so that these are neither blended nor copied."""
+        """Begin a frame: {'output': tensor} for the network to write to, if most of `rows` have
+        full strength, so that these need neither be blended nor copied; else empty."""
         plane = frame.host_planes.get(Role.STRENGTH) if self._is_whole and self._in_place else None
         if plane is None:
             return {}
@@ -176,8 +184,10 @@ class Strength:
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor,
                rows: Rows) -> Tensor:
-        """Record the blend of the frame's own colour with the denoised one in `rows`, all others
-        have no strength; returns the colour. Not for frames whose strength `is_full`."""
+        """Record the blend of the frame's own colour with the denoised one; returns the colour.
+
+        rows: those that have strength. Not for frames whose strength `is_full`.
+        """
         colour, strength = frame[Role.COLOUR], frame[Role.STRENGTH] if self._plane else None
         full = self._full if denoised is self._output else (rows[1], rows[1])
         self._plain.aim(frame.jitter)
@@ -205,8 +215,8 @@ class Strength:
 
     def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
                     rows: Rows, plain: Resampler, output: Tensor) -> Tensor:
-        """Record the same work on a part of the picture, after the picture itself; `plain`
-        resamples parts."""
+        """Record the blend of a part of the picture, after the picture itself; `plain` resamples
+        parts."""
         self._blend(commands, plain, {"colour": noisy}, {"denoised": denoised, "output": output},
                     [rows], rows, frozenset({"mixed"}))
         return output
@@ -214,8 +224,15 @@ class Strength:
     def _blend(self, commands: CommandBuffer, plain: Resampler, given: Mapping[str, Tensor],
                pictures: Mapping[str, Tensor], mixed: Sequence[Rows], rows: Rows,
                words: frozenset[str]) -> None:
-        """Record the work on `pictures`, whose rows that are `mixed` are some of `rows`; beyond
-        these lies the input alone."""
+        """Record the blend of some rows; outside of `rows` the result is the input alone.
+
+        Args:
+            plain: resamples the input.
+            given: the input, and a plane `strength`, by the kernels' names.
+            pictures: the denoised picture and the result, by the kernels' names.
+            mixed: ranges of rows to blend, within `rows`.
+            words: those of `graph` for the blended rows.
+        """
         output = pictures["output"]
         between = {**pictures, "plain": plain.output, "plain_rows": plain.rows,
                    "strength": self._strength}
@@ -229,7 +246,6 @@ class Strength:
                                       "amount": self._amount}, over={"rows": over})
 
     def is_full(self, frame: ResidentFrame) -> bool:
-        """Whether a frame is denoised fully everywhere, although it has a plane that could say
-        otherwise."""
+        """Whether a frame has a plane `strength` that is 1 everywhere."""
         strength = frame.host_planes.get(Role.STRENGTH) if self._is_whole else None
         return strength is not None and bool((strength >= 1).all())

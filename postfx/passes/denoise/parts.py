@@ -1,19 +1,22 @@
-"""Parts of the picture, such as light groups, and alpha: they get the picture's filters."""
+"""Layers beside the picture, which get its filters: parts, such as light groups, and alpha.
+
+A frame goes through `Layers.begin`, the kernels of the windows, and `Layers.finish`. How values of
+parts are coded is in `part_values`, how their sums are kept in `part_sums`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from postfx.errors import FrameError
 from postfx.frame import ALBEDOS, FrameSpec, Part, Role
-from postfx.kernels.denoise import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
+from postfx.kernels.denoise import EXPOSURE, GAIN, JITTER_X
 from postfx.passes import ResidentFrame
-from postfx.passes.denoise.alpha import Alpha
-from postfx.passes.denoise.graph import BALANCED, DECODED, run_steps
+from postfx.passes.denoise.alpha import Alpha, has_noisy_alpha
+from postfx.passes.denoise.geometry import Rows, Size
 from postfx.passes.denoise.history import (
     ALPHA_LAYER,
     WHOLE,
@@ -23,32 +26,15 @@ from postfx.passes.denoise.history import (
     make_zeros,
     one_of,
     places_of,
-    some_of,
 )
-from postfx.passes.denoise.kinds import KINDS, LIGHT_KIND, Kind
-from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.output import Restore, Strength
+from postfx.passes.denoise.part_sums import SAMPLED_ROW_STEP, Group, PartSums, groups_of
+from postfx.passes.denoise.part_values import PartValues
 from postfx.passes.denoise.planes import ABSENT, Resampler, absent_plane
-from postfx.passes.denoise.tiling import Rows
 from postfx.passes.denoise.window import THE_PICTURE, Layer, Work
 from postfx.passes.signed_light import SignedLight, below, lies_below
-from postfx.planes import LARGEST_FLOAT
 from postfx.runtime import CommandBuffer, Device, Tensor
-from postfx.sampling import three_by_three
 
-PART_SUM_TOLERANCE = 2e-3
-"""Parts are all of the picture if their sum differs by less than this share of its light."""
-BEYOND = 1.5
-"""How many times that share they must be brighter than it in places to be no parts of it: halves
-are rounded."""
-SAMPLED_ROW_STEP = 8
-"""One row in so many is looked at for that."""
-# Shares of lit pixels around lit ones from which a part counts as a surface's and not as sparse
-# light.
-DENSE = 0.6
-DENSER = 0.8
-FARTHEST_DISTANCE = 1e9
-"""Distances from here on stand for none."""
 SURFACE = tuple(role for role in ABSENT if role is not Role.MOTION)
 """Planes that tell of the surface that is seen."""
 
@@ -62,14 +48,6 @@ def checked_parts(parts: Sequence[Part | str]) -> tuple[Part, ...]:
     if twice:
         raise FrameError(f"part '{twice[0]}' is named twice: a part is of one kind and one group")
     return tuple(sorted(found, key=lambda part: (not part.is_light, part.group)))
-
-
-@dataclass
-class Group:
-    """Parts that add up to the picture or to some of it, and where they are in the stack."""
-
-    first: int
-    names: list[str] = field(default_factory=list)
 
 
 class OwnRun(NamedTuple):
@@ -99,7 +77,15 @@ class Pictures(NamedTuple):
 class Layers:
     """All layers that are filtered beside the picture, for frames of one spec.
 
-    Every frame goes through `begin`, the windows' kernels, and `finish`; or through `resample`.
+    Every frame goes through `begin`, the windows' kernels, and `finish`; or through `skip`, where
+    no layer is filtered; or through `resample`, where the picture is not filtered either.
+
+    Args:
+        spec: of the frames.
+        output: size of what leaves.
+        parts: those to denoise.
+        alpha: whether alpha is denoised, too.
+        history: what layers leave to the next frame.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, parts: Sequence[Part],
@@ -108,9 +94,8 @@ class Layers:
         self._parts = {part.name: part for part in parts}
         if alpha:
             self._parts[ALPHA_LAYER] = Part(ALPHA_LAYER, "mist")
-        self._channels = dict(spec.parts)
         self._render = Size(spec.height, spec.width)
-        self._groups = _groups_of(parts)
+        self._groups = groups_of(parts)
         self._places = places_of(parts)
         new = device.heap.tensor
         self._params = new("part params", (4,))
@@ -121,22 +106,11 @@ class Layers:
         self._made: dict[str, Tensor] = {}
         self._signed = SignedLight(device, self._render, output)
         self._below = {below(part.name): part.name for part in parts if part.is_light}
-        self._codings = {name: new(f"coding {name}", (3,))
-                         for name in (*self._parts, *self._below)}
-        self._decodings = {name: new(f"decoding {name}", (5,))
-                           for name, part in self._parts.items() if not part.is_light}
-        self._complete = {group.first: new("complete", (1,)) for group in self._groups}
-        self._everywhere = {group.first: new("everywhere", (len(group.names), 1, 1))
-                            for group in self._groups}
-        for tensor in self._everywhere.values():
-            tensor.fill(1)
-        self._reached = dict(self._everywhere)
+        self._values = PartValues(device, spec, output, self._parts, self._below)
+        self._sums = PartSums(device, self._groups, self._parts, self._render, self._signed)
         self._plain, self._plain_alpha = (Resampler(
             device, f"plain {name}", role, self._render, output
         ) for name, role in (("part", Role.COLOUR), ("alpha", Role.ALPHA)))
-        self._copies: dict[str, Tensor] = {}
-        self._identity = new("as it is", (5,))
-        self._identity.upload([1.0, 0.0, -LARGEST_FLOAT, LARGEST_FLOAT, 0.0])
         self._runs: list[str] = []
         self._raw: dict[str, Tensor] = {}
         self._by_sign: dict[str, Tensor] = {}
@@ -144,8 +118,11 @@ class Layers:
 
     def begin(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
               work: Work) -> tuple[list[Layer], dict[str, dict[str, Tensor]]]:
-        """The layers of a frame, and the targets that windows write, with the picture's output if
-        there is light."""
+        """Begin a frame: the layers that are filtered, and the tensors for windows to write, by
+        layer and binding. The picture's output is among these where parts must add up to it.
+
+        planes: of the network, by the kernels' names.
+        """
         for plain in (self._plain, self._plain_alpha):
             plain.aim(frame.jitter)
         self._exposure = float(work.params[EXPOSURE])
@@ -178,7 +155,7 @@ class Layers:
                 targets[name]["next_part"] = history.next["last_part"]
                 tensors = {"params": self._params, "last_part": history.last["last_part"],
                            **self._inputs(name, frame, planes)}
-            is_first = not (fresh and self._kind(name).stays)
+            is_first = not (fresh and self._values.kind(name).stays)
             runs.append(Layer(name, tensors, is_first, last, stack, place))
         if self._groups:
             targets[THE_PICTURE] = {"output": one_of(self._history.stacks[1], 0)}
@@ -201,7 +178,7 @@ class Layers:
 
     def own_runs(self, frame: ResidentFrame, planes: Mapping[str, Tensor],
                  work: Work) -> Iterator[OwnRun]:
-        """The runs of the network on parts, in this frame."""
+        """The runs of the network on parts that have filters of their own, in this frame."""
         self._history.ran = tuple(name for name in self._history.own if name in self._runs)
         for name in self._history.ran:
             part = self._raw[name] = self._input(name, frame)
@@ -215,41 +192,44 @@ class Layers:
 
     def finish(self, commands: CommandBuffer, frame: ResidentFrame, pictures: Pictures,
                rows: Rows, restore: Restore | None, strength: Strength | None) -> None:
-        """Record the work that makes the frame's parts and alpha from the kernels' outputs.
+        """Record the work that makes the frame's parts and alpha of what the windows wrote.
 
         Args:
-            pictures: those of the frame; blended with the input in `rows`.
-            restore, strength: what made the last one; None where nothing was to be done.
+            pictures: the frame's picture, as it was filtered and as it leaves.
+            rows: of the output, in which the picture was blended with the input.
+            restore: what gave the picture detail back; None if nothing did.
+            strength: what blended it with the input; None if nothing did.
         """
         filtered, denoised, picture = pictures
         for group in self._groups:
             whole = one_of(self._stack("blended"), 0) if WHOLE in self._runs else filtered
             under = self._under(group, {name: self._history.layer(name).output
                                         for name in self._below if name in self._runs})
-            self._balance(commands, group, self._stack("blended"), (whole, filtered),
-                          self._history.stacks[1], under)
+            self._sums.balance(commands, group, self._stack("blended"), (whole, filtered),
+                               self._history.stacks[1], under)
             if filtered is not denoised:
-                self._balance(commands, group, self._history.stacks[1], (filtered, denoised),
-                              self._stack("brought"), under)
+                self._sums.balance(commands, group, self._history.stacks[1],
+                                   (filtered, denoised), self._stack("brought"), under)
         values = {name: self._finish_layer(commands, frame, name, pictures, rows, restore, strength)
                   for name in self._runs if name != WHOLE}
         values |= {name: self._resampled(commands, frame, name)
-                   for name in self._parts if not self._kind(name).is_filtered}
+                   for name in self._parts if not self._values.kind(name).is_filtered}
         self._leave_all(commands, frame, values, picture, bool(restore or strength))
 
     def _finish_layer(self, commands: CommandBuffer, frame: ResidentFrame, name: str,
                       pictures: Pictures, rows: Rows, restore: Restore | None,
                       strength: Strength | None) -> Tensor:
-        """Record what becomes of one layer behind the windows, as of the picture; returns it."""
-        kind = self._kind(name)
+        """Record what is done to one layer after the windows, as it was to the picture; returns the
+        layer."""
+        kind = self._values.kind(name)
         value = self._history.layer(name).output
         raw = self._raw.get(name)
         plain = self._plain
         if name == ALPHA_LAYER and self._alpha:
             raw, plain = frame[Role.ALPHA], self._plain_alpha
             value = self._alpha.correct(commands, pictures.filtered)
-        elif name in self._decodings and not kind.are_distances:
-            value = self._decoded(commands, name, value)
+        elif self._values.is_decoded(name):
+            value = self._values.decode(commands, name, value)
         elif self._is_light(name) and pictures.filtered is not pictures.denoised:
             value = one_of(self._stack("brought"), self._places[name])
         assert raw is not None  # as the layer ran
@@ -262,11 +242,9 @@ class Layers:
         return value
 
     def resample(self, commands: CommandBuffer, frame: ResidentFrame, picture: Tensor) -> None:
-        """Record the work that only resamples the parts to output size, as for a picture that is
-        only resampled."""
-        for group in self._groups:
-            self._complete[group.first].upload([_completeness(frame, group.names)])
-        self._reached = dict(self._everywhere)
+        """Record the work that resamples the parts to output size, for a picture that is only
+        resampled."""
+        self._sums.look_at_sums(frame)
         self._plain.aim(frame.jitter)
         self._by_sign = self._take_apart(commands, frame)
         layers = dict.fromkeys((*self._parts, *self._by_sign))
@@ -279,11 +257,11 @@ class Layers:
 
     def _leave_all(self, commands: CommandBuffer, frame: ResidentFrame,
                    values: Mapping[str, Tensor], picture: Tensor, changed: bool) -> None:
-        """Put layers into the frame, light so that it adds up to a picture that was `changed` once
-        more."""
+        """Put layers into the frame. If the picture was `changed` after they added up to it, light
+        is brought to it once more."""
         for group in self._groups if changed else ():
-            self._balance(commands, group, self._stack("finished"), (picture, picture),
-                          self._stack("balanced"), self._under(group, values))
+            self._sums.balance(commands, group, self._stack("finished"), (picture, picture),
+                               self._stack("balanced"), self._under(group, values))
         for name, value in values.items():
             if name in self._below:
                 continue
@@ -291,7 +269,7 @@ class Layers:
                 value = one_of(self._stack("balanced"), self._places[name])
             if below(name) in values:
                 value = self._signed.join(commands, name, value, values[below(name)])
-            self._leave(commands, frame, name, value)
+            self._values.leave(commands, frame, name, value)
 
     def _take_apart(self, commands: CommandBuffer, frame: ResidentFrame) -> dict[str, Tensor]:
         """The layers of parts with light below 0, by name. A part that had some in the frame before
@@ -301,7 +279,8 @@ class Layers:
             before = self._history.layers.get(layer)
             if (before and before.frames) or lies_below(
                 frame.host_parts[name], frame.host_planes[Role.COLOUR]):
-                found |= self._signed.split(commands, name, self._three(name, frame))
+                light = self._values.three_channels(name, frame)
+                found |= self._signed.split(commands, name, light)
         return found
 
     def _under(self, group: Group, values: Mapping[str, Tensor]) -> list[Tensor]:
@@ -311,58 +290,29 @@ class Layers:
     def _needed(self, frame: ResidentFrame) -> list[str]:
         """The layers of this frame: alpha only where it is neither 0 nor 1, the whole picture only
         beside parts that are not all of it."""
-        found = []
-        for group in self._groups:
-            complete = _completeness(frame, group.names)
-            self._complete[group.first].upload([complete])
-            found += [] if complete > 0 or WHOLE in found else [WHOLE]
-            self._note_reach(frame, group)
+        found = [] if self._sums.look(frame) else [WHOLE]
         found += [name for name in self._parts
-                  if name != ALPHA_LAYER and self._kind(name).is_filtered]
+                  if name != ALPHA_LAYER and self._values.kind(name).is_filtered]
         found += [layer for layer in self._below if layer in self._by_sign]
         return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and has_noisy_alpha(frame)
                         else [])
 
-    def _note_reach(self, frame: ResidentFrame, group: Group) -> None:
-        """Where the parts of a group have light in this frame: what is seen by a colour, lamps, and
-        reflections."""
-        self._reached[group.first] = self._everywhere[group.first]
-        planes = [self._parts[name].factor or (name if self._kind(name).is_seen else "")
-                  for name in group.names]
-        if not any(planes):
-            return
-        name = f"reached by {group.first}"
-        if name not in self._copies:
-            self._copies[name] = self._device.heap.tensor(name, (len(group.names), *self._render))
-        reached = np.ones((len(group.names), *self._render), np.float32)
-        for i, plane in enumerate(planes):
-            if plane in frame.host_parts:
-                reached[i] = coverage(frame.host_parts[plane].max(axis=2) > 0,
-                                      self._kind(plane).is_sparse)
-        self._copies[name].upload(reached)
-        self._reached[group.first] = self._copies[name]
-
     def _inputs(self, name: str, frame: ResidentFrame,
                 planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        self._raw[name], kind = self._input(name, frame), self._kind(name)
-        low, high = kind.span or _range_of(frame.host_parts[name])
-        scale = 1.0 if (low, high) == (0.0, 1.0) else 1 / max(high - low, 1e-30)
-        most = LARGEST_FLOAT if kind.are_distances else MAX_COLOUR / self._exposure
-        self._codings[name].upload([low, scale, most])
-        if name in self._decodings and not kind.are_distances:
-            decoding = [1 / scale, low, *kind.bounds, float(kind.are_vectors)]
-            self._decodings[name].upload(decoding)
-        found = {"part": self._raw[name], "coding": self._codings[name]}
+        """What the filters read of a part in this frame, by binding."""
+        self._raw[name], kind = self._input(name, frame), self._values.kind(name)
+        found = {"part": self._raw[name],
+                 "coding": self._values.coding(name, frame, self._exposure)}
         if kind.is_like_picture:
             return found
         return found | {str(role): planes[str(role)] if role in kind.divided else self._nothing
                         for role in ALBEDOS}
 
     def _own_reflectance(self, name: str, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Planes, at both sizes, in place of those that a part has nothing to do with: reflectance
-        that it is not divided by, and for fog, which has no surface, all of them. Light through
-        glass, which files divide by a colour, has one."""
-        kind = self._kind(name)
+        """Stand-ins, at both sizes, for planes that say nothing about a part: reflectance that it
+        is not divided by; and for fog, which has no surface, all that tell of the surface. Light
+        through glass, which files divide by a colour, has a surface."""
+        kind = self._values.kind(name)
         lost = [role for role in ALBEDOS if role not in kind.divided]
         if not (kind.on_surface or self._parts[name].factor):
             lost = [*SURFACE]
@@ -378,67 +328,15 @@ class Layers:
 
     def _input(self, name: str, frame: ResidentFrame) -> Tensor:
         """The tensor that a layer is filtered from: a part, or its light of one sign."""
-        return self._by_sign.get(name) or self._three(name, frame)
-
-    def _three(self, name: str, frame: ResidentFrame) -> Tensor:
-        """A layer's values with three channels, as the kernels need them."""
-        are_distances = self._kind(name).are_distances
-        if self._channels[name] == 3 and not are_distances:
-            return frame.parts[name]
-        given = frame.host_parts[name]
-        if are_distances:
-            given, decoding = encode_depth(given)
-            self._decodings[name].upload(decoding)
-        if name not in self._copies:
-            self._copies[name] = self._device.heap.tensor(f"{name}, three times",
-                                                          (*self._render, 3))
-        self._copies[name].upload(given if given.shape[2] == 3 else np.repeat(given, 3, axis=2))
-        return self._copies[name]
-
-    def _balance(self, commands: CommandBuffer, group: Group, stack: Tensor,
-                 pictures: tuple[Tensor, Tensor], balanced: Tensor,
-                 under: Sequence[Tensor]) -> None:
-        """Bring a group's parts of a stack to a picture: `pictures` are the whole as it was
-        filtered, and that; `under` is what the parts have below 0, which both lack."""
-        count = len(group.names)
-        whole, picture = (
-            self._signed.lift(commands, f"{what} above 0 of {group.first}", light, under)
-            for what, light in zip(("whole", "picture"), pictures, strict=True))
-        run_steps(commands, BALANCED, {
-            "parts": some_of(stack, group.first, count), "whole": whole,
-            "picture": picture, "reached": self._reached[group.first],
-            "complete": self._complete[group.first],
-            "balanced": some_of(balanced, group.first, count)})
+        return self._by_sign.get(name) or self._values.three_channels(name, frame)
 
     def _stack(self, name: str) -> Tensor:
-        """Pictures of the whole and of all light within a frame, in the places that they have in
-        the history."""
+        """A stack of the whole picture and of all light, which lasts for a frame. Places in it are
+        those of the history."""
         if name not in self._made:
             shape = (1 + sum(len(group.names) for group in self._groups), *self._output, 3)
             self._made[name] = self._device.heap.transient(f"{name} parts", shape)
         return self._made[name]
-
-    def _decoded(self, commands: CommandBuffer, name: str, filtered: Tensor) -> Tensor:
-        output = self._between(f"decoded {name}", 3)
-        run_steps(commands, DECODED, {"filtered": filtered, "decoding": self._decodings[name],
-                                      "plane": output})
-        return output
-
-    def _leave(self, commands: CommandBuffer, frame: ResidentFrame, name: str,
-               value: Tensor) -> None:
-        """Put a layer into the frame."""
-        if name == ALPHA_LAYER:
-            frame.set(Role.ALPHA, value)
-            return
-        channels, are_distances = self._channels[name], self._kind(name).are_distances
-        if channels == value.shape[2] and not are_distances:
-            frame.parts[name] = value
-            return
-        output = self._between(f"output {name}", channels)
-        decoding = self._decodings[name] if are_distances else self._identity
-        run_steps(commands, DECODED, {"filtered": value, "decoding": decoding, "plane": output},
-                  frozenset({"single"} if channels == 1 else ()))
-        frame.parts[name] = output
 
     def _finished(self, name: str) -> Tensor:
         """The tensor for a layer that is given detail back, or blended with the input."""
@@ -447,42 +345,14 @@ class Layers:
         return self._between(f"finished {name}", 1 if name == ALPHA_LAYER else 3)
 
     def _between(self, name: str, channels: int) -> Tensor:
-        """A picture within a frame."""
+        """A picture of the output's size that lasts for a frame."""
         if name not in self._made:
             self._made[name] = self._device.heap.transient(name, (*self._output, channels))
         return self._made[name]
 
     def _is_light(self, name: str) -> bool:
-        return name == WHOLE or (name in self._parts and self._parts[name].is_light)
-
-    def _kind(self, name: str) -> Kind:
-        name = self._below.get(name, name)
-        return KINDS[self._parts[name].kind] if name in self._parts else LIGHT_KIND
-
-
-def _groups_of(parts: Sequence[Part]) -> list[Group]:
-    groups: dict[str, Group] = {}
-    for i, part in enumerate(part for part in parts if part.is_light):
-        groups.setdefault(part.group, Group(i + 1)).names.append(part.name)
-    return list(groups.values())
-
-
-def coverage(lit: np.ndarray, may_be_sparse: bool) -> np.ndarray:
-    """How far render pixels (h, w) have light of a part: 1 where there is some, else the share of
-    3x3 pixels.
-
-    Light that `may_be_sparse` misses pixels by chance, so all pixels have it unless lit ones lie
-    together.
-    """
-    seen = lit.astype(np.float32)
-    share = three_by_three(seen, 1, np.add) / np.float32(9)
-    unlit = (1 - seen) * (1 - share)
-    if may_be_sparse:
-        around, together = (three_by_three(plane, 3, np.add) for plane in (
-            share, three_by_three(seen * share, 1, np.add) / np.float32(9)))
-        dense = np.clip((together / np.maximum(around, 1e-6) - DENSE) / (DENSER - DENSE), 0, 1)
-        unlit *= np.where(around > 1e-6, three_by_three(dense, 3, np.maximum), 1)
-    return 1 - unlit
+        """Whether a layer is light of the picture: a part, or the whole of it."""
+        return name == WHOLE or self._values.is_light(name)
 
 
 def _stops_above(frame: ResidentFrame, name: str, before: float) -> float:
@@ -497,79 +367,9 @@ def _stops_above(frame: ResidentFrame, name: str, before: float) -> float:
 
 
 def mean_stops(light: np.ndarray) -> float | None:
-    """log2 of the mean light of every eighth row; None without any. By a mean of logarithms, sparse
-    light, most of whose pixels are dark, would be overexposed."""
+    """log2 of the mean light of every eighth row; None without any. A mean of logarithms would
+    overexpose sparse light, most of whose pixels are dark."""
     rows = light[::SAMPLED_ROW_STEP]
     seen = rows[np.isfinite(rows)]
     total = float(seen.sum(dtype=np.float64))
     return float(np.log2(total / seen.size)) if total > 0 else None
-
-
-def _range_of(values: np.ndarray) -> tuple[float, float]:
-    """The least and largest finite value."""
-    finite = values[np.isfinite(values)]
-    return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-
-
-def _completeness(frame: ResidentFrame, names: Sequence[str]) -> float:
-    """1 where parts add up to the picture, 0 where they are some of it, and -1 where they are
-    brighter than it, so that it does not hold them; by every eighth row."""
-    colour = frame.host_planes.get(Role.COLOUR)
-    if colour is None:
-        return 0.0
-    seen = colour[::SAMPLED_ROW_STEP]
-    total = sum((frame.host_parts[name][::SAMPLED_ROW_STEP] for name in names), np.zeros_like(seen))
-    with np.errstate(invalid="ignore", over="ignore"):
-        apart, light = total - seen, np.abs(seen)
-    valid = np.isfinite(apart)
-    apart, least = apart[valid], PART_SUM_TOLERANCE * light[valid].sum(dtype=np.float64)
-    if np.abs(apart).sum(dtype=np.float64) <= least:
-        return 1.0
-    return -1.0 if np.maximum(apart, 0).sum(dtype=np.float64) > BEYOND * least else 0.0
-
-
-def encode_depth(depth: np.ndarray) -> tuple[np.ndarray, list[float]]:
-    """A plane of distances (height, width, n), coded for the filters; its first channel counts.
-
-    Returns (height, width, 3): 1 / distance, whether the pixel has a distance (0, 1e9 and NaN are
-    none), and the latter again. Then the ``decoding`` that reverses it: sign, the value that stands
-    for none, the smallest and largest distance, -1.
-    """
-    depth = depth[..., 0]
-    with np.errstate(invalid="ignore"):
-        there = (np.abs(depth) < FARTHEST_DISTANCE) & (depth != 0)
-    # some renderers look along the negative axis
-    sign = (-1.0 if 2 * (depth[there] < 0).sum() > there.sum() else 1.0)
-    there[there] = sign * depth[there] > 0
-    distances, none = np.abs(depth[there]), depth[~there]
-    near, far = ((float(distances.min()), float(distances.max())) if distances.size
-                 else (0.0, LARGEST_FLOAT))
-    nothing = float(none[0]) if none.size and not np.isnan(none[0]) else sign * LARGEST_FLOAT
-    inverse = np.zeros_like(depth)
-    inverse[there] = 1 / distances
-    return np.stack([inverse, there, there], axis=-1, dtype=np.float32), [sign, nothing, near, far,
-                                                                          -1.0]
-
-
-def has_noisy_alpha(frame: ResidentFrame) -> bool:
-    """Whether alpha has noise to filter: values between 0 and 1, or the holes and specks of one
-    sample a pixel."""
-    alpha = frame.host_planes.get(Role.ALPHA)
-    if alpha is None:
-        return False
-    return bool(((alpha > 0) & (alpha < 1)).any()) or is_speckled(alpha[..., 0] > 0)
-
-
-SPECKLED = 0.02
-"""Share of the pixels at edges that are alone among others, both covered and not, from which that
-is noise."""
-
-
-def is_speckled(covered: np.ndarray) -> bool:
-    """Whether a mask (h, w) has lone pixels of both kinds: wires are lone covered ones, and gaps
-    lone empty ones."""
-    around = three_by_three(covered.astype(np.float32), 1, np.add)
-    edges = np.count_nonzero((around > 0) & (around < 9))
-    specks = np.count_nonzero(covered & (around <= 3))
-    holes = np.count_nonzero(~covered & (around >= 6))
-    return bool(edges > 0 and min(specks, holes) > SPECKLED * edges)

@@ -1,5 +1,5 @@
-"""Planes of a frame beside the network: stand-ins for those that it lacks or that are noise, planes
-that are only resampled, and the reactive mask."""
+"""Planes of a frame as networks read them, with stand-ins for those that are missing or noise;
+planes that are only resampled; and the reactive mask."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from postfx.kernels.denoise import FARTHEST
 from postfx.kernels.image import positions
 from postfx.kernels.statistics import coverage_noise
 from postfx.passes import ResidentFrame
+from postfx.passes.denoise.geometry import Size
 from postfx.passes.denoise.graph import (
     BLENDED,
     MASKED,
@@ -20,7 +21,7 @@ from postfx.passes.denoise.graph import (
     kernels_of,
     run_steps,
 )
-from postfx.passes.denoise.options import ReactiveOption, Size
+from postfx.passes.denoise.options import ReactiveOption
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 # Values of planes that a frame lacks at both sizes; networks are trained with the same values.
@@ -60,7 +61,7 @@ class Resampler:
 
     def aim(self, jitter: tuple[float, float],
             out_jitter: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Once a frame: its images have samples at these places."""
+        """Settle, once a frame, where the samples lie: of the images, and of the results."""
         if (jitter, out_jitter) == self._aimed:
             return
         for axis, tensor in enumerate((self.rows, self.columns)):
@@ -72,16 +73,15 @@ class Resampler:
 
     def plane(self, image: Tensor, jitter: tuple[float, float],
               out_jitter: tuple[float, float] = (0.0, 0.0)) -> Each:
-        """The plane to resample: an image whose samples are `jitter` of its own pixels off their
-        centres."""
+        """An image to resample, for a step that runs over several; `jitter`: how far its samples
+        are off the centres of its pixels."""
         self.aim(jitter, out_jitter)
         return Each(buffers={"image": image, "rows": self.rows, "columns": self.columns,
                              "output": self.output})
 
     def resample(self, commands: CommandBuffer, image: Tensor, output: Tensor | None = None,
                  ) -> Tensor:
-        """Record the work on an image at the places that were aimed at; returns the result, which
-        no result of a network is mixed with."""
+        """Record the work that resamples an image, after `aim`; returns the result."""
         made = self.output if output is None else output
         rows = Each(buffers={"plain": made, "plain_rows": self.rows})
         run_steps(commands, BLENDED, {"colour": image, "plain_columns": self.columns},
@@ -90,11 +90,11 @@ class Resampler:
 
 
 class Planes:
-    """Planes and guides under the names that the kernels give them: 'normal', and 'guide_normal' at
-    output size.
+    """A frame's planes and guides by the kernels' names: 'normal', and 'guide_normal' at output
+    size.
 
-    A plane that the frame has at one size only is resampled to the other; a missing plane is
-    constant. So are depth and albedo where depth is noise: in a volume.
+    A plane that the frame has at one size only is resampled to the other; one that it lacks is
+    constant. In a volume, where depth is noise, depth and albedo are constant, too.
 
     Attributes:
         hazy: whether the last frame showed a volume.
@@ -125,8 +125,8 @@ class Planes:
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame,
                blank: bool = True) -> dict[str, Tensor]:
-        """Record the resampling, if any; returns every plane by name. `blank`: where the frame
-        shows a volume, depth and albedo are left out."""
+        """Record the resampling, if any; returns every plane by name. `blank`: whether depth and
+        albedo are left out of a frame that shows a volume."""
         moved = [resampler.plane(frame.guides[role], frame.guide_jitter, frame.jitter)
                  for role, resampler in self._reduced.items()]
         moved += [resampler.plane(frame[role], frame.jitter, frame.guide_jitter)
@@ -142,11 +142,11 @@ class Planes:
         return planes | self._constants | (self.stand_ins(frame) if blank else {})
 
     def stand_ins(self, frame: ResidentFrame) -> dict[str, Tensor]:
-        """Planes that stand in for those that a volume hides, if one does. Planes on the device are
-        looked at where a sequence begins."""
+        """Stand-ins for the planes that a volume hides, by name; empty if the frame shows none.
+        Frames that came in the device's memory are only looked at where a sequence begins."""
         if Role.DEPTH not in self._held:
             return {}
-        if not frame.is_away or frame.reset or not self._looked:
+        if not frame.came_on_device or frame.reset or not self._looked:
             self.hazy = shows_volume(frame.host_planes[Role.DEPTH], self.hazy and not frame.reset)
             self._looked = True
         if self.hazy and not self._haze:
@@ -157,8 +157,8 @@ class Planes:
 
 
 def shows_volume(depth: np.ndarray, before: bool = False) -> bool:
-    """Whether hits and misses of depth (h, w, 1) are noise, as they are where Cycles scatters light
-    in a volume; `before`: the last frame's were."""
+    """Whether hits and misses of depth (h, w, 1) are noise, as where Cycles scatters light in a
+    volume. `before`: whether they were in the last frame."""
     return coverage_noise(depth[..., 0], float(FARTHEST)) > (LOST_VOLUME_SHARE if before
                                                              else FOUND_VOLUME_SHARE)
 
@@ -175,9 +175,9 @@ CENTRED = (0.0, 0.0)
 
 
 def passthrough_roles(spec: FrameSpec) -> tuple[Role, ...]:
-    """Alpha, overlay and the colours of later frames and of a partner, as far as a frame has them;
-    an overlay may have output size. With a partner's colour go motion and strength, which its
-    mixture needs."""
+    """Planes that are not filtered but handed on: alpha, an overlay, the colours of later frames
+    and of a partner, as far as frames of a spec have them. With a partner go motion and strength,
+    which its mixture needs."""
     kept = tuple(role for role in (Role.ALPHA, Role.OVERLAY)
                  if spec.has(role) or role in spec.guide_roles)
     if spec.has(Role.PARTNER):
@@ -200,7 +200,7 @@ class ExpectedError:
                            if output != render else None)
 
     def forget(self) -> None:
-        """Before the commands of a frame that are not for all of it."""
+        """Set it to 0, before a frame of which the network sees only parts."""
         self.written["error"].fill(0)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
@@ -234,10 +234,11 @@ class LargerMotion:
 
 
 class Passthrough:
-    """Resamples alpha and overlay, from the frame's jittered samples to pixel centres; overlay
-    colours limited by their coverage, for edges without halos.
+    """Resamples planes that are handed on (`passthrough_roles`) to the output's size, from the
+    frame's jittered samples to pixel centres.
 
-    An overlay that is 0 everywhere, or whose pixels match the output's, is not resampled.
+    Colours of an overlay are limited by their coverage, so that edges have no halos. An overlay
+    that is 0 everywhere, or whose pixels match the output's, is not resampled.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
@@ -252,8 +253,8 @@ class Passthrough:
         device.make_ready(*kernels_of(PASSED_ON, over=dict.fromkeys(passthrough_roles(spec), ONE)))
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
-        """Record the work; the frame's planes are then those of the output's size. Alpha that was
-        already replaced is left alone."""
+        """Record the work, and put the results into the frame. Alpha that was already replaced is
+        left alone."""
         moved: dict[str, list[Each]] = {}
         if self._motion:
             moved[Role.MOTION] = [self._motion.plane(frame[Role.MOTION])]
@@ -261,7 +262,7 @@ class Passthrough:
         if Role.LATER in frame.guides:
             frame.set(Role.LATER, frame.guides[Role.LATER])
         if self._overlay_is_guide:
-            blank = not frame.is_away and not frame.host_guides[Role.OVERLAY].any()
+            blank = not frame.came_on_device and not frame.host_guides[Role.OVERLAY].any()
         else:
             blank = frame.is_blank(Role.OVERLAY)
         for role, resampler in self._resamplers.items():

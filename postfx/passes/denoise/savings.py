@@ -1,4 +1,4 @@
-"""Counts frames by the work that they needed: what was left out, why, and what that saved."""
+"""What was left out of frames, why, and how much time that saved: lines for the summary."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from enum import Enum
 from statistics import median
 
 Reason = tuple[str, str]
-"""What is left out, before 'for 3 frames' or with its own preposition, and why."""
+"""What is left out, as it stands before '3 frames', and why."""
 
 
 class Amount(Enum):
@@ -23,13 +23,13 @@ class Amount(Enum):
     SAME = "same"
 
 
-LESS = {
+WHY_LESS = {
     Amount.TILES: "strength is 0 there",
     Amount.LIT: "all is black there",
     Amount.NOTHING: "strength is 0 everywhere",
     Amount.EMPTY: "all is black",
     Amount.SAME: "all is as in the frame before"}
-"""Why it left out some of a frame, or all of it."""
+"""Why the network left out some of a frame, or all of it."""
 PARTIAL_AMOUNTS = (Amount.TILES, Amount.LIT)
 """Amounts that are some of a frame."""
 
@@ -70,7 +70,7 @@ class Savings:
         self._now = Amount.WHOLE
 
     def note_frame(self, amount: Amount, share: float, reasons: Sequence[Reason] = ()) -> None:
-        """A frame of which the network processes this share of the pixels, and what else is left
+        """Count a frame: the share of its pixels that the network processes, and what else is left
         out of it."""
         self._now = amount
         self._tallies[amount].frames += 1
@@ -91,7 +91,7 @@ class Savings:
     def lines(self) -> tuple[tuple[str, str], ...]:
         """Work left out, each with the reason and the time saved."""
         found = []
-        for amount, why in LESS.items():
+        for amount, why in WHY_LESS.items():
             tally = self._tallies[amount]
             if tally.frames:
                 some = f"outside of {100 * tally.share / tally.frames:.0f} % of"

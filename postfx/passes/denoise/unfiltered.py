@@ -1,5 +1,5 @@
-"""Frames before the renderer's pixel filter spread their noise, for networks that take such noise
-for detail; and pictures that are made of them, spread again."""
+"""Undoes the renderer's pixel filter, which spreads noise over pixels so that some networks take it
+for detail, and applies it again to the pictures that they make."""
 
 from __future__ import annotations
 
@@ -10,15 +10,12 @@ import numpy as np
 from postfx.compiled.calls import whole
 from postfx.frame import FrameSpec, Role
 from postfx.passes import ResidentFrame
-from postfx.passes.denoise.options import Size
-from postfx.passes.denoise.tiling import Rows, rows_of
+from postfx.passes.denoise.geometry import Rows, Size, rows_of
 from postfx.pixel_filter import FILTERED_ROLES, NORMALS, PixelFilter
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 SPREAD_MARGIN_PX = 4
-"""Render pixels around active ones that are denoised, too, as they are spread into these."""
-
-
+"""Render pixels around active ones that are denoised, too: the filter spreads them into these."""
 WORK = {"undo": (("plane",), ("output",)), "undo_light": (("light",), ("output", "between")),
         "spread": (("plane",), ("output",)),
         "finish": (("light", "undone", "denoised"), ("output",))}
@@ -26,8 +23,8 @@ WORK = {"undo": (("plane",), ("output",)), "undo_light": (("light",), ("output",
 
 
 class Unfiltered:
-    """Undoes the pixel filter of frames of one spec, and spreads what is made of them. The host
-    works; planes on a GPU are copied there and back."""
+    """Undoes the pixel filter in frames of one spec, and applies it again. This runs on the host;
+    planes on a GPU are copied there and back."""
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
         self._device, self._is_render_size = device, output == (spec.height, spec.width)
@@ -39,8 +36,8 @@ class Unfiltered:
 
     def undo(self, commands: CommandBuffer, frame: ResidentFrame,
              stddev: float) -> dict[Role, Tensor]:
-        """Record the work that undoes a filter of this standard deviation in pixels; the frame's
-        planes are replaced by what was there before it. Returns them as they were."""
+        """Record the work that undoes a filter of this standard deviation, in pixels, and put the
+        results into the frame. Returns the planes as they came."""
         self._filter = PixelFilter(stddev, self._device.divide_planes)
         given = {role: frame[role] for role in FILTERED_ROLES if role in frame}
         for role, plane in given.items():
@@ -55,12 +52,12 @@ class Unfiltered:
 
     def spread(self, commands: CommandBuffer, name: str, lights: tuple[Tensor, Tensor],
                denoised: Tensor, rows: Rows) -> Tensor:
-        """Record the work that spreads `rows` of a picture.
+        """Record the work that applies the filter to `rows` of a picture; returns the result.
 
         Args:
             name: of the tensor that is returned.
-            lights: the frame's light as it was, and undone.
-            denoised: the picture that was made of the second.
+            lights: the frame's light as it came, and without the filter.
+            denoised: the picture that was made of the latter.
         """
         output = self._tensor(name, denoised.shape)
         to, picture = rows_of(output, rows), rows_of(denoised, rows)

@@ -1,5 +1,5 @@
-"""The networks for windows of one size, and the buffers of the steps that take a window's picture
-through them."""
+"""One window of a frame: the networks for windows of one size, and the buffers between the steps of
+`graph` that run on a window."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from postfx.kernels.denoise.classic import STEPS
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.network_io import SOME
 from postfx.kernels.denoise.prepare import means_size
+from postfx.passes.denoise.geometry import PYRAMID_LEVELS, Band, Rows, Window, rows_of
 from postfx.passes.denoise.graph import (
     ALPHA,
     BEFORE_ENLARGING,
@@ -53,7 +54,6 @@ from postfx.passes.denoise.network import (
     seen_by,
     upload,
 )
-from postfx.passes.denoise.tiling import PYRAMID_LEVELS, Band, Rows, Window, rows_of
 from postfx.runtime import CommandBuffer, Device, PipelineState, Tensor
 
 # Words for what ends a window.
@@ -64,8 +64,8 @@ GIVEN = "given"
 MOST_PLACES = 64
 """Windows of one size whose positions stay on the device."""
 TOGETHER = 3
-"""Layers that are filtered at once: of each further one the weights are not read from memory again,
-but its intermediate results take memory."""
+"""Layers that are filtered at once. Filter weights are then read from memory once for all of them,
+but the intermediate results of each take memory."""
 THE_PICTURE = ""
 """In `Targets`, in place of a layer's name."""
 
@@ -77,15 +77,17 @@ class Work(NamedTuple):
     """The work that one frame needs.
 
     Attributes:
-        model: the network that runs.
-        params: exposure, jitter and gain, see `postfx.kernels.denoise`.
-        keep: whether the frame has a history.
+        model: name of the network that runs.
+        params: exposure, jitter and gain, float32 (4,), see `postfx.kernels.denoise`.
+        keep: whether the history goes on.
         still: whether everything is where it was in the last frame.
-        cells: squares of 4 pixels that have strength; None: all.
-        band: the windows that are worked on; None: the whole frame.
-        wider: whether light goes to wider primaries.
-        camera: what tells the motion of reflections; None: they move with their surfaces.
-        filter_stddev: of the pixel filter that is undone, in pixels; 0: none is.
+        cells: active cells, (rows, columns) of bool; None for all.
+        band: the windows that are worked on; None for the whole frame.
+        wider: whether light is converted to wider primaries.
+        camera: parameters for the motion of reflections, float32 (27,); None if reflections move
+            with their surfaces.
+        filter_stddev: standard deviation, in pixels, of the pixel filter that is undone; 0 for
+            none.
     """
 
     model: str
@@ -104,13 +106,14 @@ class Layer:
     """A layer beside the picture that a window's filters run on.
 
     Attributes:
-        name: the filters write its 'light', and its 'next_part' unless it is the picture itself.
-        tensors: what the filters read of this frame, by binding. Without a 'part' the picture's
-            radiance is enlarged once more; without albedos the part has the picture's reflectance.
-        alone: whether it has no history in this frame, though the picture may have one.
+        name: of the layer. The filters write its 'light', and its 'next_part' unless it is the
+            picture itself.
+        tensors: what the filters read of this frame, by binding. Without a 'part' they enlarge the
+            picture's radiance once more; without albedos the part has the picture's reflectance.
+        alone: whether it has no history in this frame, even if the picture has one.
         last: the stack (n, height, width, 3) that holds its last output.
-        stack: the stack that its output goes to, where a window is the whole frame.
-        place: its place in both.
+        stack: the stack that its output goes to, if the window is the whole frame.
+        place: its place in both stacks.
     """
 
     name: str
@@ -121,21 +124,21 @@ class Layer:
     place: int
 
     def follows(self, other: Layer) -> bool:
-        """Whether it can be filtered together with another one, behind it."""
+        """Whether it can be filtered together with another layer, as the next one in a stack."""
         alike = self.alone == other.alone and "part" in self.tensors and "part" in other.tensors
         return alike and self.stack is other.stack and self.place == other.place + 1
 
 
 class Way(NamedTuple):
-    """How windows become pictures: by a network, or by the classical filter.
+    """How one model makes pictures of windows: by a network, or by the classical filter.
 
     Attributes:
-        steps: what runs.
-        words: that hold in every frame.
-        may: those that hold in some.
+        steps: the table of steps.
+        words: words of `graph` that hold in every frame.
+        may: words that hold in some frames.
         half: whether heads and features are in half precision.
-        buffers: what lies between the steps, and the network's heads as 'head NAME'.
-        over: what steps run over.
+        buffers: tensors between the steps, by name; the network's heads as 'head NAME'.
+        over: the things that steps run over.
     """
 
     steps: Table
@@ -147,11 +150,14 @@ class Way(NamedTuple):
 
 
 class WindowGraph:
-    """The networks, and the buffers of the tables' steps, for windows of one size.
+    """The networks, and the buffers between the steps, for windows of one size.
 
-    A guided one's models also read guides. A reactive one can use masks of how much history counts.
-    Models that doubt planes also read their mean. Where layers are filtered, too, the `whole` fine
-    head is kept for them.
+    Args:
+        window: any window of the size.
+        models: names of the networks.
+        guided: whether they read guides.
+        reactive: whether frames may have masks of how much of the history counts.
+        whole: whether the fine head is kept as a whole, because layers are filtered with it, too.
     """
 
     def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
@@ -189,15 +195,15 @@ class WindowGraph:
         Args:
             tensors: the frame's planes, its history and whatever exists once a frame, by the
                 kernels' names.
-            targets: what is written. The expected error is, where there is a place for it.
-            now: 'moves' where the last output has to be warped to this frame: if not, it is read as
-                it is, in a window of the whole frame, because it is in place already or does not
-                matter. 'masked' where the reactive masks of this frame and the last say how much of
-                the history each pixel keeps: if not, one number says it for all.
+            targets: tensors to write. The expected error is written if it is among them.
+            now: words that hold in this frame. 'moves': the last output is warped to this frame;
+                without it, it is read as it is, because it is in place already or does not matter.
+                'masked': the reactive masks of this frame and the last say how much of the history
+                each pixel keeps; without it, one number says it for all.
             layers: what is filtered beside the picture.
-            lasting: rows that leave a history, if not all do. Only these are enlarged, where
-                kernels run by rows. Networks that give the picture or read guides leave one in all
-                rows: they see farther.
+            lasting: rows that leave a history; None for all. Where kernels run by rows, only these
+                are enlarged. Networks that give the picture or read guides see farther, and enlarge
+                all rows.
         """
         picture, way = targets[THE_PICTURE], self._ways[model]
         words = way.words | now | frozenset({ERROR} & picture.keys())
@@ -219,8 +225,8 @@ class WindowGraph:
 
     def _of_rows(self, window: Window, rows: Rows,
                  buffers: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """What kernels need to enlarge these rows alone: their part of what has the output's size,
-        and where it lies."""
+        """Buffers to enlarge these rows alone: these rows of what has the output's size, and their
+        place."""
         first, last = window.out_rows_of(rows)
         sized = {name: rows_of(buffers[name], (first, last))
                  for name in ("warped", "output", "next_history")}
@@ -230,8 +236,8 @@ class WindowGraph:
 
     def _clear_beside(self, commands: CommandBuffer, window: Window, rows: Rows,
                       picture: Mapping[str, Tensor]) -> None:
-        """Record that there is nothing beside some rows of what a window writes. At their edges the
-        next frame finds a pixel less, as the output's pixels around a known one must be known,
+        """Record the work that clears what a window would write beside some rows. The history
+        begins a pixel within these rows: the output pixels around a known one must be known,
         too."""
         for first, last in ((0, rows[0]), (rows[1], self._window.rows)):
             if first < last:
@@ -298,8 +304,8 @@ class WindowGraph:
                    buffers=distances | self._written(CLASSIC_STEPS, may))
 
     def _written(self, steps: Table, words: frozenset[str]) -> dict[str, Tensor]:
-        """The buffers that steps write where some words hold, at most. Frames bring those of what
-        windows write for them: the ones made here in their place then take no memory."""
+        """The buffers that steps write where at most these words hold. Some are the frame's own
+        targets: those made here in their place are never used, and take no memory."""
         return {name: self._between(name, shape)
                 for name, shape in shapes_of(steps, self._sizes, words).items()}
 
@@ -320,8 +326,7 @@ class WindowGraph:
                         "planes": planes}
 
     def _end_of(self, state: PipelineState, doubts: bool) -> str:
-        frame = self._window.frame
-        unscaled = (frame.h, frame.w) == (frame.height, frame.width)
+        unscaled = self._window.frame.render == self._window.frame.output
         if PICTURE in heads_of(state):
             return GIVEN
         if self._guided:
@@ -330,9 +335,9 @@ class WindowGraph:
 
     def _heads_of(self, network: PipelineState, half: bool,
                   coded: bool) -> dict[str, Tensor]:
-        """The heads that the filters read, by name; for levels that the network does not compute,
-        their constants. Of a fine head that is `coded`, made row by row in the kernels that read
-        it, only its last channels lie in memory."""
+        """The heads that the filters read, by name. Levels that the network does not compute have
+        constant ones. A fine head that is `coded` is made row by row in the kernels that read it,
+        so only its last channels lie in memory."""
         shapes, products = heads_of(network), f"{PRODUCTS}fine"
         dtype = "float16" if half else "float32"
         if coded:
@@ -352,8 +357,8 @@ class WindowGraph:
         return heads
 
     def _layers_of(self, count: int, channels: int) -> dict[str, Tensor]:
-        """Buffers for as many layers, made when as many are first filtered at once: of alpha, with
-        one channel, or of light."""
+        """Buffers for so many layers of 1 channel (alpha) or 3 (light), made when so many are first
+        filtered at once."""
         planes = count * channels
         if planes not in self._layer_buffers:
             new, sizes = self._device.heap.transient, partial(self._sizes, planes=planes)
@@ -370,7 +375,7 @@ class WindowGraph:
 
     @cached_property
     def _nothing(self) -> dict[str, Tensor]:
-        """In place of a history, for layers without one."""
+        """Stands in for the history of layers that have none."""
         size = self._window.rows, self._window.columns
         arrays = {"past": np.zeros((*size, 4), np.float32),
                   "keep": np.zeros((1, 1, 1), np.float32)}
@@ -379,7 +384,7 @@ class WindowGraph:
 
     @cached_property
     def _no_means(self) -> Tensor:
-        """In place of the mean reflectance, where planes are not doubted."""
+        """Stands in for the mean reflectance, where planes are not doubted."""
         return upload(self._device.heap, "no means", np.zeros((1, 1, 3), np.float32))
 
     def _place(self, window: Window) -> dict[str, Tensor]:
@@ -391,7 +396,13 @@ class WindowGraph:
 
 def _share(layer: Layer, i: int, stacks: Mapping[str, Tensor], next_part: Tensor,
            factor: Tensor) -> Each:
-    """Tensors that the kernels of the `i`-th layer read and write. `factor`: of the picture."""
+    """Tensors that the kernels of the `i`-th layer read and write.
+
+    Args:
+        stacks: buffers of all layers that are filtered at once.
+        next_part: where the layer's accumulated values go.
+        factor: the picture's reflectance, for layers that are not divided by their own.
+    """
     divided = "diffuse_albedo" in layer.tensors
     own = {**layer.tensors, "part_level": some_of(stacks["pool 0"], 3 * i, 3),
            "next_part": next_part,
@@ -406,8 +417,7 @@ def _clear(*arrays: np.ndarray) -> None:
 
 
 def _shaded(radiance: Tensor) -> Tensor:
-    """The planes of the picture's radiance that have the reflectance of the render size: the last
-    ones."""
+    """The picture's radiance with the reflectance of the render size: the last planes of it."""
     channels, *size = radiance.shape
     return radiance.view("radiance", (3, *size), (channels - 3) * math.prod(size))
 

@@ -82,7 +82,8 @@ def test_a_clip_keeps_the_other_half_of_its_reference(tmp_path):
     assert not clip["v0_half"] and clip["v1_half"] and (clip["half"] == 2).all()
 
     torch = pytest.importorskip("torch")
-    from training.denoise.dataset import collate, load
+    from training.denoise.clips import load
+    from training.denoise.dataset import collate
 
     loaded = load(tmp_path / "clip.00001.npz", torch.device("cpu"))
     stack = collate([loaded, loaded], [0, 1])
@@ -93,7 +94,7 @@ def test_a_reference_with_negative_samples_has_an_exposure():
     """Volumes are sampled with weights of both signs, and few samples may sum to less than
     nothing."""
     pytest.importorskip("torch")
-    from training.denoise.dataset import grey_factor
+    from training.denoise.clips import grey_factor
 
     colour = np.full((8, 8, 3), 0.18)
     colour[0, 0] = -2.0

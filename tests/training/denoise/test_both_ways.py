@@ -25,17 +25,9 @@ from tests.training.small_denoiser import small_model  # noqa: E402
 from training import ops  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
 from training.denoise import train  # noqa: E402
-from training.denoise.dataset import (  # noqa: E402
-    CHANNELS,
-    MOTION,
-    Augment,
-    Batch,
-    Stack,
-    collate,
-    inverse_motion,
-    load,
-    to_batch,
-)
+from training.denoise.augment import Augment  # noqa: E402
+from training.denoise.clips import CHANNELS, MOTION, inverse_motion, load  # noqa: E402
+from training.denoise.dataset import Batch, Stack, collate, to_batch  # noqa: E402
 from training.denoise.gradient import copy_batch, tensors  # noqa: E402
 from training.denoise.loss import ClipLoss  # noqa: E402
 from training.denoise.model import Step  # noqa: E402
@@ -48,7 +40,7 @@ def turned_clip() -> Stack:
     planes = {"v0_motion": motion, "v0_depth": np.ones(motion.shape[:3], np.float32)}
     inverse = (torch.from_numpy(inverse_motion(planes, "v0")).movedim(-1, 1).half()
                .to(clip.planes.dtype))
-    return replace(clip, planes=torch.cat((clip.planes, inverse[None]), 2), pairs=("inverse",))
+    return replace(clip, planes=torch.cat((clip.planes, inverse[None]), 2), motions=("inverse",))
 
 
 def test_what_points_out_of_the_picture_has_no_history() -> None:
@@ -75,7 +67,7 @@ def test_without_motion_there_is_none_either_way() -> None:
 
 def test_inverse_motion_is_made_when_a_clip_is_loaded(tmp_path: Path) -> None:
     write_clips(tmp_path, 1)
-    clip = load(tmp_path / "clip0000.npz", torch.device("cpu"), pairs=("inverse",))
+    clip = load(tmp_path / "clip0000.npz", torch.device("cpu"), motions=("inverse",))
     assert clip.planes.shape == (1, 2, CHANNELS + 2, 48, 60)
     with np.load(tmp_path / "clip0000.npz") as file:
         frames = [Frame({Role.MOTION: motion, Role.DEPTH: depth[..., None]})
@@ -103,7 +95,7 @@ def told_clip(cuts: list[int]) -> Batch:
                                                         *[1] * (getattr(clip, name).ndim - 2))
                 for name in ("jitter", "reference", "surfaces", "guides")}
     keep = 1 - torch.tensor([cuts], dtype=torch.float32)
-    return to_batch(replace(clip, planes=planes, pairs=("inverse",), keep=keep, **repeated))
+    return to_batch(replace(clip, planes=planes, motions=("inverse",), keep=keep, **repeated))
 
 
 def test_a_frame_is_blended_by_what_each_direction_has_seen_of_it(

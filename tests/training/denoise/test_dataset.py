@@ -17,25 +17,24 @@ from tests.training.denoise.test_train import moving_clip, write_clips  # noqa: 
 from training import ops  # noqa: E402
 from training.datagen.scenes.motion import Camera, look_at  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
-from training.denoise.dataset import (  # noqa: E402
+from training.denoise.augment import Augment, ellipse, falsify_motion, spread_noise  # noqa: E402
+from training.denoise.clips import (  # noqa: E402
     CHANNELS,
     DEPTH,
     GUIDES,
     MOTION,
     SURFACE,
-    Augment,
+    inverse_motion,
+    load,
+    static_motion,
+)
+from training.denoise.dataset import (  # noqa: E402
     Batch,
     ClipPool,
     Stack,
     collate,
-    ellipse,
-    falsify_motion,
-    inverse_motion,
-    load,
     play_on,
     sparser,
-    spread_noise,
-    static_motion,
     to_batch,
     true_planes,
 )
@@ -52,8 +51,9 @@ def entries(count: int) -> Stack:
     for channel, value in zip(range(MOTION, MOTION + 4), (1.0, -2.0, 5.0, 7.0), strict=True):
         planes[:, :, channel] = value
     repeated = {name: getattr(clip, name).repeat(count, *[1] * (getattr(clip, name).ndim - 1))
-                for name in ("jitter", "spread", "keep", "reference", "surfaces", "exposure")}
-    return replace(clip, planes=planes, guides=None, pairs=("static",), **repeated)
+                for name in ("jitter", "spread", "keep", "reference", "surfaces", "exposure",
+                             "quiet")}
+    return replace(clip, planes=planes, guides=None, motions=("static",), **repeated)
 
 
 def test_false_motion_is_one_of_four_kinds_and_the_loss_keeps_the_true_one() -> None:
@@ -79,7 +79,7 @@ def test_an_ellipse_takes_the_mean_motion_around_it() -> None:
     # left half, right half
     clip.planes[:, :, MOTION] = torch.where(torch.arange(60) < 30, 0.0, 4.0)
     torch.manual_seed(1)
-    moving = to_batch(replace(clip, planes=clip.planes[:, :, :CHANNELS], pairs=()))
+    moving = to_batch(replace(clip, planes=clip.planes[:, :, :CHANNELS], motions=()))
     motion = falsify_motion(moving, 1.0).frames[1].motion
     between = ((motion[:, 0] > 0.01) & (motion[:, 0] < 3.99)).flatten(1).any(1)
     assert between.any()
@@ -229,7 +229,7 @@ def test_later_turns_play_the_same_windows_the_other_way(tmp_path: Path) -> None
     write_clips(tmp_path, 2)
     path = tmp_path / "clip0000.npz"
     pool = ClipPool({tmp_path: 1.0}, torch.device("cpu"), held_out=10**6,
-                    pairs=("inverse", "static"))
+                    motions=("inverse", "static"))
     pool.refresh()
     turns = []
     for turn in range(3):
@@ -256,7 +256,7 @@ def test_later_turns_play_the_same_windows_the_other_way(tmp_path: Path) -> None
 def test_a_cut_is_kept_when_played_backwards() -> None:
     clip = entries(1)
     cut = replace(clip, planes=clip.planes[:, [0, 1, 1]], keep=torch.tensor([[0.0, 0.0, 1.0]]),
-                  pairs=("inverse",))
+                  motions=("inverse",))
     assert play_on(cut, backwards=True).keep.tolist() == [[1.0, 1.0, 0.0]]
     assert play_on(cut, backwards=False).keep.tolist() == [[1.0, 0.0, 1.0]]
 

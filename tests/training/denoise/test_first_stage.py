@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from training.denoise.checkpoint import save
-from training.denoise.dataset import CHANNELS, DEPTH, MOTION, Clip
+from training.denoise.clips import CHANNELS, DEPTH, MOTION, Clip
 from training.denoise.first_stage import FirstStage, shrink
 from training.denoise.model import DenoiseUpscale, TrunkConfig
 from training.denoise.picture import PictureConfig, PictureNetwork
