@@ -151,15 +151,20 @@ def _noisy(arguments: argparse.Namespace, files: FrameFiles) -> list[Skip]:
     from postfx.passes.display import is_shown
     from postfx.plan import Skip
 
-    if arguments.aov or arguments.no_denoise or arguments.strength == 0:
+    if arguments.no_denoise or arguments.strength == 0:
         return []
+    found = [Skip(layer, "holds the noisy picture once more, and is kept as it is")
+             for layer in files.copies()]
+    if arguments.aov:
+        return found
     layers = files.known_parts()
     more = f" and {len(layers) - SHOWN_PARTS} more" if len(layers) > SHOWN_PARTS else ""
     shown = is_shown(False, **RUN.values_for("look", arguments))
     remedy = ("only scene-linear output has denoised ones" if shown
               else "--aov auto denoises them, too")
-    return [Skip(f"{', '.join(layers[:SHOWN_PARTS])}{more}",
-                 f"kept as noisy as they are; {remedy}")] if layers else []
+    found += [Skip(f"{', '.join(layers[:SHOWN_PARTS])}{more}",
+                   f"kept as noisy as they are; {remedy}")] if layers else []
+    return found
 
 
 # Logs and resuming

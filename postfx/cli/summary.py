@@ -506,7 +506,7 @@ class Report:
         rows = [(item.what, item.why) for item in passes + frames[:SHOWN_FRAMES]]
         rows += [("AOVs " + ", ".join(planes), "no pass reads them")] if planes else []
         more = len(frames) - SHOWN_FRAMES
-        return rows + ([(f"{more} more frames", "likewise")] if more > 0 else [])
+        return rows + ([(f"{_frames(more)} more", "likewise")] if more > 0 else [])
 
     def _speed(self) -> str:
         if not self.frame_ms or not self.frames:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import repeat
+from itertools import chain, repeat
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,7 @@ from postfx.io.read_plan import (
 )
 from postfx.io.windows import AREA
 from postfx.motion import MOTION_SOURCES
+from postfx.streams import make_printable
 from postfx.system import Scratch
 
 FEWEST_ROWS = 64
@@ -385,6 +386,22 @@ class FrameFiles(ExitStack):
     def unread(self) -> list[str]:
         """Layers of the frame's files that no plane, part or guide is read from: 'AO.R,G,B'."""
         return find_unread(self.plan, self.layout)
+
+    def copies(self) -> list[str]:
+        """Layers that hold the same picture as the colour, as Mitsuba writes it: 'image'."""
+        colour = self.match(Role.COLOUR).channels
+        candidates = [names for rule in self.layout.profile.rules(Role.COLOUR)
+                      for names in rule.candidates(self.layout.layer)]
+        found = [channels for names in candidates if (channels := self.plan.index.find(names))
+                 and len(channels) == len(colour) and not {*channels} & {*colour}]
+        if not found:
+            return []
+        pixels = read_channels(self.files, dict.fromkeys(chain(colour, *found), 0.0))
+        same = [channels for channels in found
+                if all(np.array_equal(pixels[one], pixels[other])
+                       for one, other in zip(colour, channels, strict=True))]
+        names = [channels[0].name.rpartition(".")[0] or channels[0].part.name for channels in same]
+        return list(dict.fromkeys(map(make_printable, names)))
 
     def known_parts(self) -> list[str]:
         """Layers of the frame's files that are light groups or passes by their profile, whether

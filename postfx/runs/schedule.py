@@ -173,21 +173,24 @@ class Chunk:
                 "preroll": format_frames(self.preroll), "reads": format_frames(self.reads)}
 
 
-def find_preroll(sequence: Sequence, number: int, preroll: int | str = AUTO_PREROLL) -> list[int]:
+def find_preroll(sequence: Sequence, number: int, preroll: int | str = AUTO_PREROLL,
+                 after: int | None = None) -> list[int]:
     """Frames to run before one that has no history: so many, or by 'auto' those of its shot that
-    lead to it without a hole, at most `PREROLL`.
+    lead to it without a hole, at most `PREROLL`; only those after the frame `after`, if it is
+    given.
 
     Headers and the sequence's cuts say where the shot begins; a frame that cannot be opened ends
     the search.
     """
     if preroll != AUTO_PREROLL:
-        return sequence.before(number, int(preroll))
-    found: list[int] = []
+        found = sequence.before(number, int(preroll))
+        return [one for one in found if after is None or one > after]
+    found = []
     reader, current = sequence.reader(), number
     with suppress(PostfxError):
         while len(found) < PREROLL and not reader.begins_shot(current):
             before = sequence.before(current, 1)
-            if not before:
+            if not before or (after is not None and before[0] <= after):
                 break
             current = before[0]
             found.append(current)
@@ -200,7 +203,7 @@ def find_between(sequence: Sequence, number: int, last: int,
     second are on the disk though nobody asked for them: as many as before the first of all."""
     if sequence.before(number, 1) == [last]:
         return []
-    return [one for one in find_preroll(sequence, number, preroll) if one > last]
+    return find_preroll(sequence, number, preroll, last)
 
 
 def fill_gaps(sequence: Sequence, numbers: tuple[int, ...],

@@ -15,7 +15,7 @@ import pytest
 from postfx.cli.chunks import describe_job
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.passes.denoise import default_network
-from postfx.runs.schedule import Chunk, find_preroll, make_chunks
+from postfx.runs.schedule import Chunk, fill_gaps, find_preroll, make_chunks
 
 CHOOSES_NETWORK = True
 """For `quick_network`."""
@@ -195,3 +195,13 @@ def test_openjd_runs_the_template(postfx, noise):
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(list((noise / "out").glob("a.*.exr"))) == 6
     assert "6 whole, 0 altered" in done.stdout
+
+
+def test_looking_for_what_leads_over_gaps_opens_no_frame_twice(monkeypatch):
+    room = Path(__file__).resolve().parents[2] / "samples" / "room" / "noisy.####.exr"
+    shot, opened = read_sequence(room, "1-7x2"), []
+    begins = Sequence.begins_shot
+    monkeypatch.setattr(Sequence, "begins_shot",
+                        lambda self, number: opened.append(number) or begins(self, number))
+    assert fill_gaps(shot, shot.numbers) == [1, 2, 3, 4, 5, 6, 7]
+    assert sorted(opened) == sorted(set(opened))

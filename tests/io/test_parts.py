@@ -129,6 +129,20 @@ def test_parts_that_stay_noisy_are_told(cycles: Path, tmp_path: Path, capsys, wo
     assert ("only scene-linear output has denoised ones" in found) == shown
 
 
+def test_a_second_copy_of_the_picture_is_told(tmp_path: Path, capsys) -> None:
+    """As Mitsuba writes it beside R, G and B."""
+    picture = noisy(1, *SIZE)[Role.COLOUR]
+    for name, layers, told in (("copy", {"": picture, "image": picture}, True),
+                               ("other", {"": picture, "image": 0.5 * picture}, False)):
+        source = write(tmp_path / f"{name}.exr", layers)
+        run = ["run", str(source), "-o", str(tmp_path / f"out.{name}.exr"), "--model", "s"]
+        assert main(run) == 0
+        line = "skipped  image: holds the noisy picture once more, and is kept as it is"
+        assert (line in capsys.readouterr().err) == told
+    assert main([*run, "--overwrite", "--keep", "none"]) == 0
+    assert "once more" not in capsys.readouterr().err
+
+
 def test_a_frame_of_blender_adds_up_by_groups_and_by_passes(tmp_path: Path) -> None:
     """Rendered by Cycles of Blender 5.0 at 2 samples a pixel: three lights, a world, fog, metal,
     plastic, glass, and a lamp. Reflections of glass cross into where nothing is of glass."""
