@@ -25,8 +25,8 @@ runs, when, and on which buffers.
 `ReadyNetwork.encode` in frame.py records them in this order; the files named here hold their
 buffers.
 
-Parts with light below 0 enter as two layers, above and below 0, and leave as their difference:
-`postfx/passes/signed_light.py` takes them apart and joins them.
+Parts with negative light are split into two layers by its sign, and joined again at the end
+(`postfx/passes/signed_light.py`).
 
 A step runs if all of its words hold, and none of those behind `unless`:
 

@@ -34,17 +34,17 @@ class PartValues:
         spec: of the frames.
         output: size of what leaves.
         parts: the parts by name, alpha among them.
-        halves: names of layers that are a part's light below 0 -> the part's name.
+        negative_layers: names of layers that hold a part's negative light -> the part's name.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, parts: Mapping[str, Part],
-                 halves: Mapping[str, str]) -> None:
+                 negative_layers: Mapping[str, str]) -> None:
         self._device, self._output = device, output
         self._render = Size(spec.height, spec.width)
         self._channels = dict(spec.parts)
-        self._parts, self._halves = parts, halves
+        self._parts, self._negative_layers = parts, negative_layers
         new = device.heap.tensor
-        self._codings = {name: new(f"coding {name}", (3,)) for name in (*parts, *halves)}
+        self._codings = {name: new(f"coding {name}", (3,)) for name in (*parts, *negative_layers)}
         self._decodings = {name: new(f"decoding {name}", (5,))
                            for name, part in parts.items() if not part.is_light}
         self._as_it_is = new("as it is", (5,))
@@ -54,7 +54,7 @@ class PartValues:
 
     def kind(self, name: str) -> Kind:
         """The kind of a layer; light for one that is no part."""
-        name = self._halves.get(name, name)
+        name = self._negative_layers.get(name, name)
         return KINDS[self._parts[name].kind] if name in self._parts else LIGHT_KIND
 
     def is_light(self, name: str) -> bool:
