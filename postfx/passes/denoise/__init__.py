@@ -418,7 +418,7 @@ class DenoiseUpscale(Pass):
 
     def reset(self) -> None:
         self._has_history = self._is_wider = False
-        self._exposure = 1.0
+        self._exposure_factor = 1.0
         self._found_stddev: float | None = None
         self._cameras.reset()
         self._repeats.reset()
@@ -427,7 +427,7 @@ class DenoiseUpscale(Pass):
     def history(self) -> dict[str, np.ndarray]:
         if not (self.strength and self._has_history):
             return {}
-        known = {"exposure": np.array(self._exposure, np.float64),
+        known = {"exposure": np.array(self._exposure_factor, np.float64),
                  f"{NETWORK_PREFIX}{self._last_tag}": np.array(1, np.int64),
                  WIDER: np.array(self._is_wider, np.int64)}
         if self._found_stddev is not None:
@@ -443,7 +443,7 @@ class DenoiseUpscale(Pass):
         self._has_history = bool(history)
         self._last_inputs.forget()
         if self._has_history:
-            self._exposure = float(history["exposure"])
+            self._exposure_factor = float(history["exposure"])
             self._is_wider = bool(history.get(WIDER, False))
             if not isinstance(self._ready, ReadyNetwork):
                 raise KeyError(f"pass '{self.name}' has no history at strength 0")
@@ -504,7 +504,7 @@ class DenoiseUpscale(Pass):
         work, amount, more_reasons = self._plan_work(frame, ready, keep, cells)
         reasons += more_reasons
         colour = ready.encode(commands, frame, work, reasons)
-        self._has_history, self._exposure = not frame.unusable, frame.exposure_factor
+        self._has_history, self._exposure_factor = not frame.unusable, frame.exposure_factor
         if alike is not Alike.OTHER:
             self._keep_result(commands, colour)
         if work.still and amount is Amount.WHOLE:
@@ -526,7 +526,7 @@ class DenoiseUpscale(Pass):
         band = None
         if cells is not None or lit is not None:
             band, cells = self._band(frame, ready, cells, lit)
-        gain = frame.exposure_factor / self._exposure if keep else 1.0
+        gain = frame.exposure_factor / self._exposure_factor if keep else 1.0
         if not self._is_wider and ready.is_outside(frame):
             self._widen(keep)
         still = keep and gain == 1 and frame.is_blank(Role.MOTION)

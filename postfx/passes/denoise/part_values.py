@@ -81,13 +81,13 @@ class PartValues:
         self._copies[name].upload(given if given.shape[2] == 3 else np.repeat(given, 3, axis=2))
         return self._copies[name]
 
-    def coding(self, name: str, frame: ResidentFrame, exposure: float) -> Tensor:
+    def coding(self, name: str, frame: ResidentFrame, exposure_factor: float) -> Tensor:
         """How a layer's values are coded in a frame, for the kernels: the least value, the scale,
         and the most that is let through. Settles how they are decoded, too."""
         kind = self.kind(name)
         low, high = kind.span or _range_of(frame.host_parts[name])
         scale = 1.0 if (low, high) == (0.0, 1.0) else 1 / max(high - low, 1e-30)
-        most = LARGEST_FLOAT if kind.are_distances else MAX_COLOUR / exposure
+        most = LARGEST_FLOAT if kind.are_distances else MAX_COLOUR / exposure_factor
         self._codings[name].upload([low, scale, most])
         if self.is_decoded(name):
             decoding = [1 / scale, low, *kind.bounds, float(kind.are_vectors)]

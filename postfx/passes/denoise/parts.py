@@ -100,7 +100,7 @@ class Layers:
         new = device.heap.tensor
         self._params = new("part params", (4,))
         self._exposed = new("whole params", (4,))
-        self._exposure = 1.0
+        self._exposure_factor = 1.0
         self._nothing = make_zeros(device, "no reflectance",
                                    (*self._render, 3) if self._parts else (1,))
         self._made: dict[str, Tensor] = {}
@@ -126,7 +126,7 @@ class Layers:
         """
         for plain in (self._plain, self._plain_alpha):
             plain.aim(frame.jitter)
-        self._exposure = float(work.params[EXPOSURE])
+        self._exposure_factor = float(work.params[EXPOSURE])
         self._params.upload([1.0, *work.params[JITTER_X:GAIN], 1.0])
         self._exposed.upload([*work.params[:GAIN], 1.0])
         self._history.turn()
@@ -304,7 +304,7 @@ class Layers:
         """What the filters read of a part in this frame, by binding."""
         self._raw[name], kind = self._input(name, frame), self._values.kind(name)
         found = {"part": self._raw[name],
-                 "coding": self._values.coding(name, frame, self._exposure)}
+                 "coding": self._values.coding(name, frame, self._exposure_factor)}
         if kind.is_like_picture:
             return found
         return found | {str(role): planes[str(role)] if role in kind.divided else self._nothing
