@@ -81,7 +81,7 @@ def join_cells(cells: np.ndarray) -> None:
 
 
 @dataclass(frozen=True)
-class Planes:
+class PairPlanes:
     """Planes of both frames, of which the ones between are made.
 
     Attributes:
@@ -119,7 +119,7 @@ class Mixture:
     back: tuple[float, float]
 
 
-def compose(cells: np.ndarray, planes: Planes, mixture: Mixture,
+def compose(cells: np.ndarray, planes: PairPlanes, mixture: Mixture,
             has_motion: bool) -> tuple[np.ndarray, ...]:
     """The planes between: colour (h, w, 3), light (h, w, n), data (h, w, m), and motion (h, w, 2)
     in pixels, which is empty where it is not asked for.

@@ -51,7 +51,7 @@ LED_SHARE = 0.95
 
 
 @dataclass(frozen=True)
-class Seen:
+class ThinInputs:
     """Two frames in which thin things are looked for.
 
     Attributes:
@@ -72,7 +72,7 @@ class Seen:
     scale: int
 
 
-def where_flow_is_right(seen: Seen, ahead: np.ndarray, back: np.ndarray,
+def where_flow_is_right(seen: ThinInputs, ahead: np.ndarray, back: np.ndarray,
                         apart: float) -> np.ndarray | None:
     """How much the picture along estimated motion counts in place of the one along vectors, (rows,
     columns) in [0, 1]; None if it counts nowhere, or nothing is thin.
@@ -96,7 +96,7 @@ def where_flow_is_right(seen: Seen, ahead: np.ndarray, back: np.ndarray,
     return np.float32(share) * local_mean(near, AROUND_CELLS)[..., 0]
 
 
-def _misfit_of_vectors(seen: Seen, back: np.ndarray, thin: np.ndarray) -> float:
+def _misfit_of_vectors(seen: ThinInputs, back: np.ndarray, thin: np.ndarray) -> float:
     """Misfit of thin things along vectors over that along estimated motion; 0 if nothing tells.
     thin: marks their cells."""
     y, x = _pixels_of(seen, thin)
@@ -115,7 +115,7 @@ def _misfit_of_vectors(seen: Seen, back: np.ndarray, thin: np.ndarray) -> float:
     return worse
 
 
-def _pixels_of(seen: Seen, thin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _pixels_of(seen: ThinInputs, thin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of the pixels of thin things: those that are nearer than others of their
     cells."""
     scale, (h, w) = seen.scale, seen.pixel_depth.shape[:2]
@@ -141,7 +141,7 @@ def _around(picture: np.ndarray, x: np.ndarray, y: np.ndarray, level: float) -> 
     return mean
 
 
-def _moving_thin(seen: Seen) -> np.ndarray:
+def _moving_thin(seen: ThinInputs) -> np.ndarray:
     """Marks cells (rows, columns) of thin things, except those that stand still by vectors and by
     depth: estimated motion may follow a change of light there."""
     was, now = (depth[..., 0] for depth in seen.depths)

@@ -458,7 +458,7 @@ class Exposure(nn.Module):
 STATE = dict[str, torch.Tensor]
 
 
-def find_model(start: str) -> Path:
+def find_start_model(start: str) -> Path:
     """A model file by its own name, or by the tag of a shipped look."""
     path = Path(start) if start.endswith(".onnx") else models_dir() / f"tonemap.{start}.onnx"
     if not path.is_file():

@@ -44,7 +44,7 @@ from training.tonemap.model import (
     HDRNet,
     Shaper,
     default_shaper,
-    find_model,
+    find_start_model,
     levels,
     look_up,
     lowres,
@@ -201,7 +201,7 @@ def start_network(start: str, cube: torch.Tensor) -> HDRNet:
     'none'."""
     net = HDRNet(cube)
     if start != "none":
-        net.load_state_dict(weights_of(find_model(start), net.state_dict()) | {"cube": cube})
+        net.load_state_dict(weights_of(find_start_model(start), net.state_dict()) | {"cube": cube})
     return net
 
 

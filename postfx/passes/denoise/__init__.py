@@ -62,7 +62,7 @@ from postfx.passes.denoise.savings import (
     Savings,
 )
 from postfx.passes.denoise.unfiltered import SPREAD_MARGIN_PX
-from postfx.passes.denoise.window import Work
+from postfx.passes.denoise.window import FrameWork
 from postfx.pixel_filter import find_stddev, parse_stddev
 from postfx.repeats import ONE_SEED, Alike, FrameMemory, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
@@ -513,7 +513,7 @@ class DenoiseUpscale(Pass):
         return colour
 
     def _plan_work(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool,
-                   cells: np.ndarray | None) -> tuple[Work, Amount, list[Reason]]:
+                   cells: np.ndarray | None) -> tuple[FrameWork, Amount, list[Reason]]:
         """The work on a frame, how much of the frame it is, and what else is left out of it.
 
         keep: whether the history goes on. cells: the active ones, None for all.
@@ -538,7 +538,7 @@ class DenoiseUpscale(Pass):
             reasons += [(UNFOLLOWED_REFLECTIONS, why)] if why else []
         params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
         model = ready.models[self._last_tag]
-        work = Work(model, params, keep, still, cells, band, self._is_wider, camera, stddev)
+        work = FrameWork(model, params, keep, still, cells, band, self._is_wider, camera, stddev)
         amount = Amount.WHOLE
         if band is not None and band.share != 1:
             amount = Amount.TILES if lit is None else Amount.LIT

@@ -31,7 +31,7 @@ from postfx.passes.denoise.output import Restore, Strength
 from postfx.passes.denoise.part_sums import SAMPLED_ROW_STEP, Group, PartSums, groups_of
 from postfx.passes.denoise.part_values import PartValues
 from postfx.passes.denoise.planes import ABSENT, Resampler, absent_plane
-from postfx.passes.denoise.window import THE_PICTURE, Layer, Work
+from postfx.passes.denoise.window import THE_PICTURE, FilteredLayer, FrameWork
 from postfx.passes.signed_light import SignedLight, has_negative_light, negative_layer
 from postfx.runtime import CommandBuffer, Device, Tensor
 
@@ -118,7 +118,7 @@ class Layers:
         self._alpha = Alpha(device, spec, output) if alpha else None
 
     def begin(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
-              work: Work) -> tuple[list[Layer], dict[str, dict[str, Tensor]]]:
+              work: FrameWork) -> tuple[list[FilteredLayer], dict[str, dict[str, Tensor]]]:
         """Begin a frame: the layers that are filtered, and the tensors for windows to write, by
         layer and binding. The picture's output is among these where parts must add up to it.
 
@@ -146,7 +146,7 @@ class Layers:
                 tensors = self._alpha.gather(commands, frame, planes, history, fresh)
                 enlarged = self._alpha.enlarged
                 targets[name] = {"light": enlarged}
-                runs.append(Layer(name, {"params": self._params, **tensors}, True, enlarged,
+                runs.append(FilteredLayer(name, {"params": self._params, **tensors}, True, enlarged,
                                   enlarged, 0))
                 continue
             last, stack, place = self._stacks_of(name, history)
@@ -157,7 +157,7 @@ class Layers:
                 tensors = {"params": self._params, "last_part": history.last["last_part"],
                            **self._inputs(name, frame, planes)}
             is_first = not (fresh and self._values.kind(name).stays)
-            runs.append(Layer(name, tensors, is_first, last, stack, place))
+            runs.append(FilteredLayer(name, tensors, is_first, last, stack, place))
         if self._groups:
             targets[THE_PICTURE] = {"output": one_of(self._history.stacks[1], 0)}
             whole = self._history.layers[WHOLE]
@@ -178,7 +178,7 @@ class Layers:
             layer.skip(shared=name in self._places)
 
     def own_runs(self, frame: ResidentFrame, planes: Mapping[str, Tensor],
-                 work: Work) -> Iterator[OwnRun]:
+                 work: FrameWork) -> Iterator[OwnRun]:
         """The runs of the network on parts that have filters of their own, in this frame."""
         self._history.ran = tuple(name for name in self._history.own if name in self._runs)
         for name in self._history.ran:
